@@ -271,9 +271,9 @@ def test_how_deep_a_work_group_is_does_not_matter(monkeypatch):
 
 
 def test_a_gpu_has_enough_to_do_and_a_rasteriser_little_to_begin():
-    for size, planes in ((256, 16), (128, 16), (64, 4), (33, 1), (5, 1)):
+    for size, planes in ((256, 8), (128, 8), (64, 4), (33, 1), (5, 1)):
         assert groups_of((size,) * 3, software=False).planes == planes
-        assert groups_of((size,) * 3, software=True).planes == 16
+        assert groups_of((size,) * 3, software=True).planes == 8
     assert groups_of((33, 33, 33), software=False).count == 33 * 9 * 2
 
 
@@ -324,6 +324,23 @@ def test_an_earlier_solution_leaves_nothing_to_do_and_other_tissue_starts_anew()
     cold = solve(pressed(12, True, seed=1), prior, backend="cpu")
     assert other.iterations > 0
     np.testing.assert_allclose(other.displacement, cold.displacement, atol=2e-3)
+
+
+def test_an_iteration_allocates_nothing_and_a_solve_leaves_nothing(made):
+    problem, counts = pressed(12, True), []
+
+    def count(monitor):
+        if "cycle" in monitor.message:
+            counts.append(left(made))
+
+    def job():
+        return solve(problem, backend="opengl", progress=count)
+
+    first = on_compute_thread(job)
+    assert len(counts) > 2
+    assert len(set(counts)) == 1
+    assert left(made) == 0
+    np.testing.assert_array_equal(on_compute_thread(job).displacement, first.displacement)
 
 
 def batches(stop_at=None) -> int:

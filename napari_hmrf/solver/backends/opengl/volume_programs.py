@@ -25,8 +25,8 @@ Buffers = Mapping[str, Sequence[Any]]
 # Most work groups along the first axis of a dispatch, of which every driver allows 65535.
 _ACROSS = 2**15
 # Planes that a work group does, at most; and columns of them that keep a GPU busy. More planes
-# spare elements that two groups share.
-_MOST_PLANES = 16
+# spare elements that two groups share, and fewer spare void.
+_MOST_PLANES = 8
 _ENOUGH = 2**16
 
 
