@@ -224,11 +224,13 @@ def test_a_ratio_is_nothing_unless_both_are_positive():
             np.testing.assert_array_equal(turned, (1 + number) * values)
 
 
-def test_sums_and_largest_values_take_in_every_site():
-    shape = (37, 5, 70)
-    held = np.zeros((*shape, 3))
-    held[0, 0, 0] = 1
-    given = Example(Problem(0 * held, held, np.ones(shape)), ElasticPrior(0.3))
+@pytest.mark.parametrize("of_void", [0, 20])
+def test_sums_and_largest_values_take_in_every_site(of_void):
+    m = np.ones((37, 5, 70))
+    m[:of_void, :, :33] = 0  # whole work groups
+    held = np.zeros((*m.shape, 3))
+    held[-1, 0, 0, 0] = 1
+    given = Example(Problem(0 * held, held, m), ElasticPrior(0.3))
     (host_level, *_) = host_levels(given)
     ones = (host_level.inverse > 0).astype(np.float32)
     peak = ones.copy()
@@ -236,11 +238,10 @@ def test_sums_and_largest_values_take_in_every_site():
 
     def job(level, _):
         flat, peaked = level.vector(ones.copy()), level.vector(peak.copy())
-        return level.read(
-            level.product(flat, flat), level.product(flat, peaked), level.largest(peaked)
-        )
+        sums = level.product(flat, flat), level.product(flat, peaked)
+        return level.read(*sums, level.largest(peaked))
 
-    count = 3 * (np.prod(shape) - 1)
+    count = 3 * np.count_nonzero(m) - 1
     for numbers in with_levels("compute", given, job):
         assert numbers == (count, count - 8, 7)
 
