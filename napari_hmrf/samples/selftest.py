@@ -143,9 +143,9 @@ def _report_opengl(say: Callable[[str], None]) -> None:
 def _check_backend(name: str, say: Callable[[str], None]) -> bool | None:
     """Solve on one backend; whether that was right, or None if it is not there."""
     say(f"  {name}")
-    lacking = _lacking(name)
-    if lacking is not None:
-        say(f"    not there: {lacking}")
+    refusal = _refusal(name)
+    if refusal is not None:
+        say(f"    not there: {refusal}")
         return None
     image, elastic = affine_example(), (ElasticPrior(), Multigrid(tolerance=1e-4), ELASTIC_BOUND)
     checks: list[tuple[Any, ...]] = [
@@ -153,8 +153,8 @@ def _check_backend(name: str, say: Callable[[str], None]) -> bool | None:
         ("candidate set", image, SeilerPrior(), ICM(iterations=300), CANDIDATES_BOUND),
         ("elastic", image, *elastic),
     ]
-    if name != "cpu" and (lacking := _lacking(name, _VOLUME)) is not None:
-        say(f"    no volumes: {lacking}")
+    if name != "cpu" and (refusal := _refusal(name, _VOLUME)) is not None:
+        say(f"    no volumes: {refusal}")
     elif name != "cpu" or loops.ready_for_volumes():  # few need them: nobody shall wait for these
         checks.append(("elastic volume", affine_example(_VOLUME), *elastic))
     passed = True
@@ -176,7 +176,7 @@ def _check_backend(name: str, say: Callable[[str], None]) -> bool | None:
     return passed
 
 
-def _lacking(name: str, volume: tuple[int, ...] = ()) -> BackendError | None:
+def _refusal(name: str, volume: tuple[int, ...] = ()) -> BackendError | None:
     """Why a backend is not there, or not for volumes."""
     try:
         job = partial(open_backend, name, lambda: None, volume=volume)

@@ -84,7 +84,7 @@ class GLVolumeLevel:
         self._defines = {"PARAMETERS": parameters, "SPRINGS": int(not finest)}
         groups = groups_of(grid, passes.device.software)
         self.everywhere = Places(groups, None, groups.count)
-        self._moving = self.everywhere
+        self._region = self.everywhere
         self._list = passes.buffer(groups.count, np.int32)
         self._shares = passes.buffer(2 * groups.count)
         self._spare: list[list[Any]] = []
@@ -130,10 +130,10 @@ class GLVolumeLevel:
         self._run_everywhere(name, {**buffers, "shares": [self._shares]}, uniforms)
         count = self.everywhere.number
         most = self._passes.read(self._shares, np.float32, 2 * count)[1::2]
-        moving = np.flatnonzero(most > 0).astype(np.int32)
-        if len(moving):
-            self._list.write(moving)
-        self._moving = self.everywhere._replace(buffer=self._list, number=len(moving))
+        numbers = np.flatnonzero(most > 0).astype(np.int32)
+        if len(numbers):
+            self._list.write(numbers)
+        self._region = self.everywhere._replace(buffer=self._list, number=len(numbers))
 
     def clear(self) -> None:
         """Make the correction zero, and what else a cycle begins with."""
@@ -157,7 +157,7 @@ class GLVolumeLevel:
             "correction": self.correction.buffers,
         }
         uniforms = {**self.shape, "paces": paces, **_integers(count=len(coarsest))}
-        self._passes.run_alone("volume_finish", buffers, self._moving, uniforms, self._defines)
+        self._passes.run_alone("volume_finish", buffers, self._region, uniforms, self._defines)
 
     def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
         """Relax from zero, or on, and hand what is left of the load down."""
@@ -176,7 +176,7 @@ class GLVolumeLevel:
                 self.shape,
                 self._defines,
             )
-            coarse._restrict(self, self._other, coarse.load, coarse._moving)
+            coarse._restrict(self, self._other, coarse.load, coarse._region)
 
     def ascend(self, steps: Steps, coarse: Self) -> None:
         """Add the coarse correction, and relax."""
@@ -271,7 +271,7 @@ class GLVolumeLevel:
         """The largest absolute value of `a`, and the scalar product."""
         buffers = {"one": a.buffers, "other": b.buffers, "shares": [self._shares]}
         self._run("volume_weigh", buffers, {})
-        product, most = self._passes.total(self._shares, self._moving.number)
+        product, most = self._passes.total(self._shares, self._region.number)
         return most, product
 
     def ratio(self, a: Scalar, b: Scalar) -> Ratio:
@@ -289,7 +289,7 @@ class GLVolumeLevel:
             "shares": [self._shares],
         }
         self._run("volume_apply", buffers, self.shape, self._defines)
-        return self._passes.total(self._shares, self._moving.number)[0]
+        return self._passes.total(self._shares, self._region.number)[0]
 
     def advance(
         self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: Scalar | Ratio
@@ -298,7 +298,7 @@ class GLVolumeLevel:
         vectors = {"found": d, "rest": rest, "direction": direction, "image": image}
         buffers = {name: vector.buffers for name, vector in vectors.items()}
         self._run("volume_advance", {**buffers, "shares": [self._shares]}, self._over(length))
-        return self._passes.total(self._shares, self._moving.number)[0]
+        return self._passes.total(self._shares, self._region.number)[0]
 
     def turn(self, steepest: Vector, direction: Vector, share: Scalar | Ratio) -> None:
         """Direction = steepest + share direction."""
@@ -330,7 +330,7 @@ class GLVolumeLevel:
         defines: Mapping[str, int] | None = None,
     ) -> None:
         """Run a kernel where something moves."""
-        self._passes.run(name, buffers, self._moving, uniforms, defines)
+        self._passes.run(name, buffers, self._region, uniforms, defines)
 
     def _run_everywhere(self, name: str, buffers: Buffers, uniforms: Uniforms) -> None:
         """Run a kernel of a level's set-up."""

@@ -27,7 +27,7 @@ _INSIDE = (slice(2, -2),) * 3
 _ELEMENTS = (slice(None), *(slice(2, -3),) * 3)
 
 
-class _Known(NamedTuple):
+class _System(NamedTuple):
     """What outlives a solve: what was found for its system."""
 
     material: ElasticMaterial
@@ -35,7 +35,7 @@ class _Known(NamedTuple):
     found: Found
 
 
-_last: list[_Known] = []
+_last: list[_System] = []
 in_child_of_fork(_last.clear)
 
 
@@ -66,9 +66,9 @@ class GLVolumeModel(HostModel):
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             coarse.coarsen(fine)
         finest = self.levels[0]
-        self._left = finest.vector()
+        self._residual = finest.vector()
         # It stays on the device, where who asks for it takes it.
-        self._rest = cast(Any, self._left)
+        self._rest = cast(Any, self._residual)
         self._exactly = [passes.buffer(finest.values, np.float64) for _ in range(3)]
         self._shares = passes.buffer(2 * finest.everywhere.number, np.float64)
         self._moves: HeldPlanes | None = None
@@ -96,12 +96,12 @@ class GLVolumeModel(HostModel):
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             coarse.hold_as(fine)
         self.clear()
-        for buffer in self._left.buffers:
+        for buffer in self._residual.buffers:
             self._passes.device.clear_buffer(buffer)
         known = _last[0] if _last and _last[0].material == self.material else None
         again = known is not None and np.array_equal(known.held, held)
         self.found = known.found if known is not None and again else Found()
-        _last[:] = [_Known(self.material, held, self.found)]
+        _last[:] = [_System(self.material, held, self.found)]
 
     @property
     def moves(self) -> HeldPlanes:
@@ -115,7 +115,7 @@ class GLVolumeModel(HostModel):
         if load is not None:
             raise NotImplementedError("forces pull at images only: at volumes nothing slips")
         self._send(d)
-        buffers = {"rest": self._left.buffers, "inverse": self.levels[0].inverse}
+        buffers = {"rest": self._residual.buffers, "inverse": self.levels[0].inverse}
         shares = self._add_up("volume_balance", buffers, exact(unit=unit))
         return float(shares[:, 1].max(initial=0.0)), math.sqrt(shares[:, 0].sum())
 
