@@ -1,6 +1,7 @@
 """Volumes: how long they take, beside PyAMG, and whether what is reported holds.
 
     python benchmarks/volumes.py [--sizes 64 128 192] [--pyamg 48] [--paper 48] [--random 300]
+    python benchmarks/volumes.py --shaders [--sizes 128 256] [--head 190]
 
 Prints the CPU seconds of one thread, set-up included, until no voxel is further than 0.01 from the
 converged field. PyAMG (smoothed aggregation, rigid-body modes, conjugate gradients) takes as many
@@ -9,11 +10,15 @@ too, and how far its field is from that of finite elements; and it prints how lo
 volume that moves takes to draw. Then small volumes of every kind are drawn at random and compared
 with a direct solve of a matrix that scikit-fem assembled, or for the paper's model `line_oracle`;
 exits with 1 if one is further from it than was reported.
+
+With --shaders it prints the seconds that compute shaders take for such volumes and for a head,
+which has voxels of 1 mm in 190 rows: of a cycle, and of a whole solve with all that the host does.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 import time
@@ -36,11 +41,12 @@ from napari_hmrf import (
     SeilerPrior,
     Solution,
     Warper,
+    head_phantom,
     solve,
 )
-from napari_hmrf.errors import ConvergenceError, ProblemError
+from napari_hmrf.errors import BackendError, ConvergenceError, ProblemError
 from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.solver.optimizers import Optimizer
+from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.priors.elements import Lame
 from napari_hmrf.solver.priors.hexahedra import brick_shape
@@ -88,6 +94,54 @@ def print_times(sizes: list[int]) -> None:
                 each = 1e9 * seconds / size**3
                 cells = f"{size}^3 | {poisson} | {found.iterations} | {seconds:.2f} | {each:.0f}"
                 print(f"| {_NAMES[free]} | {cells} |", flush=True)
+
+
+def print_shaders(sizes: list[int], head: int) -> None:
+    """A table of the seconds that compute shaders take."""
+    print("| tissue | voxels | Poisson's ratio | cycles | s | ms a cycle |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    for size in sizes:
+        for free in (False, True):
+            for poisson in (0.3, 0.45):
+                print_shader_row(_NAMES[free], growing(size, free), poisson)
+    if head:
+        for poisson in (0.3, 0.45):
+            print_shader_row("head", head_phantom(size=head).problem, poisson)
+
+
+def print_shader_row(tissue: str, problem: Problem, poisson: float) -> None:
+    """A row of that table, of the second of two solves; or why there is none."""
+    try:
+        timed_shaders(problem, poisson)
+        found, seconds, cycle = timed_shaders(problem, poisson)
+        numbers = f"{found.iterations} | {seconds:.3f} | {1e3 * cycle:.2f}"
+    except (BackendError, ConvergenceError) as error:
+        numbers = f"{error} | |"
+    voxels = " x ".join(map(str, problem.shape))
+    print(f"| {tissue} | {voxels} | {poisson} | {numbers} |", flush=True)
+
+
+def timed_shaders(problem: Problem, poisson: float) -> tuple[Solution, float, float]:
+    """A solution by compute shaders, the seconds it took, and those of a cycle of it."""
+    moments: list[float] = []
+
+    def note(monitor: Monitor) -> None:
+        if monitor.message.startswith("cycle"):
+            moments.append(time.perf_counter())
+
+    def job() -> Solution:
+        return solve(
+            problem,
+            ElasticPrior(poisson),
+            optimizer=WITHIN,
+            backend="opengl",
+            progress=note,
+        )
+
+    begun = time.perf_counter()
+    found = compute_thread.submit(job).result()
+    seconds = time.perf_counter() - begun
+    return found, seconds, float(np.median(np.diff(moments))) if len(moments) > 1 else math.nan
 
 
 def print_pyamg(size: int) -> None:
@@ -251,15 +305,20 @@ def wrong_of(seeds: range) -> int:
 def main() -> int:
     """Print all; 1 if an answer is wrong."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--sizes", type=int, nargs="*", default=[64, 128])
+    parser.add_argument("--sizes", type=int, nargs="*")
+    parser.add_argument("--shaders", action="store_true", help="time compute shaders, no more")
+    parser.add_argument("--head", type=int, default=190, metavar="ROWS", help="0: not at all")
     parser.add_argument("--pyamg", type=int, default=48, metavar="SIZE", help="0: not at all")
     parser.add_argument("--paper", type=int, default=48, metavar="SIZE", help="0: not at all")
     parser.add_argument("--random", type=int, default=300, metavar="COUNT")
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
+    if asked.shaders:
+        print_shaders([128, 256] if asked.sizes is None else asked.sizes, asked.head)
+        return 0
     for prior in (ElasticPrior(0.3), SeilerPrior()):
         timed(growing(16), prior)  # loads the loops
-    print_times(asked.sizes)
+    print_times([64, 128] if asked.sizes is None else asked.sizes)
     if asked.pyamg:
         print_pyamg(asked.pyamg)
     print_slices()

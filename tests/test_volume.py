@@ -9,7 +9,7 @@ from cancelling import During
 from volume_oracle import assembled, calculix_solution, direct_solution
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, Solution, solve
-from napari_hmrf.errors import BackendError, Cancelled, ConvergenceError, ProblemError
+from napari_hmrf.errors import Cancelled, ConvergenceError, ProblemError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.cpu import volume
 from napari_hmrf.solver.backends.cpu.volume_model import CpuVolumeModel
@@ -356,11 +356,6 @@ def test_what_is_there_for_images_only_is_refused(prior, optimizer, stiffest, wo
     m[1, 1, 1] = stiffest
     with pytest.raises(ProblemError, match=words):
         solve(squeezed(m), prior, optimizer=optimizer)
-
-
-def test_shaders_refuse_volumes():
-    with pytest.raises(BackendError, match='Take backend="cpu"'):
-        solve(squeezed(np.ones((4, 4, 4))), backend="opengl")
 
 
 @pytest.mark.parametrize("meet", ["corner", "edge"])

@@ -75,7 +75,7 @@ def solve(
         level. ``Multigrid()`` takes the paper's prior to where such sweeps would end.
     backend : {"auto", "opengl", "opengl:fragment", "opengl:compute", "cpu"}
         Where to run it. "auto" takes the shaders on a real GPU and the compiled loops elsewhere,
-        and logs once which. Volumes take the compiled loops.
+        and logs once which. Volumes take compute shaders (OpenGL 4.3), or the loops.
     progress : callable, optional
         Called on the caller's thread with a `Monitor`: a message and the fraction done.
     cancel : threading.Event or alike, optional
@@ -244,7 +244,11 @@ def run_here(
     started = time.perf_counter()
     job = job_of(prior, optimizer, problem.spacing)
     device, reason = open_backend(
-        backend, checkpoint, lambda: provide_loops(job, report), problem.is_volume
+        backend,
+        checkpoint,
+        lambda: provide_loops(job, report),
+        volume=problem.shape if problem.is_volume else (),
+        elastic=isinstance(prior, ElasticPrior),
     )
     try:
         _announce(device.renderer, reason)
