@@ -15,11 +15,12 @@ from napari_hmrf.solver.backends.entrained import Entrained
 from napari_hmrf.solver.backends.linear import Steps, UnsymmetricLevel
 from napari_hmrf.solver.optimizers.cycle import Cycle
 
-# How far single precision is trusted to reduce a residual before it is computed again in double.
-_INNER = 1e-5
+# How far single precision is trusted to reduce a residual before it is computed again in double;
+# and how far double is.
+_INNER, _INNER_DOUBLE = 1e-5, 1e-12
 # Below this a residual in single precision is rounding, and so is an eigenvalue.
 _ROUNDING = 1e-7
-_LEAST = 1e-6
+_LEAST, _LEAST_DOUBLE = 1e-6, 1e-12
 # A residual of this part of the solution is as small as single precision can tell.
 _ATTAINED = 3e-7
 # What an iteration is trusted to be at most: how fast errors fall in a step, and how well the cycle
@@ -65,11 +66,15 @@ class ConjugateGradients:
     Parameters
     ----------
     cycle : Cycle
+    exactly : callable, optional
+        Gives the finest level in double precision; None if there is none.
     """
 
-    def __init__(self, cycle: Cycle) -> None:
-        self._cycle = cycle
+    def __init__(self, cycle: Cycle, exactly: Callable[[], Any] = lambda: None) -> None:
+        self._cycle, self._exactly = cycle, exactly
         self._spectrum = _Spectrum()
+        #: What its vectors are of, if it runs in double precision.
+        self._double: Any = None
         #: What cycles do not see of rigid bodies, if there are any.
         self.entrained: Entrained | None = None
 
@@ -80,15 +85,31 @@ class ConjugateGradients:
 
     @property
     def care(self) -> int:
-        """How often it has gone over to better cycles."""
-        return self._cycle.care
+        """How often it has gone over to better cycles, or to double precision."""
+        return self._cycle.care + self.in_double
 
-    def smooth_more(self) -> bool:
-        """Take better cycles from now on, of which nothing is known; False if there are none."""
+    @property
+    def in_double(self) -> bool:
+        """Whether it runs in double precision."""
+        return self._double is not None
+
+    def take_care(self) -> bool:
+        """Take better cycles from now on, or double precision; False if there is neither.
+
+        Of what comes then nothing is known.
+        """
         if not self._cycle.smooth_more():
-            return False
-        self._spectrum = _Spectrum()
+            if self.in_double:
+                return False
+            self._double = self._exactly()
+            if self._double is None:
+                return False
+        self._spectrum = _Spectrum(_LEAST_DOUBLE if self.in_double else _LEAST)
         return True
+
+    def _steepest(self, rest: Any) -> Any:
+        """What a cycle makes of a residual."""
+        return self._cycle.run(self._double.rounded(rest) if self.in_double else rest)
 
     @property
     def least(self) -> float:
@@ -102,8 +123,8 @@ class ConjugateGradients:
     @np.errstate(over="ignore", invalid="ignore")
     def run(
         self, residual: npt.NDArray[np.float32], norm: float, enough: Watch
-    ) -> npt.NDArray[np.float32]:
-        """Return a correction for a residual (planes) of a norm, in single precision.
+    ) -> npt.NDArray[np.floating]:
+        """Return a correction for a residual (planes) of a norm.
 
         Changes the residual; the correction is valid until the next run.
 
@@ -112,7 +133,8 @@ class ConjugateGradients:
         FloatingPointError
             If numbers overflow, or vanish.
         """
-        level = self._cycle.levels[0]
+        level: Any = self._double if self.in_double else self._cycle.levels[0]
+        inner = _INNER_DOUBLE if self.in_double else _INNER
         rest = level.vector(residual)
         found, direction, image = level.vector(), level.vector(), level.passing()
         square = first = norm**2
@@ -123,7 +145,7 @@ class ConjugateGradients:
             square = level.product(rest, rest)
         self._spectrum.restart()
         while True:
-            steepest = self._cycle.run(rest)
+            steepest = self._steepest(rest)
             if entrained is None:
                 level.project(steepest)
             most, slope = level.weigh(steepest, rest)
@@ -152,7 +174,7 @@ class ConjugateGradients:
             step = self._judged(far, first, square, after, down**2 / bend / 2 + settled)
             settled = 0.0
             before, square = slope, after
-            if enough(step) or after <= _INNER**2 * first:
+            if enough(step) or after <= inner**2 * first:
                 break
         level.project(found)
         level.free(found, direction, image)
@@ -162,7 +184,8 @@ class ConjugateGradients:
         """What is known after a step whose cycle corrected `far`, from squares of residuals."""
         # At first residuals fall faster than errors, as jumps beside what is held are smoothed, and
         # the least eigenvalues have not been met yet.
-        rest = max(math.sqrt(after), _ROUNDING * math.sqrt(first))
+        rounding = _INNER_DOUBLE if self.in_double else _ROUNDING
+        rest = max(math.sqrt(after), rounding * math.sqrt(first))
         fall = max(math.sqrt(after / before), _FASTEST)
         least = self._spectrum.least
         if self._spectrum.steps < _ENOUGH:
@@ -227,8 +250,8 @@ class StabilisedGradients:
 class _Spectrum:
     """The least eigenvalue that conjugate gradients have met (their Lanczos matrix has it)."""
 
-    def __init__(self) -> None:
-        self.least = 1.0
+    def __init__(self, rounding: float = _LEAST) -> None:
+        self.least, self._rounding = 1.0, rounding
         self.restart()
 
     @property
@@ -250,4 +273,4 @@ class _Spectrum:
         self._length = length
         if self._beside:
             least = scipy.linalg.lapack.dsterf(self._diagonal, self._beside)[0][0]
-            self.least = min(self.least, max(float(least), _LEAST))
+            self.least = min(self.least, max(float(least), self._rounding))

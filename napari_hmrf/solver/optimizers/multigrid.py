@@ -124,6 +124,8 @@ class Multigrid:
             model.close()
         energies = np.array(refinement.energies) / max(1, np.count_nonzero(problem.tissue))
         displacement, rounding = host.gathered(d, self.tolerance)
+        if problem.is_volume:
+            rounding *= 3  # so is what its model knows of tissue
         host.reuse(d, observed)
         if limit is None:
             model.found.add(displacement, Quality(refinement.estimate, refinement.residual))

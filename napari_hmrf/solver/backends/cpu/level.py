@@ -202,7 +202,7 @@ class CpuLevel:
     ) -> float:
         """D += length direction, rest -= length image; the square of the rest."""
         arrays = map(rows, (d, rest, direction, image))
-        vectors.advance(*arrays, np.float32(length), self._rows)
+        vectors.advance(*arrays, d.dtype.type(length), self._rows)
         return float(self._rows.sum())
 
     def project(self, vector: Vector) -> None:
@@ -219,7 +219,8 @@ class CpuLevel:
     ) -> None:
         """Direction = rest + share (direction - stride image)."""
         arrays = map(rows, (rest, direction, image))
-        vectors.lean(*arrays, np.float32(share), np.float32(stride))
+        number = direction.dtype.type
+        vectors.lean(*arrays, number(share), number(stride))
 
     def read(self, *scalars: float) -> tuple[float, ...]:
         """Return them."""
@@ -241,8 +242,3 @@ def paces_of(steps: Steps, from_zero: bool) -> Vector:
     begun = 2 if from_zero else 1
     made[begun:, 2] = made[begun:, 1]
     return made
-
-
-def inside(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Planes without their ring."""
-    return planes[(slice(None), *[slice(PAD, -PAD)] * (planes.ndim - 1))]

@@ -9,8 +9,9 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.cpu import kernels, seiler, vectors
-from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, inside
+from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.thread import in_child_of_fork
@@ -178,7 +179,7 @@ class CpuSeilerModel(HostModel):
             self.levels.append(CpuSeilerLevel(grid, lines, square, material.blanket, number == 0))
         finest = self.levels[0]
         self._stiffness = np.zeros(finest.stiffness.shape)
-        inside(self._stiffness)[...] = m, inverse
+        host.inside(self._stiffness)[...] = m, inverse
         finest.stiffness[...] = self._stiffness
         self._exact_pulls, self._pull = (np.zeros_like(self._stiffness) for _ in range(2))
         self._rest = np.zeros(self._stiffness.shape, dtype=np.float32)

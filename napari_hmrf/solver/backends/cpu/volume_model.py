@@ -8,15 +8,21 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.backends.bodies import Bodies, BodySites, bodies_of
 from napari_hmrf.solver.backends.cpu import hexahedra, vectors, volume
-from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, inside, paces_of, rows
+from napari_hmrf.solver.backends.cpu.double_level import DoubleLevel
+from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, paces_of, rows
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
-from napari_hmrf.solver.priors.elements import ElasticMaterial, Lame, lame_ratio, stiffest
+from napari_hmrf.solver.priors.elements import (
+    CYCLE_STAND_IN,
+    ElasticMaterial,
+    lame_ratio,
+    stiffest,
+)
 
 
 class CpuVolumeLevel(CpuLevel):
@@ -125,9 +131,13 @@ class CpuVolumeModel(HostModel):
         """Take another material of the same grid, with as many parameters."""
         self.material = material
         self.bounds = smoother_bounds(material)
-        self._held = None
+        self._held = self.bodies = self.levels[0].bodies = None
         constants = hexahedra.constants(material.shape)
         m, nu, most = material.m, material.poisson, stiffest(material.m)
+        self._sites: list[BodySites] = bodies_of(m) if material.rigid else []
+        if material.rigid:
+            m = np.where(np.isinf(m), np.float32(CYCLE_STAND_IN * most), m)
+            m.setflags(write=False)  # as a material's own: to numba another would be another type
         lame, scale, share = self.levels[0].lame, 0.125 / most, 1.0
         if isinstance(nu, float):
             share = lame_ratio(nu, strain=True)
@@ -143,6 +153,8 @@ class CpuVolumeModel(HostModel):
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on all levels."""
         before = self._held
+        if self.material.rigid and (before is None or not np.array_equal(held, before)):
+            self.bodies = self.levels[0].bodies = Bodies(self._sites, self.material, held)
         super().hold(held)
         if self._held is not before:
             self.clear()
@@ -155,13 +167,17 @@ class CpuVolumeModel(HostModel):
         most, square = finest.weigh(self._rest, self._rest)
         return most, math.sqrt(square)
 
+    @property
+    def exactly(self) -> DoubleLevel:
+        """The finest level for an iteration in double precision."""
+        return DoubleLevel(self.levels[0], *self._exact)
+
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
         """- A d everywhere, in double precision."""
-        share, _ = self._exact
-        first = self.levels[0].lame[..., PAD : -PAD - 1, PAD : -PAD - 1, PAD : -PAD - 1]
-        lame = Lame(share * first[-1].astype(np.float64), first[0].astype(np.float64))
+        finest, out = self.levels[0], np.zeros(d.shape)
         exactly = d if low is None else d + low
-        return host.planes(-self.material.shape.forces(lame, np.moveaxis(inside(exactly), 0, -1)))
+        volume.pull(exactly, finest.lame, *self._exact, out, finest.parts)
+        return out
 
     def work(self, d: Planes) -> tuple[float, float]:
         """The elastic energy, and the norm of the forces."""
