@@ -4,6 +4,7 @@ import math
 import shutil
 
 import numpy as np
+import psutil
 import pytest
 from cancelling import During
 from volume_oracle import assembled, calculix_solution, direct_solution
@@ -11,12 +12,16 @@ from volume_oracle import assembled, calculix_solution, direct_solution
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, Solution, solve
 from napari_hmrf.errors import BackendError, Cancelled, ConvergenceError, ProblemError
 from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.backends.brick_factors import elimination_order
 from napari_hmrf.solver.backends.cpu import volume
 from napari_hmrf.solver.backends.cpu.volume_model import CpuVolumeModel
+from napari_hmrf.solver.backends.factors import Factors
 from napari_hmrf.solver.model_names import in_words
 from napari_hmrf.solver.optimizers import ICM
+from napari_hmrf.solver.optimizers.cycle import chebyshev
 from napari_hmrf.solver.priors.elements import Lame
 from napari_hmrf.solver.priors.hexahedra import brick_shape
+from napari_hmrf.solver.volume_memory import ORDINARY
 
 OBLONG = (1.0, 1.7, 0.6)
 WITHIN = Multigrid(1e-3)
@@ -379,6 +384,92 @@ def test_what_slips_is_pulled_by_the_penalty_and_what_is_held_by_no_more(shape, 
     assert np.abs(found.displacement - exact).max() / problem.unit <= found.convergence.error
     forces = prior.forces(problem, exact)
     assert (np.abs(forces)[held] <= limit[held] * 1.001).all()
+
+
+# What cycles in single precision do not see
+
+
+def cubes(size, ratio):
+    """Stiff cubes that float in soft tissue."""
+    return np.where((np.indices((size,) * 3) % 6 < 3).all(axis=0), float(ratio), 1.0)
+
+
+@pytest.fixture
+def without_factors(monkeypatch):
+    """As of a volume that is too large for them."""
+    monkeypatch.setattr(Factors, "fit", staticmethod(lambda shape: False))
+
+
+@pytest.mark.usefixtures("without_factors")
+def test_what_single_precision_does_not_carry_is_iterated_in_double():
+    problem, heard = squeezed(cubes(12, 1e6)), []
+    found = solve(problem, optimizer=WITHIN, progress=lambda m: heard.append(m.message))
+    assert off(found, problem, 0.45) <= found.convergence.error <= WITHIN.tolerance
+    assert found.convergence.way == "cycles"
+    assert sum(message.startswith("rehearsal") for message in heard) > 40
+
+
+@pytest.mark.usefixtures("without_factors")
+def test_a_volume_that_cycles_cannot_be_sure_of_is_refused_in_a_sentence():
+    with pytest.raises(ConvergenceError, match="Raise max_iterations, "):
+        solve(squeezed(cubes(12, 1e6)), optimizer=Multigrid(1e-3, max_iterations=8))
+
+
+def test_small_volumes_of_high_contrast_are_factorised():
+    problem = squeezed(cubes(10, 1e7), OBLONG)
+    found = solve(problem, optimizer=WITHIN)
+    assert off(found, problem, 0.45) <= found.convergence.error <= WITHIN.tolerance
+    assert found.convergence.way == "factors"
+
+
+def test_planes_that_part_a_grid_are_eliminated_after_its_parts():
+    order = elimination_order((7, 5, 4)).tolist()
+    assert sorted(order) == list(range(140))
+    place = {site: number for number, site in enumerate(order)}
+    middle = [place[site] for site in range(60, 80)]
+    assert min(middle) > max(place[site] for site in [*range(60), *range(80, 140)])
+
+
+# Memory and time
+
+
+def test_a_volume_that_there_is_no_memory_for_is_refused_with_what_would_fit(monkeypatch):
+    problem = squeezed(np.ones((10, 10, 10)))
+
+    class Memory:
+        available = 500 * ORDINARY / 0.9
+
+    monkeypatch.setattr(psutil, "virtual_memory", Memory)
+    with pytest.raises(ProblemError, match="As many voxels as in 7 x 7 x 7 would fit: crop it"):
+        solve(problem)
+
+
+def test_a_cycle_looks_between_steps_of_smoothing_whether_to_stop():
+    looks = []
+    problem = squeezed(np.ones((56, 64, 64)))
+    model = CpuVolumeModel(ElasticPrior(0.3).material(problem), lambda: looks.append(1))
+    _, held = host.prescribed(problem)
+    model.hold(held)
+    level, before = model.levels[0], len(looks)
+    assert before >= 3  # of what is assembled, and held
+    level.load = level.vector(random(*level.inverse.shape).astype(np.float32))
+    steps = chebyshev(0.02, 1.0, 20)
+    level.relax(steps, from_zero=True)
+    assert len(looks) == before + 2
+    found = level.correction.copy()
+    expected = padded_smoothing(level, steps)
+    np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+
+
+def padded_smoothing(level, steps):
+    """The same steps, one by one."""
+    d, step = level.vector(), level.vector()
+    for scale, momentum in steps:
+        image = level.vector()
+        level.apply(d, image)
+        step = np.float32(scale) * level.inverse * (level.load - image) + momentum * step
+        d = d + step
+    return d
 
 
 # Around it

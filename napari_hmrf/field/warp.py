@@ -9,7 +9,6 @@ however large the gradients.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -146,9 +145,11 @@ def _rasterised(
     """Invert the motion of sites by the loops, or by NumPy before these are compiled."""
     if tissue.ndim == 3:
         loader.before_numba()
+        from numba import get_num_threads
+
         from napari_hmrf.field import tetrahedron_raster
 
-        slabs = min(len(tissue), 4 * (os.cpu_count() or 1))
+        slabs = min(len(tissue), 4 * get_num_threads())
         drawn = partial(tetrahedron_raster.rasterise, moved, loops.only_read(tissue), slabs)
         # This loop uses numba's own threads, which must not be entered from two threads.
         if compute_thread.is_current():

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends import loops
+from napari_hmrf.solver.backends import kept_volumes, loops
 from napari_hmrf.solver.backends.base import FloatArray
 from napari_hmrf.solver.backends.found import Beginning
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 _TINY = 1e-300
 _spare: list[tuple[Planes, HeldPlanes]] = []
 in_child_of_fork(_spare.clear)
+kept_volumes.forgotten_by(_spare.clear)
 
 
 def _exact(axes: int = 2) -> Any:

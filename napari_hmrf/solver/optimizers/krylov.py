@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.entrained import Entrained
-from napari_hmrf.solver.backends.linear import Steps, UnsymmetricLevel
+from napari_hmrf.solver.backends.linear import Balance, Planes, Steps, UnsymmetricLevel
 from napari_hmrf.solver.optimizers.cycle import Cycle
 
 # How far single precision is trusted to reduce a residual before it is computed again in double;
@@ -121,22 +122,24 @@ class ConjugateGradients:
         self._spectrum.least = value
 
     @np.errstate(over="ignore", invalid="ignore")
-    def run(
-        self, residual: npt.NDArray[np.float32], norm: float, enough: Watch
-    ) -> npt.NDArray[np.floating]:
-        """Return a correction for a residual (planes) of a norm.
+    def run(self, balance: Balance, d: Planes, enough: Watch) -> None:
+        """Move `d` in place by a correction for what it leaves of a load.
 
-        Changes the residual; the correction is valid until the next run.
+        Changes what is left. If numbers overflow, `d` stays as good as it was.
 
         Raises
         ------
         FloatingPointError
             If numbers overflow, or vanish.
         """
+        unit = balance.unit
+        norm = balance.norm / unit
         level: Any = self._double if self.in_double else self._cycle.levels[0]
         inner = _INNER_DOUBLE if self.in_double else _INNER
-        rest = level.vector(residual)
-        found, direction, image = level.vector(), level.vector(), level.passing()
+        rest = level.vector(balance.rest)
+        at_once = getattr(level, "sums_up", False) and level.bodies is None
+        found = None if at_once else level.vector()
+        direction, image = level.vector(), level.passing()
         square = first = norm**2
         before: Any = None
         settled, entrained = 0.0, self.entrained
@@ -157,7 +160,12 @@ class ConjugateGradients:
             curvature = level.apply(direction, image)
             level.project(image)
             length = level.ratio(slope, curvature)
-            left = level.advance(found, rest, direction, image, length)
+            if at_once:
+                if not all(map(math.isfinite, (most, curvature, length))):
+                    raise FloatingPointError
+                left = level.advance_by(d, unit * length, rest, direction, image, length)
+            else:
+                left = level.advance(found, rest, direction, image, length)
             values = level.read(most, slope, curvature, turn, left)
             if square == 0 or not all(math.isfinite(value) for value in values):
                 raise FloatingPointError
@@ -165,6 +173,7 @@ class ConjugateGradients:
             if not (down > 0 and bend > 0):
                 if after > 0 and self._cycle.be_careful():
                     level.free(direction)
+                    direction = None  # its memory, first
                     direction = level.vector()
                     before = None
                     self._spectrum.restart()
@@ -176,9 +185,11 @@ class ConjugateGradients:
             before, square = slope, after
             if enough(step) or after <= inner**2 * first:
                 break
-        level.project(found)
-        level.free(found, direction, image)
-        return np.asarray(level.planes(found))
+        if not at_once:
+            level.project(found)
+            host.add(d, np.asarray(level.planes(found)), unit)
+            level.free(found)
+        level.free(direction, image)
 
     def _judged(self, far: float, first: float, before: float, after: float, gain: float) -> Step:
         """What is known after a step whose cycle corrected `far`, from squares of residuals."""

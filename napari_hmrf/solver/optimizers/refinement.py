@@ -23,10 +23,15 @@ from napari_hmrf.solver.backends.linear import Balance, LinearModel, Planes
 from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
+from napari_hmrf.solver.volume_memory import IN_DOUBLE, ORDINARY, fits
 
 # A rehearsal ends at this part of its field, as reported; and what it reports may be this much less
 # than what is true.
 _REHEARSED = 0.003
+# In double precision it goes on for longer, until it has met what costs next to nothing.
+_REHEARSED_DOUBLE = 1e-5
+# So many times as many cycles may take, as there is no shorter way.
+_IN_DOUBLE = 8
 _BELIEVABLE = 3.0
 # How much more doubtful a problem may be than its rehearsal was, and any volume is.
 _MARGIN = 4.0
@@ -177,7 +182,7 @@ class Refinement:
                 return error <= tolerance or self._too_long
 
             try:
-                correction = self._iteration.run(balance.rest, balance.norm / balance.unit, enough)
+                self._iteration.run(balance, d, enough)
             except FloatingPointError:
                 if not self._take_care():
                     return False
@@ -185,7 +190,6 @@ class Refinement:
                 continue
             if step is None:
                 return False
-            host.add(d, correction, balance.unit)
             balance = self._model.balance(d, load, balance.most)
             self.residual = balance.norm
             self.estimate = doubt * step.reach * self.residual
@@ -208,7 +212,10 @@ class Refinement:
 
     def _exactly(self) -> Any:
         """The finest level in double precision, where factors are not the shorter way."""
-        return None if Factors.fit(self._model.shape) else self._model.exactly
+        shape = self._model.shape
+        if Factors.fit(shape) or not fits(shape, IN_DOUBLE - ORDINARY):
+            return None
+        return self._model.exactly
 
     def _entrain(self) -> bool:
         """Find what bodies take along; False if that cannot be told."""
@@ -234,6 +241,11 @@ class Refinement:
         """Whether factors are the shorter way from here."""
         return len(self._gains) >= self._patience and Factors.fit(self._model.shape)
 
+    @property
+    def _cycles_at_most(self) -> int:
+        """After how many cycles a run gives up."""
+        return self._most * (_IN_DOUBLE if self._iteration.in_double else 1)
+
     def _rehearse(self, shape: tuple[int, ...]) -> float:
         """How far off a known answer is, over how far off it is said to be."""
         error = host.noise(shape)
@@ -241,11 +253,13 @@ class Refinement:
         self._project(error)
         most = float(np.abs(error).max())
         doubt, cycles, rounds, left = math.inf, 0, 0, most
-        patience = self._most if self._iteration.in_double else _REHEARSAL_CYCLES
+        patience, part = _REHEARSAL_CYCLES, _REHEARSED
+        if self._iteration.in_double:
+            patience, part = self._cycles_at_most, _REHEARSED_DOUBLE
         while most > 0 and doubt > _BELIEVABLE and cycles < patience:
             # What is left of the error is what was not met: from there it is.
             balance, step = self._model.balance(error, None), None
-            target = _REHEARSED * most / balance.unit
+            target = part * most / balance.unit
 
             def enough(latest: Step, target: float = target) -> bool:
                 nonlocal step, cycles
@@ -254,12 +268,11 @@ class Refinement:
                 return latest.error <= target or cycles >= patience
 
             try:
-                correction = self._iteration.run(balance.rest, balance.norm / balance.unit, enough)
+                self._iteration.run(balance, error, enough)
             except FloatingPointError:
                 return math.inf
             if step is None:
                 return math.inf
-            host.add(error, correction, balance.unit)
             before, left = left, float(np.abs(error).max())
             if step.error <= target:
                 doubt = left / (balance.unit * step.error)
@@ -276,7 +289,9 @@ class Refinement:
 
     def _solve(self, d: Planes, load: Planes | None, tolerance: float) -> None:
         """Go to the tolerance by factors."""
-        factors, before = factorise(self._model, self._report), math.inf
+        known = f": all that they tell is that it is within {self.estimate:.2g} px"
+        factors = factorise(self._model, self._report, known if self.estimate < math.inf else "")
+        before = math.inf
         rest, self._low = self._left(d, load), np.zeros_like(d)
         ways = None if self._model.bodies is None else _Ways(self._model)
         while rest.any():
@@ -323,7 +338,7 @@ class Refinement:
         self._first = self._first or estimate
         done = part_done(self._first, estimate, tolerance)
         self._report(Monitor(f"cycle {self.cycles}, {estimate:.2g} px to go", done))
-        if cycles >= self._most and estimate > tolerance:
+        if cycles >= self._cycles_at_most and estimate > tolerance:
             raise ConvergenceError(
                 f"the field is still {estimate:.2g} px from converged after {cycles} cycles. "
                 "Raise max_iterations, or bring the softest and the stiffest tissue closer together"
@@ -369,8 +384,10 @@ def add(d: Planes, low: Planes, way: Planes) -> None:
     np.copyto(d, total)
 
 
-def factorise(model: LinearModel, report: Report) -> Factors:
+def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
     """Return the factors of a model with what is held now; they are kept for the next time.
+
+    `known` is said beside a refusal.
 
     Raises
     ------
@@ -382,7 +399,7 @@ def factorise(model: LinearModel, report: Report) -> Factors:
             raise ConvergenceError(
                 "cycles cannot be sure of this volume, and it is too large for factors. Raise "
                 "max_iterations, crop it, hold more of it, or bring the softest and the stiffest "
-                "tissue closer together"
+                f"tissue closer together{known}"
             )
         if not Factors.fit(model.shape):
             raise ConvergenceError(

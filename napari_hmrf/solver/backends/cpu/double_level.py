@@ -36,7 +36,7 @@ class DoubleLevel(CpuLevel):
         self._memory = None
         self._level, self._tissue = level, (level.lame, share)
         self._about = 0.0, shape, level.reach
-        self.bodies = level.bodies
+        self.bodies, self.sums_up = level.bodies, level.sums_up
 
     def rounded(self, rest: Float64Array) -> Vector:
         """What cycles are given for a vector; valid until the next call."""

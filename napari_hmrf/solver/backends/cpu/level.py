@@ -52,6 +52,8 @@ class CpuLevel:
     takes_rest: bool = False
     #: Whether another visit within a cycle gains more than it costs.
     worth_again: bool = True
+    #: Whether an iteration moves the displacement itself: of a volume memory is what is short.
+    sums_up: bool = False
     #: What moves as one on the finest level.
     bodies: Bodies | None = None
 
@@ -201,8 +203,15 @@ class CpuLevel:
         self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: float
     ) -> float:
         """D += length direction, rest -= length image; the square of the rest."""
-        arrays = map(rows, (d, rest, direction, image))
-        vectors.advance(*arrays, d.dtype.type(length), self._rows)
+        return self.advance_by(d, length, rest, direction, image, length)
+
+    def advance_by(
+        self, d: Any, share: float, rest: Vector, direction: Vector, image: Vector, length: float
+    ) -> float:
+        """D += share direction, rest -= length image; the square of the rest."""
+        of_d, *others = map(rows, (d, rest, direction, image))
+        shares = d.dtype.type(share), rest.dtype.type(length)
+        vectors.advance(of_d, shares[0], *others, shares[1], self._rows)
         return float(self._rows.sum())
 
     def project(self, vector: Vector) -> None:

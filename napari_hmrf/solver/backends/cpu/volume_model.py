@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.solver.backends import kept_volumes
+from napari_hmrf.solver.backends.base import BATCH_SECONDS, Checkpoint
 from napari_hmrf.solver.backends.bodies import Bodies, BodySites, bodies_of
 from napari_hmrf.solver.backends.cpu import hexahedra, vectors, volume
 from napari_hmrf.solver.backends.cpu.double_level import DoubleLevel
@@ -24,6 +26,13 @@ from napari_hmrf.solver.priors.elements import (
     stiffest,
 )
 
+# What a step of smoothing takes, roughly: on one thread.
+_SITE_SECONDS = 20e-9
+
+
+def _go_on() -> None:
+    """Never stop."""
+
 
 class CpuVolumeLevel(CpuLevel):
     """One level's elements and springs.
@@ -34,7 +43,11 @@ class CpuVolumeLevel(CpuLevel):
         Parameters of the elements; 0 in void.
     share : float
         What they mean, as `backends.cpu.hexahedra` says.
+    checkpoint : callable
+        Called several times a second; raises to stop the work.
     """
+
+    sums_up = True
 
     def __init__(self, grid: tuple[int, ...], parameters: int, finest: bool) -> None:
         super().__init__(grid)
@@ -46,6 +59,9 @@ class CpuVolumeLevel(CpuLevel):
         self.spans = self.reach.reshape(-1, 2)[PAD:-PAD]
         #: Among how many threads its planes are divided.
         self.parts = volume.parts(grid[0])
+        #: How many steps of smoothing leave time enough to look whether to stop.
+        self._at_once = max(1, int(BATCH_SECONDS / (_SITE_SECONDS * math.prod(grid))))
+        self.checkpoint: Checkpoint = _go_on
         self.share = np.float32(1)
         self.shape: Vector = np.zeros(0, dtype=np.float32)
 
@@ -75,9 +91,12 @@ class CpuVolumeLevel(CpuLevel):
             volume.start(*arrays, paces[0, 0])
             paces = paces[1:]
         about = self.load, self.lame, self.share, self.inverse, *self._springs, self.shape
-        volume.smooth(self.correction, self._other, *about, self.reach, paces, self.parts)
-        if len(paces) % 2 == 1:
-            self.correction, self._other = self._other, self.correction
+        for begin in range(0, len(paces), self._at_once):
+            some = paces[begin : begin + self._at_once]
+            volume.smooth(self.correction, self._other, *about, self.reach, some, self.parts)
+            if len(some) % 2 == 1:
+                self.correction, self._other = self._other, self.correction
+            self.checkpoint()
 
     def _hand_down(self, coarse: CpuVolumeLevel) -> None:
         # Its first step after this does not ask for the one before.
@@ -116,16 +135,24 @@ class CpuVolumeModel(HostModel):
     Parameters
     ----------
     material : ElasticMaterial
+    checkpoint : callable
+        Called several times a second; raises to stop the work.
     """
 
-    def __init__(self, material: ElasticMaterial) -> None:
+    def __init__(self, material: ElasticMaterial, checkpoint: Checkpoint = _go_on) -> None:
         count = 1 if isinstance(material.poisson, float) else 2
         self.levels = [
             CpuVolumeLevel(grid, count, number == 0)
             for number, grid in enumerate(grids(material.m.shape))
         ]
         self._rest = self.levels[0].vector()
+        self.heed(checkpoint)
         self.assemble(material)
+
+    def heed(self, checkpoint: Checkpoint) -> None:
+        """Call another checkpoint from now on."""
+        for level in self.levels:
+            level.checkpoint = checkpoint
 
     def assemble(self, material: ElasticMaterial) -> None:
         """Take another material of the same grid, with as many parameters."""
@@ -144,6 +171,7 @@ class CpuVolumeModel(HostModel):
             volume.elements(m, m, True, scale / (2 + 2 * nu), lame)
         else:
             volume.elements(m, nu, False, scale, lame)
+        self.levels[0].checkpoint()
         for level in self.levels:
             level.shape, level.share = constants.astype(np.float32), np.float32(share)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
@@ -155,7 +183,9 @@ class CpuVolumeModel(HostModel):
         before = self._held
         if self.material.rigid and (before is None or not np.array_equal(held, before)):
             self.bodies = self.levels[0].bodies = Bodies(self._sites, self.material, held)
+        self.levels[0].checkpoint()
         super().hold(held)
+        self.levels[0].checkpoint()
         if self._held is not before:
             self.clear()
 
@@ -201,9 +231,10 @@ class CpuVolumeModel(HostModel):
 
 _last: list[CpuVolumeModel] = []
 in_child_of_fork(_last.clear)
+kept_volumes.forgotten_by(_last.clear)
 
 
-def the_model(material: ElasticMaterial) -> CpuVolumeModel:
+def the_model(material: ElasticMaterial, checkpoint: Checkpoint = _go_on) -> CpuVolumeModel:
     """Return the model of a material: the last one, if it is the same tissue again.
 
     As `elastic_model.the_model`.
@@ -214,7 +245,11 @@ def the_model(material: ElasticMaterial) -> CpuVolumeModel:
 
     if not _last or layout(_last[0].material) != layout(material):
         _last[:] = ()  # its memory, first
-        _last.append(CpuVolumeModel(material))
+        _last.append(CpuVolumeModel(material, checkpoint))
     elif _last[0].material != material:
-        _last[0].assemble(material)
+        model = _last.pop()  # not kept if this is stopped
+        model.heed(checkpoint)
+        model.assemble(material)
+        _last.append(model)
+    _last[0].heed(checkpoint)
     return _last[0]
