@@ -6,6 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 import skfem
+from scipy import ndimage
 from skfem.helpers import ddot, div, sym_grad
 
 MIDDLE = np.full((3, 1), 0.5), np.ones(1)
@@ -50,26 +51,77 @@ def assembled(spacing, first, shear, locking=False):
     return sp.csr_matrix((matrix.data, places), shape=matrix.shape)
 
 
-def direct_solution(problem, poisson, locking=False):
-    """The field of least energy, boundaries held exactly, in the unit of the problem."""
+def direct_solution(problem, poisson, locking=False, load=None, held=None):
+    """The field of least energy, boundaries held exactly, in the unit of the problem.
+
+    What is rigid moves as one. With a `load` on some components, in the unit of the energy's
+    derivative by voxels, and another mask of what is `held`, for observations that slip.
+    """
     first, shear = parameters(problem, poisson)
     matrix = assembled(problem.spacing, first, shear, locking)
-    field = np.where(problem.known, problem.observed, 0).astype(float).ravel()
-    free = ~problem.known.ravel() & (matrix.diagonal() > 0)
-    right = -(matrix[free][:, ~free] @ field[~free])
-    field[free] = spl.spsolve(matrix[free][:, free].tocsc(), right)
+    held = (problem.known if held is None else held).ravel()
+    field = np.where(held, problem.observed.ravel(), 0).astype(float)
+    ways = [motions_of(problem, sites) for sites in rigid_bodies(problem.stiffness)]
+    in_body = np.zeros(field.size, dtype=bool)
+    columns = []
+    for at, motions in ways:
+        in_body[at] = True
+        stops = motions[held[at]]
+        shares = np.linalg.lstsq(stops, field[at[held[at]]])[0]
+        field[at] = motions @ shares
+        _, strength, modes = np.linalg.svd(stops, full_matrices=True)
+        free = modes[(strength > 1e-9).sum() :].T
+        columns.append(sp.csc_matrix(_placed(motions @ free, at, field.size)))
+    alone = ~held & ~in_body & (matrix.diagonal() > 0)
+    columns.append(sp.eye(field.size, format="csc")[:, alone])
+    basis = sp.hstack(columns, format="csc")
+    right = -(matrix @ field)
+    if load is not None:
+        right += load.ravel() * problem.unit**2
+    field += basis @ spl.spsolve((basis.T @ matrix @ basis).tocsc(), basis.T @ right)
     return field.reshape(*problem.shape, 3)
 
 
+def rigid_bodies(m):
+    """Sites of each piece of elements with an infinite corner; what touches is one."""
+    sites = np.zeros(m.shape, dtype=bool)
+    for at in np.argwhere(np.isinf(m)):
+        for element in np.ndindex(2, 2, 2):
+            begin = at - element
+            block = tuple(slice(index, index + 2) for index in begin)
+            if (begin >= 0).all() and m[block].shape == (2, 2, 2) and m[block].min() > 0:
+                sites[block] = True
+    labels, count = ndimage.label(sites, np.ones((3, 3, 3)))
+    return [np.argwhere(labels == number) for number in range(1, count + 1)]
+
+
+def motions_of(problem, sites):
+    """Components of a body, and how its six motions move them."""
+    flat = np.ravel_multi_index(sites.T, problem.shape)
+    places = (sites - sites.mean(axis=0)) * problem.spacing / problem.unit
+    moves = [np.broadcast_to(axis, places.shape) for axis in np.eye(3)]
+    turns = [np.cross(axis, places) for axis in np.eye(3)]
+    motions = np.stack([each.ravel() for each in (*moves, *turns)], axis=-1)
+    return (3 * flat[:, None] + np.arange(3)).ravel(), motions
+
+
+def _placed(values, at, size):
+    whole = np.zeros((size, values.shape[1]))
+    whole[at] = values
+    return whole
+
+
 def parameters(problem, poisson):
-    """Lame's of each element: of the means of its corners, 0 if one of them is void."""
+    """Lame's of each element: of the means of its corners, 0 if one of them is void or rigid."""
     corners = [slice(None, -1), slice(1, None)]
 
     def eight(values):
         values = np.broadcast_to(values, problem.shape).astype(float)
         return np.stack([values[a, b, c] for a in corners for b in corners for c in corners])
 
-    young = np.where(eight(problem.stiffness).min(axis=0) > 0, eight(problem.stiffness).mean(0), 0)
+    corner = eight(problem.stiffness)
+    elastic = (corner.min(axis=0) > 0) & (corner.max(axis=0) < np.inf)
+    young = np.where(elastic, corner.mean(axis=0), 0)
     nu = eight(poisson).mean(axis=0)
     return young * nu / ((1 + nu) * (1 - 2 * nu)), young / (2 * (1 + nu))
 

@@ -9,7 +9,6 @@ however large the gradients.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -163,10 +162,12 @@ def inverse_raster(
     """
     if tissue.ndim == 3:
         loader.before_numba()
+        from numba import get_num_threads
+
         from napari_hmrf.field import tetrahedron_raster
 
         mask, planes = loops.only_read(tissue), planes or len(tissue)
-        slabs = min(planes, 4 * (os.cpu_count() or 1))
+        slabs = min(planes, 4 * get_num_threads())
         longest = float(sum(shape or tissue.shape))
         drawn = partial(tetrahedron_raster.rasterise, moved, mask, planes, longest, slabs)
         # This loop uses numba's own threads, which must not be entered from two threads.

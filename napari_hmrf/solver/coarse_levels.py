@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.priors.elements import ElasticMaterial, ElementShape, Lame, lame_ratio
+from napari_hmrf.solver.priors.elements import ElasticMaterial, Lame, lame_ratio
 
 #: A level this small (sites along its longer axis) is the last one.
 COARSEST = 5
@@ -48,7 +48,7 @@ def smoother_bounds(material: ElasticMaterial) -> tuple[float, float]:
 
 @lru_cache(maxsize=16)
 def _bounds(ratio: float, shape: Any) -> tuple[float, float]:
-    ndim = 2 if isinstance(shape, ElementShape) else 3
+    ndim = shape.axes
     grid = Lame(np.full((4,) * ndim, ratio), np.ones((4,) * ndim))
     stencil = np.zeros((*(3,) * ndim, ndim, ndim))
     around = (slice(3, 0, -1),) * ndim

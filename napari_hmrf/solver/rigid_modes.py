@@ -18,6 +18,7 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.problem import Problem
 
 # Below this fraction of the largest, what holds a rigid motion is rounding.
@@ -223,17 +224,8 @@ def free_pieces(
 
 def _pieces(m: npt.NDArray[Any]) -> tuple[Labels, int]:
     """Number the pieces of elements, from 1; an element has its first site's index."""
-    whole = m > 0
-    for axis in range(m.ndim):
-        whole = np.logical_and(*_neighbours(whole, axis))
-    pieces, count = scipy.ndimage.label(whole)
+    pieces, count = scipy.ndimage.label(in_elements(m))
     return pieces, int(count)
-
-
-def _neighbours(values: npt.NDArray[Any], axis: int) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """All but the last along an axis, and all but the first."""
-    before = (slice(None),) * axis
-    return values[(*before, slice(None, -1))], values[(*before, slice(1, None))]
 
 
 def _free_modes(
@@ -276,10 +268,7 @@ def _modes(
 
 def _sites(pieces: Labels) -> Labels:
     """The piece of each site, of the elements around it; 0 if it is in none."""
-    around = np.pad(pieces, 1)
-    for axis in range(pieces.ndim):
-        around = np.maximum(*_neighbours(around, axis))
-    return around
+    return around_sites(pieces, np.maximum)
 
 
 def _field(modes: Motions, spacing: tuple[float, ...]) -> Motions:

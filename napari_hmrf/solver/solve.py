@@ -31,6 +31,7 @@ from napari_hmrf.solver.preparation import job_of, prepare, provide_loops
 from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Provenance, Solution
+from napari_hmrf.solver.volume_memory import check_memory
 from napari_hmrf.solver.warm_start import Initial, beginning
 
 Progress = Callable[[Monitor], None]
@@ -225,6 +226,7 @@ def run_here(
     if not compute_thread.is_current():
         raise RuntimeError("run_here() is for jobs of the compute thread; call solve() instead")
     begun = time.perf_counter()
+    check_memory(problem)
     prior = (prior or ElasticPrior()).resolved(problem)
     optimizer = optimizer or (ICM() if isinstance(prior, SeilerPrior) else Multigrid())
     begin = beginning(initial, problem) if initial else None

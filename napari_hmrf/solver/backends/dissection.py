@@ -44,8 +44,8 @@ Progress = Callable[[float], None]
 # Tiles condensed at once: what a processor's cache holds.
 _AT_ONCE = 16
 _THREADS = os.cpu_count() or 1
-# What holds a component must be more than this part of what its neighbours could.
-_HELD = 1e-13
+#: What holds a component must be more than this part of what its neighbours could.
+HELD = 1e-13
 
 
 class Singular(ArithmeticError):
@@ -105,7 +105,7 @@ class Dissection:
         # The matrix's diagonal, as far as elements have been looked at.
         self._diagonal, self._lock = np.zeros(moves.size + 1), threading.Lock()
         self._springs = np.zeros(moves.size + 1)
-        self._least = _HELD if springs is None else 0.0
+        self._least = HELD if springs is None else 0.0
         if springs is not None:
             self._springs[:-1] = springs.ravel()
         # One thread for each call, and several calls at once: small matrices gain nothing from more

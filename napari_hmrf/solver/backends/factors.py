@@ -10,11 +10,15 @@ import numpy as np
 import numpy.typing as npt
 import psutil
 
+from napari_hmrf.solver.backends.brick_factors import BrickFactors
 from napari_hmrf.solver.backends.dissection import Dissection, Elements, Progress
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 
 # The part of the memory that is free now that factors may take.
 _FREE = 0.7
+# Voxels whose factors take some seconds; what factors take of memory for each voxel^(4/3).
+_MOST_VOXELS = 14_000
+_VOLUME_BYTES = 3000.0
 
 
 class Part(NamedTuple):
@@ -73,10 +77,10 @@ class Factors:
         progress: Progress,
         springs: Planes | None = None,
     ) -> None:
-        ring, (height, width) = 2 - material.margin, moves.shape[1:]
-        self._inside = np.s_[:, ring : height - ring, ring : width - ring]
+        ring = 2 - material.margin
+        self._inside = (slice(None), *(slice(ring, size - ring) for size in moves.shape[1:]))
         inside = np.moveaxis(moves[self._inside], 0, -1)
-        self._parts = []
+        self._parts: list[tuple[tuple[int, ...], Dissection | BrickFactors]] = []
         parts = material.parts
         for number, (components, elements) in enumerate(parts):
 
@@ -86,6 +90,9 @@ class Factors:
             at = list(components)
             some = np.ascontiguousarray(inside[..., at])
             more = None if springs is None else np.moveaxis(springs[self._inside], 0, -1)[..., at]
+            if some.ndim == 4:
+                self._parts.append((components, BrickFactors(elements, some, tell, more)))
+                continue
             dissection = Dissection(elements, material.patch, some, material.symmetric, tell, more)
             self._parts.append((components, dissection))
 
@@ -100,13 +107,14 @@ class Factors:
 
     @staticmethod
     def needed(shape: tuple[int, ...]) -> float:
-        """Roughly how many bytes the factors of a grid (H, W) take."""
-        sites = math.prod(shape)
+        """Roughly how many bytes the factors of a grid (H, W) or (D, H, W) take."""
+        sites = float(math.prod(shape))
+        if len(shape) == 3:
+            return float(_VOLUME_BYTES * sites ** (4 / 3))
         return 8 * 4 * sites * (10 + 10 * math.log2(max(max(shape) / 16, 1)))
 
     @staticmethod
     def fit(shape: tuple[int, ...]) -> bool:
-        """Whether there is the memory for those of a grid (H, W); volumes have none."""
-        return len(shape) == 2 and bool(
-            Factors.needed(shape) < _FREE * psutil.virtual_memory().available
-        )
+        """Whether there is the memory for those of a grid, and of a volume the time."""
+        small = len(shape) == 2 or math.prod(shape) <= _MOST_VOXELS
+        return small and bool(Factors.needed(shape) < _FREE * psutil.virtual_memory().available)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends import loops
+from napari_hmrf.solver.backends import kept_volumes, loops
 from napari_hmrf.solver.backends.base import FloatArray
 from napari_hmrf.solver.backends.found import Beginning
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 _TINY = 1e-300
 _spare: list[tuple[Planes, HeldPlanes]] = []
 in_child_of_fork(_spare.clear)
+kept_volumes.forgotten_by(_spare.clear)
 
 
 def _exact(axes: int = 2) -> Any:
@@ -90,13 +91,13 @@ def noise(shape: tuple[int, ...]) -> Planes:
     made: Planes = np.zeros(shape)
     random = np.random.default_rng(0)
     axes = range(1, len(shape))
-    field = np.zeros((shape[0], *(1 for _ in axes)), dtype=np.float32)
-    while any(field.shape[axis] < shape[axis] - 4 for axis in axes):
+    rough = np.zeros((shape[0], *(1 for _ in axes)), dtype=np.float32)
+    while any(rough.shape[axis] < shape[axis] - 4 for axis in axes):
         for axis in axes:
-            field = field.repeat(2, axis=axis)
-        field += random.random(field.shape, dtype=np.float32) - np.float32(0.5)
-        field = field[(slice(None), *(slice(shape[axis] - 4) for axis in axes))]
-    made[_inside(made)] = field
+            rough = rough.repeat(2, axis=axis)
+        rough += random.random(rough.shape, dtype=np.float32) - np.float32(0.5)
+        rough = rough[(slice(None), *(slice(shape[axis] - 4) for axis in axes))]
+    inside(made)[...] = rough
     made /= max(float(made.max()), -float(made.min()), _TINY)
     return made
 
@@ -121,13 +122,18 @@ def combined(start: Beginning) -> Planes:
 def planes(values: npt.NDArray[Any]) -> Planes:
     """Return values (H, W, 2) or (D, H, W, 3) as planes."""
     made = np.zeros((values.shape[-1], *(size + 4 for size in values.shape[:-1])))
-    made[_inside(made)] = np.moveaxis(values, -1, 0)
+    inside(made)[...] = np.moveaxis(values, -1, 0)
     return made
 
 
-def _inside(planes: npt.NDArray[Any]) -> tuple[slice, ...]:
-    """Where planes are the grid, and not its ring."""
-    return (slice(None), *[slice(2, -2)] * (planes.ndim - 1))
+def inside(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Planes without their ring, a view."""
+    return planes[(slice(None), *[slice(2, -2)] * (planes.ndim - 1))]
+
+
+def field(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return planes as values (H, W, 2) or (D, H, W, 3), a view."""
+    return np.moveaxis(inside(planes), 0, -1)
 
 
 def add(d: Planes, correction: npt.NDArray[np.float32], scale: float) -> None:
@@ -145,7 +151,7 @@ def gathered(d: Planes, tolerance: float) -> tuple[npt.NDArray[np.floating], flo
     most = max(float(d.max()), -float(d.min()))
     rounding = most * float(np.finfo(np.float32).eps) / 2
     if 2 * rounding > tolerance:
-        exactly = np.moveaxis(d[_inside(d)], 0, -1).copy()
+        exactly = field(d).copy()
         return exactly, most * float(np.finfo(np.float64).eps) / 2
     grid = tuple(size - 4 for size in d.shape[1:])
     made = np.empty((*grid, len(d)), dtype=np.float32)

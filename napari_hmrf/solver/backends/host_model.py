@@ -38,6 +38,8 @@ class HostModel:
     found: Found
     bodies: Bodies | None = None
     iterates: bool = True
+    #: The finest level for an iteration in double precision; volumes have it.
+    exactly: Any = None
     #: Loops go through a cycle in a hundredth of the time that factors take.
     slow = False
     _held: HeldPlanes | None

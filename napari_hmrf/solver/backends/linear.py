@@ -174,6 +174,11 @@ class LinearModel(Protocol):
         ...
 
     @property
+    def exactly(self) -> Any:
+        """The finest level for an iteration in double precision; None if there is none."""
+        ...
+
+    @property
     def moves(self) -> HeldPlanes:
         """Which components of the finest level are unknown, with what is held now."""
         ...

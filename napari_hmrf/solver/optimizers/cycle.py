@@ -45,9 +45,8 @@ NEARLY_INCOMPRESSIBLE = Smoothing(0.06, 14, 0.005, 60, visits=2, patience=38)
 # Up to which ratio of lambda to mu the former does.
 _MOST_RATIO = 50.0
 #: For volumes that coarse levels turn out to see less well, beside free surfaces, of high contrast
-#: or of oblong voxels; and for those that they hardly see.
-MOST_CAREFUL_VOLUME = Smoothing(0.003, 40, 0.002, 80, visits=2)
-CAREFUL_VOLUME = Smoothing(0.02, 14, 0.01, 30, visits=2, careful=MOST_CAREFUL_VOLUME)
+#: or of oblong voxels.
+CAREFUL_VOLUME = Smoothing(0.02, 14, 0.01, 30, visits=2)
 #: For volumes; and for those that resist changes of volume much more than those of shape.
 STRETCHING_VOLUME = Smoothing(0.1, 3, 0.02, 20, visits=2, careful=CAREFUL_VOLUME)
 NEARLY_INCOMPRESSIBLE_VOLUME = Smoothing(0.05, 6, 0.01, 30, visits=2, careful=CAREFUL_VOLUME)

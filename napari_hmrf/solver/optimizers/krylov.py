@@ -11,15 +11,17 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.entrained import Entrained
-from napari_hmrf.solver.backends.linear import Steps, UnsymmetricLevel
+from napari_hmrf.solver.backends.linear import Balance, Planes, Steps, UnsymmetricLevel
 from napari_hmrf.solver.optimizers.cycle import Cycle
 
-# How far single precision is trusted to reduce a residual before it is computed again in double.
-_INNER = 1e-5
+# How far single precision is trusted to reduce a residual before it is computed again in double;
+# and how far double is.
+_INNER, _INNER_DOUBLE = 1e-5, 1e-12
 # Below this a residual in single precision is rounding, and so is an eigenvalue.
 _ROUNDING = 1e-7
-_LEAST = 1e-6
+_LEAST, _LEAST_DOUBLE = 1e-6, 1e-12
 # A residual of this part of the solution is as small as single precision can tell.
 _ATTAINED = 3e-7
 # What an iteration is trusted to be at most: how fast errors fall in a step, and how well the cycle
@@ -65,11 +67,15 @@ class ConjugateGradients:
     Parameters
     ----------
     cycle : Cycle
+    exactly : callable, optional
+        Gives the finest level in double precision; None if there is none.
     """
 
-    def __init__(self, cycle: Cycle) -> None:
-        self._cycle = cycle
+    def __init__(self, cycle: Cycle, exactly: Callable[[], Any] = lambda: None) -> None:
+        self._cycle, self._exactly = cycle, exactly
         self._spectrum = _Spectrum()
+        #: What its vectors are of, if it runs in double precision.
+        self._double: Any = None
         #: What cycles do not see of rigid bodies, if there are any.
         self.entrained: Entrained | None = None
 
@@ -80,15 +86,31 @@ class ConjugateGradients:
 
     @property
     def care(self) -> int:
-        """How often it has gone over to better cycles."""
-        return self._cycle.care
+        """How often it has gone over to better cycles, or to double precision."""
+        return self._cycle.care + self.in_double
 
-    def smooth_more(self) -> bool:
-        """Take better cycles from now on, of which nothing is known; False if there are none."""
+    @property
+    def in_double(self) -> bool:
+        """Whether it runs in double precision."""
+        return self._double is not None
+
+    def take_care(self) -> bool:
+        """Take better cycles from now on, or double precision; False if there is neither.
+
+        Of what comes then nothing is known.
+        """
         if not self._cycle.smooth_more():
-            return False
-        self._spectrum = _Spectrum()
+            if self.in_double:
+                return False
+            self._double = self._exactly()
+            if self._double is None:
+                return False
+        self._spectrum = _Spectrum(_LEAST_DOUBLE if self.in_double else _LEAST)
         return True
+
+    def _steepest(self, rest: Any) -> Any:
+        """What a cycle makes of a residual."""
+        return self._cycle.run(self._double.rounded(rest) if self.in_double else rest)
 
     @property
     def least(self) -> float:
@@ -100,21 +122,24 @@ class ConjugateGradients:
         self._spectrum.least = value
 
     @np.errstate(over="ignore", invalid="ignore")
-    def run(
-        self, residual: npt.NDArray[np.float32], norm: float, enough: Watch
-    ) -> npt.NDArray[np.float32]:
-        """Return a correction for a residual (planes) of a norm, in single precision.
+    def run(self, balance: Balance, d: Planes, enough: Watch) -> None:
+        """Move `d` in place by a correction for what it leaves of a load.
 
-        Changes the residual; the correction is valid until the next run.
+        Changes what is left. If numbers overflow, `d` stays as good as it was.
 
         Raises
         ------
         FloatingPointError
             If numbers overflow, or vanish.
         """
-        level = self._cycle.levels[0]
-        rest = level.vector(residual)
-        found, direction, image = level.vector(), level.vector(), level.passing()
+        unit = balance.unit
+        norm = balance.norm / unit
+        level: Any = self._double if self.in_double else self._cycle.levels[0]
+        inner = _INNER_DOUBLE if self.in_double else _INNER
+        rest = level.vector(balance.rest)
+        at_once = getattr(level, "sums_up", False) and level.bodies is None
+        found = None if at_once else level.vector()
+        direction, image = level.vector(), level.passing()
         square = first = norm**2
         before: Any = None
         settled, entrained = 0.0, self.entrained
@@ -123,7 +148,7 @@ class ConjugateGradients:
             square = level.product(rest, rest)
         self._spectrum.restart()
         while True:
-            steepest = self._cycle.run(rest)
+            steepest = self._steepest(rest)
             if entrained is None:
                 level.project(steepest)
             most, slope = level.weigh(steepest, rest)
@@ -135,7 +160,12 @@ class ConjugateGradients:
             curvature = level.apply(direction, image)
             level.project(image)
             length = level.ratio(slope, curvature)
-            left = level.advance(found, rest, direction, image, length)
+            if at_once:
+                if not all(map(math.isfinite, (most, curvature, length))):
+                    raise FloatingPointError
+                left = level.advance_by(d, unit * length, rest, direction, image, length)
+            else:
+                left = level.advance(found, rest, direction, image, length)
             values = level.read(most, slope, curvature, turn, left)
             if square == 0 or not all(math.isfinite(value) for value in values):
                 raise FloatingPointError
@@ -143,6 +173,7 @@ class ConjugateGradients:
             if not (down > 0 and bend > 0):
                 if after > 0 and self._cycle.be_careful():
                     level.free(direction)
+                    direction = None  # its memory, first
                     direction = level.vector()
                     before = None
                     self._spectrum.restart()
@@ -152,17 +183,20 @@ class ConjugateGradients:
             step = self._judged(far, first, square, after, down**2 / bend / 2 + settled)
             settled = 0.0
             before, square = slope, after
-            if enough(step) or after <= _INNER**2 * first:
+            if enough(step) or after <= inner**2 * first:
                 break
-        level.project(found)
-        level.free(found, direction, image)
-        return np.asarray(level.planes(found))
+        if not at_once:
+            level.project(found)
+            host.add(d, np.asarray(level.planes(found)), unit)
+            level.free(found)
+        level.free(direction, image)
 
     def _judged(self, far: float, first: float, before: float, after: float, gain: float) -> Step:
         """What is known after a step whose cycle corrected `far`, from squares of residuals."""
         # At first residuals fall faster than errors, as jumps beside what is held are smoothed, and
         # the least eigenvalues have not been met yet.
-        rest = max(math.sqrt(after), _ROUNDING * math.sqrt(first))
+        rounding = _INNER_DOUBLE if self.in_double else _ROUNDING
+        rest = max(math.sqrt(after), rounding * math.sqrt(first))
         fall = max(math.sqrt(after / before), _FASTEST)
         least = self._spectrum.least
         if self._spectrum.steps < _ENOUGH:
@@ -227,8 +261,8 @@ class StabilisedGradients:
 class _Spectrum:
     """The least eigenvalue that conjugate gradients have met (their Lanczos matrix has it)."""
 
-    def __init__(self) -> None:
-        self.least = 1.0
+    def __init__(self, rounding: float = _LEAST) -> None:
+        self.least, self._rounding = 1.0, rounding
         self.restart()
 
     @property
@@ -250,4 +284,4 @@ class _Spectrum:
         self._length = length
         if self._beside:
             least = scipy.linalg.lapack.dsterf(self._diagonal, self._beside)[0][0]
-            self.least = min(self.least, max(float(least), _LEAST))
+            self.least = min(self.least, max(float(least), self._rounding))

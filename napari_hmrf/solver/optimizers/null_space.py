@@ -98,7 +98,7 @@ def find_play(model: LinearModel, held: HeldPlanes, refinement: Refinement, repo
     moves = (steep > 0) & ~held
     pins, weights = np.zeros_like(held), np.sqrt(steep[moves])
     some = _soft(model, moves, weights) if len(weights) else np.zeros((0, 0))
-    count = some.shape[1]
+    count, every = some.shape[1], tuple(range(1, 1 + held.ndim))
     if not count:
         return Play(pins, np.zeros((0, *held.shape)), np.zeros((0, 0)), [])
     *_, order = scipy.linalg.qr(some.T, mode="economic", pivoting=True)
@@ -112,15 +112,15 @@ def find_play(model: LinearModel, held: HeldPlanes, refinement: Refinement, repo
         refinement.run(way, None, _EXACT)
     for _ in range(_MIXINGS):
         # Products lose what is small beside the cost of other motions: not once they are apart.
-        ways /= np.sqrt((steep * ways**2).sum(axis=(1, 2, 3)))[:, None, None, None]
+        ways /= np.sqrt((steep * ways**2).sum(axis=every, keepdims=True))
         cost = _costs(model, ways)
         _, mixes = np.linalg.eigh(cost)
         ways = np.tensordot(mixes.T, ways, 1)
     cost = _costs(model, ways)
-    nothing = np.diagonal(cost) < _NOTHING * (steep * ways**2).sum(axis=(1, 2, 3))
+    nothing = np.diagonal(cost) < _NOTHING * (steep * ways**2).sum(axis=every)
     free, ways, cost = ways[nothing], ways[~nothing], cost[~nothing][:, ~nothing]
-    free /= np.abs(free).max(axis=(1, 2, 3), keepdims=True)
-    motions = [np.moveaxis(free[:, :, 2:-2, 2:-2], 1, -1)] if len(free) else []
+    free /= np.abs(free).max(axis=every, keepdims=True)
+    motions = [np.stack([host.field(way) for way in free])] if len(free) else []
     return Play(pins, ways, cost, motions)
 
 

@@ -10,6 +10,7 @@ with the problem; if not, or if it stalls, the system is factorised.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -22,10 +23,15 @@ from napari_hmrf.solver.backends.linear import Balance, LinearModel, Planes
 from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
+from napari_hmrf.solver.volume_memory import IN_DOUBLE, ORDINARY, fits
 
 # A rehearsal ends at this part of its field, as reported; and what it reports may be this much less
 # than what is true.
 _REHEARSED = 0.003
+# In double precision it goes on for longer, until it has met what costs next to nothing.
+_REHEARSED_DOUBLE = 1e-5
+# So many times as many cycles may take, as there is no shorter way.
+_IN_DOUBLE = 8
 _BELIEVABLE = 3.0
 # How much more doubtful a problem may be than its rehearsal was, and any volume is.
 _MARGIN = 4.0
@@ -34,6 +40,8 @@ _REHEARSAL_CYCLES = 40
 _GAIN = 0.5
 # Sites whose factors take no longer than a rehearsal and a few cycles.
 _FEW = 1024
+# Motions of touching parts of bodies that factors do not know to cost anything, at most.
+_MOST_HINGES = 40
 # A correction by factors must be smaller than the one before it by this factor.
 _FALL = 0.25
 # A correction of this many pixels, where tissue moves by one, need not be; and one of so many is
@@ -76,7 +84,7 @@ class Refinement:
     ) -> None:
         self._most, self._model, self._report = max_iterations, model, report
         self._mild = model.mild and firm
-        self._iteration = ConjugateGradients(Cycle(model, smoothing))
+        self._iteration = ConjugateGradients(Cycle(model, smoothing), self._exactly)
         self._patience = smoothing.patience
         self.estimate = math.inf
         self.residual = 0.0
@@ -139,14 +147,14 @@ class Refinement:
         if not self._entrain():
             return False
         while self._iteration.care < found.care:
-            self._iteration.smooth_more()
+            self._iteration.take_care()
         self._iteration.least = min(self._iteration.least, found.least)
         if found.doubt is None and self._model.iterates:
             if self._doubt is None:
                 self._doubt = 1.0
                 if not self._mild:
                     self._doubt = self._rehearse(d.shape)
-                    while self._doubt > _BELIEVABLE and self._smooth_more():
+                    while self._doubt > _BELIEVABLE and self._take_care():
                         self._doubt = self._rehearse(d.shape)
                     balance = self._model.balance(d, load)  # what it was is overwritten
             found.doubt = self._doubt
@@ -174,15 +182,14 @@ class Refinement:
                 return error <= tolerance or self._too_long
 
             try:
-                correction = self._iteration.run(balance.rest, balance.norm / balance.unit, enough)
+                self._iteration.run(balance, d, enough)
             except FloatingPointError:
-                if not self._smooth_more():
+                if not self._take_care():
                     return False
                 balance = self._model.balance(d, load)
                 continue
             if step is None:
                 return False
-            host.add(d, correction, balance.unit)
             balance = self._model.balance(d, load, balance.most)
             self.residual = balance.norm
             self.estimate = doubt * step.reach * self.residual
@@ -191,17 +198,24 @@ class Refinement:
             if self.estimate <= tolerance:
                 return True
             stays = not self.estimate < 0.5 * before
-            if self._too_long or (stays and not self._smooth_more()):
+            if self._too_long or (stays and not self._take_care()):
                 return False
             found.care = self._iteration.care
             before = self.estimate
 
-    def _smooth_more(self) -> bool:
-        """Go over to better cycles, if there are any, and begin them with numbers."""
-        more = self._iteration.smooth_more()
+    def _take_care(self) -> bool:
+        """Go over to a better iteration, if there is any, and begin it with numbers."""
+        more = self._iteration.take_care()
         if more:
             self._model.clear()
         return more
+
+    def _exactly(self) -> Any:
+        """The finest level in double precision, where factors are not the shorter way."""
+        shape = self._model.shape
+        if Factors.fit(shape) or not fits(shape, IN_DOUBLE - ORDINARY):
+            return None
+        return self._model.exactly
 
     def _entrain(self) -> bool:
         """Find what bodies take along; False if that cannot be told."""
@@ -227,6 +241,11 @@ class Refinement:
         """Whether factors are the shorter way from here."""
         return len(self._gains) >= self._patience and Factors.fit(self._model.shape)
 
+    @property
+    def _cycles_at_most(self) -> int:
+        """After how many cycles a run gives up."""
+        return self._most * (_IN_DOUBLE if self._iteration.in_double else 1)
+
     def _rehearse(self, shape: tuple[int, ...]) -> float:
         """How far off a known answer is, over how far off it is said to be."""
         error = host.noise(shape)
@@ -234,24 +253,26 @@ class Refinement:
         self._project(error)
         most = float(np.abs(error).max())
         doubt, cycles, rounds, left = math.inf, 0, 0, most
-        while most > 0 and doubt > _BELIEVABLE and cycles < _REHEARSAL_CYCLES:
+        patience, part = _REHEARSAL_CYCLES, _REHEARSED
+        if self._iteration.in_double:
+            patience, part = self._cycles_at_most, _REHEARSED_DOUBLE
+        while most > 0 and doubt > _BELIEVABLE and cycles < patience:
             # What is left of the error is what was not met: from there it is.
             balance, step = self._model.balance(error, None), None
-            target = _REHEARSED * most / balance.unit
+            target = part * most / balance.unit
 
             def enough(latest: Step, target: float = target) -> bool:
                 nonlocal step, cycles
                 step, cycles = latest, cycles + 1
                 self._report(Monitor(f"rehearsal, cycle {cycles}", 0.0))
-                return latest.error <= target or cycles >= _REHEARSAL_CYCLES
+                return latest.error <= target or cycles >= patience
 
             try:
-                correction = self._iteration.run(balance.rest, balance.norm / balance.unit, enough)
+                self._iteration.run(balance, error, enough)
             except FloatingPointError:
                 return math.inf
             if step is None:
                 return math.inf
-            host.add(error, correction, balance.unit)
             before, left = left, float(np.abs(error).max())
             if step.error <= target:
                 doubt = left / (balance.unit * step.error)
@@ -268,8 +289,11 @@ class Refinement:
 
     def _solve(self, d: Planes, load: Planes | None, tolerance: float) -> None:
         """Go to the tolerance by factors."""
-        factors, before = factorise(self._model, self._report), math.inf
+        known = f": all that they tell is that it is within {self.estimate:.2g} px"
+        factors = factorise(self._model, self._report, known if self.estimate < math.inf else "")
+        before = math.inf
         rest, self._low = self._left(d, load), np.zeros_like(d)
+        ways = None if self._model.bodies is None else _Ways(self._model)
         while rest.any():
             correction = factors.solve(rest)
             self._project(correction)
@@ -279,6 +303,9 @@ class Refinement:
             self._report(Monitor(f"solution {self.cycles} by factors, {far:.2g} px to go", 1.0))
             scale = max(1.0, float(np.abs(d).max()))
             stays = not far <= max(_FALL * before, _ROUNDING * scale)
+            if ways is not None:
+                stays = stays and ways.exhausted
+                correction = ways.next(correction, rest)
             if stays and not max(far, before) <= _STALLED * scale:
                 raise ConvergenceError(
                     f"the field stays {far:.2g} px from converged: double precision does not carry "
@@ -311,11 +338,38 @@ class Refinement:
         self._first = self._first or estimate
         done = part_done(self._first, estimate, tolerance)
         self._report(Monitor(f"cycle {self.cycles}, {estimate:.2g} px to go", done))
-        if cycles >= self._most and estimate > tolerance:
+        if cycles >= self._cycles_at_most and estimate > tolerance:
             raise ConvergenceError(
                 f"the field is still {estimate:.2g} px from converged after {cycles} cycles. "
                 "Raise max_iterations, or bring the softest and the stiffest tissue closer together"
             )
+
+
+class _Ways:
+    """Conjugate directions: parts of a body that only touch are hinged in factors."""
+
+    def __init__(self, model: LinearModel) -> None:
+        self._model = model
+        self._last: tuple[Planes, Planes, float] | None = None
+        self._left = _MOST_HINGES
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether there have been as many as such motions could need."""
+        return self._left <= 0
+
+    def next(self, correction: Planes, rest: Planes) -> Planes:
+        """How far to go for a correction that factors have found for a rest."""
+        self._left -= 1
+        if self._last is not None:
+            way, image, bend = self._last
+            correction -= (correction * image).sum() / bend * way
+        image = -self._model.pull(correction)
+        bend = float((correction * image).sum())
+        if not bend > 0:
+            return correction
+        self._last = correction, image, bend
+        return np.asarray((correction * rest).sum() / bend * correction)
 
 
 def add(d: Planes, low: Planes, way: Planes) -> None:
@@ -330,8 +384,10 @@ def add(d: Planes, low: Planes, way: Planes) -> None:
     np.copyto(d, total)
 
 
-def factorise(model: LinearModel, report: Report) -> Factors:
+def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
     """Return the factors of a model with what is held now; they are kept for the next time.
+
+    `known` is said beside a refusal.
 
     Raises
     ------
@@ -339,10 +395,11 @@ def factorise(model: LinearModel, report: Report) -> Factors:
         If there is no memory for them, or if double precision cannot tell what holds the tissue.
     """
     if model.found.factors is None:
-        if len(model.shape) == 3:
+        if len(model.shape) == 3 and not Factors.fit(model.shape):
             raise ConvergenceError(
-                "cycles cannot be sure of this volume. Bring the softest and the stiffest tissue "
-                "closer together, or hold more of it"
+                "cycles cannot be sure of this volume, and it is too large for factors. Raise "
+                "max_iterations, crop it, hold more of it, or bring the softest and the stiffest "
+                f"tissue closer together{known}"
             )
         if not Factors.fit(model.shape):
             raise ConvergenceError(

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.backends.factors import Factors
 from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.solver.bending_modes import free_bend
 from napari_hmrf.solver.optimizers import interior, least_motion
@@ -77,7 +78,8 @@ class Slip:
                 self._exchange(d, rough, rough / 2)
             self._refinement.doubt_again()
             self._exchange(d, exact, _ABOVE * exact)
-            if not np.array_equal(self._clear(d), self._states.held):
+            clear = np.array_equal(self._clear(d), self._states.held)
+            if not clear and Factors.fit(self._model.shape):
                 factorise(self._model, self._report)
                 self._refinement.run(d, self._states.load, exact)
             pull = self._refinement.pull(d)
@@ -95,7 +97,7 @@ class Slip:
 
     def _free(self, held: HeldPlanes) -> Planes | None:
         """How tissue could move at no cost if only so much were held."""
-        found = self._motion(self._problem, np.moveaxis(held[:, 2:-2, 2:-2], 0, -1))
+        found = self._motion(self._problem, host.field(held))
         return None if found is None else host.planes(found.motion)
 
     def _exchange(self, d: Planes, tolerance: float, near: float) -> None:
@@ -175,7 +177,7 @@ class Slip:
     def _motions(self, held: HeldPlanes) -> list[Float64Array]:
         """All ways in which tissue could move at no cost if only so much were held."""
         if self._elastic:
-            return list(free_motions(self._problem, np.moveaxis(held[:, 2:-2, 2:-2], 0, -1)))
+            return list(free_motions(self._problem, host.field(held)))
         return self._play(held).free
 
     def _play(self, held: HeldPlanes) -> Play:
@@ -185,8 +187,5 @@ class Slip:
     def _least(self, d: Planes, pull: Planes, motions: list[Float64Array]) -> None:
         """Of all fields that differ by motions take that of least motion, in place."""
         if motions:
-            moved, off, side = (
-                np.moveaxis(each[:, 2:-2, 2:-2], 0, -1)
-                for each in (d, *self._states.sides(d, pull))
-            )
+            moved, off, side = map(host.field, (d, *self._states.sides(d, pull)))
             least_motion.settle(moved, off, side, motions, self._problem.tissue)

@@ -32,7 +32,7 @@ from napari_hmrf.solver.priors.elements import (
     stiffest,
 )
 from napari_hmrf.solver.priors.hexahedra import BrickShape, brick_shape
-from napari_hmrf.solver.problem import Problem, as_numbers, grid_in_words
+from napari_hmrf.solver.problem import Problem, as_numbers
 from napari_hmrf.solver.rigid_modes import check_held
 
 Plane = Literal["stress", "strain"]
@@ -60,7 +60,7 @@ class ElasticPrior:
         K of eq. 19: the greatest force with which a site of complete confidence is held at what
         was observed; where tissue needs more it slips. In the unit of the energy: 1 is what strains
         a pixel of the stiffest tissue by 1. ``inf``: held exactly wherever confidence is
-        above 0. In a volume nothing can slip yet.
+        above 0.
     """
 
     poisson: float | npt.NDArray[np.float32] = 0.45
@@ -115,13 +115,11 @@ class ElasticPrior:
         Raises
         ------
         ProblemError
-            Naming a piece of tissue that could still move freely, rigid tissue if observations
-            may slip, or either of these in a volume.
+            Naming a piece of tissue that could still move freely, or rigid tissue if observations
+            may slip.
         """
         if isinstance(self.poisson, np.ndarray):
             _check_poisson_map(self.poisson, problem)
-        if problem.is_volume:
-            _check_volume(problem, self.penalty)
         if self.penalty < math.inf and problem.rigid.any():
             raise ProblemError(
                 "stiffness",
@@ -206,22 +204,6 @@ def _checked_poisson(value: Any) -> float | npt.NDArray[np.float32]:
         )
     made.setflags(write=False)
     return made
-
-
-def _check_volume(problem: Problem, penalty: float) -> None:
-    """Refuse what is there for images only."""
-    if penalty < math.inf:
-        raise ProblemError(
-            "stiffness",
-            f"is a volume, {grid_in_words(problem.shape)}, in which nothing that is observed may "
-            "slip yet. Leave the prior's penalty at inf.",
-        )
-    if problem.rigid.any():
-        raise ProblemError(
-            "stiffness",
-            "is infinite (rigid) somewhere, which is there for images only yet. Give that tissue "
-            "of the volume a number, or hold it.",
-        )
 
 
 def _check_poisson_map(poisson: npt.NDArray[np.float32], problem: Problem) -> None:

@@ -13,13 +13,14 @@ The mean strains follow from D_r and D_c; the integral of what the twist adds se
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+from napari_hmrf.solver.neighbours import in_elements, of_corners
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -110,13 +111,16 @@ class ElasticMaterial:
 
     @property
     def parts(self) -> tuple[tuple[tuple[int, ...], Any], ...]:
-        """Both components at once, and what gives the matrices of elements, (h, w, 8, 8)."""
-        return (((0, 1), self._matrices),)
+        """All components at once, and what gives the matrices of elements.
 
-    def _matrices(self, rows: slice, cols: slice) -> Float64Array:
-        """The matrices of the elements between these rows and columns."""
+        They are (h, w, 8, 8), or (d, h, w, 24, 24).
+        """
+        return ((tuple(range(self.m.ndim)), self._matrices),)
+
+    def _matrices(self, *elements: slice) -> Float64Array:
+        """The matrices of the elements in these ranges along the axes."""
         first, shear = element_stiffness(self.shape)
-        sites = slice(rows.start, rows.stop + 1), slice(cols.start, cols.stop + 1)
+        sites = tuple(slice(each.start, each.stop + 1) for each in elements)
         nu = self.poisson if isinstance(self.poisson, float) else self.poisson[sites]
         lame = lame_parameters(self.relative(FACTOR_STAND_IN, sites), nu, self.strain)
         of_first, of_shear = (each[..., None, None] for each in lame)
@@ -163,9 +167,20 @@ class ElementShape(NamedTuple):
     twist_volume: float
 
     @property
+    def axes(self) -> int:
+        """Of the grid."""
+        return 2
+
+    @property
     def aspect(self) -> float:
         """The ratio of a pixel's longer side to the shorter."""
         return max(self.rows, self.cols) / self.mixed
+
+    @property
+    def sides(self) -> tuple[float, ...]:
+        """The lengths of a pixel's sides, whose product is 1."""
+        row = (self.cols / self.rows) ** 0.25
+        return row, 1 / row
 
     def forces(self, lame: Lame, d: Float64Array) -> Float64Array:
         """What all elements together pull at each site: the stiffness matrix times d."""
@@ -182,26 +197,8 @@ class Differences(NamedTuple):
 
 def of_elements(values: Float64Array) -> Float64Array:
     """The mean of each element's sites: of four, in a volume of eight."""
-    total = values
-    for behind, ahead in _pairs(values.ndim):
-        total = total[behind] + total[ahead]
-    mean: Float64Array = total / 2**values.ndim
+    mean: Float64Array = of_corners(values, np.add) / 2**values.ndim
     return mean
-
-
-def in_elements(m: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
-    """Which elements there are: those whose sites all are tissue."""
-    whole = m > 0
-    for behind, ahead in _pairs(m.ndim):
-        whole = whole[behind] & whole[ahead]
-    return whole
-
-
-def _pairs(ndim: int) -> Iterator[tuple[Any, Any]]:
-    """Along each axis, the index of all sites but the last, and of all but the first."""
-    for axis in range(ndim):
-        before = (slice(None),) * axis
-        yield (*before, slice(None, -1)), (*before, slice(1, None))
 
 
 def lame_ratio(poisson: float, strain: bool) -> float:
@@ -251,12 +248,18 @@ def differences(d: Float64Array) -> Differences:
 
 
 @lru_cache(maxsize=16)
-def element_stiffness(shape: ElementShape) -> tuple[Float64Array, Float64Array]:
-    """The stiffness of one element, 8 x 8: its parts in the first of Lame's parameters and mu."""
-    impulses = np.eye(8).reshape(8, 2, 2, 2)
+def element_stiffness(shape: Any) -> tuple[Float64Array, Float64Array]:
+    """The stiffness of one element, 8 x 8: its parts in the first of Lame's parameters and mu.
+
+    Of an element of a volume, 24 x 24.
+    """
+    corners = (2,) * shape.axes
+    size = shape.axes * 2**shape.axes
+    impulses = np.eye(size).reshape(size, *corners, shape.axes)
+    one, none = np.ones((1,) * shape.axes), np.zeros((1,) * shape.axes)
     both = []
-    for lame in (Lame(np.ones((1, 1)), np.zeros((1, 1))), Lame(np.zeros((1, 1)), np.ones((1, 1)))):
-        both.append(np.array([element_forces(lame, shape, d).ravel() for d in impulses]))
+    for lame in (Lame(one, none), Lame(none, one)):
+        both.append(np.array([shape.forces(lame, d).ravel() for d in impulses]))
     return both[0], both[1]
 
 

@@ -37,9 +37,19 @@ class BrickShape(NamedTuple):
     cols: float
 
     @property
+    def axes(self) -> int:
+        """Of the grid."""
+        return 3
+
+    @property
     def aspect(self) -> float:
         """The ratio of the longest side to the shortest."""
         return max(self) / min(self)
+
+    @property
+    def sides(self) -> tuple[float, ...]:
+        """The lengths of a voxel's sides, whose product is 1."""
+        return tuple(1 / (4 * each) for each in self)
 
     def forces(self, lame: Lame, d: Float64Array) -> Float64Array:
         """What all elements together pull at each site: the stiffness matrix times d."""

@@ -214,7 +214,7 @@ class CpuBackend:
         if material.m.ndim == 3:
             from napari_hmrf.solver.backends.cpu import volume_model
 
-            return volume_model.the_model(material)
+            return volume_model.the_model(material, self._checkpoint)
         from napari_hmrf.solver.backends.cpu.elastic_model import the_model
 
         return the_model(material)

@@ -45,15 +45,15 @@ def entrain(
     """
     finest, above, number = levels[0], levels[-2:0:-1], len(levels) - 1
     shape = levels[-1].inverse.shape
-    around = [_around(i, j, number, shape) for i, j, _ in bodies.motions]
+    around = [_around(i, j, number, shape) for (i, j), _ in bodies.motions]
     close = bool((np.sum(around, axis=0) > 1).any())
     fields, forces = np.split(memory, 2)
     lengths: Vector = np.zeros(len(fields), dtype=np.float32)
     count = 0
     between = [level.vector() for level in above]
-    for (i, _, motions), touched in zip(bodies.motions, around, strict=True):
+    for (sites, motions), touched in zip(bodies.motions, around, strict=True):
         # The small level sees neither small bodies nor what lies between close ones.
-        rough = close or small is None or len(i) < (_SMALL_BODY << number) ** 2
+        rough = close or small is None or len(sites[0]) < (_SMALL_BODY << number) ** 2
         at_row, at_col = np.nonzero(touched)
         for motion in motions:
             field, force = fields[count], forces[count]

@@ -53,6 +53,8 @@ class CpuLevel:
     takes_rest: bool = False
     #: Whether another visit within a cycle gains more than it costs.
     worth_again: bool = True
+    #: Whether an iteration moves the displacement itself: of a volume memory is what is short.
+    sums_up: bool = False
     #: What moves as one on the finest level.
     bodies: Bodies | None = None
 
@@ -202,8 +204,15 @@ class CpuLevel:
         self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: float
     ) -> float:
         """D += length direction, rest -= length image; the square of the rest."""
-        arrays = map(rows, (d, rest, direction, image))
-        vectors.advance(*arrays, np.float32(length), self._rows)
+        return self.advance_by(d, length, rest, direction, image, length)
+
+    def advance_by(
+        self, d: Any, share: float, rest: Vector, direction: Vector, image: Vector, length: float
+    ) -> float:
+        """D += share direction, rest -= length image; the square of the rest."""
+        of_d, *others = map(rows, (d, rest, direction, image))
+        shares = d.dtype.type(share), rest.dtype.type(length)
+        vectors.advance(of_d, shares[0], *others, shares[1], self._rows)
         return float(self._rows.sum())
 
     def project(self, vector: Vector) -> None:
@@ -220,7 +229,8 @@ class CpuLevel:
     ) -> None:
         """Direction = rest + share (direction - stride image)."""
         arrays = map(rows, (rest, direction, image))
-        vectors.lean(*arrays, np.float32(share), np.float32(stride))
+        number = direction.dtype.type
+        vectors.lean(*arrays, number(share), number(stride))
 
     def read(self, *scalars: float) -> tuple[float, ...]:
         """Return them."""
@@ -249,8 +259,3 @@ def all_sites(grid: tuple[int, ...]) -> Spans:
     whole = np.zeros((*(size + 2 * PAD for size in grid[:-1]), 2), dtype=np.int64)
     whole[(slice(PAD, -PAD),) * (len(grid) - 1)] = 0, grid[-1]
     return whole.reshape(-1, 2)[PAD:-PAD]
-
-
-def inside(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Planes without their ring."""
-    return planes[(slice(None), *[slice(PAD, -PAD)] * (planes.ndim - 1))]

@@ -132,12 +132,12 @@ def interpolate(coarse, fine, inverse):
 
 
 @parallel
-def advance(d, rest, direction, image, length, row_totals):
-    """D += length * direction, rest -= length * image; `row_totals` gets the square of the rest."""
+def advance(d, share, rest, direction, image, length, row_totals):
+    """D += share * direction, rest -= length * image; `row_totals` gets the square of the rest."""
     for i in prange(d.shape[1] - 4):
         for component in range(len(d)):
             for j in range(d.shape[2]):
-                d[component, i + 2, j] += length * direction[component, i + 2, j]
+                d[component, i + 2, j] += share * direction[component, i + 2, j]
                 rest[component, i + 2, j] -= length * image[component, i + 2, j]
         row_totals[i] = row_product(rest, rest, i + 2)
 

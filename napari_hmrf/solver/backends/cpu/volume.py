@@ -120,7 +120,7 @@ def start(load, inverse, d, scale):
 def _rest_line(force, d, load, given, inverse, weight, springs, scale, out):
     for x in range(len(d)):
         rest = given * load[x] - (force[x] + springs * weight[x] * d[x])
-        rest = float32(scale * rest)
+        rest = out.dtype.type(scale * rest)
         out[x] = rest if inverse[x] > float32(0) else rest - rest
 
 
@@ -153,11 +153,35 @@ def _rest_part(d, tissue, weights, loads, inverse, spans, out, first, last):
 
 @parallel
 def rest(d, load, given, lame, share, inverse, weight, springs, shape, spans, scale, out, count):
-    """Out = scale (given load - (A + W) d) in single precision where sites move, 0 elsewhere."""
+    """Out = scale (given load - (A + W) d) where sites move, 0 elsewhere."""
     for number in prange(count):
         first, last = part(number, count, d.shape[1] - 4)
         tissue, weights, loads = (lame, share, shape), (weight, springs), (load, given, scale)
         _rest_part(d, tissue, weights, loads, inverse, spans, out, first, last)
+
+
+@callee
+def _pull_part(d, lame, share, shape, out, first, last):
+    lines, rows, planes = scratch(d)
+    for z in range(max(first - 1, 0) + 2, last + 2):
+        rows.fill(0)
+        for y in range(2, d.shape[2] - 2):
+            for x in range(2, d.shape[3] - 2, BLOCK):
+                end = min(x + BLOCK, d.shape[3] - 2)
+                block_forces(d, lame, share, shape, z, y, x, end - x, lines, rows, planes)
+                if z >= first + 2:
+                    for k in range(3):
+                        force, line = force_of(lines, k), out[k, z, y, x:end]
+                        for i in range(len(line)):
+                            line[i] = -force[i]
+
+
+@parallel
+def pull(d, lame, share, shape, out, count):
+    """Out = - A d everywhere, held or not."""
+    for number in prange(count):
+        first, last = part(number, count, d.shape[1] - 4)
+        _pull_part(d, lame, share, shape, out, first, last)
 
 
 @contracted_reduction

@@ -8,15 +8,30 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.backends import kept_volumes
+from napari_hmrf.solver.backends.base import BATCH_SECONDS, Checkpoint
+from napari_hmrf.solver.backends.bodies import Bodies, BodySites, bodies_of
 from napari_hmrf.solver.backends.cpu import hexahedra, vectors, volume
-from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, inside, paces_of, rows
+from napari_hmrf.solver.backends.cpu.double_level import DoubleLevel
+from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, paces_of, rows
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
-from napari_hmrf.solver.priors.elements import ElasticMaterial, Lame, lame_ratio, stiffest
+from napari_hmrf.solver.priors.elements import (
+    CYCLE_STAND_IN,
+    ElasticMaterial,
+    lame_ratio,
+    stiffest,
+)
+
+# What a step of smoothing takes, roughly: on one thread.
+_SITE_SECONDS = 20e-9
+
+
+def _go_on() -> None:
+    """Never stop."""
 
 
 class CpuVolumeLevel(CpuLevel):
@@ -28,7 +43,11 @@ class CpuVolumeLevel(CpuLevel):
         Parameters of the elements; 0 in void.
     share : float
         What they mean, as `backends.cpu.hexahedra` says.
+    checkpoint : callable
+        Called several times a second; raises to stop the work.
     """
+
+    sums_up = True
 
     def __init__(self, grid: tuple[int, ...], parameters: int, finest: bool) -> None:
         super().__init__(grid)
@@ -40,6 +59,9 @@ class CpuVolumeLevel(CpuLevel):
         self.spans = self.reach.reshape(-1, 2)[PAD:-PAD]
         #: Among how many threads its planes are divided.
         self.parts = volume.parts(grid[0])
+        #: How many steps of smoothing leave time enough to look whether to stop.
+        self._at_once = max(1, int(BATCH_SECONDS / (_SITE_SECONDS * math.prod(grid))))
+        self.checkpoint: Checkpoint = _go_on
         self.share = np.float32(1)
         self.shape: Vector = np.zeros(0, dtype=np.float32)
 
@@ -69,9 +91,12 @@ class CpuVolumeLevel(CpuLevel):
             volume.start(*arrays, paces[0, 0])
             paces = paces[1:]
         about = self.load, self.lame, self.share, self.inverse, *self._springs, self.shape
-        volume.smooth(self.correction, self._other, *about, self.reach, paces, self.parts)
-        if len(paces) % 2 == 1:
-            self.correction, self._other = self._other, self.correction
+        for begin in range(0, len(paces), self._at_once):
+            some = paces[begin : begin + self._at_once]
+            volume.smooth(self.correction, self._other, *about, self.reach, some, self.parts)
+            if len(some) % 2 == 1:
+                self.correction, self._other = self._other, self.correction
+            self.checkpoint()
 
     def _hand_down(self, coarse: CpuVolumeLevel) -> None:
         # Its first step after this does not ask for the one before.
@@ -110,30 +135,43 @@ class CpuVolumeModel(HostModel):
     Parameters
     ----------
     material : ElasticMaterial
+    checkpoint : callable
+        Called several times a second; raises to stop the work.
     """
 
-    def __init__(self, material: ElasticMaterial) -> None:
+    def __init__(self, material: ElasticMaterial, checkpoint: Checkpoint = _go_on) -> None:
         count = 1 if isinstance(material.poisson, float) else 2
         self.levels = [
             CpuVolumeLevel(grid, count, number == 0)
             for number, grid in enumerate(grids(material.m.shape))
         ]
         self._rest = self.levels[0].vector()
+        self.heed(checkpoint)
         self.assemble(material)
+
+    def heed(self, checkpoint: Checkpoint) -> None:
+        """Call another checkpoint from now on."""
+        for level in self.levels:
+            level.checkpoint = checkpoint
 
     def assemble(self, material: ElasticMaterial) -> None:
         """Take another material of the same grid, with as many parameters."""
         self.material = material
         self.bounds = smoother_bounds(material)
-        self._held = None
+        self._held = self.bodies = self.levels[0].bodies = None
         constants = hexahedra.constants(material.shape)
         m, nu, most = material.m, material.poisson, stiffest(material.m)
+        self._sites: list[BodySites] = bodies_of(m) if material.rigid else []
+        if material.rigid:
+            m = np.where(np.isinf(m), np.float32(CYCLE_STAND_IN * most), m)
+            m.setflags(write=False)  # as a material's own: to numba another would be another type
         lame, scale, share = self.levels[0].lame, 0.125 / most, 1.0
         if isinstance(nu, float):
             share = lame_ratio(nu, strain=True)
             volume.elements(m, m, True, scale / (2 + 2 * nu), lame)
         else:
             volume.elements(m, nu, False, scale, lame)
+        self.levels[0].checkpoint()
         for level in self.levels:
             level.shape, level.share = constants.astype(np.float32), np.float32(share)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
@@ -143,7 +181,11 @@ class CpuVolumeModel(HostModel):
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on all levels."""
         before = self._held
+        if self.material.rigid and (before is None or not np.array_equal(held, before)):
+            self.bodies = self.levels[0].bodies = Bodies(self._sites, self.material, held)
+        self.levels[0].checkpoint()
         super().hold(held)
+        self.levels[0].checkpoint()
         if self._held is not before:
             self.clear()
 
@@ -155,13 +197,17 @@ class CpuVolumeModel(HostModel):
         most, square = finest.weigh(self._rest, self._rest)
         return most, math.sqrt(square)
 
+    @property
+    def exactly(self) -> DoubleLevel:
+        """The finest level for an iteration in double precision."""
+        return DoubleLevel(self.levels[0], *self._exact)
+
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
         """- A d everywhere, in double precision."""
-        share, _ = self._exact
-        first = self.levels[0].lame[..., PAD : -PAD - 1, PAD : -PAD - 1, PAD : -PAD - 1]
-        lame = Lame(share * first[-1].astype(np.float64), first[0].astype(np.float64))
+        finest, out = self.levels[0], np.zeros(d.shape)
         exactly = d if low is None else d + low
-        return host.planes(-self.material.shape.forces(lame, np.moveaxis(inside(exactly), 0, -1)))
+        volume.pull(exactly, finest.lame, *self._exact, out, finest.parts)
+        return out
 
     def work(self, d: Planes) -> tuple[float, float]:
         """The elastic energy, and the norm of the forces."""
@@ -185,9 +231,10 @@ class CpuVolumeModel(HostModel):
 
 _last: list[CpuVolumeModel] = []
 in_child_of_fork(_last.clear)
+kept_volumes.forgotten_by(_last.clear)
 
 
-def the_model(material: ElasticMaterial) -> CpuVolumeModel:
+def the_model(material: ElasticMaterial, checkpoint: Checkpoint = _go_on) -> CpuVolumeModel:
     """Return the model of a material: the last one, if it is the same tissue again.
 
     As `elastic_model.the_model`.
@@ -198,7 +245,11 @@ def the_model(material: ElasticMaterial) -> CpuVolumeModel:
 
     if not _last or layout(_last[0].material) != layout(material):
         _last[:] = ()  # its memory, first
-        _last.append(CpuVolumeModel(material))
+        _last.append(CpuVolumeModel(material, checkpoint))
     elif _last[0].material != material:
-        _last[0].assemble(material)
+        model = _last.pop()  # not kept if this is stopped
+        model.heed(checkpoint)
+        model.assemble(material)
+        _last.append(model)
+    _last[0].heed(checkpoint)
     return _last[0]

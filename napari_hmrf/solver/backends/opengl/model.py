@@ -52,6 +52,11 @@ class GLModel:
         return False
 
     @property
+    def exactly(self) -> Any:
+        """None: cycles that are rounded by the host are for volumes."""
+        return None
+
+    @property
     def moves(self) -> HeldPlanes:
         """Which components of the finest level are unknown."""
         return self._host.moves
