@@ -227,8 +227,9 @@ def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
     ValueError
         If the arrows are not a result of this package.
     """
-    from napari_hmrf.io.fields import FIELD_SUFFIXES, export_field
-    from napari_hmrf.layers.field_layer import tell_saved
+    from napari.utils.notifications import show_info
+
+    from napari_hmrf.io.fields import FIELD_SUFFIXES, export_field, saved_field
     from napari_hmrf.layers.metadata import METADATA
     from napari_hmrf.solver.solution import Solution
 
@@ -241,7 +242,7 @@ def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
             "that it made."
         )
     if path.lower().endswith(FIELD_SUFFIXES):
-        tell_saved(path, export_field(path, solution))
+        show_info(saved_field(path, export_field(path, solution)))
         return [path]
     return [str(solution.save(path))]
 

@@ -172,7 +172,7 @@ def tumour(_: dict[str, Path]) -> None:
     person.show(form.result.overlay.native)
     person.choose(form.result.overlay, "Jacobian")
     wait_until(lambda: not dock.busy)
-    person.tick(form.result.arrows)
+    dock.result.visible = False
     wait_until(lambda: not dock.busy)
     keep(person, "tumour-jacobian")
     person.choose(form.result.overlay, "nothing")

@@ -41,7 +41,7 @@ def read(study: Study) -> Read:
         frame = frame_of(reference, view)
         shape = tuple(reference.data.shape[axis] for axis in frame.plane)
         how = study.landmarks
-        marks, _ = read_landmarks(study.where, study.should, frame, shape, view, **how)
+        marks = read_landmarks(study.where, study.should, frame, shape, view, **how)
         drawing = Drawing((*marks, *(drawing.marks if drawing else ())))
     request = Request(
         tissue=study.tissue,

@@ -48,7 +48,7 @@ def test_every_pixel_takes_the_stiffness_of_its_material():
 
 
 def test_labels_without_a_stiffness_are_all_named():
-    with pytest.raises(ProblemError, match="labels 3, 9 without a stiffness") as caught:
+    with pytest.raises(ProblemError, match="labels without a stiffness: 3, 9") as caught:
         stiffness_image(np.array([[1, 3], [9, 1]]), TISSUES)
     assert caught.value.field == "stiffness"
 
@@ -228,7 +228,7 @@ def test_a_single_pixel_has_nowhere_to_expand_to():
 
 
 def test_boundary_labels_without_a_rule_are_named():
-    with pytest.raises(ProblemError, match="label 4 without a rule"):
+    with pytest.raises(ProblemError, match="labels without a rule: 4"):
         boundary_images(np.array([[4, 0]]), [BoundaryRule(1, "fixed")])
 
 

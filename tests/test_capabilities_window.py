@@ -126,14 +126,15 @@ def test_layers_to_paint_on_are_made_and_painted_by_a_click_on_a_row(deform, vie
         screen.click_row(row)
         assert viewer.layers.selection.active is painted
         assert painted.mode == "paint"
-        assert f"'{row}'" in screen.words
+        rows = (*dock.materials, *dock.rules)
+        assert painted.selected_label == next(each.label for each in rows if each.name == row)
     screen.press("Add tissue")
     assert viewer.layers.selection.active is tissue
     assert tissue.selected_label == dock.materials[-1].label
 
 
 def test_a_number_typed_in_a_table_is_taken_over_and_nonsense_is_put_back(
-    deform, viewer, small_sample
+    deform, viewer, small_sample, wait_for
 ):
     dock, screen = deform
     small_sample(viewer)
@@ -146,9 +147,10 @@ def test_a_number_typed_in_a_table_is_taken_over_and_nonsense_is_put_back(
     screen.cell(GEL, "Stiffness").write("rigid")
     assert dock.materials[1].is_rigid
     screen.choose(MODELS["paper"])
-    assert "is rigid, which the paper's model cannot have" in screen.words
-    screen.press("Take the elastic model")
-    assert dock.model == "elastic"
+    refused = f"has rigid tissue ('{GEL}'), which the paper's model cannot have"
+    wait_for(lambda: refused in screen.words)
+    screen.choose(MODELS["elastic"])
+    wait_for(lambda: refused not in screen.words)
 
 
 def test_stiffness_has_a_unit_only_where_one_is_known(deform, viewer):
@@ -221,8 +223,6 @@ def test_materials_are_taken_from_layers_and_files_and_saved(
     assert dock.materials == before
     screen.entry("Materials", "Liver 5.4").trigger()
     assert dock.materials[1] == Material(1, "liver", 5.4, 0.49)
-    screen.entry("Materials", "Bone or implant").trigger()
-    assert dock.materials[-1].is_rigid
 
 
 def test_a_result_brings_the_materials_it_was_made_with(
@@ -301,7 +301,6 @@ def test_a_large_image_is_not_followed_unasked(viewer, qtbot, wait_for):
     viewer.layers.clear()
     viewer.add_image(np.zeros((1201, 1200), np.uint8), name="MR")
     wait_for(lambda: not dock.live)
-    assert Screen(dock).button("Live").text() == "Live: off, slow at 1201 x 1200"
 
 
 # Pulling

@@ -26,9 +26,9 @@ def inverted(monkeypatch):
     """How many points were inverted, each time that some were."""
     counts, by_newton = [], inverse_field._by_newton
 
-    def counted(pixels, targets):
+    def counted(pixels, targets, near=None):
         counts.append(len(targets))
-        return by_newton(pixels, targets)
+        return by_newton(pixels, targets, near)
 
     monkeypatch.setattr(inverse_field, "_by_newton", counted)
     return counts

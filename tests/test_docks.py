@@ -313,17 +313,3 @@ def test_without_a_window_a_command_says_so(monkeypatch):
     monkeypatch.setattr("napari.current_viewer", lambda: None)
     with pytest.raises(HmrfError, match="no napari window"):
         dock()
-
-
-def test_a_list_that_opens_is_as_wide_as_its_widest_entry(window, at_rest, wait_for):
-    found = dock()
-    long = "axial T1 after contrast, series 12, registered to the day before"
-    window._qt_viewer.viewer.layers["MR"].name = long
-    at_rest()
-    box = found._form.image.native
-    needed = box.fontMetrics().horizontalAdvance(long)
-    assert box.width() < needed, "the dock is narrow"
-    QTest.mouseClick(box, Qt.MouseButton.LeftButton)
-    wait_for(box.view().isVisible)
-    assert box.view().viewport().width() >= needed
-    box.hidePopup()

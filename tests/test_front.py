@@ -84,20 +84,6 @@ def test_a_dock_goes_on_with_the_image_that_was_deformed(
     assert second.solution is not None
 
 
-def test_nothing_is_pulled_of_an_image_that_is_hidden(open_window, settle):
-    person, dock = open_window()
-    settle(dock)
-    for layer in person.viewer.layers:
-        layer.visible = layer.name == "Motion"
-    person.drag((20, 20), (26, 20))
-    settle(dock)
-    assert not dock.drawing.marks
-    assert dock.status.startswith("The image is hidden")
-    person.viewer.layers["MR"].visible = True
-    person.drag((20, 20), (26, 20))
-    assert dock.drawing.marks
-
-
 def test_an_image_that_is_covered_is_spoken_of(opened, two, settle):
     viewer, lower, upper = two
     said = "The image is covered by 'astronaut': hide that one, or choose it here."

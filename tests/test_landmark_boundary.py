@@ -38,7 +38,7 @@ def taken(where, should, boundary=None, radius=None, confidence=1.0, **place):
     tissue[4:-4, 4:-4] = 1
     image = Image(np.zeros(SHAPE), name="MR", **place)
     how = {"radius": radius, "confidence": confidence}
-    marks, _ = read_landmarks(where, should, frame_of(image), SHAPE, **how)
+    marks = read_landmarks(where, should, frame_of(image), SHAPE, **how)
     tissue = Labels(tissue, name="Tissue", **place)
     return Request(tissue, boundary, image, MATERIALS, RULES, drawing=Drawing(marks))
 
@@ -101,9 +101,8 @@ def test_a_doubted_landmark_has_that_confidence():
     ],
 )
 def test_points_that_say_nothing_clear_are_refused_by_layer_and_number(where, should, words):
-    with pytest.raises(ProblemError, match=words) as caught:
+    with pytest.raises(ProblemError, match=words):
         read_layers(request(where, should, radius=2.0))
-    assert "Points layer" in str(caught.value) or "points, 2-D" in str(caught.value)
 
 
 def test_a_landmark_just_beside_the_tissue_takes_what_its_patch_reaches():
@@ -111,11 +110,10 @@ def test_a_landmark_just_beside_the_tissue_takes_what_its_patch_reaches():
     np.testing.assert_array_equal(problem.observed[20, 5], (0, -2))
 
 
-def test_a_place_beyond_the_image_is_said_and_not_refused():
+def test_a_place_beyond_the_image_is_not_refused():
     pair = (Points([[20, 20]], name="is"), Points([[20, 70]], name="ought"))
-    marks, notes = read_landmarks(*pair, frame_of(Image(np.zeros(SHAPE))), SHAPE)
-    assert notes == ("point 0 of 'ought' lies outside the image",)
-    assert len(marks) == 1
+    (mark,) = read_landmarks(*pair, frame_of(Image(np.zeros(SHAPE))), SHAPE)
+    assert mark.target == (20, 70)
 
 
 def test_a_confidence_of_zero_is_refused_by_the_layer():
@@ -262,9 +260,9 @@ def test_a_line_leads_tissue_from_its_start_to_its_end_and_a_path_to_its_last_pl
 @pytest.mark.parametrize(
     ("shapes", "words"),
     [
-        ([], "'drawn' has no lines. Draw some"),
-        ([("ellipse", [(9, 9), (9, 15), (15, 15), (15, 9)])], "'drawn' has shape 0, an ellipse"),
-        ([("line", [(20, 60), (22, 20)])], "'drawn' has line 0, which begins outside the image"),
+        ([], "'drawn' has no lines on this slice"),
+        ([("ellipse", [(9, 9), (9, 15), (15, 15), (15, 9)])], "'drawn' has shape 0 .ellipse."),
+        ([("line", [(20, 60), (22, 20)])], "'drawn' has line 0 outside the image"),
         (
             [("line", [(20, 20), (22, 20)]), ("line", [(20, 20), (25, 20)])],
             "lines 0 and 1 in one pixel",

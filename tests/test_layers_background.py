@@ -12,6 +12,7 @@ from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.surroundings import (
     air_that_is_tissue,
     background_of,
+    void_threshold,
 )
 
 
@@ -51,6 +52,16 @@ def test_fat_beneath_the_skin_is_no_air():
     shown = np.clip((picture.astype(float) + 250) / 2, 0, 255).astype(np.uint8)
     shown[rim] = 70
     np.testing.assert_array_equal(background_of(shown), ~inside)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0, 1), (-1000, 300)])
+def test_a_threshold_void_threshold(low, high):
+    picture, inside = head(low=low, high=high)
+    picture[np.hypot(*(np.indices(inside.shape) - np.array([30, 40])[:, None, None])) < 7] = high
+    threshold = void_threshold(picture)
+    assert (picture > threshold)[inside].all()
+    assert (picture > threshold)[~inside].mean() < 0.02
+    assert void_threshold(picture[20:40, 30:50]) is None, "it fills the picture"
 
 
 def test_the_sample_brain_lies_in_air():

@@ -195,10 +195,8 @@ def test_folds_are_counted():
     assert outputs.folds > 0
     layer = layers_of(outputs, ["folds"])["folds"]
     assert layer.data.sum() == outputs.folds
-    assert layer.data[outputs.worst] == 1
-    assert 19 <= outputs.worst[1] <= 25
     unfolded = result_layers(solution())
-    assert (unfolded.folds, unfolded.worst) == (0, None)
+    assert unfolded.folds == 0
 
 
 def test_a_piece_that_covers_another_is_counted_though_nothing_folds():
@@ -208,8 +206,6 @@ def test_a_piece_that_covers_another_is_counted_though_nothing_folds():
     outputs = result_layers(two, pictures=Pictures())
     assert outputs.folds == 0
     assert outputs.overlaps == 30 * 4  # sites up to column 13 + 6 lie on those from column 16
-    known = outputs.layers["arrows"].attributes["metadata"][METADATA]
-    assert known["overlaps"] == outputs.overlaps
     assert result_layers(solution(), pictures=Pictures()).overlaps == 0
 
 
@@ -221,14 +217,6 @@ def test_an_image_of_the_largest_numbers_of_its_type_is_deformed(dtype):
     assert moved.dtype == dtype
     assert moved[0, 0] == largest
     assert abs(int(moved[20, 20]) - largest) <= largest / 2**50
-
-
-def test_the_level_of_a_multiscale_image_is_kept_with_the_result():
-    outputs = result_layers(solution(), pictures=Pictures(spot(), level=0))
-    for layer in layers_of(outputs, OVER).values():
-        assert layer.metadata[METADATA]["level"] == 0
-    plain = result_layers(solution(), pictures=Pictures(spot())).layers["image"]
-    assert "level" not in plain.attributes["metadata"][METADATA]
 
 
 def test_the_work_can_be_stopped_between_its_parts():

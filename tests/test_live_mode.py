@@ -13,7 +13,7 @@ from napari_hmrf import Multigrid, solve
 from napari_hmrf.layers.metadata import METADATA, TISSUE, described, known_of
 from napari_hmrf.study.ground import statement_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
-from napari_hmrf.ui.messages import STILL
+from napari_hmrf.ui.messages import CHOOSE, STILL
 
 
 def viewer_of(widget):
@@ -229,7 +229,7 @@ def test_that_the_image_is_gone_is_said(living, settle, at_rest):
     settle(widget)
     viewer.layers.remove(image)
     at_rest()
-    assert widget.status == "'MR' is gone: choose or open another image."
+    assert widget.status == CHOOSE
     assert widget.solution is None
     viewer.add_image(image.data, name="T1")
     assert widget.image is viewer.layers["T1"]
@@ -237,7 +237,7 @@ def test_that_the_image_is_gone_is_said(living, settle, at_rest):
     assert_newest(widget)
     viewer.add_image(image.data, name="T2")
     viewer.layers.remove("T1")
-    assert widget.status == "'T1' is gone: 'T2' is chosen now."
+    assert widget.image is viewer.layers["T2"]
     viewer.layers.clear()
     at_rest()
     assert widget.status.startswith("Open an image first")
@@ -259,7 +259,7 @@ def test_another_image_is_followed_as_soon_as_it_is_chosen(living, small_sample,
     assert np.abs(expected - there.displacement).max() > 0.5, "it has a boundary of its own"
 
 
-def test_for_a_large_image_it_is_off_and_the_reason_is_shown(
+def test_for_a_large_image_it_is_off_unless_somebody_wants_it(
     widget, small_sample, monkeypatch, at_rest
 ):
     monkeypatch.setattr("napari_hmrf.ui.footer.LARGEST", 300)
@@ -268,11 +268,9 @@ def test_for_a_large_image_it_is_off_and_the_reason_is_shown(
     at_rest()
     check = widget._form.footer.live
     assert not widget.live
-    assert check.text == "Live: off, slow at 20 x 24"
     check.native.click()
-    assert widget.live, "who wants it may have it"
     at_rest()
-    assert check.text == "Live"
+    assert widget.live, "who wants it may have it"
 
 
 @pytest.mark.parametrize(("size", "followed"), [((1200, 1200), True), ((1200, 1201), False)])

@@ -125,7 +125,7 @@ def test_landmarks_of_layers_and_of_a_study_are_one_problem(pairs):
     where, should = (np.array(each) for each in zip(*pairs, strict=True))
     image, stiffness = Image(np.zeros(SHAPE), **PLACE), np.ones(SHAPE)
     points = Points(where, **PLACE), Points(should, **PLACE)
-    marks, _ = read_landmarks(*points, frame_of(image), SHAPE, radius=0.1)
+    marks = read_landmarks(*points, frame_of(image), SHAPE, radius=0.1)
     asked = Request(tissue=Image(stiffness, **PLACE), image=image, drawing=Drawing(marks))
     own = Drawing(tuple(Landmark(at, to, 0.1) for at, to in pairs))
     study = Study(

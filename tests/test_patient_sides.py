@@ -236,7 +236,7 @@ def test_a_slice_is_called_by_where_it_lies_before_it_is_saved_and_after(
     Screen(first).press("Save study ...")
     assert proposed == ["a-b- head S 5.5 mm.study"]
     viewer.dims.set_current_step(0, 0)
-    assert "Of S 5.5 mm; you look at I 11.5 mm" in first._form.result.how_far.value
+    assert "mm in S 5.5 mm" in first._form.result.how_far.value
     again = ViewerModel()
     second = SoftTissue(again)
     qtbot.addWidget(second.native)

@@ -158,7 +158,7 @@ def test_parts_that_do_not_go_together_are_refused(wrong, said):
 
 
 def test_what_is_wrong_is_said_of_the_part():
-    with pytest.raises(ProblemError, match="There is no tissue in 'tissue'"):
+    with pytest.raises(ProblemError, match="is 0 everywhere: there is no tissue"):
         statement_of(pulled(tissue=Tissue(stiffness=np.zeros(SHAPE))))
     with pytest.raises(ProblemError, match=r"observed|confidence"):
         statement_of(pulled(motion=Motion()))

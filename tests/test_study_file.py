@@ -80,7 +80,7 @@ def by_labels():
         Motion(labels=painted(), rules=rules, drawing=PULL),
         prior=ElasticPrior(plane="strain"),
         optimizer=Multigrid(1e-2),
-        pictures=Pictures(picture(), labels(), "t1", "Tissue", 0),
+        pictures=Pictures(picture(), labels(), "t1", "Tissue"),
         names={"image": "t1"},
         notes=("its first note",),
     )

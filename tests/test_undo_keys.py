@@ -2,10 +2,12 @@
 
 import pytest
 from conftest import dock_in, quick
+from napari.components import ViewerModel
 from person import CTRL, SHIFT, Person
 from qtpy.QtCore import Qt
 from screen import Screen
 
+from napari_hmrf.layers.edit_history import steps_of
 from napari_hmrf.tissue.drawing import Arrow
 
 Z, Y = Qt.Key.Key_Z, Qt.Key.Key_Y
@@ -114,6 +116,20 @@ def test_a_closed_dock_leaves_the_keys_to_napari(seated):
     person.viewer.window.remove_dock_widget(dock.native)
     assert not boundary.keymap
     assert not person.viewer.keymap
+
+
+def test_the_keys_of_who_is_gone_without_a_word_are_not_bound_twice():
+    class Owner:
+        def interrupt(self):
+            return False
+
+    viewer, owner = ViewerModel(), Owner()
+    steps = steps_of(viewer)
+    steps.bind_keys(Owner())
+    steps.bind_keys(owner)
+    assert viewer.keymap
+    steps.unbind_keys(owner)
+    assert not viewer.keymap
 
 
 def test_arrows_and_numbers_are_taken_back_from_the_last_to_the_first(seated, at_rest):

@@ -147,7 +147,7 @@ def test_cancel_keeps_the_window_with_all_that_was_done(window, close, at_rest):
     assert dock.door.passed == 0
     assert close(dock)
     assert len(asked.questions) == 3, "once each time"
-    assert "'MR'" in asked.questions[0]
+    assert "'MR slice 1'" in asked.questions[0]
     assert not kept()
 
 
@@ -270,7 +270,7 @@ def test_a_person_is_asked_by_a_box_with_three_answers(window, close, monkeypatc
     monkeypatch.setattr(QMessageBox, "question", answer)
     assert not close(dock)
     ((question, offered),) = shown
-    assert question == "What was done on 'MR' (slice 1) is in no file yet. Save it before closing?"
+    assert question == "What was done on 'MR slice 1' is in no file yet. Save it before closing?"
     buttons = QMessageBox.StandardButton
     assert offered == buttons.Save | buttons.Discard | buttons.Cancel
     Asked(dock, "discard")

@@ -18,7 +18,7 @@ from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.observation import PixelField, arrow_observation
 from napari_hmrf.field.other_grid import OtherGrid
-from napari_hmrf.field.quantities import area_change, coloured, values_of
+from napari_hmrf.field.quantities import area_change, coloured, title_and_unit, values_of
 from napari_hmrf.field.resample import emptiness
 from napari_hmrf.field.strain import (
     equivalent_strain,
@@ -253,6 +253,8 @@ def test_of_a_volume_strains_are_those_of_its_sites_however_many_planes_there_ar
             values_of(found, quantity), 100 * expected, rtol=1e-6, err_msg=quantity
         )
         assert coloured(found, quantity).values.shape == shape
+    assert title_and_unit("jacobian", 3) == ("Jacobian", "volume ratio")
+    assert title_and_unit("jacobian") == ("Jacobian", "area ratio")
     ratio = jacobian_determinant(found.displacement, spacing=SIZE, tissue=tissue)
     inner = tissue & (ratio > 0.8)
     assert np.isclose(values_of(found, "jacobian"), ratio)[inner].mean() > 0.9

@@ -155,7 +155,8 @@ def test_a_brush_paints_a_ball(volume, settle):
     stroke = only(widget)
     assert {point[0] for line in stroke.lines for point in line} == {12.0}
     painted = by_name(person.viewer, "Motion, painted").data
-    assert painted[12, 16, 16] and painted[14, 16, 18]
+    assert painted[12, 16, 16]
+    assert painted[14, 16, 18]
     assert not painted[15, 16, 18]
     widget.tool = "pull"
     person.drag((24, 24), (26, 24))

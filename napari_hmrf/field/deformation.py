@@ -18,8 +18,8 @@ from napari_hmrf.field.warp import BoolArray, Float64Array, as_field, checked_si
 
 FloatArray = npt.NDArray[np.float32]
 
-# Rows that are looked at together.
-_STRIP = 64
+# Rows that are looked at together, and planes of a volume.
+_STRIP, _SLAB = 64, 8
 # Lines that are farther apart than any image is large.
 _FAR = 2**31
 # What moves by less than this part of the farthest has no arrow beside others: it would be a dot.
@@ -133,6 +133,20 @@ def smallest_determinant(
     """
     moved, mask = moved_sites(displacement, spacing, tissue)
     return _over_quadrants(np.minimum.reduce, moved, mask)
+
+
+def determinant_or_fold(
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] | None = None,
+    tissue: npt.ArrayLike | None = None,
+) -> FloatArray:
+    """The `jacobian_determinant`; at folds the `smallest_determinant`, which is 0 or below."""
+
+    def value(each: list[Float64Array]) -> Float64Array:
+        smallest, mean = np.minimum.reduce(each), np.add.reduce(each) / len(each)
+        return np.asarray(np.where(smallest <= 0, smallest, mean))
+
+    return _over_quadrants(value, *moved_sites(displacement, spacing, tissue))
 
 
 def deformation_grid(
@@ -345,10 +359,10 @@ def _lattice(sites: float, spacing: Float64Array) -> tuple[int, ...]:
 def _over_quadrants(
     reduced: Callable[[list[Float64Array]], Float64Array], moved: Float64Array, mask: BoolArray
 ) -> FloatArray:
-    """What becomes of the determinants of the quadrants around each site, (H, W); NaN in void."""
+    """What becomes of the determinants of the quadrants around each site; NaN in void."""
     # Strip by strip, with a row of each neighbour: what lies between stays in the cache.
     made = np.full(mask.shape, np.nan, dtype=np.float32)
-    strip = _STRIP if mask.ndim == 2 else 1
+    strip = _STRIP if mask.ndim == 2 else _SLAB
     for begin in range(0, len(mask), strip):
         first, last = max(begin - 1, 0), begin + strip + 1
         values = reduced(_quadrants(moved[first:last], mask[first:last]))
@@ -368,8 +382,10 @@ def determinant(steps: Sequence[Float64Array]) -> Float64Array:
     if len(steps) == 2:
         down, along = steps
         return down[..., 0] * along[..., 1] - down[..., 1] * along[..., 0]
-    deep, down, along = steps
-    volume: Float64Array = np.einsum("...i,...i->...", deep, np.cross(down, along))
+    a, b, c = (np.moveaxis(step, -1, 0) for step in steps)
+    volume: Float64Array = a[0] * (b[1] * c[2] - b[2] * c[1])
+    volume += a[1] * (b[2] * c[0] - b[0] * c[2])
+    volume += a[2] * (b[0] * c[1] - b[1] * c[0])
     return volume
 
 

@@ -12,6 +12,7 @@ import scipy
 
 from napari_hmrf.field.moved_points import looked_up, looked_up_with_slopes
 from napari_hmrf.field.warp import as_field, inverse_map
+from napari_hmrf.solver.problem import as_numbers
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -33,8 +34,10 @@ class Inverse(NamedTuple):
         P + u(P). In the unit of the spacing.
     residual : float
         How far, in pixels, the field leads P + u(P) from P at the worst site; only of sites that
-        tissue came to, and NaN if it came to none. A volume that folds has no inverse there, and
-        it is large; of a slice that folds the part is taken that is not turned over.
+        tissue came to, and NaN if it came to none; of a volume only of those that came from within
+        tissue, not from its outermost sites. A volume that folds has no inverse there, and it is
+        large; of what folds beside something that does not move, and of a slice, the part is taken
+        that is not turned over.
     """
 
     displacement: Float64Array
@@ -50,7 +53,8 @@ def inverse_displacement(
     """Invert a motion at each site of its grid: u with u(P) = X - P, where X + d(X) = P.
 
     In two dimensions by `inverse_map`, exact for motion that is linear on triangles; in three by
-    `origins_at`, some planes after the others.
+    `origins_at`, some planes after the others, for motion that is linear along each axis. Where
+    something does not move `inverse_map` says first which tissue is seen.
 
     Parameters
     ----------
@@ -58,9 +62,9 @@ def inverse_displacement(
         Material displacement, components in the order of the axes, in the unit of `spacing`.
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
-    tissue : array_like of bool, shape (H, W), optional
-        What moves, in two dimensions; by default everything. Where tissue has left a gap beside
-        what does not move, the rim between both is taken to be stretched over it.
+    tissue : array_like of bool, shape ([D,] H, W), optional
+        What moves; by default everything. Where tissue has left a gap beside what does not move,
+        the rim between both is taken to be stretched over it.
 
     Raises
     ------
@@ -68,10 +72,16 @@ def inverse_displacement(
         Naming the input at fault.
     """
     d = as_field(displacement).astype(np.float64)
-    if d.shape[-1] == 3:
+    volume = d.shape[-1] == 3
+    if volume and (tissue is None or np.all(tissue)):
         return _inverse_of_volume(d / spacing, spacing)
     sites = np.moveaxis(np.indices(d.shape[:-1], dtype=np.float64), 0, -1)
     origins, known = inverse_map(d, spacing=spacing, tissue=tissue)
+    pixels, moved = d / spacing, known
+    if volume:
+        mask = as_numbers("tissue", tissue).astype(bool)
+        moved = known & (mask | (origins != sites).any(axis=-1))
+        origins[moved], moved[moved] = _refined(pixels, mask, sites[moved], origins[moved])
     if not known.all() and tissue is not None:
         sheet, there = inverse_map(d, spacing=spacing)
         origins[~known], filled = sheet[~known], known | there
@@ -80,11 +90,13 @@ def inverse_displacement(
     if not filled.all():
         origins = _extended(origins - sites, filled) + sites
     back = (origins - sites) * spacing
-    residual = _residual(d / spacing, origins[known], sites[known]) if known.any() else np.nan
+    residual = _residual(pixels, origins[moved], sites[moved]) if moved.any() else np.nan
     return Inverse(back, residual)
 
 
-def origins_at(pixels: npt.NDArray[np.floating], points: Float64Array) -> Float64Array:
+def origins_at(
+    pixels: npt.NDArray[np.floating], points: Float64Array, near: Float64Array | None = None
+) -> Float64Array:
     """Find where in a volume that which is seen at points came from: X with X + d(X) = P.
 
     By Newton's method, for motion that is trilinear between sites; all are taken to have an origin.
@@ -95,6 +107,8 @@ def origins_at(pixels: npt.NDArray[np.floating], points: Float64Array) -> Float6
         Material displacement, in pixels.
     points : ndarray, shape (N, 3)
         In pixels.
+    near : ndarray, shape (N, 3), optional
+        Where to begin to look.
 
     Returns
     -------
@@ -104,8 +118,23 @@ def origins_at(pixels: npt.NDArray[np.floating], points: Float64Array) -> Float6
     found = np.empty(points.shape)
     for start in range(0, len(points), _AT_ONCE):
         part = slice(start, start + _AT_ONCE)
-        found[part] = _by_newton(pixels, points[part])
+        found[part] = _by_newton(pixels, points[part], None if near is None else near[part])
     return found
+
+
+def _refined(
+    pixels: Float64Array,
+    tissue: npt.NDArray[np.bool_],
+    points: Float64Array,
+    origins: Float64Array,
+) -> tuple[Float64Array, npt.NDArray[np.bool_]]:
+    """The origins of points from those of tetrahedra on; and whether they lie within tissue."""
+    # Steps that lead beyond tissue find it going on, and come back.
+    found = origins_at(_extended(pixels, tissue), points, origins)
+    near = (np.abs(found - origins) < 1).all(axis=-1)
+    # Beside what does not move the field is no more than that of tetrahedra.
+    within = near & (looked_up(tissue[..., np.newaxis].astype(float), found)[:, 0] > 1 - _NEAR)
+    return np.where(within[:, np.newaxis], found, origins), within
 
 
 def _inverse_of_volume(pixels: Float64Array, spacing: Sequence[float]) -> Inverse:
@@ -128,9 +157,11 @@ def _residual(pixels: Float64Array, origins: Float64Array, sites: Float64Array) 
     return float(np.linalg.norm(away, axis=-1).max())
 
 
-def _by_newton(pixels: npt.NDArray[np.floating], targets: Float64Array) -> Float64Array:
+def _by_newton(
+    pixels: npt.NDArray[np.floating], targets: Float64Array, near: Float64Array | None = None
+) -> Float64Array:
     """Find the origins of some points at once."""
-    found = targets - looked_up(pixels, targets)
+    found = targets - looked_up(pixels, targets) if near is None else near.copy()
     open_ones = np.arange(len(targets))
     for _ in range(_STEPS):
         at = found[open_ones]

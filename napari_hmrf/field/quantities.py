@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from napari_hmrf.field.colormaps import SMALLEST, area_limits, reach_of
-from napari_hmrf.field.deformation import FloatArray, jacobian_determinant, smallest_determinant
+from napari_hmrf.field.deformation import FloatArray, determinant_or_fold
 from napari_hmrf.field.strain import (
     equivalent_strain,
     magnitude,
@@ -33,6 +33,12 @@ QUANTITIES: dict[Quantity, tuple[str, str]] = {
     "columns": ("strain from column to column", "%"),
     "shear": ("shear strain", "%"),
 }
+
+
+def title_and_unit(quantity: Quantity, axes: int = 2) -> tuple[str, str]:
+    """What `QUANTITIES` says of a quantity, of a slice or of a volume, which has three axes."""
+    title, unit = QUANTITIES[quantity]
+    return title, unit.replace("area", "volume") if axes == 3 else unit
 
 
 class Coloured(NamedTuple):
@@ -101,7 +107,4 @@ def area_change(solution: Solution) -> FloatArray:
     Where tissue folds it is the smallest determinant around the site, so that it is 0 or below at
     all folds.
     """
-    d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
-    smallest = smallest_determinant(d, spacing, tissue)
-    at_sites = jacobian_determinant(d, spacing=spacing, tissue=tissue)
-    return np.where(smallest <= 0, smallest, at_sites)
+    return determinant_or_fold(solution.displacement, solution.spacing, solution.tissue)

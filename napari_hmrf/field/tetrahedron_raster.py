@@ -168,22 +168,21 @@ def _tetrahedra(moved, tissue, source, state, reach, first, past):
 
 
 @_callee
-def _patch(moved, source, state, first, past, plane, row, col, one, other):
+def _patch(moved, source, state, longest, first, past, plane, row, col, one, other):
     """Draw the moved square that two unit steps make from a site onto voxels still empty."""
     # A step of (0, 0, 0) makes it a line, and two of these a dot.
-    depth, height, width = state.shape
+    _, height, width = state.shape
     a = moved[plane, row, col]
     b = moved[plane + one[0], row + one[1], col + one[2]]
     c = moved[plane + other[0], row + other[1], col + other[2]]
     d = moved[plane + one[0] + other[0], row + one[1] + other[1], col + one[2] + other[2]]
-    longest = 1.0 * (depth + height + width)
     along = across = 0.0
     for axis in range(3):
         along = max(along, abs(b[axis] - a[axis]), abs(d[axis] - c[axis]))
         across = max(across, abs(c[axis] - a[axis]), abs(d[axis] - b[axis]))
-    # Half a voxel at a time; what is larger than the image mostly lies outside.
-    steps = math.ceil(2.0 * min(along, longest))
-    rows = math.ceil(2.0 * min(across, longest))
+    # Half a voxel at a time, by rounding no more; what is larger than the volume lies outside.
+    steps = math.ceil(2.0 * min(along, longest) - _SIDE)
+    rows = math.ceil(2.0 * min(across, longest) - _SIDE)
     for number in range(steps + 1):
         s = number / max(steps, 1)
         for line in range(rows + 1):
@@ -201,7 +200,7 @@ def _patch(moved, source, state, first, past, plane, row, col, one, other):
 
 
 @_callee
-def _outline(moved, tissue, source, state, reach, first, past):
+def _outline(moved, tissue, source, state, reach, longest, first, past):
     """Draw sites, and lines and squares between outermost ones, onto what is empty of these."""
     depth, height, width = tissue.shape
     units = np.eye(3, dtype=np.int64)
@@ -225,14 +224,38 @@ def _outline(moved, tissue, source, state, reach, first, past):
                     if inner:
                         continue
                     if size == 0:
-                        _patch(moved, source, state, first, past, plane, row, col, nowhere, nowhere)
+                        _patch(
+                            moved,
+                            source,
+                            state,
+                            longest,
+                            first,
+                            past,
+                            plane,
+                            row,
+                            col,
+                            nowhere,
+                            nowhere,
+                        )
                     for axis in range(3 if size else 0):
                         one = units[axis]
                         beside = plane + one[0], row + one[1], col + one[2]
                         if not _holds(tissue, beside[0], beside[1], beside[2]):
                             continue
                         if size == 1:
-                            _patch(moved, source, state, first, past, plane, row, col, one, nowhere)
+                            _patch(
+                                moved,
+                                source,
+                                state,
+                                longest,
+                                first,
+                                past,
+                                plane,
+                                row,
+                                col,
+                                one,
+                                nowhere,
+                            )
                             continue
                         for second in range(axis + 1, 3):
                             two = units[second]
@@ -244,7 +267,19 @@ def _outline(moved, tissue, source, state, reach, first, past):
                                     beside[2] + two[2],
                                 )
                             ):
-                                _patch(moved, source, state, first, past, plane, row, col, one, two)
+                                _patch(
+                                    moved,
+                                    source,
+                                    state,
+                                    longest,
+                                    first,
+                                    past,
+                                    plane,
+                                    row,
+                                    col,
+                                    one,
+                                    two,
+                                )
 
 
 @_callee
@@ -255,7 +290,7 @@ def _holds(tissue, plane, row, col):
 
 
 @numba.njit(parallel=True, **_kept)
-def rasterise(moved, tissue, planes, slabs):
+def rasterise(moved, tissue, planes, longest, slabs):
     """Invert the motion of the sites, linear on each tetrahedron of four neighbouring sites.
 
     Each cell of 2 x 2 x 2 sites is six tetrahedra; of one that lacks corners those are drawn that
@@ -274,6 +309,8 @@ def rasterise(moved, tissue, planes, slabs):
         Which sites there are.
     planes : int
         So many planes of voxels are drawn on, P; D, but for a part of a volume.
+    longest : float
+        How many voxels the volume is long in all; of what is torn no more is drawn closely.
     slabs : int
         Into so many slabs these planes are cut, one or a few for each core.
 
@@ -304,5 +341,5 @@ def rasterise(moved, tissue, planes, slabs):
         first = slab * planes // slabs
         past = (slab + 1) * planes // slabs
         _tetrahedra(moved, tissue, source, state, reach, first, past)
-        _outline(moved, tissue, source, state, reach, first, past)
+        _outline(moved, tissue, source, state, reach, longest, first, past)
     return source, state

@@ -73,7 +73,7 @@ def slice_origins(
     d = _on_voxels(displacement, tissue, every, part).astype(np.float64)
     moved, mask = moved_sites(fraction * d, spacing, tissue[part])
     moved[..., 0] -= number - low
-    sources, states = inverse_raster(moved, mask, planes=1)
+    sources, states = inverse_raster(moved, mask, tissue.shape, planes=1)
     source, state = sources[0], states[0]
     source[state > 0, 0] += low
     still = ~tissue[number] & (state == 0)

@@ -141,7 +141,7 @@ def inverse_map_and_overlaps(
 
 
 def inverse_raster(
-    moved: Float64Array, tissue: BoolArray, planes: int | None = None
+    moved: Float64Array, tissue: BoolArray, shape: tuple[int, ...] | None = None, planes: int = 0
 ) -> tuple[Float64Array, npt.NDArray[np.uint8]]:
     """Invert the motion of sites by the loops, or by NumPy before these are compiled.
 
@@ -149,8 +149,10 @@ def inverse_raster(
     ----------
     moved, tissue
         Of `moved_sites`.
-    planes : int, optional
-        Of a volume only so many planes are drawn on; by default all.
+    shape : tuple of int, optional
+        Of the volume of which these are some planes.
+    planes : int
+        Only so many planes of a volume are drawn on; by default all.
 
     Returns
     -------
@@ -163,10 +165,10 @@ def inverse_raster(
         loader.before_numba()
         from napari_hmrf.field import tetrahedron_raster
 
-        planes = len(tissue) if planes is None else planes
+        mask, planes = loops.only_read(tissue), planes or len(tissue)
         slabs = min(planes, 4 * (os.cpu_count() or 1))
-        mask = loops.only_read(tissue)
-        drawn = partial(tetrahedron_raster.rasterise, moved, mask, planes, slabs)
+        longest = float(sum(shape or tissue.shape))
+        drawn = partial(tetrahedron_raster.rasterise, moved, mask, planes, longest, slabs)
         # This loop uses numba's own threads, which must not be entered from two threads.
         if compute_thread.is_current():
             coordinates, state = drawn()
@@ -191,9 +193,9 @@ def moved_sites(
 
     Returns
     -------
-    moved : ndarray, shape (H, W, 2), float64
+    moved : ndarray, shape ([D,] H, W, n), float64
         X + d(X) in pixels; X where there is no tissue.
-    tissue : ndarray, shape (H, W), bool
+    tissue : ndarray, shape ([D,] H, W), bool
 
     Raises
     ------
@@ -214,10 +216,10 @@ def checked_field(
 
     Returns
     -------
-    displacement : ndarray, shape (H, W, 2), float64
+    displacement : ndarray, shape ([D,] H, W, n), float64
         Zero where there is no tissue.
-    spacing : ndarray, shape (2,)
-    tissue : ndarray, shape (H, W), bool
+    spacing : ndarray, shape (n,)
+    tissue : ndarray, shape ([D,] H, W), bool
         Everywhere, if it was not given.
 
     Raises

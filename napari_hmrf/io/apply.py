@@ -44,7 +44,7 @@ class FieldFile:
     field : DisplacementField
         In the unit of the place's spacing.
     place : Place
-        Of a slice of a volume with three spacings.
+        Of a slice of a volume, as of a volume, with three spacings.
     tissue : ndarray of bool or None
         What moves; None if the file does not say: everything.
     """
@@ -82,7 +82,8 @@ def load_field(path: str | os.PathLike[str]) -> FieldFile:
     if is_solution_file(path) or is_study_file(path):
         _, solution = load_solved(path)
         d, place = placed(solution)
-        return FieldFile(DisplacementField(d, place.spacing[-2:]), place, solution.tissue)
+        sizes = place.spacing[-solution.tissue.ndim :]
+        return FieldFile(DisplacementField(d, sizes), place, solution.tissue)
     file = read_field(path)
     field, place = file.field, Place(file.spacing, file.origin, file.direction)
     across = field.vectors[..., 0]
@@ -101,7 +102,8 @@ def apply_field(
     field : FieldFile
     path : str or path-like
         An image, or landmarks. Of a volume the slice in which the field lies is moved; if that is
-        not known, all its slices are, as those of a film are.
+        not known, all its slices are, as those of a film are. By a field of a volume all of it is
+        moved; its axes come in the order of the field's.
     target : str or path-like
     labels : bool
         Whether an image's values are labels, between which there is nothing.
@@ -119,6 +121,8 @@ def apply_field(
     if name.lower().endswith(POINT_SUFFIXES):
         return _move_landmarks(field, path, target)
     image, n = load_image(path), len(field.shape)
+    if n == 3:
+        image = image.laid_as(field.place)
     pixels = image.pixels
     sizes = pixels.shape[: image.ndim]
     if sizes[-n:] != field.shape:
@@ -128,22 +132,23 @@ def apply_field(
             "of the same pixels.",
         )
     order = 0 if labels else 1
-    if n == 3:
-        moved = _moved_volume(field, pixels, order)
-    elif image.ndim == 2:
-        moved = _moved_slice(field, pixels, order)
+    if n == 3 and field.field.back:
+        moved = _looked_back(field, pixels, order)
+    elif n == image.ndim:
+        moved = _moved(field, pixels, order)
     else:
         moved = pixels.copy()
         for number in _slices(field, image, name):
-            moved[number] = _moved_slice(field, pixels[number], order)
+            moved[number] = _moved(field, pixels[number], order)
     return save_image(target, image._replace(pixels=moved))
 
 
-def _moved_slice(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
+def _moved(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
     return warp(pixels, field.displacement, spacing=field.spacing, order=order, tissue=field.tissue)
 
 
-def _moved_volume(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
+def _looked_back(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
+    """A volume where a field that leads back takes it from, which needs no inverse."""
     steps = field.field.backward / field.spacing
     origins = np.moveaxis(steps, -1, 0) + np.indices(steps.shape[:-1])
     if pixels.ndim > 3:

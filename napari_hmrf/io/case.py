@@ -148,7 +148,7 @@ def measured(path: Path, labels: Path | None = None) -> tuple[Measurement, ...]:
     names = {} if tissue is None else {row.label: row.name for row in tissue.materials}
     image = None if tissue is None else tissue.labels
     if labels is not None:
-        image = load_image(labels).pixels
+        image = _on_grid(labels, solution)
     if image is None:
         raise HmrfError(f"{path.name}: the file holds no tissue labels. Give --labels.")
     return measure(solution, image, names=names)
@@ -165,10 +165,16 @@ def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArr
     study, solution = load_solved(path)
     pixels = None if study is None else study.pictures.image
     if image is not None:
-        pixels = load_image(image).pixels
+        pixels = _on_grid(image, solution)
     if pixels is None:
         raise HmrfError(f"{path.name}: the image is not in the file. Give --image.")
     return solution, pixels
+
+
+def _on_grid(path: Path, solution: Solution) -> npt.NDArray[Any]:
+    """The pixels of a file; of a volume in the order of the solution's axes."""
+    image, volume = load_image(path), solution.tissue.ndim == 3
+    return (image.laid_as(place_of(solution)) if volume else image).pixels
 
 
 def _slice_of(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:

@@ -115,7 +115,7 @@ def write_field(
     forward : bool
         Whether the file is to say where tissue goes, as transforms of points do, and not where what
         is seen came from, which moves images.
-    tissue : array_like of bool, shape (H, W), optional
+    tissue : array_like of bool, shape ([D,] H, W), optional
         What moves, where a field is inverted; `Solution.tissue`.
 
     Returns
@@ -259,8 +259,17 @@ class Place(NamedTuple):
         found: npt.NDArray[np.float64] = (pixels * self.spacing) @ self.direction[::-1, ::-1].T
         return found + self.origin[::-1]
 
-    def frame(self, number: int = 0, unit: str = "millimeter") -> Frame:
-        """The place as layers have it, of one slice of a volume: the inverse of `place_of`."""
+    def frame(self, number: int = 0, unit: str = "millimeter", *, volume: bool = False) -> Frame:
+        """The place as layers have it: the inverse of `place_of`.
+
+        Parameters
+        ----------
+        number : int
+            Of a slice of a volume.
+        unit : str
+        volume : bool
+            Whether all of a volume is meant.
+        """
         n = len(self.spacing)
         turn = np.eye(n + 1)
         turn[:n, :n], turn[:n, n] = self.direction[::-1, ::-1], self.origin[::-1]
@@ -270,6 +279,7 @@ class Place(NamedTuple):
             index=(number, *(0,) * (n - 1)) if n > 2 else None,
             affine=turn,
             axis_labels=tuple(PATIENT_AXES) if n == 3 else ("y", "x"),
+            volume=volume,
         )
 
 
@@ -293,7 +303,7 @@ def place_of(solution: Solution) -> Place:
     mm = [1.0 if unit == "pixel" else unit_factor(unit, "millimeter") for unit in frame["units"]]
     sizes = np.nan_to_num(mm)
     others = [axis for axis in np.flatnonzero(sizes).tolist() if axis not in plane]
-    axes = [*others[-1:], *plane]
+    axes = plane if len(plane) == 3 else [*others[-1:], *plane]
     if not sizes[axes].all():
         units = ", ".join(str(unit) for unit in frame["units"])
         raise ProblemError(
@@ -310,8 +320,8 @@ def place_of(solution: Solution) -> Place:
 
 def placed(solution: Solution) -> tuple[npt.NDArray[np.floating], Place]:
     """The displacement of a solution in the unit of its `place_of`, and that place."""
-    place = place_of(solution)
-    return solution.displacement * (np.array(place.spacing[-2:]) / solution.spacing), place
+    place, n = place_of(solution), solution.tissue.ndim
+    return solution.displacement * (np.array(place.spacing[-n:]) / solution.spacing), place
 
 
 def export_field(

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.atomic_write import write_whole
+from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.colormaps import DIVERGING, FOLDED, OPACITY, RISING, opacity
 from napari_hmrf.field.deformation import arrows, deformation_grid, pixels_between
 from napari_hmrf.field.quantities import Quantity, coloured
@@ -245,6 +246,9 @@ def _map(solution: Solution, quantity: Quantity, title: str, image: npt.ArrayLik
 def _figure(spacing: tuple[float, ...], *titles: str) -> tuple[Figure, list[Axes]]:
     """Return a figure with a row of image axes in pixels, drawn in the pixels' true proportions."""
     from matplotlib.figure import Figure
+
+    if len(spacing) != 2:
+        raise ProblemError("displacement", "is of a volume. Draw pictures of one of its slices.")
 
     figure = Figure(figsize=(6.0 * len(titles), 6.2), layout="constrained")
     row = list(figure.subplots(1, len(titles), squeeze=False)[0])

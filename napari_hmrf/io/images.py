@@ -22,6 +22,8 @@ from napari_hmrf.errors import FileFormatError
 from napari_hmrf.io.fields import Place, simpleitk
 from napari_hmrf.io.itk_files import read_image
 
+#: How far, in pixels, two grids may lie apart and be the same.
+_SAME = 0.01
 #: How the names of files end that are read, and written.
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 MEDICAL_SUFFIXES = (".nii.gz", ".nii", ".mha", ".mhd", ".nrrd", ".nhdr", ".dcm")
@@ -74,10 +76,25 @@ class ImageFile(NamedTuple):
             self.colours,
         )
 
+    def laid_as(self, place: Place | None) -> ImageFile:
+        """The image with its axes in the order of another's, if that is `upright` and it is not."""
+        if _apart(self.place, place) <= _SAME:
+            return self
+        upright = self.upright
+        return upright if _apart(upright.place, place) <= _SAME else self
+
     @property
     def ndim(self) -> int:
         """Axes in space."""
         return self.pixels.ndim - self.colours
+
+
+def _apart(one: Place | None, other: Place | None) -> float:
+    """How far, in pixels of the one, the first pixels of two volumes lie apart, and their steps."""
+    if one is None or other is None or not len(one.spacing) == len(other.spacing) == 3:
+        return np.inf
+    corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    return float(np.abs(one.to_pixels(other.to_space(corners)) - corners).max())
 
 
 def load_image(path: str | os.PathLike[str]) -> ImageFile:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import checked_path, refuse_unless
 from napari_hmrf.atomic_write import write_whole
-from napari_hmrf.errors import FileFormatError, HmrfError
+from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.animation import Motion
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.solution import Solution
@@ -50,6 +50,8 @@ def save_moving_picture(
         If no picture that moves is written as a file of such a name.
     ArgumentError
         If there are fewer than two frames, or less than one a second.
+    ProblemError
+        If the solution is of a volume.
     HmrfError
         If what writes .mp4 is not installed.
     OSError
@@ -63,6 +65,8 @@ def save_moving_picture(
         )
     refuse_unless(frames >= 2, "frames", frames, "at least 2")
     refuse_unless(per_second >= 1, "per_second", per_second, "at least 1")
+    if solution.tissue.ndim != 2:
+        raise ProblemError("displacement", "is of a volume. Write a picture of one of its slices.")
     motion = Motion(solution, np.asarray(image))
     there = [_seen(motion, number / (frames - 1)) for number in range(frames)]
     shown = _as_bytes(np.stack([*there, *there[-2:0:-1]]))

@@ -208,7 +208,7 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
             "shape": list(study.grid.shape),
             "spacing": list(study.grid.spacing),
             "unit": study.grid.unit,
-            "place": study.grid.place_as_dict,
+            "place": study.grid.place and study.grid.place.as_dict(),
         },
         "tissue": {
             "materials": [row.as_row() for row in tissue.materials],
@@ -228,7 +228,6 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
         "pictures": {
             "name": pictures.name,
             "labels_name": pictures.labels_name,
-            "level": pictures.level,
             "digest": "" if image is None else _digest(image),
         },
         "names": dict(study.names),
@@ -288,13 +287,14 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
                 labels=arrays.get("labels"),
                 name=str(pictures["name"]),
                 labels_name=str(pictures["labels_name"]),
-                level=pictures["level"],
             ),
             names={part: _name_in(kept) for part, kept in header["names"].items()},
             notes=tuple(str(note) for note in header["notes"]),
         )
     except HmrfError as error:
         raise Invalid(str(error)) from None
+    if place is not None and len(place.plane) != len(study.grid.shape):
+        raise Invalid(f"its plane is {place.plane} of a grid of {study.grid.shape}")
     if not all(0 < size < float("inf") for size in study.grid.spacing):
         raise Invalid(f"its pixel spacing is {study.grid.spacing}")
     solution, count = None, len(_OF_SOLUTION)

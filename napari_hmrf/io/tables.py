@@ -26,6 +26,8 @@ from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material, read_stiff
 T = TypeVar("T")
 #: Larger files are no tables of ours, and are not read.
 _LARGEST = 2**20
+#: What the measurements of a volume are called, of which these differ.
+_OF_VOLUMES = {"pixels": "voxels", "area": "volume", "area_change": "volume_change"}
 _MATERIALS = TypeAdapter(tuple[Material, ...])
 _RULES = TypeAdapter(tuple[BoundaryRule, ...])
 
@@ -66,7 +68,11 @@ def read_rules(path: str | os.PathLike[str]) -> tuple[BoundaryRule, ...]:
 
 
 def save_measurements(
-    path: str | os.PathLike[str], rows: Sequence[Measurement], unit: str = ""
+    path: str | os.PathLike[str],
+    rows: Sequence[Measurement],
+    unit: str = "",
+    *,
+    volume: bool = False,
 ) -> Path:
     """Write measurements to a .csv, a line for each tissue.
 
@@ -76,6 +82,8 @@ def save_measurements(
     rows : sequence of Measurement
     unit : str
         Of lengths, for a last column; without it there is none.
+    volume : bool
+        Whether they are of a volume: its columns are called so.
 
     Raises
     ------
@@ -85,9 +93,11 @@ def save_measurements(
     target = Path(checked_path(path))
     file = io.StringIO()
     more = {"unit": unit} if unit else {}
-    writer = csv.DictWriter(file, [*Measurement._fields, *more], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({**row._asdict(), **more} for row in rows)
+    names = Measurement._fields
+    titles = [_OF_VOLUMES.get(name, name) for name in names] if volume else names
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow([*titles, *more])
+    writer.writerows([*row, *more.values()] for row in rows)
     write_whole(target, file.getvalue().encode())
     return target
 

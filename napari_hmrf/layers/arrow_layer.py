@@ -2,8 +2,8 @@
 
 An arrow is a line from where tissue was to where it goes, with two barbs; around its head lies the
 outline of the patch that it holds. A landmark has a cross at its base, too. What speaks of one
-direction only has a double arrow along that through its patch. What is not certain is paler, what
-is selected has another colour.
+direction only has a double arrow along that through its patch. What is selected has another
+colour.
 
 In a volume the patch is a ball: each slice shows the outline of what it cuts off that. All but the
 shaft of an arrow lies in the slices that are looked at.
@@ -30,14 +30,12 @@ Lines = tuple[FloatArray, FloatArray]
 
 NAME = "Motion"
 #: The outline of a patch of radius 1, around its middle.
-_TURN = np.linspace(0, 2 * np.pi, 21)
-_OUTLINE = np.stack([np.sin(_TURN), np.cos(_TURN)], axis=-1)
+_ANGLES = np.linspace(0, 2 * np.pi, 21)
+TURN = np.stack([np.sin(_ANGLES), np.cos(_ANGLES)], axis=-1)
 #: Length of the barbs and of a pin's cross, in radii of the patch.
 _BARB = 0.5
 #: How far a double arrow goes, in radii of the patch, and the length of its barbs in parts of that.
 _BEYOND, _TIP = 1.4, 0.25
-#: How opaque what hardly counts is.
-_PALEST = 0.35
 
 
 def arrow_lines(
@@ -70,12 +68,13 @@ def arrow_lines(
         for number, mark in enumerate(drawing.marks)
         if not isinstance(mark, Stroke)
     ]
-    parts = []
-    for mark, chosen in marks:
-        red, green, blue, _ = SELECTED if chosen else DRAWN
-        opacity = _PALEST + (1 - _PALEST) * mark.confidence
-        parts.append((_lines_of(mark, spacing, across), (red, green, blue, opacity)))
-    return coloured(parts, len(spacing))
+    return coloured(
+        (
+            (_lines_of(mark, spacing, across), SELECTED if chosen else DRAWN)
+            for mark, chosen in marks
+        ),
+        len(spacing),
+    )
 
 
 def coloured(parts: Iterable[tuple[npt.NDArray[Any], Sequence[float]]], axes: int = 2) -> Lines:
@@ -206,7 +205,7 @@ def _lines(
 
 def _circle(at: npt.NDArray[Any], radius: float) -> npt.NDArray[np.float64]:
     """(start, step) around a place, in lengths."""
-    outline = at + radius * _OUTLINE
+    outline = at + radius * TURN
     return np.stack([outline[:-1], np.diff(outline, axis=0)], axis=1)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import weakref
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -11,11 +12,10 @@ import numpy as np
 from napari.layers import Labels
 from psygnal import Signal
 
-from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.compat import paint_steps, unwrapped
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
-from napari_hmrf.layers.slice_view import View, frame_of
+from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.study.study_model import Step, StudyModel
 
@@ -88,7 +88,8 @@ class ViewerSteps:
     def __init__(self, viewer: Any) -> None:
         self.edits = StudyModel()
         self._viewer = weakref.proxy(viewer)
-        self._owners: weakref.WeakSet[Any] = weakref.WeakSet()
+        # Who has the keys, as long as it is kept anywhere.
+        self._owner: Callable[[], Any] = lambda: None
         # What is done to leave the keys, of all layers and of the active one, as they were.
         self._keys, self._of_layer = ExitStack(), ExitStack()
         # Whether napari paints, and not an undo or a redo.
@@ -109,12 +110,12 @@ class ViewerSteps:
     @property
     def undo_tooltip(self) -> str:
         """What `undo` would do, for its button; it ends with the key."""
-        return f"{self._tip('take back', self.edits.next_undo)} (Ctrl+Z)"
+        return f"{_tip('take back', self.edits.next_undo)} (Ctrl+Z)"
 
     @property
     def redo_tooltip(self) -> str:
         """What `redo` would do, for its button; it ends with the key."""
-        return f"{self._tip('do again', self.edits.next_redo)} (Ctrl+Shift+Z)"
+        return f"{_tip('do again', self.edits.next_redo)} (Ctrl+Shift+Z)"
 
     def bind_keys(self, owner: Any) -> None:
         """Undo and redo by keys, wherever no layer has others for them.
@@ -125,22 +126,25 @@ class ViewerSteps:
         Parameters
         ----------
         owner : object
-            Who wants it; the keys stay until nobody does.
+            Who has the keys from now on, in place of who had them before.
         """
-        if not self._owners:
-            self._keys = self._bind(self._viewer)
-            active = self._viewer.layers.selection.events.active
-            active.connect(self._on_active)
-            self._keys.callback(active.disconnect, self._on_active)
-            self._on_active()
-        self._owners.add(owner)
+        self._release_keys()
+        self._owner = weakref.ref(owner)
+        self._keys = self._bind(self._viewer)
+        active = self._viewer.layers.selection.events.active
+        active.connect(self._on_active)
+        self._keys.callback(active.disconnect, self._on_active)
+        self._on_active()
 
     def unbind_keys(self, owner: Any) -> None:
-        """Leave the viewer's keys as they were, unless somebody else still wants ours."""
-        self._owners.discard(owner)
-        if not self._owners:
-            self._of_layer.close()
-            self._keys.close()
+        """Leave the viewer's keys as they were, unless somebody else has them by now."""
+        if self._owner() is owner:
+            self._release_keys()
+
+    def _release_keys(self) -> None:
+        self._owner = lambda: None
+        self._of_layer.close()
+        self._keys.close()
 
     def _bind(self, owner: Any) -> ExitStack:
         bound = ExitStack()
@@ -166,16 +170,6 @@ class ViewerSteps:
         self.edits.do(slot, strokes + 1, f"painted in '{event.source.name}'")
         self._painting = False
 
-    def where(self, slot: Any) -> str:
-        """Where something is edited, in words, if there is more than one place; else nothing."""
-        if slot.what not in (DRAWING, CHOICE):
-            return ""
-        images = {id(each.layer) for each in self.edits.slots if each.what == DRAWING}
-        where = "" if slot.place is None else slot.place.name
-        if len(images) > 1:
-            where += f" of '{slot.layer.name}'" if where else f"'{slot.layer.name}'"
-        return where
-
     def _before_us(self, name: str, step: Step | None) -> bool:
         """Take back, or do again, paint of the active layer that was there before anybody asked."""
         layer = self._viewer.layers.selection.active
@@ -184,19 +178,10 @@ class ViewerSteps:
             getattr(layer, name)()
         return known
 
-    def _tip(self, what: str, step: Step | None) -> str:
-        if step is None:
-            return f"Nothing to {what}"
-        where = self.where(step.slot)
-        return f"{what.capitalize()}: {step.word}{f' (in {where})' if where else ''}"
-
     def _tell(self, what: str, step: Step | None, nothing: str) -> None:
-        if step is None:
-            self.said.emit(nothing, None)
-            return
-        where = self.where(step.slot)
-        self.go_to(step.slot)
-        self.said.emit(f"{what}{f', in {where}' if where else ''}: {step.word}.", step)
+        if step is not None:
+            self.go_to(step.slot)
+        self.said.emit(nothing if step is None else f"{what}: {step.word}.", step)
 
     def go_to(self, slot: Any, turn: bool = False) -> None:
         """Show the slice that something was drawn on; only with `turn` if other axes are shown."""
@@ -212,9 +197,6 @@ class ViewerSteps:
         view = View.of(dims)
         if dims.ndisplay != 2 or axes != view.displayed:
             return
-        with suppress(HmrfError):  # the slice shown may lie beyond the layer
-            if frame_of(layer, view).index == index:
-                return
         there = np.asarray(layer.data_to_world(np.array(index, dtype=float)))
         there = there / view.factors(layer)
         for axis in range(layer.ndim):
@@ -233,6 +215,10 @@ class ViewerSteps:
     def _on_removed(self, event: Any) -> None:
         gone = event.value
         self.edits.drop(lambda slot: slot.layer is gone)
+
+
+def _tip(what: str, step: Step | None) -> str:
+    return f"Nothing to {what}" if step is None else f"{what.capitalize()}: {step.word}"
 
 
 def steps_of(viewer: Any) -> ViewerSteps:

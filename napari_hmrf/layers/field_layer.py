@@ -13,14 +13,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from napari.layers import Image, Labels, Points, Shapes
-from napari.utils.notifications import show_info
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import PixelField
 from napari_hmrf.field.other_grid import OtherGrid
-from napari_hmrf.io.fields import saved_field
 from napari_hmrf.layers.label_colours import OBSERVED
 from napari_hmrf.layers.metadata import IMAGE, METADATA, TISSUE, known_of, role_of, rows_of
 from napari_hmrf.layers.pixel_copy import copy_slice, plane_shape
@@ -84,11 +82,6 @@ def field_layer(
     return LayerData(
         arrows, {**look, **place, "name": name, "metadata": {METADATA: known}}, "vectors"
     )
-
-
-def tell_saved(path: str, residual: float) -> None:
-    """Have napari tell that a field was written, and how."""
-    show_info(saved_field(path, residual))
 
 
 def source_of(layers: Iterable[Any], result: Answer) -> Any:
@@ -176,29 +169,6 @@ def place_at(layer: Any, result: Answer, position: Any, view: View) -> tuple[flo
     axes = list(frame.plane)
     inside = ((index[axes] >= 0) & (index[axes] < result.shape)).all()
     return tuple(found[axes].tolist()) if inside else None
-
-
-def slices_apart(layer: Any, result: Answer, view: View) -> tuple[str, str] | None:
-    """The names of the slice of a result and of the one that is shown, if they are two.
-
-    Parameters
-    ----------
-    layer : napari.layers.Layer
-        That holds the result.
-    result : Answer
-    view : View
-        What the viewer shows.
-    """
-    if not result.frame.others or len(view.displayed) != 2:
-        return None
-    try:
-        shown = frame_of(layer, view)
-    except (ProblemError, ValueError):
-        return None
-    frame = result.frame
-    if shown.plane != frame.plane or shown.index == frame.index:
-        return None
-    return replace(frame, sliders=shown.sliders).slice_seen, shown.slice_seen
 
 
 def can_move(layer: Any) -> bool:

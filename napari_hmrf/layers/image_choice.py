@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -66,14 +67,13 @@ def image_covering(viewer: Any, image: Any, places: Iterable[Sequence[float]] = 
     return next((layer for layer in above if all(_holds(layer, at) for at in there)), None)
 
 
-def _corners(viewer: Any, image: Any) -> list[list[float]]:
+def _corners(viewer: Any, image: Any) -> list[tuple[float, ...]]:
     """The corners of an image as a viewer shows it, in the world."""
     extent, missing = image.extent.world, viewer.dims.ndim - image.ndim
-    found = [list(viewer.dims.point)]
+    ends: list[Any] = [[at] for at in viewer.dims.point]
     for axis in viewer.dims.displayed:
-        ends = extent[:, axis - missing] if axis >= missing else viewer.dims.range[axis][:2]
-        found = [[*at[:axis], float(end), *at[axis + 1 :]] for at in found for end in ends]
-    return found
+        ends[axis] = extent[:, axis - missing] if axis >= missing else viewer.dims.range[axis][:2]
+    return list(product(*ends))
 
 
 def _is_opaque(layer: Any) -> bool:

@@ -80,8 +80,6 @@ class Result:
         self._viewer, self._anchor = viewer, weakref.ref(anchor)
         self.where = where
         self.is_before = False
-        # The image, if it is only seen as long as it is seen as it was.
-        self._opened: Callable[[], Any] = lambda: None
         self._frame: Frame | None = None
         self._held: dict[Part, _Held] = {}
 
@@ -227,22 +225,12 @@ class Result:
         if self._anchor() is self.layer("arrows"):  # of a file: its image was not made with it
             self.want("image", False)
 
-    def hold_before(self, source: Any) -> None:
-        """Show the image as it was, and nothing of the result, until `release`."""
-        if not self.is_before and self.visible:
-            self.is_before = True
+    def show_before(self, before: bool) -> None:
+        """Show nothing of the result, so that the image is seen as it was; or show it again."""
+        before = before and (self.is_before or self.visible)
+        if before != self.is_before:
+            self.is_before = before
             self._set_eyes()
-            if still_there(self._viewer, source) is not None and not source.visible:
-                self._opened, source.visible = weakref.ref(source), True
-
-    def release(self) -> None:
-        """Show again what `hold_before` hid."""
-        if self.is_before:
-            self.is_before = False
-            self._set_eyes()
-            if (source := self._opened()) is not None:
-                source.visible = False
-            self._opened = lambda: None
 
     def remove(self) -> None:
         """Take the layers out of the viewer, but for those that somebody has named."""

@@ -27,7 +27,7 @@ def read_landmarks(
     *,
     radius: float | None = None,
     confidence: float = 1.0,
-) -> tuple[tuple[Landmark, ...], tuple[str, ...]]:
+) -> tuple[Landmark, ...]:
     """Pair the points of two layers by their order, or the ends of lines, as they lie in the world.
 
     Parameters
@@ -55,8 +55,6 @@ def read_landmarks(
     -------
     tuple of Landmark
         In pixels of the image.
-    tuple of str
-        What people should know about them, as clauses.
 
     Raises
     ------
@@ -65,20 +63,12 @@ def read_landmarks(
         or a landmark cannot be placed, lies outside the image, or contradicts another.
     """
     pairs = landmark_pairs(where, should, frame, shape, view)
-    what = "line" if isinstance(where, Shapes) else "point"
-    target = where if should is None else should
-    beyond = [
-        f"{what} {number} of '{target.name}' {'ends' if what == 'line' else 'lies'} outside "
-        "the image"
-        for number in pairs.numbers[_outside(pairs.to, shape)]
-    ]
     radii = _radii(pairs.at, radius, frame, shape)
     with naming(observed=where, confidence=where):
-        marks = tuple(
+        return tuple(
             Landmark(tuple(a), tuple(b), size, confidence)
             for a, b, size in zip(pairs.at.tolist(), pairs.to.tolist(), radii, strict=True)
         )
-    return marks, tuple(beyond[:1])
 
 
 class LandmarkPairs(NamedTuple):
@@ -109,31 +99,21 @@ def landmark_pairs(
     numbers = np.flatnonzero(here)
     if not len(numbers):
         here_said = frame.slice_seen or "this slice"
-        raise LayerError(where, f"has no {what}s on {here_said}. Go to one that has.")
+        raise LayerError(where, f"has no {what}s on {here_said}. Add some, or go to one that has.")
     if not there[here].all():
-        leaves = numbers[~there[here]][0]
         raise LayerError(
             should,
-            f"has line {leaves}, which ends on another slice: tissue moves within a slice. Remove "
-            "it."
-            if what == "line"
-            else f"has point {leaves} on another slice than '{where.name}': tissue moves "
-            "within a slice. Move the point, or remove both.",
+            f"has {what} {numbers[~there[here]][0]}, which leads to another slice: tissue moves "
+            "within a slice. Move it, or remove it.",
         )
     at, to = (places[here][:, list(frame.plane)] for places in (sources, targets))
-    outside = np.flatnonzero(_outside(at, shape))
-    if len(outside):
+    outside = ((at < -0.5) | (at > np.array(shape) - 0.5)).any(axis=1)
+    if outside.any():
         raise LayerError(
-            where,
-            f"has {what} {numbers[outside[0]]}{', which begins' if what == 'line' else ''} outside "
-            "the image. Move it, or remove it.",
+            where, f"has {what} {numbers[outside][0]} outside the image. Move it, or remove it."
         )
     _refuse_contradiction(where, what, at, to, numbers)
     return LandmarkPairs(numbers, at, to)
-
-
-def _outside(places: FloatArray, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
-    return np.asarray(((places < -0.5) | (places > np.array(shape) - 0.5)).any(axis=1))
 
 
 def _refuse_contradiction(
@@ -167,10 +147,6 @@ def _radii(
     return [min(wanted, half) for half in (away / 2)[which.reshape(-1)].tolist()]
 
 
-#: Shapes with two ends.
-_LINES = ("line", "path")
-
-
 def _placed(
     layer: Any, places: FloatArray, what: str, frame: Frame, view: View | None
 ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
@@ -195,15 +171,11 @@ def _placed(
 
 def _paired(where: Any, should: Any) -> tuple[FloatArray, FloatArray]:
     """The points of two layers."""
-    if should is None:
+    if should is None or where is should:
         raise LayerError(
             where,
             "says where things are: choose another Points layer as 'should be at', or a Shapes "
             "layer of lines.",
-        )
-    if where is should:
-        raise LayerError(
-            where, "cannot be both where things are and where they should be. Choose two layers."
         )
     count, other = len(where.data), len(should.data)
     if count != other:
@@ -213,25 +185,19 @@ def _paired(where: Any, should: Any) -> tuple[FloatArray, FloatArray]:
             f"has {points}, but '{where.name}' has {count}: they are paired by their "
             "order. Add or remove some.",
         )
-    if not count:
-        raise LayerError(where, "has no points. Add some, and as many to the other layer.")
     return np.asarray(where.data, dtype=float), np.asarray(should.data, dtype=float)
 
 
 def _ends_of_lines(layer: Any) -> tuple[FloatArray, FloatArray]:
     """The first and the last place of every line."""
     for number, kind in enumerate(layer.shape_type):
-        if kind not in _LINES:
-            article = "an" if kind == "ellipse" else "a"
+        if kind not in ("line", "path"):
             raise LayerError(
                 layer,
-                f"has shape {number}, {article} {kind}, which leads nowhere. Draw lines, from "
+                f"has shape {number} ({kind}), which leads nowhere. Draw lines, from "
                 "where things are to where they should be; what a whole region does is painted in "
                 "a Labels layer (its key 3 draws an outline).",
             )
-    if not len(layer.data):
-        raise LayerError(
-            layer, "has no lines. Draw some, from where things are to where they should be."
-        )
     ends = np.array([line[[0, -1]] for line in layer.data], dtype=float)
+    ends = ends.reshape(-1, 2, layer.ndim)  # without any, too
     return ends[:, 0], ends[:, 1]

@@ -54,7 +54,9 @@ def described(
     """
     known: dict[str, Any] = {"role": role}
     if role in _TABLES:
-        known[_TABLES[role][0]] = [_as_row(row) for row in rows]
+        known[_TABLES[role][0]] = [
+            row.as_row() if isinstance(row, Material) else asdict(row) for row in rows
+        ]
     said = {"unit": unit, "preset": preset, "whose": whose}
     return {METADATA: {**known, **{name: words for name, words in said.items() if words}}}
 
@@ -104,10 +106,6 @@ def rows_of(layer: Any, role: Role) -> tuple[Any, ...]:
         )
     except (KeyError, TypeError, AttributeError):
         return ()
-
-
-def _as_row(row: Material | BoundaryRule) -> dict[str, Any]:
-    return row.as_row() if isinstance(row, Material) else asdict(row)
 
 
 class Table(NamedTuple):

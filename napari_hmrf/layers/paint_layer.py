@@ -1,7 +1,7 @@
 """How what was painted looks: a Labels layer of what it does, and marks that say it without colour.
 
-Hues are those of Okabe and Ito, which no colour blindness confuses; how opaque they are says how
-sure it is. What is freed is striped, and so is tissue that was painted where something else was.
+Hues are those of Okabe and Ito, which no colour blindness confuses. What is freed is striped, and
+so is tissue that was painted where something else was.
 Crosses lie where nothing moves, arrows where tissue is moved, double arrows where only one
 direction is spoken of.
 """
@@ -18,11 +18,20 @@ from napari.layers import Labels
 
 from napari_hmrf.field.deformation import spread
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.layers.arrow_layer import Lines, barbed, coloured, crosses, deep, double_arrows
+from napari_hmrf.layers.arrow_layer import (
+    TURN,
+    Lines,
+    barbed,
+    coloured,
+    crosses,
+    deep,
+    double_arrows,
+)
+from napari_hmrf.layers.image_result import CONFIDENCE, PAINTED
 from napari_hmrf.layers.label_colours import SELECTED, confidence_look
 from napari_hmrf.layers.result_layers import LayerData, layer_on
 from napari_hmrf.tissue.drawing import Canvas, Stroke
-from napari_hmrf.tissue.drawing.canvas import KINDS, Box, box_of, covered, distance_to, is_empty
+from napari_hmrf.tissue.drawing.canvas import KINDS, Box
 from napari_hmrf.tissue.drawing.marks import Action
 from napari_hmrf.tissue.material_presets import Palette
 
@@ -42,22 +51,17 @@ _HUES = (
     (0.95, 0.9, 0.26), (0.0, 0.45, 0.70), (0.84, 0.37, 0.0), (0.6, 0.95, 0.6), (0.5, 0.3, 0.9),
     (0.95, 0.7, 0.8), (0.3, 0.85, 0.85),
 )  # fmt: skip
-#: How sure it is, in so many steps.
-_LEVELS = 8
 #: Where the numbers of tissues begin, and how many there are.
 _TISSUE, _TISSUES = 64, 128
-#: How opaque what hardly counts is, what is certain, and painted tissue.
-_PALEST, _FULL, _TISSUE_OPACITY = 0.12, 0.55, 0.6
+#: How opaque what is painted is, and painted tissue.
+_OPACITY, _TISSUE_OPACITY = 0.55, 0.6
 #: Marks that fit across the shorter side of a picture.
 _ACROSS = 32
 
 
-def number_of(action: Action, confidence: float = 1.0, label: int = 0) -> int:
+def number_of(action: Action, label: int = 0) -> int:
     """The value that a pixel has where a stroke was painted."""
-    if action == "tissue":
-        return _TISSUE + label % _TISSUES
-    level = _LEVELS - 1 if action == "free" else round(confidence * (_LEVELS - 1))
-    return 1 + (KINDS[action] - 1) * _LEVELS + level
+    return _TISSUE + label % _TISSUES if action == "tissue" else KINDS[action]
 
 
 def show_painted(
@@ -83,19 +87,15 @@ def show_painted(
         How sure is what is held or moved; the larger of its components.
     """
     kinds = canvas.kinds[window]
-    kinds = np.where(kinds == KINDS["confidence"], np.uint8(0), kinds)
-    sure = canvas.confidence[window].max(axis=-1)
+    shown = np.where(kinds == KINDS["confidence"], np.uint8(0), kinds)
     if confidence is not None:
-        confidence[window] = sure
-    level = np.rint(sure * (_LEVELS - 1)).astype(np.uint8)
-    level[kinds == KINDS["free"]] = _LEVELS - 1
-    shown = np.where(kinds > 0, 1 + (kinds - 1) * np.uint8(_LEVELS) + level, 0).astype(np.uint8)
+        confidence[window] = canvas.confidence[window].max(axis=-1)
     width = max(1, min(canvas.shape) // 90)
     along: npt.NDArray[Any] = sum(np.ogrid[window], np.zeros((), np.intp))
     stripe = along // width % 2 == 0
     shown[(kinds == KINDS["free"]) & stripe] = 0
     labels = canvas.labels[window]
-    tissue = (labels != base.labels[window]) & ((kinds == 0) | stripe)
+    tissue = (labels != base.labels[window]) & ((shown == 0) | stripe)
     shown[tissue] = _TISSUE + labels[tissue] % _TISSUES
     picture[window] = shown
 
@@ -132,9 +132,7 @@ def _colours(tissues: tuple[tuple[float, ...], ...]) -> Any:
     # napari would compile the mapping first, for seconds.
     colours = np.zeros((256, 4))
     for action, kind in KINDS.items():
-        for level in range(_LEVELS):
-            opacity = _PALEST + (_FULL - _PALEST) * level / (_LEVELS - 1)
-            colours[1 + (kind - 1) * _LEVELS + level] = (*COLOURS[action], opacity)
+        colours[kind] = (*COLOURS[action], _OPACITY)
     for label, *colour in tissues:
         colours[_TISSUE + int(label) % _TISSUES] = (*colour, _TISSUE_OPACITY)
     return CyclicLabelColormap(colors=colours)
@@ -144,14 +142,14 @@ def painted_layer(
     frame: Frame, picture: npt.NDArray[np.uint8], tissues: dict[int, Any]
 ) -> LayerData:
     """A Labels layer of what was painted."""
-    known = {"kind": "painted", "slice": frame.slice_name}
+    known = {"kind": PAINTED, "slice": frame.slice_name}
     look = {"opacity": 1.0, "colormap": painted_colours(tissues)}
     return layer_on(frame, picture, NAME, known, look, "labels")
 
 
 def confidence_layer(frame: Frame, confidence: FloatArray) -> LayerData:
     """An Image layer of how sure is what is held or moved."""
-    known = {"kind": "painted confidence", "slice": frame.slice_name}
+    known = {"kind": CONFIDENCE, "slice": frame.slice_name}
     return layer_on(frame, confidence, "Confidence", known, confidence_look())
 
 
@@ -210,35 +208,21 @@ _MARKED: tuple[Action, ...] = ("pin", "move", "expand")
 _X = np.array([[1.0, 1.0], [1.0, -1.0]])
 
 
-def touches(stroke: Stroke, canvas: Canvas, where: npt.NDArray[np.bool_]) -> bool:
-    """Whether a stroke covers any pixel of a mask."""
-    box = box_of(stroke, canvas.spacing, canvas.whole)
-    return bool((covered(stroke, canvas.spacing, box) & where[box]).any())
-
-
-def outline_of(stroke: Stroke, canvas: Canvas, goes_to: Callable[[Any], Any]) -> Lines:
-    """The outline of a stroke that is selected, as lines like those of arrows.
+def way_of(stroke: Stroke, spacing: Sequence[float], goes_to: Callable[[Any], Any]) -> Lines:
+    """The way of the brush in a stroke that is selected, from a circle to a circle.
 
     Parameters
     ----------
     stroke : Stroke
-    canvas : Canvas
-        What it is painted on.
+    spacing : sequence of float, shape (n,)
+        Size of a pixel along each axis.
     goes_to : callable
-        Where places, (N, 2) in pixels, are seen.
+        Where places, (N, n) in pixels, are seen.
     """
-    from skimage.measure import find_contours
-
-    box = box_of(stroke, canvas.spacing, canvas.whole)
-    lines = []
-    if not is_empty(box):
-        distance = distance_to(stroke.lines, stroke.radius, canvas.spacing, box)
-        reach = max(stroke.radius, 0.5 * max(canvas.spacing))
-        # A stroke over the edge of the image is closed along it.
-        padded = np.pad(np.minimum(distance, 2 * reach), 1, constant_values=2 * reach)
-        for contour in find_contours(padded, reach):
-            places = contour[:: max(1, len(contour) // 400)]
-            seen = goes_to(places + np.array([box[0].start - 1, box[1].start - 1]))
-            seen = np.concatenate([seen, seen[:1]])
-            lines.append(np.stack([seen[:-1], np.diff(seen, axis=0)], axis=1))
-    return coloured((each, SELECTED) for each in lines)
+    ways = [np.array(line) for line in stroke.lines]
+    circle = np.zeros((len(TURN), len(spacing)))
+    circle[:, -2:] = stroke.radius * TURN / spacing[-2:]
+    ends = [way[at] + circle for way in ways for at in (0, -1)]
+    seen = [goes_to(places) for places in (*ways, *ends)]
+    lines = ((np.stack([at[:-1], np.diff(at, axis=0)], axis=1), SELECTED) for at in seen)
+    return coloured(lines, len(spacing))

@@ -14,7 +14,6 @@ from napari.layers import Vectors
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.slice_view import View, frame_of
-from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.study.layer_names import LayerError, full_resolution
 from napari_hmrf.study.study import is_same
 
@@ -40,21 +39,14 @@ def check_size(
     layer: Any, own: Frame, reference: Any, frame: Frame, shape: tuple[int, ...]
 ) -> None:
     """Refuse a layer that lies elsewhere than the reference, or has other pixels."""
-    if not frame.same_place(own, shape):
+    own_shape = shape if isinstance(layer, Vectors) else plane_shape(layer, own)
+    if own_shape != shape or not frame.same_place(own, shape):
+        own_size, size = (" x ".join(map(str, each)) for each in (own_shape, shape))
         raise LayerError(
             layer,
-            f"lies elsewhere than '{reference.name}': their scale, translation, rotation, "
-            "shear, affine or units differ. Give both the same transform, or resample one.",
-        )
-    if isinstance(layer, Vectors):
-        return
-    own_shape = plane_shape(layer, own)
-    if own_shape != shape:
-        here = " in this slice" if len(shape) == 2 else ""
-        raise LayerError(
-            layer,
-            f"has {grid_in_words(own_shape)} pixels{here}, but '{reference.name}' has "
-            f"{grid_in_words(shape)}. Choose layers of the same size, or resample one.",
+            f"lies elsewhere than '{reference.name}': it has {own_size} pixels, that has {size}; "
+            "or their scale, translation, rotation, shear, affine or units differ. Give both the "
+            "same, or resample one.",
         )
 
 

@@ -13,7 +13,6 @@ from napari.layers import Labels, Layer, Vectors
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import arrow_observation
-from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.arrow_layer import NAME as ARROWS
 from napari_hmrf.layers.field_layer import field_layer, field_of, holds_field
 from napari_hmrf.layers.label_colours import boundary_colours
@@ -144,10 +143,6 @@ class _Reader:
         self._shape = plane_shape(reference, self._frame)
         self._of_arrows: tuple[str, ...] = ()
         self._multiscale = any(layer.multiscale for layer in request.layers)
-        self._frames = {
-            id(layer): self._frame if layer is reference else frame_of(layer, request.view)
-            for layer in request.layers
-        }
 
     def study(self, prior: Prior, optimizer: Optimizer) -> Study:
         request, frame, reference = self._request, self._frame, self._reference
@@ -163,10 +158,6 @@ class _Reader:
         drawing = request.drawing
         if drawing is not None and (drawing.marks or "boundary" not in names):
             names["drawing"] = ARROWS
-        if not {"boundary", "drawing"} & set(names):
-            raise LayerError(
-                reference, "has no boundary. Choose a layer of it, or draw how it moves."
-            )
         return Study(
             grid=Grid(self._shape, frame.spacing, frame.unit, frame),
             tissue=tissue,
@@ -180,7 +171,6 @@ class _Reader:
                 labels_name="" if request.tissue is None else str(request.tissue.name),
                 look=look_of(request.image),
                 labels_look=look_of(request.tissue) if tissue.labels is not None else {},
-                level=0 if self._multiscale else None,
             ),
             names=names,
             notes=(*self._notes(), *self._of_arrows),
@@ -188,7 +178,7 @@ class _Reader:
 
     def _slice(self, layer: Any) -> npt.NDArray[Any]:
         """The pixels of a layer that are the reference's."""
-        own = self._frames[id(layer)]
+        own = frame_of(layer, self._request.view)
         check_size(layer, own, self._reference, self._frame, self._shape)
         return self._copies.of(layer, own)
 
@@ -234,7 +224,7 @@ class _Reader:
             return Motion(request.hold_edge, drawing=drawing)
         labels = self._slice(layer)
         if request.drawing is None and not labels.any():
-            here = self._frames[id(layer)].slice_seen
+            here = frame_of(layer, request.view).slice_seen
             raise LayerError(
                 layer,
                 f"has no paint{f' in {here}' if here else ' yet'}: choose a row, then paint a wall "
@@ -246,9 +236,9 @@ class _Reader:
 
     def _observed(self, layer: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         """What arrows or a field observe, and how sure that is."""
-        frame, shape, data = self._frame, self._shape, self._copies.of(layer)
-        sure, field = self._sure(), field_of(layer)
-        own = frame if field else self._frames[id(layer)]
+        request, frame, shape = self._request, self._frame, self._shape
+        data, sure, field = self._copies.of(layer), self._sure(), field_of(layer)
+        own = frame if field else frame_of(layer, request.view)
         if field is None:
             check_size(layer, own, self._reference, frame, shape)
 
@@ -264,14 +254,8 @@ class _Reader:
 
         of = (data, sure, own, frame.spacing, shape, *(field or ()))
         y, c, out = self._copies.made(layer, of, observe)
-        if field is None and out:
-            what = "1 arrow points" if out == 1 else f"{out} arrows point"
-            self._of_arrows = (f"{what} straight out of the slice and did not count",)
-        elif out > _OUT * max(frame.spacing):
-            far = f"{out:.3g} {unit_symbol(frame.unit)}"
-            self._of_arrows = (
-                f"'{layer.name}' leads up to {far} out of the slice, which did not count",
-            )
+        if out > (0 if field is None else _OUT * max(frame.spacing)):
+            self._of_arrows = (f"'{layer.name}' leads out of the slice, too, which did not count",)
         return y, c
 
     def _sure(self) -> npt.NDArray[Any] | None:
@@ -292,23 +276,11 @@ class _Reader:
         return self._copies.made(image, (pixels,), lambda: at_edges(pixels, len(self._shape)))
 
     def _notes(self) -> tuple[str, ...]:
-        request, frame, notes = self._request, self._frame, []
-        if request.tissue is not None and request.tissue is request.boundary:
-            notes.append(
-                f"'{request.tissue.name}' is both the tissue and the boundary: choose another "
-                "layer for one of them, unless that is meant"
-            )
-        if frame.skew > _RIGHT_ANGLE:
-            notes.append(
-                f"the pixels are sheared by {frame.skew:.1f} degrees, but were taken as rectangles"
-            )
+        skew, notes = self._frame.skew, []
+        if skew > _RIGHT_ANGLE:
+            notes.append(f"the pixels are sheared by {skew:.1f} degrees, but taken as rectangles")
         if self._multiscale:
             notes.append(f"computed on the finest level, {grid_in_words(self._shape)}")
-        notes += [
-            f"of '{layer.name}' {self._frames[id(layer)].slice_seen} was taken"
-            for layer in request.layers[1:]
-            if self._frames[id(layer)].ndim > frame.ndim
-        ]
         return tuple(notes)
 
 

@@ -24,7 +24,13 @@ from napari_hmrf.field.deformation import (
     spread,
 )
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.quantities import QUANTITIES, Coloured, Quantity, coloured
+from napari_hmrf.field.quantities import (
+    QUANTITIES,
+    Coloured,
+    Quantity,
+    coloured,
+    title_and_unit,
+)
 from napari_hmrf.field.resample import emptiness, resample
 from napari_hmrf.field.strain import folds
 from napari_hmrf.field.units import unit_symbol
@@ -143,15 +149,12 @@ class Outputs:
     overlaps : int
         Pixels at which one part of the tissue has moved onto another; only counted where there
         are pictures.
-    worst : tuple of int, optional
-        The pixel of the worst of them.
     """
 
     solution: Solution
     layers: dict[Kind, LayerData]
     folds: int
     overlaps: int = 0
-    worst: tuple[int, ...] | None = None
 
 
 def result_layers(
@@ -188,36 +191,28 @@ def result_layers(
     solution = replace(solution, frame={**(solution.frame or {}), **frame.as_dict()})
     field = (solution.displacement, solution.spacing, solution.tissue)
     checkpoint()
-    smallest = smallest_determinant(*field)
-    folds, worst = int((smallest <= 0).sum()), None
-    if folds:
-        at = np.unravel_index(int(np.nanargmin(smallest)), smallest.shape)
-        worst = tuple(map(int, at))
+    folds = int((smallest_determinant(*field) <= 0).sum())
     shown = pictures or Pictures()
     facts = {
         **_whence(frame, shown),
         "model": in_words(solution.provenance.parameters),
-        "folds": folds,
         "provenance": asdict(solution.provenance),
     }
-    if shown.level is not None:
-        facts["level"] = shown.level
+    answer = Answer(solution, frame, facts, replace(shown, image=None, look={}), problem)
     layers: dict[Kind, LayerData] = {}
     overlaps = 0
     if pictures is not None:  # a file that is opened need not wait for the compiler of the loops
         checkpoint()
         origin, covered, twice = inverse_map_and_overlaps(*field)
-        overlaps = facts["overlaps"] = int(twice.sum())
+        overlaps = int(twice.sum())
         if (image := pictures.image) is not None:
             checkpoint()
             fill = emptiness(image, solution.tissue.ndim)
             moved = resample(image, origin, covered, order=1, fill=fill)
-            parameters = solution.provenance.parameters
-            layers["image"] = picture_layer(frame, pictures, moved, parameters, facts)
+            layers["image"] = answer.layer("image", moved, "deformed", pictures.look)
     checkpoint()
-    kept = replace(shown, image=None, look={})
-    layers["arrows"] = _arrow_layer(Answer(solution, frame, facts, kept, problem))
-    return Outputs(solution, layers, folds, overlaps, worst)
+    layers["arrows"] = _arrow_layer(answer)
+    return Outputs(solution, layers, folds, overlaps)
 
 
 def _arrow_layer(answer: Answer) -> LayerData:
@@ -234,9 +229,7 @@ def _arrow_layer(answer: Answer) -> LayerData:
     return made
 
 
-def picture_layer(
-    frame: Frame, pictures: Pictures, picture: Array, parameters: Facts, facts: Facts | None = None
-) -> LayerData:
+def picture_layer(frame: Frame, pictures: Pictures, picture: Array, parameters: Facts) -> LayerData:
     """An image as it is while its tissue is on its way.
 
     Parameters
@@ -248,10 +241,8 @@ def picture_layer(
         As it has moved.
     parameters : mapping
         Of the solution's provenance.
-    facts : mapping, optional
-        What the layer is to know of its result; by default where it comes from.
     """
-    known = {**(facts or _whence(frame, pictures)), "kind": "image"}
+    known = {**_whence(frame, pictures), "kind": "image"}
     name = _result_name(pictures.name, "deformed", parameters, frame.slice_seen)
     return layer_on(frame, picture, name, known, pictures.look)
 
@@ -284,12 +275,7 @@ def layer_on(
 
 def _whence(frame: Frame, pictures: Pictures) -> dict[str, Any]:
     """Of what a result was made."""
-    return {
-        "source": pictures.name,
-        "slice": frame.slice_name,
-        "slice_seen": frame.slice_seen,
-        "unit": frame.unit,
-    }
+    return {"source": pictures.name, "slice": frame.slice_name, "unit": frame.unit}
 
 
 def _result_name(source: str, what: str, parameters: Facts, where: str) -> str:
@@ -354,7 +340,7 @@ def _pixels_of(answer: Answer, name: Name, compared: Comparison | None) -> tuple
     """Pixels before they move, and what else `Answer.layer` takes; None if there are none."""
     pictures, problem = answer.pictures, answer.problem
     if name in QUANTITIES:
-        title, unit = QUANTITIES[name]
+        title, unit = title_and_unit(name, answer.solution.tissue.ndim)
         shown = coloured(answer.solution, name)
         return shown.values, f"{title} ({unit or answer.unit})", _colours(shown)
     if name == "labels" and pictures.labels is not None:
@@ -370,11 +356,16 @@ def _pixels_of(answer: Answer, name: Name, compared: Comparison | None) -> tuple
     if name == "stiffness" and problem is not None:
         m = problem.stiffness
         most = float(m[np.isfinite(m)].max(initial=0.0)) or 1.0
-        tissue = answer.solution.provenance.parameters.get("tissue", {})
-        unit = tissue.get("unit") or tissue.get("curve", {}).get("unit") or "relative"
+        unit = stiffness_unit(answer) or "relative"
         look = {"colormap": label_colours.stiffness_colours(), **label_colours.OVER}
         return m, f"stiffness ({unit})", {**look, "contrast_limits": (1e-9, most)}
     return None
+
+
+def stiffness_unit(answer: Answer) -> str:
+    """The unit of the stiffness that a result was made with; "" where it is relative."""
+    tissue = answer.solution.provenance.parameters.get("tissue", {})
+    return str(tissue.get("unit") or tissue.get("curve", {}).get("unit") or "")
 
 
 def _colours(shown: Coloured) -> dict[str, Any]:

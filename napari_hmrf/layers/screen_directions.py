@@ -17,16 +17,16 @@ from napari_hmrf.layers.compat import camera_of
 
 #: Columns whose direction is less than this aside from that of the rows have no way of their own.
 _ASIDE = 0.5
-#: Ways that are opposite, and how both are called together.
-_BOTH = {
-    ("up", "down"): "up and down",
-    ("left", "right"): "left and right",
-    ("S", "I"): "S-I",
-    ("A", "P"): "A-P",
-    ("R", "L"): "R-L",
-    ("deeper", "shallower"): "through the slices",
-}
-_OPPOSITE = {way: other for pair in _BOTH for way, other in (pair, pair[::-1])} | {"": ""}
+#: Ways that are opposite.
+_PAIRS = (
+    ("up", "down"),
+    ("left", "right"),
+    ("S", "I"),
+    ("A", "P"),
+    ("R", "L"),
+    ("deeper", "shallower"),
+)
+_OPPOSITE = {way: other for pair in _PAIRS for way, other in (pair, pair[::-1])} | {"": ""}
 #: Which side of the patient a letter stands for.
 _SIDES = {"S": "head", "I": "feet", "A": "front", "P": "back", "R": "right", "L": "left"}
 
@@ -142,7 +142,7 @@ class Directions(NamedTuple):
         way = self[:2][axis]
         if not way or self.turn:
             return ""
-        return next(words for ways, words in _BOTH.items() if way in ways)
+        return ("-" if way in _SIDES else " and ").join(next(p for p in _PAIRS if way in p))
 
     def step(self, seen: tuple[float, ...]) -> str:
         """A step along the ways named in words: "5 down, 10 right", "5 P, 10 R"."""

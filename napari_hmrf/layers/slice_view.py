@@ -83,16 +83,11 @@ def frame_of(layer: Any, view: View | None = None) -> Frame:
     matrix = np.eye(ndim + 1)
     matrix[:ndim, :ndim] = np.stack(ends, axis=1) - origin[:, None]
     matrix[:ndim, ndim] = origin
-    if not np.isfinite(matrix).all():
+    if not np.isfinite(matrix).all() or is_flat(matrix[:-1, :-1]):
         raise LayerError(
             layer,
-            "has a scale, translation or affine that holds NaN or infinity. Set it to numbers.",
-        )
-    if is_flat(matrix[:-1, :-1]):
-        raise LayerError(
-            layer,
-            "has a scale, rotation or affine that flattens it to less than its axes. Set one "
-            "that keeps all its axes apart.",
+            "has a scale, translation, rotation or affine that holds NaN or infinity, or "
+            "flattens it. Set numbers that keep its axes apart.",
         )
     plane = _axes_of(layer, view)
     index = _index_on(layer, matrix, plane, view)

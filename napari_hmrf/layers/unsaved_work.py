@@ -33,14 +33,13 @@ class UnsavedWork:
     def slices(self) -> tuple[Slot, ...]:
         """The drawings of the slices on which something is other than in any file."""
         there = self._edits.slots
-
-        def differs(slot: Slot, before: Any) -> bool:
-            return slot in there and bool(self._edits.get(slot) != before)
-
         return tuple(
             here
             for here, edited in self._before.items()
-            if here in there and any(differs(*each) for each in edited.items())
+            if here in there
+            and any(
+                slot in there and self._edits.get(slot) != held for slot, held in edited.items()
+            )
         )
 
     def note(self, here: Slot, slot: Slot | None = None, before: Any = None) -> None:

@@ -211,7 +211,11 @@ class Engine:
             return None if image is None else self._moved_plane(asked, image, plane, solution), ()
         if solution is None:
             return image, tuple(np.array(picture.image) for picture in over)
-        shown = [] if image is None else [Picture(image, fill=emptiness(image))]
+        shown = (
+            []
+            if image is None
+            else [Picture(image, fill=emptiness(image, len(asked.study.grid.shape)))]
+        )
         shown += over
         if not shown:
             return None, ()
@@ -231,7 +235,7 @@ class Engine:
         known = self._slicer
         if known is None or known[0] != plane.axis or known[1] is not image:
             turned = image.transpose(*order, *range(3, image.ndim))
-            picture = Picture(turned, fill=emptiness(image))
+            picture = Picture(turned, fill=emptiness(image, 3))
             warper = Warper(picture, spacing=[spacing[axis] for axis in order])
             known = self._slicer = (plane.axis, image, warper)
         d = solution.displacement.transpose(*order, 3)[..., list(order)]

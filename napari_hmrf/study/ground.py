@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from napari_hmrf.solver.caveats import caveats
 from napari_hmrf.solver.optimizers import Optimizer
@@ -17,7 +17,8 @@ from napari_hmrf.solver.problem import Problem, as_stiffness
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
-from napari_hmrf.study import refusals
+from napari_hmrf.study.layer_names import LayerError
+from napari_hmrf.study.refusals import refuse_rigid
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.boundary_rules import (
     boundary_images,
@@ -108,13 +109,15 @@ class Ground:
         ProblemError
             Naming the part, what is wrong with it and what to do.
         """
-        refusals.refuse_rigid(study)
-        notes = [*study.notes, refusals.holes(study)]
+        refuse_rigid(study)
+        image = study.pictures.image
+        if image is not None and image.dtype.kind == "f" and not np.isfinite(image).any():
+            here = "is NaN everywhere in this slice. Choose another image or slice."
+            raise LayerError(study.named("image"), here)
         checkpoint()
         with study.naming():
             tissue = _Where(study)
-        notes += tissue.notes
-        refusals.refuse_void(study, tissue.m)
+        notes = [*study.notes, *tissue.notes]
         checkpoint()
         there = tissue.m > 0
         base = Canvas.blank(study.grid.shape, study.grid.spacing, tissue.labels)
@@ -131,13 +134,8 @@ class Ground:
             for part in (there, tissue.body):
                 rim = outer_rim(part) & free
                 base.observed[rim], base.confidence[rim] = 0, 1
-        said = tuple(filter(None, notes))
-        return cls(study, base, tissue.m, tissue.prior, tissue.body, tissue.palette, said)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Pixels along each axis."""
-        return self.base.shape
+        m, prior, body, palette = tissue.m, tissue.prior, tissue.body, tissue.palette
+        return cls(study, base, m, prior, body, palette, tuple(notes))
 
     def statement(self, drawn: Canvas | None = None) -> Statement:
         """State the problem of a drawing on this ground.
@@ -157,8 +155,7 @@ class Ground:
         """
         canvas = self.study.motion.drawing.render(self.base) if drawn is None else drawn
         m, prior = self.palette.painted(canvas.labels, self.base.labels, self.stiffness, self.prior)
-        refusals.refuse_nothing(self.study, m, canvas.confidence)
-        at_rest = np.zeros(self.shape, dtype=bool)
+        at_rest = np.zeros(m.shape, dtype=bool)
         if isinstance(prior, ElasticPrior):
             at_rest = scraps(m > 0, canvas.confidence > 0)
             if at_rest.any():
@@ -175,15 +172,11 @@ class Ground:
         if statement.at_rest.any():
             notes.append(left_at_rest(statement.at_rest))
         if motion.labels is not None and not motion.drawing.marks:
-            notes.append(refusals.lack(problem))
-        notes.append(self._air_that_is_tissue)
+            notes.append(_lack(problem))
+        if (image := self.study.pictures.image) is not None:
+            notes.append(air_that_is_tissue(image, self.body))
         notes += caveats(problem, statement.prior, statement.optimizer)
         return tuple(filter(None, notes))
-
-    @cached_property
-    def _air_that_is_tissue(self) -> str:
-        image = self.study.pictures.image
-        return "" if image is None else air_that_is_tissue(image, self.body)
 
 
 def statement_of(study: Study) -> Statement:
@@ -238,7 +231,7 @@ def solve_study(
             progress=progress,
             cancel=cancel,
         )
-    return replace(solution, frame=study.grid.place_as_dict)
+    return replace(solution, frame=study.grid.place and study.grid.place.as_dict())
 
 
 class _Where:
@@ -310,3 +303,20 @@ def _with_doubt(prior: Prior, c: FloatArray, m: FloatArray) -> tuple[Prior, Floa
     if not (doubted & (c > 0)).any() or np.isinf(m).any():
         return prior, c
     return replace(prior, penalty=_FIRM), np.where(doubted, np.float32(_PENALTY / _FIRM) * c, c)
+
+
+def _lack(problem: Problem) -> str:
+    """Say what a painted boundary lacks: something that moves, or that holds the rest."""
+    moves, seen = problem.known & (problem.observed != 0), problem.known.any(axis=-1)
+    if not moves.any():
+        return (
+            "nothing moves: have something on tissue move or expand, by a distance other than 0 "
+            "and with a confidence above 0"
+        )
+    rim = problem.tissue & ~scipy.ndimage.binary_erosion(problem.tissue)
+    if (seen & rim).any() or (seen & ~problem.observed.any(axis=-1)).any():
+        return ""
+    return (
+        "nothing holds the tissue, so that all of it gives way: paint what stays where it is, such "
+        "as bone, as 'fixed'"
+    )

@@ -18,14 +18,12 @@ class LayerError(ProblemError):
         Or its name.
     message : str
         What is wrong and what to do, as it goes on after the layer's name.
-    sentence : str, optional
-        The same as a sentence of its own, where the name does not come first.
     """
 
-    def __init__(self, layer: Any, message: str, sentence: str = "") -> None:
+    def __init__(self, layer: Any, message: str) -> None:
         name = layer if isinstance(layer, str) else str(layer.name)
         super().__init__(name, message)
-        self.args = (sentence or f"'{name}' {message}",)
+        self.args = (f"'{name}' {message}",)
 
 
 def full_resolution(layer: Any) -> Any:

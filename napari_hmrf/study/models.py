@@ -46,10 +46,8 @@ class SolverDetails:
         _words(
             "reading",
             "With which lines of three pixels (the paper's cliques) a pixel is compared.\n"
-            "centred: those whose middle it is. Nearest to finite elements, whatever the pixel "
-            "size.\n"
-            "blanket: all that contain it, the textbook reading of the energy. Borders of stiff "
-            "and soft tissue hardly move, the less so the finer the pixels.",
+            "centred: those whose middle it is. Nearest to finite elements.\n"
+            "blanket: all that contain it. Borders of stiff and soft tissue hardly move.",
         ),
     ] = "centred"
     # Of a `Literal` with choices magicgui would show the values, not their words.
@@ -66,7 +64,7 @@ class SolverDetails:
         int,
         _words(
             "sweeps per level",
-            "How often all pixels of a level are gone through; with a tolerance, the most",
+            "How often all pixels of a level are gone through, at most",
             min=1,
             max=100_000,
         ),
@@ -75,8 +73,7 @@ class SolverDetails:
         float,
         _words(
             "stop when stable to",
-            "Leave a level when its mean energy has changed by less than this fraction over ten "
-            "sweeps",
+            "Leave a level when its energy changes by less than this in ten sweeps",
             choices=[("never early", 0.0)]
             + [(f"{100 * part:g} %", part) for part in (1e-2, 1e-3, 1e-4, 1e-5)],
         ),
@@ -85,8 +82,7 @@ class SolverDetails:
         float,
         _words(
             "penalty K",
-            "Energy per pixel of deviation from a boundary of confidence 1; the larger, the firmer "
-            "boundaries hold. Automatic: large enough to hold them",
+            "How firmly boundaries hold: energy per pixel of deviation from them",
             max=1e9,
             step=1000,
         ),
@@ -95,8 +91,8 @@ class SolverDetails:
         float,
         _words(
             "holding force",
-            "The greatest force that holds a boundary pixel of confidence 1; 1 is what strains a "
-            "pixel of the stiffest tissue by 1. Where tissue pulls harder, it slips",
+            "The greatest force that holds a boundary pixel: 1 strains the stiffest tissue by 1. "
+            "Where tissue pulls harder, it slips",
             max=1e6,
             step=0.01,
         ),

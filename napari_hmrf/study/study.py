@@ -50,12 +50,6 @@ class Grid:
     unit: str = "pixel"
     place: Any = None
 
-    @property
-    def place_as_dict(self) -> dict[str, Any] | None:
-        """The place in JSON types, as `Solution.frame` and files have it."""
-        kept: dict[str, Any] | None = None if self.place is None else self.place.as_dict()
-        return kept
-
 
 @dataclass(frozen=True, eq=False)
 class Tissue:
@@ -144,8 +138,6 @@ class Pictures:
     labels : ndarray of int, shape ([D,] H, W), optional
     name, labels_name : str
         Of what they came from; results are named after them.
-    level : int, optional
-        Of an image of several resolutions: 0, the finest.
     look, labels_look : dict
         How they are drawn: colormap and the like, as a new layer takes it.
     """
@@ -154,7 +146,6 @@ class Pictures:
     labels: Array | None = None
     name: str = ""
     labels_name: str = ""
-    level: int | None = None
     look: dict[str, Any] = field(default_factory=dict)
     labels_look: dict[str, Any] = field(default_factory=dict)
 
@@ -258,8 +249,7 @@ class Study:
 
     def named(self, *parts: str) -> str:
         """What people call a part: the first of these that has a name."""
-        known = (self.names[part] for part in parts if part in self.names)
-        return next(known, parts[0])
+        return next((self.names[part] for part in parts if part in self.names), parts[0])
 
     def same_as(self, other: Study) -> bool:
         """Whether a field of the other would be the same, and move the same image."""

@@ -293,13 +293,10 @@ def _read(
         present = present[present != 0]
     missing = [str(label) for label in present if int(label) not in table]
     if missing:
-        listed = ", ".join(missing[:10])
-        more = f" and {len(missing) - 10} more" if len(missing) > 10 else ""
         raise ProblemError(
             field,
-            f"has {'label' if len(missing) == 1 else 'labels'} {listed}{more} without a "
-            f"{'rule' if kind is BoundaryRule else 'stiffness'}. Give each one in the table, or "
-            "erase what is painted so.",
+            f"has labels without a {'rule' if kind is BoundaryRule else 'stiffness'}: "
+            f"{', '.join(missing[:10])}. Give each one in the table, or erase what is painted so.",
         )
     return image, present, table
 
@@ -309,28 +306,16 @@ def _check_rule(rule: BoundaryRule, n: int) -> None:
         reals(given, 3 if n == 3 and np.shape(given) == (3,) else 2)
         for given in (rule.vector, rule.confidence)
     )
-    if rule.label <= 0:
-        raise ProblemError(
-            "observed",
-            f"has a rule for label {rule.label}. Use labels above 0: 0 is what is unpainted.",
-        )
-    if not is_one_of(rule.action, get_args(Action)):
-        raise ProblemError(
-            "observed",
-            f"gives {_quoted(rule)} the action {shown(rule.action)}. Take "
-            '"fixed", "move" or "expand".',
-        )
-    if not all(math.isfinite(value) for value in (*vector, real(rule.amount))):
-        raise ProblemError(
-            "observed",
-            f"moves {_quoted(rule)} by something that is no length. Give (row, col), or an amount.",
-        )
-    if not all(0 <= value <= 1 for value in confidence):
-        raise ProblemError(
-            "confidence",
-            f"gives {_quoted(rule)} the confidence "
-            f"{shown(rule.confidence)}. Give two values from 0 to 1, (row, col).",
-        )
+    lengths = (*vector, real(rule.amount))
+    sure = all(0 <= value <= 1 for value in confidence)
+    for field, right, needed in (
+        ("observed", rule.label > 0, "a label above 0: 0 is what is unpainted"),
+        ("observed", is_one_of(rule.action, get_args(Action)), '"fixed", "move" or "expand"'),
+        ("observed", all(map(math.isfinite, lengths)), "(row, col), or an amount"),
+        ("confidence", sure, "the confidence as two values from 0 to 1, (row, col)"),
+    ):
+        if not right:
+            raise ProblemError(field, f"has {shown(rule)} as a rule. Give {needed}.")
 
 
 def _quoted(row: Material | BoundaryRule) -> str:

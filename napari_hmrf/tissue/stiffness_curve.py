@@ -8,7 +8,7 @@ not change, so that it can be kept, compared and come back to. Nothing here need
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, asdict, dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
@@ -21,7 +21,7 @@ from napari_hmrf.arguments import is_one_of, real, reals, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.problem import as_numbers
 from napari_hmrf.tissue.boundary_rules import LARGEST_STIFFNESS
-from napari_hmrf.tissue.surroundings import background_of, surrounds
+from napari_hmrf.tissue.surroundings import void_threshold
 
 FloatArray = npt.NDArray[np.float32]
 Between = Literal["straight", "smooth"]
@@ -36,8 +36,6 @@ _NODES = 64
 #: Integers of no more values than this are looked up, each value computed once.
 _TABLE = 2**16
 _TOO_LARGE = 2**62
-#: So far above what surrounds it tissue begins, on the way to its usual intensity.
-_ABOVE = 0.01
 
 
 @dataclass(frozen=True)
@@ -79,18 +77,13 @@ class StiffnessCurve:
         given = self.points if isinstance(self.points, Iterable) else [self.points]
         points = tuple(reals(point, 2) for point in given)
         void_below = None if self.void_below is None else real(self.void_below)
-        object.__setattr__(self, "points", points)
-        object.__setattr__(self, "void_below", void_below)
-        if not all(math.isfinite(intensity) for intensity, _ in points):
-            raise _bad("has points that are not pairs of numbers: intensity, stiffness")
-        if len(points) < 2:
-            raise _bad(f"has {len(points)} points. Give two or more")
-        for (before, _), (after, _) in pairwise(points):
-            if not before < after:
-                raise _bad(
-                    f"has intensity {after:g} after {before:g}. Give the points in rising order, "
-                    "one for each intensity"
-                )
+        intensities = [intensity for intensity, _ in points]
+        rising = all(before < after for before, after in pairwise(intensities))
+        if len(points) < 2 or not rising or not all(map(math.isfinite, intensities)):
+            raise _bad(
+                f"has the points {shown(self.points)}. Give two or more, pairs of numbers: "
+                "intensity, in rising order, and stiffness"
+            )
         for _, stiffness in points:
             if not 0 < stiffness <= LARGEST_STIFFNESS:
                 raise _bad(
@@ -103,6 +96,8 @@ class StiffnessCurve:
             raise _bad(f'is {shown(self.between)} between its points. Take "straight" or "smooth"')
         if not isinstance(self.logarithmic, bool) or not isinstance(self.unit, str):
             raise _bad("needs true or false for 'logarithmic' and a word for 'unit'")
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "void_below", void_below)
 
     def __call__(self, intensities: npt.ArrayLike) -> FloatArray:
         """Give every pixel the stiffness of its intensity.
@@ -192,22 +187,15 @@ class StiffnessCurve:
     def from_percentiles(
         cls,
         intensities: npt.ArrayLike,
-        stiffnesses: Sequence[float] = STIFFNESSES,
-        percentiles: Sequence[float] = PERCENTILES,
         void_below: float | None = None,
-        unit: str = "",
     ) -> StiffnessCurve:
         """Make a first curve for an image, to be changed: the brighter, the stiffer.
 
         Parameters
         ----------
         intensities : array_like of numbers, any shape
-        stiffnesses, percentiles : sequence of float
-            One stiffness for each percentile of what is tissue.
         void_below : float, optional
             What is darker is no tissue, and does not count.
-        unit : str
-            Of stiffness; by default it is relative: only ratios are guessed.
 
         Raises
         ------
@@ -222,12 +210,12 @@ class StiffnessCurve:
                 "cannot be made: the image has not two different intensities there. Choose another "
                 "image or slice"
             )
-        found = [float(f"{value:.5g}") for value in np.percentile(values, percentiles)]
-        points = dict(zip(found, stiffnesses, strict=True))
+        found = [float(f"{value:.5g}") for value in np.percentile(values, PERCENTILES)]
+        points = dict(zip(found, STIFFNESSES, strict=True))
         if len(points) < 2:  # most of the image is of one value
             ends = (float(values.min()), float(values.max()))
-            points = dict(zip(ends, (stiffnesses[0], stiffnesses[-1]), strict=True))
-        return cls(tuple(sorted(points.items())), void_below=void_below, unit=unit)
+            points = dict(zip(ends, (STIFFNESSES[0], STIFFNESSES[-1]), strict=True))
+        return cls(tuple(sorted(points.items())), void_below=void_below)
 
 
 def first_curve(picture: npt.NDArray[Any]) -> StiffnessCurve:
@@ -238,14 +226,7 @@ def first_curve(picture: npt.NDArray[Any]) -> StiffnessCurve:
     ProblemError
         If the image is of one value.
     """
-    around, void_below = background_of(picture, picture.ndim), None
-    if surrounds(around) and not around.all():
-        dark, rest = (part[np.isfinite(part)] for part in (picture[around], picture[~around]))
-        if dark.size and rest.size:
-            # Just above nearly all of it: dark places inside, such as fluid, stay tissue.
-            darkest, usual = float(np.percentile(dark, 99)), float(np.median(rest))
-            void_below = float(f"{darkest + _ABOVE * (usual - darkest):.4g}")
-    return StiffnessCurve.from_percentiles(picture, void_below=void_below)
+    return StiffnessCurve.from_percentiles(picture, void_below=void_threshold(picture))
 
 
 def with_point(curve: StiffnessCurve, at: int | None, point: Point | None) -> StiffnessCurve:

@@ -21,8 +21,10 @@ _KEPT = 4
 _known: list[tuple[weakref.ref[Any], npt.NDArray[np.bool_]]] = []
 # What is dark surrounds something from this part of the picture's edge on.
 _AROUND = 0.75
+# So far above what surrounds it tissue begins, on the way to its usual intensity.
+_ABOVE = 0.01
 # Of red, green and blue: how bright they look (ITU-R BT.709).
-_LUMINANCE = (np.float32(0.2126), np.float32(0.7152), np.float32(0.0722))
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
 # Pixels whose slope is steeper than that of this share of all are edges.
 _SHARE = 0.9
 
@@ -98,6 +100,27 @@ def surrounds(dark: npt.NDArray[np.bool_]) -> bool:
     return bool(edge.mean() >= _AROUND)
 
 
+def void_threshold(picture: npt.NDArray[Any]) -> float | None:
+    """Guess the intensity below which there is no tissue.
+
+    Parameters
+    ----------
+    picture : ndarray, shape (H, W)
+
+    Returns
+    -------
+    float or None
+        None if nothing dark surrounds anything.
+    """
+    dark, known = background_of(picture), np.isfinite(picture)
+    air, inside = picture[dark & known], picture[~dark & known]
+    if not (surrounds(dark) and air.size and inside.size):
+        return None
+    # Just above nearly all of it: dark places inside, such as fluid, stay tissue.
+    darkest, usual = float(np.percentile(air, 99)), float(np.median(inside))
+    return float(f"{darkest + _ABOVE * (usual - darkest):.4g}")
+
+
 def air_that_is_tissue(picture: npt.NDArray[Any], tissue: npt.NDArray[np.bool_]) -> str:
     """Say so where most of what is dark around a picture counts as tissue, as a clause.
 
@@ -145,9 +168,7 @@ def luminance(colours: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
         raise ProblemError(
             "colours", f"has shape {colours.shape}. Give (..., 3 or 4): red, green, blue."
         )
-    bright = np.zeros(colours.shape[:-1], dtype=np.float32)
-    for number, share in enumerate(_LUMINANCE):
-        bright += share * colours[..., number].astype(np.float32)
+    bright: npt.NDArray[np.float32] = colours[..., :3].astype(np.float32) @ _LUMINANCE
     return bright
 
 

@@ -57,17 +57,11 @@ class Choices:
         self._beginning = self.values
         self._image: Any = None
         self.by_itself = False
-        # Whether somebody chose an image, or something that goes with the one that is chosen.
-        self._by_hand = self._begun = False
-        # Whether the edge is let go because of what came painted.
-        self._let_go = False
         # Whether there is no image as the one that was worked on is gone.
         self._lost = False
-        motion.edge.changed.connect(lambda _: setattr(self, "_let_go", False))
         motion.boundary.choice.changed.connect(self._on_boundary)
-        for name in ("tissue", "boundary", "confidence"):
-            self.fields[name].changed.connect(self._on_chosen)
         form.image.changed.connect(self._on_image)
+        form.extent.changed.connect(self._on_extent)
 
     @property
     def values(self) -> dict[str, Any]:
@@ -138,7 +132,6 @@ class Choices:
             if before is not None and form.image.value is None:
                 others = (form.tissue.choice.value, form.motion.boundary.confidence.value)
                 images = [layer for layer in form.image.offered if layer not in others]
-                self._by_hand = self._by_hand and bool(images)
                 self._lost = not images
                 if images:
                     form.image.value = images[0]
@@ -159,20 +152,15 @@ class Choices:
             for layer in layers:
                 self._take_painted(layer)
 
-    def begin(self) -> None:
-        """Work has begun with the image that is chosen: no other takes its place by itself."""
-        self._begun = True
-
     def take(self, layer: Any) -> None:
-        """Choose a layer that came: what is painted, and an image unless one was chosen.
+        """Choose a layer that came: what is painted, and an image unless there is one.
 
         A sample's image is chosen all the same, unless something is drawn on the one there is.
         """
         image = self._form.image
-        free = not (self._by_hand or (self._begun and image.value is not None))
-        stays = self._image is not None and bool(self._drawn_on)
+        sample = role_of(layer) == IMAGE and not self._drawn_on
         with self.nobody_chooses():
-            if layer in image.offered and not stays and (free or role_of(layer) == IMAGE):
+            if layer in image.offered and (image.value is None or sample):
                 image.value = layer
             self._take_painted(layer)
 
@@ -188,7 +176,6 @@ class Choices:
     def _let_edge_go(self) -> None:
         """Have the edge not be held, as a part of choosing a boundary."""
         edge = self._form.motion.edge
-        self._let_go = self._let_go or edge.value
         with edge.changed.blocked():
             edge.value = False
 
@@ -198,19 +185,21 @@ class Choices:
         slots = [each for each in self._edits.slots if each.what == DRAWING]
         return [slot.layer for slot in slots if self._edits.get(slot).marks]
 
+    def _on_extent(self, _: str) -> None:
+        """Have napari's brush be a ball where a volume is painted."""
+        for choice in (self._form.tissue.choice, self._form.motion.boundary.choice):
+            if isinstance(choice.value, Labels) and choice.value.ndim > 2:
+                choice.value.n_edit_dimensions = 3 if self._form.extent.is_volume else 2
+
     def _on_boundary(self, layer: Any) -> None:
-        """A field says how the edge moves; without a boundary it is held, unless somebody chose."""
+        """A field says how the edge moves; without a boundary it is held."""
         if holds_field(layer):
             self._let_edge_go()
-        if self._let_go and layer is None:
+        elif layer is None:
             self._form.motion.edge.value = True
-
-    def _on_chosen(self, layer: Any) -> None:
-        self._begun = self._begun or (layer is not None and not self.by_itself)
 
     def _on_image(self, image: Any) -> None:
         """Choose what goes with an image: what was chosen for it before, if it was."""
-        self._by_hand = self._by_hand or not self.by_itself
         self._lost = self._lost and image is None
         before, self._image = self._image, image
         if before is image:
@@ -227,4 +216,3 @@ class Choices:
             with self.nobody_chooses():
                 for layer in painted_on(image, self._viewer.layers, self.view):
                     self._take_painted(layer)
-        self._begun = known is not None

@@ -6,7 +6,6 @@ from dataclasses import replace
 from functools import partial
 
 from magicgui.widgets import Container, PushButton
-from napari.layers import Labels
 from psygnal import Signal
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import (
@@ -22,7 +21,7 @@ from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.footer import Footer
-from napari_hmrf.ui.forms import CalmWheel, Narrow, WholeEntries, row
+from napari_hmrf.ui.forms import CalmWheel, Narrow, row
 from napari_hmrf.ui.label_table import LabelTable
 from napari_hmrf.ui.layer_choice import ExtentChoice, LayerChoice, is_picture
 from napari_hmrf.ui.model import ModelForm
@@ -89,7 +88,6 @@ class DockForm:
         keys = ", ".join(f"{tool.key}: {tool.title.lower()}" for tool in TOOLS)
         self.footer = Footer(f"Tools: {keys}.")
         self.tissue.edited.connect(self._on_tissue)
-        self.model.model.changed.connect(self._on_model)
         fields = (
             self.extent,
             self.model,
@@ -146,15 +144,13 @@ class DockForm:
             step.addWidget(part.native)
             if open_:
                 step.expand(animate=False)
-            step.toggled.connect(partial(self._on_toggled, step))
             layout.addWidget(step)
+            shown = single_shot(step, _LAID_OUT, partial(self._scroll_to, step))
+            step.toggled.connect(lambda opened, timer=shown: timer.start() if opened else None)
         layout.setSpacing(4)
         layout.addStretch()
         # The dock may be lower than the form is, but no narrower.
         self._scroll = scroll = Narrow()
-        self._opened: QCollapsible | None = None
-        self._laid_out = single_shot(scroll, _LAID_OUT, partial(self._on_toggled, None))
-        scroll.verticalScrollBar().rangeChanged.connect(self._show_opened)
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QFrame.Shape.NoFrame)
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
@@ -164,8 +160,6 @@ class DockForm:
         outer.native.layout().addWidget(scroll)
         self._body = body  # magicgui's containers end with the last reference
         outer.native.layout().addWidget(self.footer)
-        for menu in outer.native.findChildren(QComboBox):
-            menu.installEventFilter(WholeEntries(menu))
         calm = CalmWheel(scroll)
         for kind in (QComboBox, QAbstractSpinBox, QAbstractSlider):
             for field in body.native.findChildren(kind):
@@ -174,21 +168,12 @@ class DockForm:
         for container in (outer, body, first, ways, *(part for _, part, _ in steps)):
             container.margins = (2, 2, 2, 2)
 
-    def _on_toggled(self, step: QCollapsible | None, opened: bool = False) -> None:
-        self._opened = step if opened else None
-        if opened:
-            self._laid_out.start()
-
-    def _show_opened(self, *_: int) -> None:
-        """Scroll to a step that was opened: to all of it, or at least to its beginning."""
-        step, bar = self._opened, self._scroll.verticalScrollBar()
-        if step is not None:
-            least = step.geometry().bottom() + 1 - bar.pageStep()
-            bar.setValue(min(step.y(), max(bar.value(), least)))
+    def _scroll_to(self, step: QCollapsible) -> None:
+        """Scroll to all of a step that was opened, or at least to its beginning."""
+        bar = self._scroll.verticalScrollBar()
+        least = step.geometry().bottom() + 1 - bar.pageStep()
+        bar.setValue(min(step.y(), max(bar.value(), least)))
 
     def _on_tissue(self) -> None:
-        layer = self.tissue.layer if self.tissue.curve is None else self.image.value
-        self.model.tissue_is(layer, self.tissue.table.rows if isinstance(layer, Labels) else ())
-
-    def _on_model(self, *_: str) -> None:
-        self.tissue.table.show_poisson(self.model.is_elastic)
+        by_itself = self.tissue.curve is not None
+        self.model.tissue_is(self.image.value if by_itself else self.tissue.layer)

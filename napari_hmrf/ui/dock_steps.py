@@ -17,13 +17,12 @@ from napari_hmrf.ui.messages import WELCOME
 
 #: Of the viewer, and no layer.
 _THE_MODEL = Slot(MODEL, "")
-_MODELLED = {
+#: What is done to the model and to the choices of an image, in words; the first that differs says
+#: it, and how it is solved in detail is no step.
+_WORDS = {
     "model": "chose another model",
     "plane": "chose another plane",
     "poisson": "changed Poisson's ratio",
-}
-#: What is done to the choices of an image, in words; the first that differs says it.
-_CHOSEN = {
     "tissue": "chose what says how stiff tissue is",
     "boundary": "chose another boundary",
     "confidence": "chose what says how sure the boundary is",
@@ -152,8 +151,7 @@ class DockSteps:
 
 def _step(slot: Slot, before: Any, now: Any) -> str:
     """What was done, in words; "" if it is no step."""
-    if slot == _THE_MODEL:
-        return next((word for name, word in _MODELLED.items() if before[name] != now[name]), "")
-    if slot.what == CHOICE:
-        return next(word for name, word in _CHOSEN.items() if before[name] != now[name])
+    if slot.what in (MODEL, CHOICE):
+        changed = [name for name in now if before[name] != now[name]]
+        return next((word for name, word in _WORDS.items() if name in changed), "")
     return change(before, now, slot.layer.name)

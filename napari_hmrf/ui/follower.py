@@ -29,10 +29,6 @@ from napari_hmrf.ui.handover import Errands, Newest, Repainted
 _log = logging.getLogger("napari_hmrf")
 # What those who wait for it are told.
 _FOLLOWING = "tissue that 'Soft tissue' deforms, which its Cancel stops"
-_EDGE_MOVED = (
-    "the patch lies over the held edge, so that the edge moves, too, and leaves a gap: take hold "
-    "further inside, or of a smaller patch, if it should stay"
-)
 #: Lines that go with what is painted, and their colours, as of `painted_marks`.
 Marks = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
 
@@ -191,7 +187,7 @@ class Follower:
         if latest is None or latest.solution is None:
             return None
         try:
-            return drawn(latest, self._canvas, self._checkpoint)
+            return drawn(latest, self._checkpoint)
         except Cancelled:
             return None
         except Exception as error:  # noqa: BLE001 - whatever it is, the user is told
@@ -231,19 +227,13 @@ class Follower:
         self._newest.put(Seen(moved, None if canvas is None else painted_marks(canvas)))
 
 
-def drawn(
-    moved: Deformation,
-    canvas: Canvas | None,
-    checkpoint: Callable[[], None] = lambda: None,
-) -> Done:
+def drawn(moved: Deformation, checkpoint: Callable[[], None] = lambda: None) -> Done:
     """Draw the layers of a deformation, and find what there is to say of it.
 
     Parameters
     ----------
     moved : Deformation
         With a solution.
-    canvas : Canvas, optional
-        Its ground, with what is drawn on top.
     checkpoint : callable
         Called between the parts; raises to stop the work.
     """
@@ -253,10 +243,7 @@ def drawn(
     kept = _to_be_kept(moved, ground)
     place, pictures = study.grid.place, study.pictures
     outputs = result_layers(kept, place, pictures, checkpoint=checkpoint, problem=stated.problem)
-    notes = ground.notes_on(stated)
-    if canvas is not None and _moves_edge(ground, canvas):
-        notes = (*notes, _EDGE_MOVED)
-    return Done(moved, outputs, notes)
+    return Done(moved, outputs, ground.notes_on(stated))
 
 
 def _to_be_kept(moved: Deformation, ground: Ground) -> Solution:
@@ -274,12 +261,3 @@ def _to_be_kept(moved: Deformation, ground: Ground) -> Solution:
         parameters = {**run.parameters, "tissue": dict(study.tissue.record)}
         solution = replace(solution, provenance=replace(run, parameters=parameters))
     return solution
-
-
-def _moves_edge(ground: Ground, canvas: Canvas) -> bool:
-    """Whether a patch that was taken hold of lies over what is held without it."""
-    base = ground.base
-    held = (base.confidence > 0) & (base.observed == 0)
-    moved = held & (canvas.confidence > 0) & (canvas.observed != 0)
-    # What was painted was meant, and air has no edge that is seen.
-    return bool((moved.any(axis=-1) & (canvas.kinds == 0) & ground.body).any())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from typing import Any
 
@@ -10,8 +9,6 @@ from magicgui.widgets import CheckBox, PushButton
 from qtpy.QtCore import QEvent, QObject, Qt
 from qtpy.QtWidgets import (
     QAbstractSpinBox,
-    QLabel,
-    QProgressBar,
     QPushButton,
     QSizePolicy,
     QVBoxLayout,
@@ -20,8 +17,7 @@ from qtpy.QtWidgets import (
 )
 
 from napari_hmrf.layers.edit_history import ViewerSteps
-from napari_hmrf.solver.problem import grid_in_words
-from napari_hmrf.ui.forms import row
+from napari_hmrf.ui.forms import Prose, row
 
 #: Lines of the status that are seen at most; its tooltip has all of it.
 _LINES = 9
@@ -37,8 +33,11 @@ _HELP = (
 #: So many pixels are followed without being asked. On two cores and no GPU the picture follows an
 #: edit of 1200 x 1200 pixels in 0.4 s (elastic) to 1.4 s, and one of 2048 x 2048 in 1.6 to 5 s.
 LARGEST = 1200 * 1200
-_SLOW = "So many pixels take seconds an edit, unless there is a graphics card: tick it to try.\n"
-_LIVE = "The tissue follows any edit of tissue, boundary or tables; what is pulled, always"
+_LIVE = (
+    "The tissue follows any edit of tissue, boundary or tables; what is pulled, always.\n"
+    "It is off by itself for more than 1200 x 1200 pixels, which take seconds an edit, unless "
+    "there is a graphics card: tick it to try."
+)
 _CTRL, _SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 _REDO = ((_CTRL | _SHIFT, Qt.Key.Key_Z), (_CTRL, Qt.Key.Key_Y))
 
@@ -75,9 +74,7 @@ class Footer(QWidget):
         self.help.native.setFixedWidth(28)
         self.chip = QPushButton()
         self.warning = ""
-        self._bar = QProgressBar()
-        self._status, self._details = QLabel(), QLabel()
-        self._sentence = ""
+        self._status = Prose(_LINES)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(2, 2, 2, 2)
         layout.setSpacing(2)
@@ -87,20 +84,13 @@ class Footer(QWidget):
             row(self.deform, self.cancel),
         ]
         self.chip.setStyleSheet(_CHIP)
-        self._bar.setFixedHeight(12)
         self.chip.hide()
-        self._bar.hide()
-        for label in (self._status, self._details):
-            label.setWordWrap(True)
-            label.setAlignment(Qt.AlignmentFlag.AlignTop)
-            label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-            label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-            label.setContentsMargins(4, 0, 4, 0)
-        self._details.setFixedHeight(self._height_of(1))
+        words = self._status.native
+        words.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        words.setContentsMargins(4, 0, 4, 0)
         for each in self._rows:
             each.margins = (2, 0, 2, 0)
-        rows = [each.native for each in self._rows]
-        for part in (self._status, self._bar, self.chip, *rows, self._details):
+        for part in (words, self.chip, *(each.native for each in self._rows)):
             layout.addWidget(part)
         self.help.changed.connect(self._show_help)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
@@ -113,40 +103,17 @@ class Footer(QWidget):
 
     def say(self, status: str) -> None:
         """Show a sentence; what has no room is read where the mouse rests on it."""
-        self._sentence = status
-        self._status.setToolTip(status)
-        self._fit()
-
-    def resizeEvent(self, event: Any) -> None:
-        """Let as many words be seen as there is room for."""
-        super().resizeEvent(event)
-        self._fit()
+        self._status.say(status)
+        self._status.tooltip = status
 
     def _show_help(self, *_: object) -> None:
         button = self.help.native
         middle = button.mapToGlobal(button.rect().center())
         QWhatsThis.showText(middle, self.help.tooltip, button)  # there until a click or a key
 
-    def _fit(self) -> None:
-        label, words = self._status, self._sentence.split(" ")
-        label.setMinimumHeight(0)  # else Qt takes what it is for what it needs
-        label.setText(self._sentence)
-        while self.isVisible() and label.heightForWidth(label.width()) > self._height_of(_LINES):
-            words.pop()
-            label.setText(f"{' '.join(words)} ...")
-        label.setFixedHeight(min(label.heightForWidth(label.width()), self._height_of(_LINES)))
-
-    def _height_of(self, lines: int) -> int:
-        return lines * int(self._status.fontMetrics().lineSpacing()) + 10
-
     def explain(self, technical: str) -> None:
         """Show, where the mouse rests on the sentence, what few want to know of it."""
-        self._status.setToolTip(technical)
-
-    def tell(self, brief: str, details: str = "") -> None:
-        """Show a line about a result, and where the mouse rests on it what few want to know."""
-        self._details.setText(brief)
-        self._details.setToolTip(details)
+        self._status.tooltip = technical
 
     def warn(self, sentences: str, short: str = "") -> None:
         """Show what is to be known of the tissue that is seen; "" if nothing."""
@@ -155,62 +122,28 @@ class Footer(QWidget):
         self.chip.setText(f"⚠  {short or 'Good to know'}")
         self.chip.setToolTip(sentences)
 
-    def start(self, status: str) -> None:
-        """Show at once that work begins, though the window may be busy for a moment yet."""
-        self.deform.enabled, self.cancel.enabled = False, True
-        self._bar.setRange(0, 0)
-        self._bar.show()
-        self.say(status)
-        for widget in (self.deform.native, self.cancel.native, self._status):
-            widget.repaint()
-
-    def progress(self, fraction: float) -> None:
-        """Show how far the work is; nobody knows while nothing of it is done."""
-        done = round(1000 * fraction)
-        self._bar.setRange(0, 1000 if done else 0)
-        self._bar.setValue(done)
-
-    def stop(self) -> None:
-        """Show that nothing is going on."""
-        self.deform.enabled, self.cancel.enabled = True, False
-        self._bar.hide()
+    def show_work(self, going_on: bool) -> None:
+        """Show whether there is anything to be cancelled before the next can begin."""
+        self.deform.enabled, self.cancel.enabled = not going_on, going_on
 
 
 class LiveChoice(CheckBox):
     """Whether every edit is followed: by default unless the image is large."""
 
     def __init__(self) -> None:
-        super().__init__(value=True)
+        super().__init__(value=True, text="Live", tooltip=_LIVE)
         # Once somebody has decided, the size of the image decides nothing.
         self._decided = False
-        self._shape: tuple[int, ...] = (0, 0)
-        self.changed.connect(self._on_decided)
-        self.judge(self._shape)
+        self.changed.connect(self._on_changed)
 
-    @property
-    def on(self) -> bool:
-        """Whether edits are followed; to be set, too."""
-        return bool(self.value)
-
-    @on.setter
-    def on(self, on: bool) -> None:
-        self.value = on
-        self._on_decided()
-
-    def judge(self, shape: tuple[int, ...]) -> None:
-        """Decide by the size, unless somebody else has decided; say why it is off."""
-        self._shape = shape
-        large = len(shape) == 2 and math.prod(shape) > LARGEST
+    def judge(self, pixels: int) -> None:
+        """Decide by the size, unless somebody else has decided."""
         if not self._decided:
             with self.changed.blocked():
-                self.value = not large
-        off = large and not self.on
-        self.text = f"Live: off, slow at {grid_in_words(shape)}" if off else "Live"
-        self.tooltip = (_SLOW if off else "") + _LIVE
+                self.value = pixels <= LARGEST
 
-    def _on_decided(self, *_: object) -> None:
+    def _on_changed(self, _: bool) -> None:
         self._decided = True
-        self.judge(self._shape)
 
 
 class StepKeys(QObject):

@@ -8,7 +8,7 @@ from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox, Label
-from qtpy.QtCore import QEvent, QObject, QSize
+from qtpy.QtCore import QEvent, QObject, QSize, Qt
 from qtpy.QtWidgets import QMenu, QPushButton, QScrollArea, QSizePolicy
 
 from napari_hmrf.errors import HmrfError
@@ -43,6 +43,7 @@ def narrow(menu: Any) -> None:
     box = menu.native
     box.setSizeAdjustPolicy(box.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
     box.setMinimumContentsLength(8)
+    box.view().setTextElideMode(Qt.TextElideMode.ElideMiddle)
 
 
 def share(label: str, tooltip: str, **options: Any) -> FloatSlider:
@@ -103,14 +104,21 @@ def row(*widgets: Any) -> Container:
 
 
 class Prose(Label):
-    """A sentence that wraps: narrower than its words, and then as high as it takes."""
+    """A sentence that wraps: narrower than its words, and then as high as it takes.
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
+    Parameters
+    ----------
+    lines : int, optional
+        How many are seen at most.
+    """
+
+    def __init__(self, lines: int = 1000) -> None:
+        super().__init__()
         words = self.native
         words.setWordWrap(True)
-        words.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-        self._fit = _FitHeight(words)
+        words.setAlignment(Qt.AlignmentFlag.AlignTop)
+        words.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self._fit = _FitHeight(words, lines)
         words.installEventFilter(self._fit)
 
     def say(self, sentence: str) -> None:
@@ -122,9 +130,14 @@ class Prose(Label):
 class _FitHeight(QObject):
     """Keeps a label's height that of its words: layouts in a scrolled area do not ask for it."""
 
+    def __init__(self, words: Any, lines: int) -> None:
+        super().__init__(words)
+        self._words, self._lines = words, lines
+
     def fit(self) -> None:
-        words: Any = self.parent()
-        words.setMinimumHeight(max(0, words.heightForWidth(words.width())))  # -1: no words
+        words, most = self._words, self._lines * self._words.fontMetrics().lineSpacing()
+        words.setMinimumHeight(0)  # else Qt takes what it is for what it needs
+        words.setFixedHeight(min(max(0, words.heightForWidth(words.width())), most))  # -1: no words
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
         if event.type() in (QEvent.Type.Resize, QEvent.Type.FontChange, QEvent.Type.StyleChange):
@@ -141,18 +154,6 @@ class CalmWheel(QObject):
             return False
         event.ignore()
         return True
-
-
-class WholeEntries(QObject):
-    """Filters events of a menu: whenever its list opens, it is as wide as its widest entry."""
-
-    def eventFilter(self, watched: Any, event: Any) -> bool:
-        """Measure the entries before they are shown."""
-        if event.type() in (QEvent.Type.MouseButtonPress, QEvent.Type.KeyPress):
-            entries = watched.view()
-            beside = entries.verticalScrollBar().sizeHint().width() + 2 * entries.frameWidth()
-            entries.setMinimumWidth(entries.sizeHintForColumn(0) + beside)
-        return False
 
 
 def align_labels(form: Container) -> None:

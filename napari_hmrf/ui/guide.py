@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from enum import Enum, auto
+from functools import partial
 from typing import Any
-
-from napari.layers import Labels
 
 from napari_hmrf.layers.edit_history import ViewerSteps
 from napari_hmrf.layers.image_choice import image_covering
@@ -24,16 +23,10 @@ class _Said(Enum):
     """Why something is read, which says what may take its place."""
 
     NEWS = auto()
-    #: Until another place is looked at.
-    COVERED = auto()
     #: Until something new is begun.
     STEP = auto()
     #: Likewise, and before all that goes on meanwhile.
     REFUSED = auto()
-    #: As long as somebody paints.
-    PAINTING = auto()
-    #: Until an image is chosen.
-    GONE = auto()
 
 
 class Guide:
@@ -59,10 +52,9 @@ class Guide:
         self._said = self._doing = ""
         self._why = _Said.NEWS
         for table in form.tables:
-            table.found.connect(self._on_found)
+            table.found.connect(partial(self.say, why=_Said.STEP))
             table.refused.connect(self.refuse)
-        form.tissue.menu.said.connect(self.say)
-        form.tissue.menu.taken.connect(self._on_found)
+        form.tissue.menu.said.connect(partial(self.say, why=_Said.STEP))
         form.tissue.editor.refused.connect(self.refuse)
         pointer.said.connect(self._on_pointer)
         pointer.refused.connect(self.refuse)
@@ -72,7 +64,7 @@ class Guide:
         live.refused.connect(self.refuse)
         live.said.connect(self._on_study)
         live.doing.connect(self._on_doing)
-        live.moved_on.connect(self._show)
+        live.moved_on.connect(self.show)
         self._heard = Listening((steps.said, self._on_step))
 
     def release(self) -> None:
@@ -94,15 +86,15 @@ class Guide:
         if self._covered or self._viewer.dims.ndisplay != 2:
             return self._covered or motion_messages.FLAT
         begun = boundary.choice.value is not None
-        how = motion_messages.START if form.footer.live.on or not begun else messages.READY
+        how = motion_messages.START if form.footer.live.value or not begun else messages.READY
         if self._pointer.active:
             how = self._pointer.tool.how
-        return self._paused or form.model.objection or how
+        return self._paused or how
 
     def say(self, sentence: str, why: _Said = _Said.NEWS) -> None:
         """Say something in place of all that was said."""
         self._said, self._why = sentence, why
-        self._show()
+        self.show()
 
     def invite(self) -> None:
         """Say what can be done next, unless what was taken back or refused is to be read still."""
@@ -113,37 +105,20 @@ class Guide:
         """Say why what somebody did is not done, until they do something else."""
         self.say(sentence, _Said.REFUSED)
 
-    def say_painting(self, layer: Any, before: bool) -> None:
-        """Say what is painted, as long as it is; `before`: on the image as it was."""
-        meanwhile = messages.MEANWHILE if before else ""
-        self.say(f"{messages.painting(layer)} {meanwhile}".rstrip(), _Said.PAINTING)
-
-    def say_gone(self, image: Any) -> None:
-        """Say that the image is gone, and which takes its place."""
-        chosen = self._form.image.value
-        if chosen is None:
-            self.say(f"'{image.name}' is gone: choose or open another image.", _Said.GONE)
-        else:
-            self.say(f"'{image.name}' is gone: '{chosen.name}' is chosen now.")
-
     def say_arrows_gone(self) -> None:
         """Say how to have the arrows back, until something new is begun."""
         self.say(motion_messages.ARROWS_GONE, _Said.STEP)
 
     def look_at_mouse(self, stopped: bool) -> None:
         """Another layer feels the mouse, or ours does again; `stopped`: ours did until now."""
-        paints = isinstance(self._viewer.layers.selection.active, Labels)
-        if (stopped and self._paused) or (self._why is _Said.PAINTING and not paints):
+        if stopped and self._paused:
             self.say("")
         else:
-            self.look_at_view()
+            self.show()
 
-    def look_at_view(self, *_: object) -> None:
-        """The image may be hidden beneath another, or be seen in two dimensions, or no more."""
-        there = self._form.image.value is not None
-        if self._why is _Said.COVERED or (self._why is _Said.GONE and there):
-            self._said, self._why = "", _Said.NEWS
-        self._show()
+    def show(self, *_: object) -> None:
+        """Show what is to be read now."""
+        self._form.footer.say(self.shown)
 
     @property
     def _covered(self) -> str:
@@ -173,27 +148,17 @@ class Guide:
     def _on_doing(self, sentence: str) -> None:
         if sentence != self._doing:
             self._doing = sentence
-            self._show()
+            self.show()
 
     def _on_pointer(self, sentence: str) -> None:
-        if not sentence:
-            self.invite()
+        if sentence:
+            self.say(sentence)
         else:
-            covered = sentence.startswith(motion_messages.COVERED)
-            self.say(sentence, _Said.COVERED if covered else _Said.NEWS)
+            self.invite()
 
     def _on_study(self, sentence: str) -> None:
         """Say something of the study beside what was taken back; "": nothing is wrong any more."""
         if not sentence:
-            if self._why is not _Said.GONE:
-                self.invite()
+            self.invite()
         elif self._why is not _Said.REFUSED:
             self.say(f"{self._said} {sentence}" if self._why is _Said.STEP else sentence)
-
-    def _on_found(self, found: str) -> None:
-        """Say what was found in the paint, until the next result."""
-        self._live.note = found
-        self.say(found)
-
-    def _show(self) -> None:
-        self._form.footer.say(self.shown)

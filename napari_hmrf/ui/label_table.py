@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from napari.layers import Labels
-from qtpy.QtCore import QModelIndex, QSignalBlocker, QSize, Qt, Signal
+from qtpy.QtCore import QModelIndex, QSignalBlocker, Qt, Signal
 from qtpy.QtGui import QColor, QIcon, QPixmap
 from qtpy.QtWidgets import QComboBox, QHeaderView, QSizePolicy, QTableWidget, QTableWidgetItem
 
@@ -18,7 +18,6 @@ from napari_hmrf.layers.pixel_copy import CHANGES, copy_slice
 from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.tissue.boundary_rules import unlisted
 from napari_hmrf.ui.events import Listening, single_shot
-from napari_hmrf.ui.forms import WholeEntries
 
 #: The columns that every table has.
 LABEL, NAME = range(2)
@@ -26,9 +25,8 @@ LABEL, NAME = range(2)
 _PAUSE = 150
 #: The layer's events after which there may be new labels, or other colours.
 _EVENTS = (*CHANGES, "colormap")
-#: Rows that are seen without scrolling.
-_ROWS_SHOWN = 5
-_ROW_HEIGHT = 26
+#: In pixels, for the dock is shared: about five rows are seen without scrolling.
+_ROW_HEIGHT, _HIGHEST = 26, 172
 
 
 class Column(NamedTuple):
@@ -42,8 +40,6 @@ class Column(NamedTuple):
         What the cell of a row says; where that is "" there is nothing to be typed either.
     typed : callable
         The row after something was typed; ValueError says why that means nothing.
-    tip : callable
-        What the mouse finds in the cell of a row.
     choices : sequence of str
         What there is to choose from, if nothing is to be typed.
     """
@@ -52,7 +48,6 @@ class Column(NamedTuple):
     about: str
     shown: Callable[[Any], str]
     typed: Callable[[Any, str], Any] = lambda row, text: row
-    tip: Callable[[Any], str] = lambda row: ""
     choices: Sequence[str] = ()
 
 
@@ -93,7 +88,6 @@ class LabelTable(QTableWidget):
         self._view = view
         self._contents = Table(())
         self._layer: Any = None
-        self._active = False
         self._heard = Listening()
         self._timer = single_shot(self, _PAUSE, self.look)
         self._fill()
@@ -102,13 +96,14 @@ class LabelTable(QTableWidget):
         self.verticalHeader().setDefaultSectionSize(_ROW_HEIGHT)
         self.setWordWrap(False)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.setSizeAdjustPolicy(self.SizeAdjustPolicy.AdjustToContents)
+        self.setMaximumHeight(_HIGHEST)
         self.setSelectionBehavior(self.SelectionBehavior.SelectRows)
         self.setSelectionMode(self.SelectionMode.SingleSelection)
         header = self.horizontalHeader()
         header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         header.setSectionResizeMode(NAME, QHeaderView.ResizeMode.Stretch)
         header.setMinimumSectionSize(30)
-        header.geometriesChanged.connect(self.updateGeometry)
         self.cellClicked.connect(self._on_click)
         self.itemChanged.connect(self._on_typed)
 
@@ -122,28 +117,18 @@ class LabelTable(QTableWidget):
                 "",
                 "Label and colour; click a row to paint with it",
                 lambda row: str(row.label),
-                tip=lambda row: "Click to paint with this label",
             ),
             Column(
                 self.title,
                 "Any name",
                 lambda row: row.name,
                 lambda row, text: replace(row, name=text),
-                lambda row: self.about(row) or row.name,
             ),
         ]
 
     def default(self, label: int) -> Any:
         """The row of a label that was not there before."""
         raise NotImplementedError
-
-    def words(self, row: Any) -> str:
-        """What a row says, in words."""
-        raise NotImplementedError
-
-    def about(self, row: Any) -> str:
-        """What there is to say of a row beside its name."""
-        return ""
 
     # What is in it
 
@@ -173,10 +158,10 @@ class LabelTable(QTableWidget):
         """The labels that have a row."""
         return tuple(int(row.label) for row in self.rows)
 
-    def add(self, row: Callable[[int], Any] | None = None) -> int:
-        """Add what `row` makes of the next free label; by default what a new label gets."""
+    def add(self) -> int:
+        """Add a row with the next free label."""
         label = max([0, *self.labels]) + 1
-        self.rows = [*self.rows, (row or self.default)(label)]
+        self.rows = [*self.rows, self.default(label)]
         self.pick(label)
         return label
 
@@ -197,6 +182,7 @@ class LabelTable(QTableWidget):
         self._layer = layer
         self._show(Table.of(layer, self.role))
         self._list_painted()
+        self._mark()
         self._heard = Listening(
             (layer.events.selected_label, self._mark),
             *((getattr(layer.events, name), self._on_painted) for name in _EVENTS),
@@ -215,11 +201,12 @@ class LabelTable(QTableWidget):
         if self._layer is None:
             return
         self._timer.stop()
-        if new := self._list_painted():
-            said = " and ".join(f"label {row.label} ({self.words(row)})" for row in new[:3])
-            self.found.emit(f"New in '{self._layer.name}': {said}. Change it in the table.")
+        new = self._list_painted()
         self._fill()
         self._tell(by_itself=True)
+        if new:
+            said = " and ".join(f"label {row.label}" for row in new[:3])
+            self.found.emit(f"New in '{self._layer.name}': {said}. Change it in the table.")
 
     def pick(self, label: int) -> None:
         """Have a label be painted with."""
@@ -227,13 +214,9 @@ class LabelTable(QTableWidget):
             self._layer.selected_label = label
             self.picked.emit(self._layer)
 
-    def mark(self, active: Any) -> None:
-        """Highlight the row that is painted with, if the layer is the active one; else none."""
-        self._active = self._layer is not None and active is self._layer
-        self._mark()
-
     def _mark(self, *_: Any) -> None:
-        label = int(self._layer.selected_label) if self._active else None
+        """Highlight the row of the label that is selected in the layer."""
+        label = int(self._layer.selected_label)
         if label not in self.labels:
             self.setCurrentIndex(QModelIndex())
             self.clearSelection()
@@ -269,12 +252,6 @@ class LabelTable(QTableWidget):
 
     # How it is seen
 
-    def sizeHint(self) -> QSize:
-        """As high as a few rows: the dock is shared."""
-        rows = min(max(2, self.rowCount()), _ROWS_SHOWN)
-        height = self.horizontalHeader().sizeHint().height() + rows * _ROW_HEIGHT
-        return QSize(super().sizeHint().width(), height + 2 * self.frameWidth() + 2)
-
     def _fill(self) -> None:
         """Have the cells say what the rows do; columns are seen that say something of any row."""
         blocked, columns = QSignalBlocker(self), self.columns  # nobody has typed it
@@ -289,7 +266,6 @@ class LabelTable(QTableWidget):
             said = any(about.shown(row) for row in self.rows)
             self.setColumnHidden(column, column > NAME and not said)  # the dock is narrow
         blocked.unblock()
-        self.updateGeometry()
 
     def _write(self, row: int, column: int, about: Column) -> None:
         """Have a cell say what its row does; one that is typed in is left alone."""
@@ -303,7 +279,7 @@ class LabelTable(QTableWidget):
             if about.choices:
                 self.setCellWidget(row, column, self._box(item, about.choices))
         item.setText(text)
-        item.setToolTip(about.tip(value))
+        item.setToolTip(text)  # the dock is narrow
         typing = Qt.ItemFlag.ItemIsEditable
         typed = column == NAME or (column > NAME and text)
         flags = item.flags() | typing if typed else item.flags() & ~typing
@@ -318,7 +294,6 @@ class LabelTable(QTableWidget):
         """What a cell is chosen by, rather than typed."""
         box = QComboBox()
         box.addItems(choices)
-        box.installEventFilter(WholeEntries(box))
         box.textActivated.connect(item.setText)
         return box
 

@@ -31,8 +31,6 @@ class LayerChoice(ComboBox):
     accept : callable
         Whether a layer can be chosen.
     label, tooltip : str
-    title : callable, optional
-        How a layer is named in the menu; by default by its name.
     more : callable, optional
         What else can be chosen now: pairs of a title and a value.
     if_any : bool
@@ -45,13 +43,12 @@ class LayerChoice(ComboBox):
         accept: Callable[[Any], bool],
         label: str,
         tooltip: str,
-        title: Callable[[Any], str] = lambda layer: str(layer.name),
         more: Callable[[], list[tuple[str, Any]]] = list,
         if_any: bool = False,
     ) -> None:
         self._layers, self._accept, self._if_any = layers, accept, if_any
         super().__init__(
-            choices=lambda _: [*more(), *((title(layer), layer) for layer in self.offered)],
+            choices=lambda _: [*more(), *((layer.name, layer) for layer in self.offered)],
             nullable=True,
             label=label,
             tooltip=tooltip,
@@ -77,8 +74,6 @@ class LayerChoice(ComboBox):
 
     def _choose(self, layer: Any) -> None:
         self.reset_choices()
-        if layer is not None and layer not in self.choices:
-            raise ValueError(f"{layer!r} cannot be chosen as {self.label}")
         ComboBox.value.fset(self, layer)
 
     #: The layer; ValueError if another is set than can be chosen.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 import weakref
 from dataclasses import replace
@@ -43,7 +44,7 @@ _PATIENCE = 0.4
 #: How long tissue must rest until all layers of a result are drawn, in milliseconds.
 _REST = 200
 #: Voxels on which a volume is solved while a hand moves it: several pictures a second.
-_GLANCED = 100_000
+GLANCED = 100_000
 
 
 class LiveStudy:
@@ -68,8 +69,6 @@ class LiveStudy:
         Whether a study is solved from nothing.
     curve_layer : CurveLayer
         Shows the curve by which tissue is made, if it is.
-    note : str
-        What was found in the paint, to be said with the next result.
     """
 
     #: The tissue as it is seen from now on: a `Deformation`.
@@ -96,7 +95,6 @@ class LiveStudy:
         self.source: Any = None
         self._done: weakref.WeakKeyDictionary[Any, Done] = weakref.WeakKeyDictionary()
         self.settling = False
-        self.note = ""
         self._copies = shared(viewer, LayerCopies)
         self._follower = Follower(self._on_seen, self._on_done)
         self._asked: Study | None = None
@@ -175,9 +173,7 @@ class LiveStudy:
             return False
         self._looking.stop()
         try:
-            request = self.request()
-            study = self.read(request)
-            refuse_rigid(study)
+            study = self._read_chosen()
         except Exception as error:  # noqa: BLE001 - a layer may raise anything
             if not isinstance(error, HmrfError | ValueError):
                 _log.exception("what is chosen could not be read")
@@ -185,8 +181,7 @@ class LiveStudy:
             self.curve_layer.show(None)
             self._cannot(error)
             return False
-        study = self._stand_on(study, request.layers[0])
-        if self._form.footer.live.on or self._pointer.active:
+        if self._form.footer.live.value or self._pointer.active:
             self._follow(study)
         else:
             self._failed = ""
@@ -196,26 +191,18 @@ class LiveStudy:
     def settle(self) -> None:
         """Solve from nothing; `finished` is emitted at the end."""
         self._looking.stop()
-        self._form.footer.start("Reading layers ...")
+        self._form.footer.show_work(True)
+        self._copies.forget()  # a script may have changed an array in place
         try:
-            request = self.request()
-            assert request.drawing is not None
-            self._copies.forget()  # a script may have changed an array in place
-            # Without a drawing a boundary that is not painted is refused, in words of its own.
-            alone = request.boundary is None
-            marks = request.drawing.marks
-            study = self.read(request if marks or alone else replace(request, drawing=None))
-            refuse_rigid(study)
+            study = self._read_chosen(unpainted=False)
         except (HmrfError, ValueError) as error:
             self._refuse(error)
             return
-        study = self._stand_on(study, request.layers[0])
         self.settling, self._since, self._asked = True, time.monotonic(), study
-        self.note = ""
         self._follower.settle(study, self._form.model.in_detail.details.device)
         self._poll.start()
 
-    def cancel(self, why: str = "") -> None:
+    def cancel(self) -> None:
         """Stop; nothing is changed, and all is idle at once, whatever the thread does."""
         settling, going_on = self.settling, self._follower.busy
         self._follower.forget()
@@ -223,7 +210,7 @@ class LiveStudy:
         if settling or going_on:
             stays = "" if self.latest is None else f" {messages.STAYS}"
             self._stop()
-            self.said.emit(why or messages.CANCELLED + stays)
+            self.said.emit(messages.CANCELLED + stays)
         if settling:
             self.finished.emit(None)
 
@@ -246,10 +233,8 @@ class LiveStudy:
     def show_before(self, before: bool) -> None:
         """Show the image as it was before it moved, or as it has moved again."""
         result = self._pointer.display.result
-        if result is not None and before:
-            result.hold_before(self.source)
-        elif result is not None:
-            result.release()
+        if result is not None:
+            result.show_before(before)
 
     def forget(self) -> None:
         """Work on nothing."""
@@ -272,6 +257,16 @@ class LiveStudy:
 
     # How it goes on
 
+    def _read_chosen(self, unpainted: bool = True) -> Study:
+        """Read what is chosen, and work on it; a boundary may be unpainted while one draws."""
+        request = self.request()
+        assert request.drawing is not None
+        if not (unpainted or request.drawing.marks or request.boundary is None):
+            request = replace(request, drawing=None)  # it is refused in words of its own
+        study = self.read(request)
+        refuse_rigid(study)
+        return self._stand_on(study, request.layers[0])
+
     def _stand_on(self, study: Study, source: Any) -> Study:
         """Work on a study; returns it, with what is drawn on its slice."""
         before = self.study
@@ -283,7 +278,7 @@ class LiveStudy:
             self._asked = None
             self._pointer.stand_on(study, source)
             self._describe()
-            self._form.footer.live.judge(study.grid.shape)
+            self._form.footer.live.judge(math.prod(study.grid.shape[-2:]))
             self._follower.rehearse(study)
             self.moved_on.emit()
         ways = Directions.of(place.place, self._viewer)
@@ -321,7 +316,7 @@ class LiveStudy:
         if len(study.grid.shape) == 2 or not self._pointer.hand.holding:
             return None
         axis, number = plane_shown(study.grid.place, View.of(self._viewer.dims))
-        return Plane(axis, number, CoarseGrid.of_at_most(_GLANCED, study.grid.shape))
+        return Plane(axis, number, CoarseGrid.of_at_most(GLANCED, study.grid.shape))
 
     def _is_hasty(self, study: Study) -> bool:
         """Whether a frame of a drag is enough, that need not be nearer than can be seen."""
@@ -355,7 +350,7 @@ class LiveStudy:
         if self._looking.isActive():  # what was edited since is known first
             self.look()
         self._done[self.source], self._failed = done, ""
-        self._report, self.note = f"{messages.report(done)} {self.note}".rstrip(), ""
+        self._report = messages.report(done)
         for made in done.outputs.layers.values():
             made.attributes["metadata"][METADATA]["inputs_changed"] = not self.fresh
         self._pointer.display.finish(done)
@@ -380,13 +375,12 @@ class LiveStudy:
             self._stop()
             return
         if self.settling:
-            footer.progress(monitor.fraction)
             what = "Deforming"
         elif waited > _PATIENCE:
             footer.cancel.enabled = True
         else:
             return
-        self.doing.emit(messages.progress(monitor, waited, what))
+        self.doing.emit(messages.progress(monitor, what))
         footer.explain(monitor.message)
 
     @property
@@ -398,10 +392,9 @@ class LiveStudy:
             return f"The tissue does not follow yet. {self._failed} {stays}".rstrip()
         if self._pointer.active:
             return ""
-        if latest is None or study is None or self._form.footer.live.on or self.fresh:
+        if latest is None or study is None or self._form.footer.live.value or self.fresh:
             return self._report
-        here = study.grid.place == latest.moved.study.grid.place
-        return f"{messages.CHANGED if here else messages.OTHER_SLICE} {self.note}".rstrip()
+        return messages.CHANGED
 
     def _tell(self, anew: bool = False) -> None:
         """Say how the study is, once, unless that is to be said anew."""
@@ -414,10 +407,8 @@ class LiveStudy:
         footer, done, study = self._form.footer, self.latest, self.study
         if done is None or study is None or done.moved.study.grid != study.grid:
             footer.warn("")
-            footer.tell("")
         else:
             footer.warn(*messages.warnings_of(done))
-            footer.tell(messages.brief(done), messages.details(done))
 
     def _cannot(self, error: Exception) -> None:
         """The tissue does not follow; the last result stays."""
@@ -453,5 +444,5 @@ class LiveStudy:
     def _stop(self) -> None:
         """Show that nothing goes on any more."""
         self.settling = False
-        self._form.footer.stop()
+        self._form.footer.show_work(False)
         self.doing.emit("")

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
-import numpy as np
-
 from napari_hmrf.errors import ConvergenceError, HmrfError
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import as_seen, unit_symbol
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of, rows_of
-from napari_hmrf.solver.model_names import ModelName, in_words, is_multigrid
+from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors.elastic import Plane
-from napari_hmrf.study.study import Study
 from napari_hmrf.ui.follower import Done
 
 WELCOME = "Open an image first (File > Open), or a sample (File > Open Sample)."
@@ -28,10 +21,8 @@ PAINT = (
 CURVE = "A first guess: the brighter, the stiffer. Drag the points of the curve."
 MEANWHILE = "What was deformed is hidden while you paint."
 CHANGED = "Changed since the last result: press Deform."
-OTHER_SLICE = "Another slice than the one deformed: press Deform to deform this one."
 CANCELLED = "Cancelled; nothing was changed."
 STAYS = "The last result stays."
-COMPILING = "getting ready, as for the first time on this machine: some seconds."
 
 MODELS: dict[ModelName, str] = {
     "elastic": "elastic: as finite elements",
@@ -65,7 +56,6 @@ ABOUT_POISSON = (
     "How much tissue bulges when it is squeezed: 0, not at all; 0.499, so much that it loses "
     "hardly any volume.\n0.45 is common for soft tissue."
 )
-ELASTIC = "Take the elastic model"
 
 #: What people can do something about, or have to wait for.
 _WAITS = ("waiting for", "compiling", "starting to compile")
@@ -79,64 +69,39 @@ def when_to_take(model: ModelName, plane: Plane) -> str:
     return f"{said} {_WHEN_PLANE[plane]} {_HOW_MUCH}" if model == "elastic" else said
 
 
-def cannot_be_rigid(names: Sequence[str]) -> str:
-    """Why the paper's model does not go with rigid tissues of these names; "" if there are none."""
-    if not names:
-        return ""
-    which, isare = " and ".join(f"'{name}'" for name in names), "is" if len(names) == 1 else "are"
-    return (
-        f"{which} {isare} rigid, which the paper's model cannot have: it compares stiffness by "
-        "ratios. Take the elastic model, or give a number in the table."
-    )
-
-
 def report(done: Done) -> str:
     """What came out, in a sentence."""
-    place = done.moved.study.grid.place
+    place, solution = done.moved.study.grid.place, done.outputs.solution
+    far = as_seen(float(magnitude(solution.displacement).max()), solution.spacing)
+    if not far:
+        return STILL
     seen = place.slice_seen.replace("slice", "Slice")
     where = f"{seen}: tissue" if seen else "Tissue"
-    solution = done.outputs.solution
-    if not as_seen(float(np.abs(solution.displacement).max()), solution.spacing):
-        return STILL
-    return f"{where} moved up to {_farthest(done)}."
+    return f"{where} moved up to {far:.3g} {unit_symbol(place.unit)}."
 
 
 def warnings_of(done: Done) -> tuple[str, str]:
     """What to beware of, in sentences and in a few words; "" if nothing."""
     outputs, parts, short = done.outputs, list[str](), ""
-    if outputs.folds > HANDFUL and outputs.worst is not None:
-        *deep, row, col = outputs.worst
-        slice_ = f"slice {deep[0]}, " if deep else ""
+    if outputs.folds > HANDFUL:
         short = f"Folds at {outputs.folds} pixels: show where"
         parts.append(
-            f"Warning: at {outputs.folds} pixels, worst at {slice_}row {row}, column {col}, the "
-            "tissue is pushed through itself (it folds), which no tissue does. "
-            f"{_less(done.moved.study)}."
+            f"Warning: at {outputs.folds} pixels the tissue is pushed through itself (it folds), "
+            "which no tissue does. Move it less; far from all that is held also by a wider patch "
+            "or boundary."
         )
     if outputs.overlaps > HANDFUL:
-        short = short or f"Overlaps at {outputs.overlaps} pixels"
         parts.append(
             f"Warning: at {outputs.overlaps} pixels one part of the tissue has moved onto another "
             "and hides it; parts do not feel each other across a gap."
         )
     parts += map(sentence_of, done.notes)
-    if len(parts) > 1:
-        short = f"{len(parts)} warnings" + (": show where" if short.startswith("Folds") else "")
     return " ".join(parts), short
 
 
 def sentence_of(clause: str) -> str:
     """A clause as a sentence of its own."""
     return f"{clause[0].upper()}{clause[1:]}."
-
-
-def _less(study: Study) -> str:
-    """What keeps tissue from folding, of what there is to change."""
-    motion = study.motion
-    painted = motion.observed is not None or (motion.labels is not None and motion.labels.any())
-    if motion.drawing.marks and not painted:
-        return "Move it less; far from all that is held take a larger patch, near it a smaller one"
-    return "Let it move less or over a wider boundary"
 
 
 def in_short(error: Exception) -> str:
@@ -148,65 +113,12 @@ def in_short(error: Exception) -> str:
     return f"The deformation failed: {type(error).__name__}: {error}"
 
 
-def details(done: Done) -> str:
-    """What ran, how long and how well; for those who want to know."""
-    solution = done.outputs.solution
-    run = solution.provenance
-    seconds = f"{run.seconds:.2g} s"
-    if run.preparation_seconds >= 0.1:
-        seconds += f" (after {run.preparation_seconds:.1f} s of preparation)"
-    count = done.outputs.folds
-    folds = f", {count} folded pixel{'s' if count > 1 else ''}" if count else ""
-    turn = "cycle" if is_multigrid(run.parameters) else "sweep"
-    turns = turn if solution.iterations == 1 else f"{turn}s"
-    model, reached = in_words(run.parameters), solution.convergence
-    near = "" if reached is None else f", within {reached.error:.1g} px of the converged field"
-    return (
-        f"{model[0].upper()}{model[1:]}: {solution.iterations} {turns} in {seconds}{near}, on "
-        f"{run.renderer}; mean energy {solution.mean_energy:.3g} px²{folds}."
-    )
-
-
-def brief(done: Done) -> str:
-    """The model, how far tissue moved and how long that took, in a line."""
-    run = done.outputs.solution.provenance
-    time = f"{1000 * run.seconds:.0f} ms" if run.seconds < 1 else f"{run.seconds:.2g} s"
-    return f"{run.model}: moved up to {_farthest(done)} in {time}"
-
-
-def removed(layer: Any) -> str:
-    """Why nothing is computed any more."""
-    return f"Cancelled: '{layer.name}' was removed."
-
-
-def painting(layer: Any) -> str:
-    """What is painted with from now on, by its name in the table if it has one."""
-    label, role = int(layer.selected_label), role_of(layer)
-    rows = rows_of(layer, role) if role in (TISSUE, BOUNDARY) else ()
-    name = next((row.name for row in rows if row.label == label), "")
-    what = f"'{name}' (label {label})" if name else f"label {label}"
-    return f"Painting {what} in '{layer.name}'."
-
-
-def progress(monitor: Monitor, seconds: float, what: str = "Deforming") -> str:
-    """How far the work is after so many seconds, in words for all; `monitor` has the others."""
+def progress(monitor: Monitor, what: str = "Deforming") -> str:
+    """How far the work is, in words for all; `monitor` has the others."""
     if monitor.message.startswith(_WAITS):
         return f"{what}: {monitor.message}."
-    if monitor.message.startswith("preparing") and seconds >= 1:
-        return f"{what}: {COMPILING}"
     percent = round(100 * monitor.fraction)
     return f"{what}: {percent} %" if percent else f"{what} ..."
-
-
-def _farthest(done: Done) -> str:
-    """The longest displacement, in the unit of the image; in pixels, too, if they are square."""
-    solution = done.outputs.solution
-    length = as_seen(float(magnitude(solution.displacement).max()), solution.spacing)
-    unit, size = unit_symbol(done.moved.study.grid.place.unit), solution.spacing[0]
-    if any(other != size for other in solution.spacing):
-        return f"{length:.3g} {unit}"
-    pixels = f"{length / size:.1f} px"
-    return pixels if unit == "px" and size == 1 else f"{pixels} ({length:.3g} {unit})"
 
 
 def saved_study(name: str, solved: bool) -> str:

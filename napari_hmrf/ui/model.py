@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -10,20 +10,19 @@ from typing import Any, get_type_hints
 from magicgui.widgets import (
     Container,
     FloatSpinBox,
-    PushButton,
     RadioButtons,
     create_widget,
 )
 from napari.layers import Image
 from qtpy.QtCore import QSize
 from qtpy.QtGui import QIcon
-from qtpy.QtWidgets import QRadioButton, QSizePolicy
+from qtpy.QtWidgets import QRadioButton
 
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.study.models import SolverDetails, asked, optimizer_of, prior_of
-from napari_hmrf.tissue.boundary_rules import USUAL_POISSON, Material
+from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.forms import Prose, align_labels, menu, narrow
 
@@ -79,8 +78,6 @@ class ModelForm(Container):
         Of the elastic model: "stress" or "strain".
     poisson : FloatSpinBox
         Of the elastic model, where the tissue is an image of stiffness; labels have a table.
-    elastic : PushButton
-        To the elastic model, where there is rigid tissue, which the paper's cannot have.
     in_detail : DetailsForm
         To be put elsewhere.
     """
@@ -112,21 +109,14 @@ class ModelForm(Container):
             tooltip=messages.ABOUT_POISSON,
         )
         self._when = Prose()
-        self._against = Prose()
-        self.elastic = PushButton(
-            text=messages.ELASTIC, tooltip="In which bone and implants move as one"
-        )
         self._form = form = Container(widgets=[self.model, self.plane, self.poisson])
-        super().__init__(widgets=[form, self._when, self._against, self.elastic], labels=False)
+        super().__init__(widgets=[form, self._when], labels=False)
         form.margins = (0, 0, 0, 0)
         align_labels(form)
         self.poisson.native.setDecimals(3)
         self.poisson.native.setKeyboardTracking(False)  # "0." is no ratio yet
-        self.elastic.native.setSizePolicy(QSizePolicy.Policy.Maximum, QSizePolicy.Policy.Fixed)
         self.in_detail = DetailsForm()
         self._tissue: Any = None
-        self._rigid: tuple[str, ...] = ()
-        self.elastic.changed.connect(lambda _: setattr(self.model, "value", "elastic"))
         self.model.changed.connect(self._on_model)
         # A menu tells of no change where what is chosen already is chosen again.
         self.model.native.activated.connect(lambda _: self._on_model(self.model.value))
@@ -159,24 +149,10 @@ class ModelForm(Container):
         """How it is minimised."""
         return optimizer_of(self.model.value, self.in_detail.details)
 
-    @property
-    def objection(self) -> str:
-        """Why this model does not go with what the table of tissues says; "" if it does."""
-        return "" if self.is_elastic else messages.cannot_be_rigid(self._rigid)
-
-    def tissue_is(self, layer: Any, materials: Iterable[Material] = ()) -> None:
-        """Tell what the tissue is read from.
-
-        Parameters
-        ----------
-        layer : napari.layers.Layer or None
-            An image of stiffness has one Poisson's ratio for all of it.
-        materials : iterable of Material
-            The table of labels, some of which may be rigid.
-        """
-        rigid = tuple(row.name or f"label {row.label}" for row in materials if row.is_rigid)
-        if layer is not self._tissue or rigid != self._rigid:
-            self._tissue, self._rigid = layer, rigid
+    def tissue_is(self, layer: Any) -> None:
+        """Tell what the tissue is read from: an image has one Poisson's ratio for all of it."""
+        if layer is not self._tissue:
+            self._tissue = layer
             self._show()
 
     def _on_model(self, model: str) -> None:
@@ -189,9 +165,7 @@ class ModelForm(Container):
         """Show what applies."""
         model = self.model.value
         self._when.say(messages.when_to_take(model, self.plane.value))
-        self._against.say(self.objection)
         self.plane.visible = self.is_elastic
         self.poisson.visible = self.is_elastic and isinstance(self._tissue, Image)
-        self._against.visible = self.elastic.visible = bool(self.objection)
         for field in self.in_detail:
             field.visible = field.name in asked(model)

@@ -81,4 +81,5 @@ def _blank(image: Any, view: View, name: str, known: dict[str, Any], **look: Any
         place = frame.placement(image=True)
     layer = Labels(np.zeros(shape, np.uint8), name=name, metadata=known, **look, **place)
     layer.brush_size = max(3, round(max(plane_shape(image, frame)) / 40))
+    layer.n_edit_dimensions = len(frame.plane)  # of a volume the brush is a ball
     return layer

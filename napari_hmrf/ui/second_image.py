@@ -44,10 +44,10 @@ class SecondImage:
         self._results = shared(viewer, ResultLayers)
         self._image = form.image
         self._pair = form.motion.boundary.landmarks
-        # The layers that are drawn in another way, and how they were before.
-        self._before: list[tuple[Any, dict[str, Any]]] = []
-        # The second image, and where it was among the layers.
-        self._place: tuple[Any, int] | None = None
+        # The second image and those under it, how they were before, and where the second was.
+        self._drawn: list[Any] = []
+        self._before: list[dict[str, Any]] = []
+        self._place = 0
         choices = (self._image, self._form.second, self._pair.where, self._pair.should)
         changes = (view.looked, *(choice.changed for choice in choices))
         self._heard = Listening(
@@ -75,31 +75,24 @@ class SecondImage:
 
     def _draw(self, other: Any, moved: list[Any]) -> None:
         """Draw an image over others that move; those drawn so before are as they were."""
-        looks: list[tuple[Any, dict[str, Any]]] = []
+        wanted, layers = [] if other is None else [other, *moved], self._viewer.layers
+        if wanted == self._drawn:
+            return
+        for layer, look in zip(self._drawn, self._before, strict=True):
+            _set(layer, look)
+        if self._drawn and self._drawn[0] in layers:  # else it would cover what moves
+            layers.move(layers.index(self._drawn[0]), self._place)
+        self._drawn, self._before = wanted, []
+        for layer in wanted:
+            look = dict(_OTHER if layer is other else _MOVED)
+            if layer.rgb:
+                del look["colormap"]
+            self._before.append({name: getattr(layer, name) for name in look})
+            _set(layer, look)
         if other is not None:
-            looks = [(other, _OTHER), *((layer, _MOVED) for layer in moved)]
-        wanted = [layer for layer, _ in looks]
-        for layer, look in self._before:
-            if layer not in wanted:
-                _set(layer, look)
-        self._before = [each for each in self._before if each[0] in wanted]
-        known = [layer for layer, _ in self._before]
-        for layer, look in looks:
-            if layer not in known:
-                new = {name: look[name] for name in look if name != "colormap" or not layer.rgb}
-                self._before.append((layer, {name: getattr(layer, name) for name in new}))
-                _set(layer, new)
-        layers = self._viewer.layers
-        if self._place is not None and self._place[0] is not other:
-            before, at = self._place
-            self._place = None
-            if before in layers:  # else it would cover what moves
-                layers.move(layers.index(before), at)
-        if other is not None and self._place is None:
-            self._place = other, layers.index(other)
-        for layer in wanted[1:]:
-            if layer in layers and layers.index(layer) > layers.index(other):
-                layers.move(layers.index(other), layers.index(layer) + 1)
+            self._place = layers.index(other)
+            there = [layers.index(layer) for layer in moved if layer in layers]
+            layers.move(self._place, max([self._place, *(index + 1 for index in there)]))
 
     def _on_points(self, event: Any) -> None:
         if event.action in (ActionType.ADDED, ActionType.REMOVED, ActionType.CHANGED):

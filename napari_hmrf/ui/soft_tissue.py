@@ -96,9 +96,9 @@ class SoftTissue(Dock):
     result : napari.layers.Vectors or None
         The arrows that hold the result that is looked at: the newest, or one whose arrows were
         selected since; to be set, too.
-    percent, before, arrows : int, bool, bool
-        How much of the deformation is seen, from 0 to 100; whether the image is, as it was, without
-        its result; and whether arrows are drawn.
+    percent, before : int, bool
+        How much of the deformation is seen, from 0 to 100; and whether the image is, as it was,
+        without its result.
     overlay : str
         What lies over the image: "nothing"; moving with the tissue a `Quantity`, "grid", "labels",
         "difference" (from the reference), "stiffness" or "confidence"; where it was, "folds" or
@@ -147,7 +147,6 @@ class SoftTissue(Dock):
     percent = Part[int]("_form.result.slider.value")
     before = Part[bool]("_view.before")
     playing = Part[bool]("_view.player.playing")
-    arrows = Part[bool]("_form.result.arrows.value")
     reference = Part[Any]("_form.result.reference.value")
     comparison = Part[Comparison | None]("_view.comparison")
     more = Part[ResultMenu]("_view.more")
@@ -158,7 +157,7 @@ class SoftTissue(Dock):
     compare_with = Part[Any]("_form.result.second.value")
     residual = Part[str]("_form.result.landmarks.value")
     sides = Part[Sides]("_sides.shown")
-    live = Part[bool]("_form.footer.live.on")
+    live = Part[bool]("_form.footer.live.value")
     status = Part[str]("_guide.shown")
     invitation = Part[str]("_guide.invitation")
     warning = Part[str]("_form.footer.warning")
@@ -223,8 +222,7 @@ class SoftTissue(Dock):
     @property
     def details(self) -> str:
         """What ran to make the latest result, how long and how well."""
-        latest = self._live_study.latest
-        return "" if latest is None else messages.details(latest)
+        return "" if self.solution is None else repr(self.solution)
 
     @property
     def idle(self) -> bool:
@@ -319,7 +317,6 @@ class SoftTissue(Dock):
         if self.idle and not self.away:
             for table in self._form.tables:
                 table.look()
-            self._choices.begin()
             self._live_study.settle()
 
     def cancel(self) -> None:
@@ -343,7 +340,6 @@ class SoftTissue(Dock):
         made = add_missing(self._viewer, self.image, *chosen, self._choices.view)
         with self._choices.nobody_chooses():  # undo would not take the layers away
             self.tissue, self.boundary = BRIGHTNESS if by_itself else made[0], made[1]
-        self._choices.begin()
         self.say(messages.PAINT)
 
     def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> StiffnessCurve:
@@ -373,13 +369,11 @@ class SoftTissue(Dock):
         study = self._live_study.study
         assert study is not None
         grid, view = study.grid, self._choices.view
-        marks, notes = read_landmarks(where, should, grid.place, grid.shape, view, **how)
+        marks = read_landmarks(where, should, grid.place, grid.shape, view, **how)
         others = [mark for mark in self.drawing.marks if mark not in self._taken]
         self._taken = marks
         self._pointer.set_drawing(Drawing((*marks, *others)), f"took landmarks from '{where.name}'")
         self.start()
-        for note in notes:
-            self.say(messages.sentence_of(note))
 
     def take_materials(self, materials: Preset | Any) -> None:
         """Take over a table with its unit: a `Preset`, another Labels layer's, or a file's.
@@ -400,7 +394,7 @@ class SoftTissue(Dock):
             self._viewer.layers.selection.active = layer
             layer.visible = True
             layer.mode = "paint"
-            self._guide.say_painting(layer, self.before)
+            self.say(messages.MEANWHILE if self.before else "")
 
     def touch(self) -> None:
         """Something was edited in a way that nobody is told of: have the tissue follow."""
@@ -475,7 +469,7 @@ class SoftTissue(Dock):
 
     def on_window(self, window: Any) -> None:
         """The dock is in a window of napari's."""
-        self._unsaved.watch(window)
+        window.installEventFilter(self._unsaved)
         self._sides.begin(window)
 
     def on_over(self, closed: bool) -> None:

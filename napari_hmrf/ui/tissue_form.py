@@ -10,8 +10,8 @@ from napari.layers import Image, Labels, Vectors
 from psygnal import Signal
 from qtpy.QtWidgets import QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
-from napari_hmrf.layers.field_layer import holds_field
-from napari_hmrf.layers.metadata import TISSUE, known_of, role_of
+from napari_hmrf.layers.image_result import CONFIDENCE
+from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.read import EDGES
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
@@ -27,10 +27,6 @@ Table = TypeVar("Table", bound=LabelTable)
 BRIGHTNESS = "brightness"
 #: What an editor begins with.
 _UNKNOWN = StiffnessCurve(((0, 1), (1, 1)))
-
-
-def _is_tissue(layer: Any) -> bool:
-    return isinstance(layer, Labels) or role_of(layer) == TISSUE
 
 
 class _PaintedSection(Container, Generic[Table]):
@@ -89,7 +85,6 @@ class TissueSection(_PaintedSection[MaterialTable]):
             lambda layer: isinstance(layer, Labels | Image) and "kind" not in known_of(layer),
             "tissue",
             "A Labels layer in which tissues are painted, an image of stiffness, or a curve",
-            lambda layer: layer.name + ("" if _is_tissue(layer) else " (as stiffness)"),
             lambda: [("brightness of the image", BRIGHTNESS)] if self.known else [],
         )
         super().__init__(choice, [], MaterialTable(view))
@@ -154,7 +149,6 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
             "Vectors layer, or a field of a registration by File > Open. Landmarks, as two Points "
             "layers or as lines of a Shapes layer, come on top: their menus are below once there "
             "are such layers",
-            lambda layer: layer.name + _what_moves(layer),
         )
         self.confidence = LayerChoice(
             layers,
@@ -162,7 +156,6 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
             "confidence",
             "How sure what is observed is: an image from 0 to 1, labels as a mask, or only where "
             "the image has edges; without, 1",
-            lambda layer: layer.name + (" (mask)" if isinstance(layer, Labels) else ""),
             lambda: [("edges of the image", EDGES)],
         )
         super().__init__(choice, [self.confidence], BoundaryTable(view))
@@ -177,14 +170,7 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
         super()._on_choice(layer)
 
 
-def _what_moves(layer: Any) -> str:
-    """Labels need no word."""
-    if isinstance(layer, Labels):
-        return ""
-    return " (field)" if holds_field(layer) else " (arrows)"
-
-
 def _may_be_confidence(layer: Any) -> bool:
     """Whether a layer is grey or a mask, and no picture of what brushes have made of confidence."""
     grey = isinstance(layer, Labels) or (isinstance(layer, Image) and not layer.rgb)
-    return grey and known_of(layer).get("kind") != "painted confidence"
+    return grey and known_of(layer).get("kind") != CONFIDENCE

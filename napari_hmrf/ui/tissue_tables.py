@@ -28,7 +28,6 @@ from napari_hmrf.tissue.boundary_rules import (
     BoundaryRule,
     Material,
     default_material,
-    default_rigid,
     default_rule,
     read_stiffness,
     stiffness_in_words,
@@ -48,11 +47,10 @@ class MaterialTable(LabelTable):
     """Label, name, stiffness and Poisson's ratio; `rows` are `Material`s."""
 
     role, title = TISSUE, "Tissue"
-    _elastic = True
 
     @property
     def columns(self) -> list[Column]:
-        """Poisson's ratios, too, of elastic tissue."""
+        """Stiffness in the unit that is known, and Poisson's ratio."""
         unit = self.contents.unit  # shown only, for ratios are what matters
         return [
             *super().columns,
@@ -60,37 +58,22 @@ class MaterialTable(LabelTable):
                 f"Stiffness ({unit})" if unit else "Relative\nstiffness",
                 "Young's modulus, in any unit as long as it is the same for all tissues: only "
                 "ratios matter.\n0 is no tissue, such as air. 'rigid' moves as one, such as bone "
-                "or an implant; the elastic model has that, the paper's has not.",
+                "or an implant; the elastic model has that, the paper's has not.\n"
+                "Label 0 is every pixel that you do not paint.",
                 lambda row: stiffness_in_words(row.stiffness),
                 _stiffness,
-                _about,
             ),
             Column(
                 "Poisson's\nratio",
-                ABOUT_POISSON,
-                lambda row: f"{row.poisson:g}" if self._elastic and row.is_deformable else "",
+                f"{ABOUT_POISSON}\nThe paper's model does not ask for it.",
+                lambda row: f"{row.poisson:g}" if row.is_deformable else "",
                 _poisson,
-                _about,
             ),
         ]
-
-    def show_poisson(self, elastic: bool) -> None:
-        """Show Poisson's ratios, or not: only elastic tissue has them."""
-        self._elastic = elastic
-        self._fill()
 
     def default(self, label: int) -> Material:
         """Tissue like the first."""
         return default_material(label, self.rows)
-
-    def words(self, row: Material) -> str:
-        """How stiff it is."""
-        amount = stiffness_in_words(row.stiffness)
-        return amount if row.is_rigid else f"stiffness {amount}"
-
-    def about(self, row: Material) -> str:
-        """What is unpainted is of a tissue, too."""
-        return _of_unpainted(row)
 
 
 def _stiffness(material: Material, text: str) -> Material:
@@ -109,17 +92,6 @@ def _poisson(material: Material, text: str) -> Material:
     return replace(material, poisson=poisson)
 
 
-def _of_unpainted(material: Material) -> str:
-    unpainted = "Every pixel you do not paint has this stiffness; with 0 it is no tissue"
-    return unpainted if material.label == 0 else ""
-
-
-def _about(material: Material) -> str:
-    if material.is_rigid:
-        return "Moves and turns as one, such as bone or an implant, without changing its shape"
-    return _of_unpainted(material) if material.is_deformable else "No tissue, such as air"
-
-
 class BoundaryTable(LabelTable):
     """Label, name, action, distances and confidence; `rows` are `BoundaryRule`s."""
 
@@ -135,13 +107,10 @@ class BoundaryTable(LabelTable):
             Column(
                 "Action",
                 "Fixed: stays where it is.\nMoves: so far along the rows and the columns.\n"
-                "Expands: so far outward, along the normal of its outline",
-                self.words,
+                "Expands: so far outward, along the normal of its outline, which must be a closed "
+                "ring or filled",
+                lambda row: _ACTIONS[row.action],
                 lambda row, text: replace(row, action=_BY_WORD[text]),
-                lambda row: (
-                    "Expanding regions must be closed rings or filled: they move along the outward "
-                    "normal of their outline"
-                ),
                 tuple(_BY_WORD),
             ),
             *(_along(axis, unit, ways) for axis in (0, 1)),
@@ -170,10 +139,6 @@ class BoundaryTable(LabelTable):
     def default(self, label: int) -> BoundaryRule:
         """What stays where it is."""
         return default_rule(label)
-
-    def words(self, row: BoundaryRule) -> str:
-        """What it does."""
-        return _ACTIONS[row.action]
 
 
 def _along(axis: int, unit: str, ways: Directions) -> Column:
@@ -209,7 +174,7 @@ def _distance(
         return changed(rule, far)
 
     words = title.replace("along ", "along\n")  # the dock is narrow
-    return Column(f"{words}\n{unit}", f"{about}, in {unit}", shown, typed, lambda _: f"in {unit}")
+    return Column(f"{words}\n{unit}", f"{about}, in {unit}", shown, typed)
 
 
 def _sure(rule: BoundaryRule, text: str) -> BoundaryRule:
@@ -240,13 +205,10 @@ class MaterialMenu(QPushButton):
     Attributes
     ----------
     said : Signal(str)
-        What was done, or why not.
-    taken : Signal(str)
-        What was put into the table, and what became of what it called otherwise.
+        What was done, and what became of what the table called otherwise; or why not.
     """
 
     said = Signal(str)
-    taken = Signal(str)
 
     def __init__(self, table: MaterialTable, layers: Callable[[], list[Any]]) -> None:
         super().__init__("Materials")
@@ -261,16 +223,9 @@ class MaterialMenu(QPushButton):
         """Fill the menu with what there is now."""
         menu = self.menu()
         menu.clear()
-        _head(menu, "Published, each with its source")
         for preset in PRESETS:
             self._offer(menu, preset)
-        _head(menu, "In addition")
-        about = (
-            "Adds a row to the table: what you paint with it moves and turns as one. The elastic "
-            "model has that, the paper's has not"
-        )
-        add_entry(menu, "Bone or implant (rigid)", about, lambda: self._table.add(default_rigid))
-        _head(menu, "Share and keep")
+        menu.addSeparator()
         taken = menu.addMenu("Take from layer")
         taken.setToolTipsVisible(True)
         for layer in self._layers():
@@ -300,7 +255,7 @@ class MaterialMenu(QPushButton):
             raise LayerError(materials, "has no table of materials. Choose another layer.")
         rows, words = take_over(preset, self._table.rows)
         self._table.contents = Table(rows, preset.unit, preset.name, preset.source)
-        self.taken.emit(f"Materials: {preset.name}. {words}".rstrip())
+        self.said.emit(f"Materials: {preset.name}. {words}".rstrip())
 
     def save(self, path: str | Path) -> Path:
         """Save the table to a file; as `save_materials`."""
@@ -310,13 +265,7 @@ class MaterialMenu(QPushButton):
         return file
 
     def _offer(self, menu: QMenu, preset: Preset) -> None:
-        rows = "\n".join(
-            f"{row.label}  {row.name}: {stiffness_in_words(row.stiffness, preset.unit)}"
-            + (f", Poisson's ratio {row.poisson:g}" if row.is_deformable else "")
-            for row in preset.materials
-        )
-        source = f"\nSource: {preset.source}" if preset.source else ""
-        about = f"<p style='white-space:pre-wrap'>{escape(rows + source, quote=False)}</p>"
+        about = f"<p>{escape(preset.source, quote=False)}</p>"  # as rich text it is wrapped
         title = f"{preset.name} {preset.unit if preset in PRESETS else ''}".strip()
         add_entry(menu, title, about, lambda _=False: self.take(preset))
 
@@ -329,9 +278,3 @@ class MaterialMenu(QPushButton):
         path, _ = QFileDialog.getSaveFileName(self, "Save materials", f"materials{ENDING}", _FILES)
         if path:
             attempt(partial(self.save, path), self.said.emit)
-
-
-def _head(menu: QMenu, title: str) -> None:
-    """A line of words between entries; styles with colours of their own draw no section's."""
-    menu.addSeparator()
-    menu.addAction(title).setEnabled(False)

@@ -16,7 +16,7 @@ import numpy as np
 from magicgui.widgets import Container, PushButton
 from napari.qt import QtViewer
 from qtpy.QtCore import QEvent, QFile, QObject, Qt, QThread, QTimer
-from qtpy.QtWidgets import QApplication, QFileDialog, QMainWindow, QMessageBox
+from qtpy.QtWidgets import QApplication, QFileDialog, QMessageBox
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.io import recovery
@@ -109,7 +109,7 @@ class Unsaved(QObject):
         """Ask where to save the study, and save it; whether it was."""
         here, name = self._pointer.history.slot, "study"
         if isinstance(here, Slot):
-            name = _NO_FILE_NAME.sub("-", f"{here.layer.name} {_slice(here)}".strip())
+            name = _NO_FILE_NAME.sub("-", _name(here))
         known = self._work.paths.get(here, Path(name + SUFFIX))
         chosen, _ = QFileDialog.getSaveFileName(
             self._dock.native, "Save the study", str(known), f"Studies (*{SUFFIX})"
@@ -150,7 +150,6 @@ class Unsaved(QObject):
             if study.motion.drawing.marks and not self._live.look():
                 raise HmrfError(f"{Path(path).name} cannot be shown here: {dock.status}")
             dock.drawing = study.motion.drawing
-        self._choices.begin()
         if (brightness := self._live.curve_layer.layer) is not None and study.moves:
             brightness.visible = False  # as all paint of what moves
 
@@ -179,12 +178,8 @@ class Unsaved(QObject):
 
     # Before the window closes
 
-    def watch(self, window: QMainWindow) -> None:
-        """Hear of a window of napari's."""
-        window.installEventFilter(self)
-
     def eventFilter(self, watched: Any, event: Any) -> bool:
-        """Hear of the window's closing before napari does."""
+        """Hear of the closing of a window of napari's before napari does."""
         if event.type() != QEvent.Type.Close or self not in _all:
             return False
         if watched.findChild(QtViewer).isHidden():
@@ -207,10 +202,7 @@ class Unsaved(QObject):
     def may_close(self) -> bool:
         """Ask what to do with what no file holds; whether nothing of it is wanted any more."""
         slices, paths = self._work.slices, self._work.paths
-        names = [
-            f"'{slot.layer.name}'" + (f" ({_slice(slot)})" if _slice(slot) else "")
-            for slot in slices
-        ]
+        names = [f"'{_name(slot)}'" for slot in slices]
         replaced = [f"'{paths[slot].name}'" for slot in slices if slot in paths]
         answer = self.ask(
             f"What was done on {' and '.join(names)} is in no file yet. Save it before closing?"
@@ -325,8 +317,9 @@ def folder() -> Path:
     return Path(settings().fileName()).parent / "unsaved"
 
 
-def _slice(slot: Slot) -> str:
-    return "" if slot.place is None else slot.place.name
+def _name(slot: Slot) -> str:
+    """Of an image and its slice, if it has several."""
+    return f"{slot.layer.name} {'' if slot.place is None else slot.place.name}".strip()
 
 
 def _write(file: Path, study: Study) -> None:

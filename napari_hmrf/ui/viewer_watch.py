@@ -14,7 +14,6 @@ from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of
 from napari_hmrf.layers.pixel_copy import CHANGES
 from napari_hmrf.layers.viewer_layers import is_selection_kept, shared
 from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
-from napari_hmrf.ui import messages
 from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import Listening, single_shot
@@ -62,22 +61,26 @@ class ViewerWatch:
         self._pointer, self._live, self._guide = pointer, live, guide
         self._read: list[Any] = []
         self._active = viewer.layers.selection.active
-        self._fitting = single_shot(native, 50, viewer.reset_view)
         self._selected = single_shot(native, 0, self._on_active)
         self._starting = single_shot(native, 0, self._on_first)
         # napari may be in the middle of removing more layers than the one.
         self._leaving = single_shot(native, 0, self._on_left)
         self._begun = self._was_active = False
         live.moved_on.connect(self._on_other)
-        self._layers = Listening()
         self._slice = self._slice_shown
         form.edited.connect(self._on_choice)
         form.image.changed.connect(self._on_choice)
+        self._answers: dict[str, Any] = {
+            "inserted": self._on_inserted,
+            "removed": self._on_removed,
+            "renamed": choices.look,
+            "reordered": guide.show,
+            "visible": guide.show,
+            "mode": self._on_mode,
+            **dict.fromkeys((*CHANGES, *PLACE), self._on_pixels),
+        }
         self._events = Listening(
-            (viewer.layers.events.inserted, self._on_inserted),
-            (viewer.layers.events.removed, self._on_removed),
-            (viewer.layers.events.renamed, choices.look),
-            (viewer.layers.events.reordered, guide.look_at_view),
+            (viewer.layers.events, self._on_layers),
             (viewer.layers.selection.events.active, self._on_active),
             (viewer.dims.events.current_step, self._on_slice),
             (viewer.dims.events.order, self._on_slice),
@@ -85,12 +88,10 @@ class ViewerWatch:
         )
         viewer.mouse_drag_callbacks.append(self._on_drag)
         self._on_choice()
-        self._listen_to_layers()
 
     def release(self) -> None:
         """Listen no more."""
         self._events.release()
-        self._layers.release()
         if self._on_drag in self._viewer.mouse_drag_callbacks:
             self._viewer.mouse_drag_callbacks.remove(self._on_drag)
 
@@ -130,9 +131,8 @@ class ViewerWatch:
         self._read = [image, form.tissue.layer, boundary.choice.value, boundary.confidence.value]
         form.make.enabled = there and None in self._painted
         form.intensity.enabled = form.result.keep.enabled = there
-        self._mark()
         self._live.touch()
-        self._guide.look_at_view()
+        self._guide.show()
 
     # What is shown
 
@@ -150,23 +150,14 @@ class ViewerWatch:
         dims = self._viewer.dims
         return dims.displayed, [dims.point[axis] for axis in dims.not_displayed]
 
-    def _listen_to_layers(self) -> None:
-        """Listen to what is done with layers: those there are now."""
-        self._layers.release()
-        answers: dict[str, Any] = {"visible": self._guide.look_at_view, "mode": self._on_mode}
-        answers.update(dict.fromkeys((*CHANGES, *PLACE), self._on_pixels))
-        self._layers = Listening(
-            *(
-                (layer.events[name], answer)
-                for layer in self._viewer.layers
-                for name, answer in answers.items()
-                if name in layer.events
-            )
-        )
+    def _on_layers(self, event: Any) -> None:
+        """Answer what happens to the list of layers, or to a layer in it."""
+        if event.type in self._answers:
+            self._answers[event.type](event)
 
     def _on_pixels(self, event: Any) -> None:
         """The pixels of a layer, or their place, may be others."""
-        if self._reads(event.source):
+        if self._reads(event.sources[0]):
             self._live.touch()
 
     def _reads(self, layer: Any) -> bool:
@@ -174,33 +165,25 @@ class ViewerWatch:
         return any(layer is each for each in self._read)
 
     def _on_inserted(self, event: Any) -> None:
-        self._listen_to_layers()
         self._choices.look()
         self._choices.take(event.value)
-        if role_of(event.value) and len(self._viewer.layers) == 1:
-            self._fitting.start()  # napari fitted it before it knew the canvas
         self._on_choice()
 
     def _on_removed(self, event: Any) -> None:
-        was_read = self._reads(event.value)
-        self._listen_to_layers()
+        layer, live, display = event.value, self._live, self._pointer.display
+        was_read = self._reads(layer)
         self._choices.look()
-        self._let_go_of(event.value, was_read)
-        self._leaving.start()
-        self._on_choice()
-
-    def _let_go_of(self, layer: Any, was_read: bool) -> None:
-        """A layer was removed: nothing is computed of it any more."""
-        live, display, why = self._live, self._pointer.display, messages.removed(layer)
         if layer is display.arrows.former and not display.quiet:
             self._pointer.release()
             self._guide.say_arrows_gone()
         if live.study is not None and layer is live.source:
-            live.cancel(why)
+            live.cancel()
             live.forget()
-            self._guide.say_gone(layer)
+            self._guide.say("")
         elif was_read and live.settling:
-            live.cancel(why)
+            live.cancel()
+        self._leaving.start()
+        self._on_choice()
 
     def _on_left(self) -> None:
         """Take away the results of images that are gone, and the tools if there is none left."""
@@ -226,15 +209,9 @@ class ViewerWatch:
             self._selected.start()  # what is selected then counts
             return
         before, self._active = self._active, self._viewer.layers.selection.active
-        self._mark()
         self.look_at_mouse()
         if self._active is not before:  # else a layer of ours has come beside it
             self._on_mode()
-
-    def _mark(self) -> None:
-        """Mark the row that is painted with."""
-        for table in self._form.tables:
-            table.mark(self._viewer.layers.selection.active)
 
     @property
     def _is_painted(self) -> bool:

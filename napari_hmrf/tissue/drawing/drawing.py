@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Any, Literal, NamedTuple
 
 from napari_hmrf.tissue.drawing.canvas import Box, Canvas, box_of, covers, is_empty, paint
@@ -150,17 +151,15 @@ class Drawing:
             If it is not what `as_dict` made, or by a newer version.
         """
         try:
-            version, marks = values["version"], values["marks"]
+            version, marks = values["version"], tuple(values["marks"])
         except (KeyError, TypeError) as error:
-            raise ValueError(f"not a drawing: it lacks {error}") from error
+            raise ValueError(f"not a drawing: {error}") from error
         if version != _VERSION:
             raise ValueError(
                 f"a drawing of version {version!r}, but this program reads version {_VERSION}. "
                 "Update napari-hmrf to open it"
             )
-        if not isinstance(marks, list | tuple):
-            raise ValueError(f"not a drawing: its marks are {marks!r}")
-        return cls(tuple(mark_from_dict(mark) for mark in marks))
+        return cls(tuple(map(mark_from_dict, marks)))
 
     def _check(self, number: int) -> None:
         if not 0 <= number < len(self.marks):
@@ -226,14 +225,8 @@ class Rendering:
 
     def _changed(self, drawing: Drawing) -> Box | None:
         """The box of all marks that are not in both drawings, at the same place in the order."""
-        old, new = self.drawing.marks, drawing.marks
-        shorter = min(len(old), len(new))
-        first = next((i for i in range(shorter) if old[i] != new[i]), shorter)
-        rest = shorter - first
-        last = next((i for i in range(rest) if old[-1 - i] != new[-1 - i]), rest)
-        gone, come = old[first : len(old) - last], new[first : len(new) - last]
-        canvas = self.canvas
-        marks = _differing(gone, come)
+        canvas, pairs = self.canvas, zip_longest(self.drawing.marks, drawing.marks)
+        marks = [mark for pair in pairs if pair[0] != pair[1] for mark in _differing(*pair)]
         boxes = [box_of(mark, canvas.spacing, canvas.whole) for mark in marks]
         boxes = [box for box in boxes if not is_empty(box)]
         if not boxes:
@@ -253,11 +246,10 @@ def ends_of(mark: Mark, spacing: Sequence[float]) -> tuple[Point, ...]:
     return ()
 
 
-def _differing(gone: tuple[Mark, ...], come: tuple[Mark, ...]) -> tuple[Mark, ...]:
-    """The marks that differ; of a stroke that only went on, the part that is new."""
-    match gone, come:
-        case (Stroke() as before,), (Stroke() as after,) if after.action != "expand":
-            added = after.added_to(before)
-            if added is not None:
-                return (added,)
-    return (*gone, *come)
+def _differing(gone: Mark | None, come: Mark | None) -> tuple[Mark, ...]:
+    """Those of two marks that there are; of a stroke that only went on, the part that is new."""
+    if isinstance(gone, Stroke) and isinstance(come, Stroke) and come.action != "expand":
+        added = come.added_to(gone)
+        if added is not None:
+            return (added,)
+    return tuple(mark for mark in (gone, come) if mark is not None)

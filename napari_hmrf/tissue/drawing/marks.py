@@ -279,9 +279,7 @@ def mark_from_dict(values: Mapping[str, Any]) -> Mark:
     try:
         rest = dict(values)
         return _KINDS[rest.pop("kind")](**rest)
-    except KeyError as error:
-        raise ValueError(f"not a mark: no kind {error}") from error
-    except (TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"not a mark: {error}") from error
 
 

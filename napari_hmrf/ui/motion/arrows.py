@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import logging
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, nullcontext
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from napari.layers import Layer
@@ -20,30 +19,8 @@ from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_th
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.drawing.marks import Point
 
-_log = logging.getLogger("napari_hmrf")
 #: How near the pointer must be to the end of an arrow, in pixels of the screen.
 _NEAR = 8.0
-HELP = "Shift+click picks up what is drawn, Delete removes, Esc cancels, Ctrl+Z undoes"
-
-
-class Mouse(Protocol):
-    """Who is told what the mouse does on the canvas."""
-
-    @property
-    def keys(self) -> Mapping[str, Callable[[], object]]:
-        """What keys do while the layer is the active one."""
-
-    def press(self, point: Point, reach: float) -> None:
-        """The button is pressed at a pixel."""
-
-    def pick(self, point: Point, reach: float) -> None:
-        """The button is pressed while Shift is held."""
-
-    def move(self, point: Point) -> None:
-        """The mouse moves on while the button is pressed."""
-
-    def release(self) -> None:
-        """The button is let go."""
 
 
 class ArrowsLayer:
@@ -52,17 +29,16 @@ class ArrowsLayer:
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
-    told : Mouse
-        Who is told.
+    told : Pointer
+        Who is told what the mouse and the keys do.
     """
 
-    def __init__(self, viewer: Any, told: Mouse) -> None:
+    def __init__(self, viewer: Any, told: Any) -> None:
         self._viewer = viewer
         self._told = told
         self._layer: Any = None
         self._frame: Frame | None = None
         self._radius = 1.0
-        self._does = HELP
         # What is to be done when the drag is over.
         self._drag = ExitStack()
 
@@ -164,12 +140,6 @@ class ArrowsLayer:
             layer.cursor_size = 2 * radius * step / frame.spacing[-1]
             layer.cursor = "circle"
 
-    def show_tool(self, does: str) -> None:
-        """Say below the canvas what the tool does."""
-        self._does = f"{does} {HELP}"
-        if self.layer is not None:
-            self._equip(self._layer)
-
     def hide_circle(self) -> None:
         """Show no circle around the pointer until the drag is over.
 
@@ -190,17 +160,6 @@ class ArrowsLayer:
             self._viewer.layers.remove(self._layer)
         self._layer = self._frame = None
 
-    def release(self) -> None:
-        """Feel nothing any more."""
-        self.end_drag()
-        layer, self._layer = self._layer, None
-        if layer is not None:
-            if self._on_drag in layer.mouse_drag_callbacks:
-                layer.mouse_drag_callbacks.remove(self._on_drag)
-            layer.keymap.clear()
-            layer.events.mode.disconnect(self._on_mode)
-            layer.cursor, layer.help, layer.mouse_pan = "standard", "", True
-
     def _add(self, frame: Frame, shape: tuple[int, ...]) -> None:
         """Add the layer, in place of the one that there was."""
         self.remove()
@@ -215,14 +174,10 @@ class ArrowsLayer:
         layer.events.mode.connect(self._on_mode)
         self._viewer.add_layer(layer)
         # Else more than all the rest of drawing a canvas goes into a program for each update.
-        if not compile_once(drawn_node(self._viewer, layer)):
-            _log.debug("the lines of %s are compiled anew each time", layer)
+        compile_once(drawn_node(self._viewer, layer))
 
     def _equip(self, layer: Any) -> None:
         """Have napari's own mode look like ours; it sets all this when a layer is added, too."""
-        layer.help = self._does
-        if self.active:
-            self._viewer.help = self._does
         layer.mouse_pan = False
         self.show_radius(self._radius)
 

@@ -13,13 +13,7 @@ import numpy.typing as npt
 from napari_hmrf.layers.arrow_layer import Lines
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.image_result import CONFIDENCE, PAINTED, Result, ResultLayers
-from napari_hmrf.layers.paint_layer import (
-    confidence_layer,
-    number_of,
-    outline_of,
-    painted_layer,
-    touches,
-)
+from napari_hmrf.layers.paint_layer import confidence_layer, number_of, painted_layer, way_of
 from napari_hmrf.layers.result_layers import Kind, LayerData, picture_layer
 from napari_hmrf.layers.viewer_layers import shared, still_there
 from napari_hmrf.study.engine import Deformation
@@ -29,7 +23,7 @@ from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.canvas import box_of, covered
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.follower import Done, Seen
-from napari_hmrf.ui.motion.arrows import ArrowsLayer, Mouse
+from napari_hmrf.ui.motion.arrows import ArrowsLayer
 from napari_hmrf.ui.motion.hands import Hand
 
 #: Touches of the brush are shown with the tissue that follows them, one painting rather than two;
@@ -45,7 +39,7 @@ class Display:
     native : QWidget
         The dock.
     viewer : napari.Viewer or ViewerModel
-    told : Mouse
+    told : Pointer
         Who is told what the mouse and the keys do.
 
     Attributes
@@ -59,7 +53,7 @@ class Display:
         Whether layers come and go by our own doing.
     """
 
-    def __init__(self, native: Any, viewer: Any, told: Mouse) -> None:
+    def __init__(self, native: Any, viewer: Any, told: Any) -> None:
         self.arrows = ArrowsLayer(viewer, told)
         self.seen: Seen | None = None
         # What was painted, as it has moved, and what is being painted, which lies on top.
@@ -117,27 +111,6 @@ class Display:
         if lowest is None:
             return None
         return image_covering(self._viewer, lowest, [self._viewer.cursor.position])
-
-    @property
-    def is_hidden(self) -> bool:
-        """Whether the image is seen neither as it was nor as it has moved."""
-        image, result = still_there(self._viewer, self._image), self.result
-        shown = (image, None if result is None else result.layer("image"))
-        return image is not None and not any(each is not None and each.visible for each in shown)
-
-    def is_beside(self, stroke: Stroke, drawing: Drawing) -> bool:
-        """Whether a stroke lies beside all tissue; of confidence, beside all that is held or moved.
-
-        What makes tissue never does.
-        """
-        ground = self.ground
-        if ground is None or stroke.action == "tissue":
-            return False
-        where = ground.body
-        if stroke.action == "confidence":
-            beneath = Drawing(tuple(mark for mark in drawing.marks if mark is not stroke))
-            where = where & (beneath.render(ground.base).confidence > 0).any(axis=-1)
-        return not touches(stroke, ground.base, where)
 
     def show(self, seen: Seen, hand: Hand) -> None:
         """Show another state of the tissue."""
@@ -213,7 +186,7 @@ class Display:
         seen = replace(stroke, lines=tuple(tuple(map(tuple, line)) for line in lines))
         picture = np.zeros(grid.shape, np.uint8) if painted is None else painted.copy()
         box = box_of(seen, grid.spacing, tuple(slice(0, size) for size in grid.shape))
-        number = number_of(stroke.action, stroke.confidence, stroke.label)
+        number = number_of(stroke.action, stroke.label)
         picture[box][covered(seen, grid.spacing, box)] = number
         return picture
 
@@ -247,7 +220,7 @@ class Display:
         if seen is not None and seen.marks is not None:
             below.append(seen.marks)
         if isinstance(stroke, Stroke) and not hand.holding and seen and self.ground:
-            below.append(outline_of(stroke, self.ground.base, seen.moved.goes_to))
+            below.append(way_of(stroke, self.ground.base.spacing, seen.moved.goes_to))
         self.arrows.show(drawing, hand.selected, below, quick=hand.holding)
 
     def leave(self) -> None:

@@ -8,10 +8,7 @@ OFF = "Paused: press a tool, or choose the layer 'Motion', to go on."
 FLAT = "Tissue is pulled in two dimensions: press the 2D/3D button below the canvas first."
 ARROWS_GONE = "The layer 'Motion' is gone: press a tool to have it back."
 COVERED = "The image is covered by "
-HIDDEN = "The image is hidden: open its eye in the list of layers, or choose another image."
 NOTHING = "There is no tissue to take hold of there."
-BESIDE = "There is no tissue where you painted, so that nothing changes."
-UNHELD = "Nothing is held or moved where you painted, so that nothing changes."
 OUTSIDE = "That is outside the image."
 PICKED = "Selected: the fields change it, Delete removes it."
 NOTHING_DRAWN = "Nothing is drawn there: nothing is selected."
@@ -29,4 +26,4 @@ NO_OUTSIDE = (
 
 def covered(other: str) -> str:
     """That nothing of the image is seen, and what can be done."""
-    return f"{COVERED}'{other}': hide that one, or choose it here."
+    return f"The image is covered by '{other}': hide that one, or choose it here."

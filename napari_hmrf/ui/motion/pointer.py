@@ -33,7 +33,7 @@ _LARGER = 1.25
 
 
 class Pointer:
-    """Draws on each slice of each image its own drawing; the `Mouse` of the layer *Motion*.
+    """Draws on each slice of each image its own drawing; told by the layer *Motion*.
 
     Parameters
     ----------
@@ -154,7 +154,6 @@ class Pointer:
         self.tool = tool
         self._open_hand()
         self._fields.show_for(tool)
-        self.display.arrows.show_tool(tool.how)
         self.draw()
         self.say_tool()
         if self.active:
@@ -228,7 +227,7 @@ class Pointer:
 
     def end(self) -> None:
         """Feel nothing any more."""
-        self.display.arrows.release()
+        self.display.arrows.end_drag()
         self._steps.said.disconnect(self._on_step)
 
     # What the mouse and the keys do on the canvas
@@ -243,9 +242,6 @@ class Pointer:
         other = self.display.covering
         if other is not None:
             self.said.emit(motion_messages.covered(other.name))
-            return
-        if self.display.is_hidden:
-            self.said.emit(motion_messages.HIDDEN)
             return
         if self.tool.is_brush and not moved.is_inside(point):
             self.said.emit(motion_messages.OUTSIDE)
@@ -301,9 +297,6 @@ class Pointer:
             return
         if held:
             mark = self.hand.mark
-            if isinstance(mark, Stroke) and self.display.is_beside(mark, self.drawing):
-                sure = mark.action == "confidence"
-                self.refused.emit(motion_messages.UNHELD if sure else motion_messages.BESIDE)
             self._show_how()
             pushed = isinstance(mark, Stroke) and mark.action == "move" and not mark.moves_nowhere
             if pushed:  # nothing more is waited for

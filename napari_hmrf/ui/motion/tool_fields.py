@@ -124,29 +124,16 @@ class ToolFields(Container):
     @property
     def words(self) -> str:
         """What the tool that is shown does, in a few words."""
-        words, which = self._action_words, self.components.value
+        words, which = self._tool.title, self.components.value
+        if self._tool.name == "move":
+            *deep, row, col = self._by
+            step = (*deep, 0.0 if which == "col" else row, 0.0 if which == "row" else col)
+            seen = tuple(round(part, 2) + 0.0 for part in self._ways.seen(step))
+            words = f"{words} {self._ways.step(seen)}"
         if "components" not in self._tool.fields or which == "both":
             return words
         axis = ("row", "col").index(which)
         return f"{words}, {self._ways.only(axis).partition(' (')[0]}"
-
-    @property
-    def _action_words(self) -> str:
-        title = self._tool.title
-        match self._tool.name:
-            case "move":
-                which, (*deep, row, col) = self.components.value, self._by
-                step = (*deep, 0.0 if which == "col" else row, 0.0 if which == "row" else col)
-                seen = tuple(round(part, 2) + 0.0 for part in self._ways.seen(step))
-                return f"{title} {self._ways.step(seen)}"
-            case "expand":
-                amount = self.amount.value
-                return f"{title if amount >= 0 else 'Shrink'} by {abs(amount):g}"
-            case "confidence":
-                return f"{title} {self.sure.value:g}"
-            case "tissue":
-                return f"{title}: {self.material.current_choice}"
-        return title
 
     def show_for(self, tool: Tool) -> None:
         """Show the fields of a tool, and no others."""

@@ -25,9 +25,7 @@ class Tool:
     fields : tuple of str
         The attributes of `ToolFields` it needs.
     how : str
-        How it is used, for its button, the line below the canvas and the status.
-    more : str
-        What is to be known besides, for its button.
+        How it is used, for its button and the status.
     hand : type of Hand
         That holds it.
     """
@@ -37,7 +35,6 @@ class Tool:
     key: str
     fields: tuple[str, ...]
     how: str
-    more: str = ""
     hand: type[Hand] = Brush
 
     @property
@@ -64,26 +61,16 @@ TOOLS: tuple[Tool, ...] = (
         "L",
         ("radius", "confidence"),
         "Drag from where something is to where it should be.",
-        "Or have two Points layers: the first where things are, the second where they should be, "
-        "in the same order.",
-        LandmarkPull,
+        hand=LandmarkPull,
     ),
     Tool("pin", "Hold", "P", _HELD, "Paint what does not move."),
-    Tool(
-        "free",
-        "Free",
-        "F",
-        ("radius",),
-        "Paint what nothing holds, whatever else says so.",
-        "It goes where its surroundings take it.",
-    ),
+    Tool("free", "Free", "F", ("radius",), "Paint what nothing holds, whatever else says so."),
     Tool(
         "move",
         "Push",
         "M",
         ("radius", "by_row", "by_col", "confidence", "components"),
         "Paint what moves, then drag it to where it goes.",
-        "Or type how far.",
     ),
     Tool(
         "expand",
@@ -91,7 +78,6 @@ TOOLS: tuple[Tool, ...] = (
         "E",
         ("radius", "amount", "confidence"),
         "Paint a patch or a closed ring that grows; a negative amount shrinks it.",
-        "It grows along its normal.",
     ),
     Tool(
         "confidence",

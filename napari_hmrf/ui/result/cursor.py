@@ -6,19 +6,15 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from napari.layers import Image
 
-from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.quantities import QUANTITIES
 from napari_hmrf.field.tissue_point import Points, Probe
-from napari_hmrf.layers.field_layer import frame_in, place_at, tissue_of
-from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of
-from napari_hmrf.layers.result_layers import Name
+from napari_hmrf.layers.field_layer import place_at
+from napari_hmrf.layers.metadata import tissue_recorded
+from napari_hmrf.layers.result_layers import Name, stiffness_unit
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
-from napari_hmrf.solver.problem import Problem
-from napari_hmrf.study.layer_names import full_resolution
-from napari_hmrf.tissue.boundary_rules import RIGID, Material, stiffness_in_words
+from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_messages import FULL
 
@@ -38,9 +34,6 @@ class UnderCursor:
         self._viewer = viewer
         self._shown: MovingLayers | None = None
         self._points: Points | None = None
-        self._tissue: Any = None
-        self._place: Frame | None = None
-        self._materials: dict[int, Material] = {}
         # What napari has said last, and what was said behind it.
         self._said, self._line = viewer.status, ""
         viewer.events.status.connect(self._on_status)
@@ -50,16 +43,8 @@ class UnderCursor:
         self._viewer.events.status.disconnect(self._on_status)
 
     def watch(self, shown: MovingLayers | None, points: Points | None = None) -> None:
-        """Read a result that is looked at from now on, of which these are the points.
-
-        Stiffness is that of labels and their table, or of an image; of neither there is none.
-        """
-        self._shown, self._points, self._tissue, self._place = shown, points, None, None
-        if shown is not None:
-            self._tissue = tissue = tissue_of(self._viewer.layers, shown.answer)
-            if tissue is not None:
-                self._place = frame_in(tissue, shown.answer)
-                self._materials = {row.label: row for row in rows_of(tissue, TISSUE)}
+        """Read a result that is looked at from now on, of which these are the points."""
+        self._shown, self._points = shown, points
         self.look()
 
     def look(self) -> None:
@@ -90,30 +75,11 @@ class UnderCursor:
             return ""
         answer, overlay = shown.answer, shown.overlay
         ways = Directions.of(answer.frame, self._viewer)
-        more = [self._stiffness(answer.problem, found)]
+        more = [_stiffness(shown, found)]
         if overlay is not None and overlay.picture is not None:
             strain = float(overlay.picture[found.site])
             more.insert(0, strain_of(overlay.name, strain))
         return at_point(answer.unit, found, ways, more, shown.percent)
-
-    def _stiffness(self, problem: Problem | None, found: Probe) -> str:
-        tissue, frame = self._tissue, self._place
-        if frame is None or tissue not in self._viewer.layers:
-            return ""
-        index = list(frame.index)
-        for axis, at in zip(frame.plane, found.site, strict=True):
-            index[axis] = at
-        unit, value = str(known_of(tissue).get("unit", "")), full_resolution(tissue)[tuple(index)]
-        if isinstance(tissue, Image):
-            return stiffness_of("", float(f"{float(value):.3g}"), unit)
-        material = self._materials.get(int(value))
-        if problem is not None:  # a brush may have made it other tissue
-            solved = problem.stiffness[found.site]
-            same = [row for row in self._materials.values() if np.float32(row.stiffness) == solved]
-            material = material if material in same else next(iter(same), None)
-        if material is None:
-            return ""
-        return stiffness_of(material.name, material.stiffness, unit)
 
     def _on_status(self, event: Any) -> None:
         if self._line and _words(event.value).endswith(self._line):
@@ -136,6 +102,22 @@ class UnderCursor:
 
 def _words(status: Any) -> str:
     return str(status.get("coordinates", "") if isinstance(status, dict) else status)
+
+
+def _stiffness(shown: MovingLayers, found: Probe) -> str:
+    """The tissue that was solved and how stiff it was taken to be; "" if a file does not say."""
+    answer = shown.answer
+    if answer.problem is None:
+        return ""
+    at = found.site
+    value, unit = answer.problem.stiffness[at], stiffness_unit(answer)
+    labels, rows = answer.pictures.labels, tissue_recorded(shown.arrows)[0] or ()
+    # A brush may have made it other tissue than the label says.
+    same = [row for row in rows if np.float32(row.stiffness) == value]
+    same.sort(key=lambda row: labels is None or row.label != labels[at])
+    if not same:
+        return stiffness_of("", float(f"{value:.3g}"), unit)
+    return stiffness_of(same[0].name, same[0].stiffness, unit)
 
 
 def at_point(

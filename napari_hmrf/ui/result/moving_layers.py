@@ -16,9 +16,9 @@ from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.quantities import QUANTITIES
 from napari_hmrf.layers.field_layer import picture_of, source_of
 from napari_hmrf.layers.image_result import Part, Result
+from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.read import look_of
-from napari_hmrf.layers.result_layers import Answer, Overlay, picture_layer
-from napari_hmrf.study.study import Pictures
+from napari_hmrf.layers.result_layers import Answer, Overlay
 from napari_hmrf.ui.events import repeating
 from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result.result_messages import FULL
@@ -105,10 +105,9 @@ class MovingLayers:
         """Have a layer that can be moved; whether there is one."""
         if self.image is not None:
             if self.layer("image") is None:  # as it is before it moves
-                pictures = Pictures(name=self.source.name, look=look_of(self.source))
-                facts = {**self.answer.facts, "percent": 0}
-                run = self.answer.solution.provenance.parameters
-                made = picture_layer(self.answer.frame, pictures, self.image, run, facts)
+                look, name = look_of(self.source), self.source.name
+                made = self.answer.layer("image", self.image, "deformed", look, source=name)
+                made.attributes["metadata"][METADATA]["percent"] = 0
                 self.layers.put("image", made, self.source)
             self.layers.want("image", True)
         return any(self.layer(part) is not None for part in ("image", "overlay"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from magicgui.widgets import CheckBox, ComboBox, Container, PushButton, Slider
+from magicgui.widgets import ComboBox, Container, PushButton, Slider
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QProxyStyle, QPushButton, QSlider, QStyle
 
@@ -80,12 +80,6 @@ class ResultForm(Container):
         )
         image.changed.connect(self.second.reset_choices)
         self.landmarks = Prose()
-        self.arrows = CheckBox(
-            value=True,
-            text="arrows",
-            tooltip="From where tissue was to where it is; napari has their length, width and "
-            "colour among the controls of their layer",
-        )
         self.save = PushButton(
             text="Save pictures ...",
             tooltip="PNG files, in a new folder: figures of displacement, before and after, grid, "
@@ -109,7 +103,6 @@ class ResultForm(Container):
                 self.how_far,
                 row(self.play, self.before),
                 Container(widgets=[self.overlay, self.reference, self.second]),
-                self.arrows,
                 kept,
                 self.landmarks,
             ],
@@ -123,5 +116,5 @@ class ResultForm(Container):
         """Let be used what takes a result, if these arrows hold one; a study is saved without."""
         self._own_arrows = arrows
         self.reference.reset_choices()
-        for part in (self.slider, self.play, self.before, self.overlay, self.arrows, self.save):
+        for part in (self.slider, self.play, self.before, self.overlay, self.save):
             part.enabled = arrows is not None

@@ -27,7 +27,6 @@ from napari_hmrf.layers.result_layers import LayerData
 from napari_hmrf.layers.viewer_layers import same_selection
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu
 from napari_hmrf.ui.handover import Errands
-from napari_hmrf.ui.messages import HANDFUL
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_form import ResultForm
 from napari_hmrf.ui.result.result_messages import NO_IMAGE, NO_RESULT, SAVING, saved
@@ -53,7 +52,6 @@ _COLUMNS = {
     "strain, most (%)": "largest_strain",
     "folds (px)": "folds",
 }
-_FEW_FOLDS = f"Up to {HANDFUL} folds in all are taken for rounding, of which nothing warns."
 
 
 class ResultMenu:
@@ -229,8 +227,6 @@ class ResultMenu:
         table, button = _table_of(rows, unit), QtWidgets.QPushButton("Save .csv ...")
         layout = QtWidgets.QVBoxLayout(seen)
         layout.addWidget(table)
-        if 0 < sum(row.folds for row in rows) <= HANDFUL:
-            layout.addWidget(QtWidgets.QLabel(_FEW_FOLDS))
         layout.addWidget(button, alignment=Qt.AlignmentFlag.AlignRight)
         seen.resize(table.horizontalHeader().length() + 40, 100 + 32 * (len(rows) + 1))
         save = partial(save_measurements, rows=rows, unit=unit)

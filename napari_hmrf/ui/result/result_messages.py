@@ -13,7 +13,7 @@ from napari_hmrf.layers.screen_directions import Directions
 NO_RESULT = "There is no result to look at yet: drag tissue, or press Deform."
 LOST = (
     "The result was in the layer '{layer}', which was deleted. Press Deform, or pull again, to "
-    "make it anew. To hide arrows, take the tick from 'arrows' or close their layer's eye."
+    "make it anew. To hide arrows, close their layer's eye."
 )
 NO_IMAGE = (
     "There is no image on the pixels of this result, so none can be moved. Open the image it was "
@@ -49,18 +49,11 @@ LACKING: dict[Name, str] = {
     **dict.fromkeys(("stiffness", "observed", "confidence"), _FROM_A_FILE),
 }
 OVERLAY_TIP = (
-    "What lies over the image, moving with the tissue, its values those of what is seen:\n"
-    "how far: length of the displacement, in the unit of the image;\n"
-    "Jacobian: by which factor its area changes; purple shrinks, orange grows, yellow folds;\n"
-    "where it hardly does, colours are clear: the image is seen, and through the bar the canvas;\n"
-    "strain: Green-Lagrange's, in per cent, squeeze below 0; equivalent: von Mises's, no strain\n"
-    "across the slice assumed;\n"
-    "grid: one that was square; tissue labels: those of the tissue layer;\n"
-    "from the reference: how far tissue goes from where the reference has it go;\n"
-    "given: how stiff tissue was taken to be, how it was to move, and how sure that is, 0 to 1.\n"
-    "Where tissue was before it moved:\n"
-    "folds: where it is pushed through itself;\n"
-    "given motion: from there to where it was to go, with a dot where it is held."
+    "What lies over the image and moves with the tissue, its values those of what is seen.\n"
+    "Jacobian: by which factor its area changes; purple shrinks, orange grows, yellow folds.\n"
+    "Strain: Green-Lagrange's, in per cent, squeeze below 0; equivalent: von Mises's, no strain\n"
+    "across the slice assumed.\n"
+    "Folds and given motion lie where tissue was before it moved; a dot: where it is held."
 )
 
 
@@ -81,14 +74,12 @@ def how_far(
     result: Answer,
     longest: float,
     percent: int,
-    apart: tuple[str, str] | None = None,
     compared: Comparison | None = None,
 ) -> str:
-    """How much of the deformation is seen; or that it is of another slice; how far from others."""
+    """How much of the deformation is seen, and of which slice; how far it is from others."""
     far = as_seen(longest * percent / FULL, result.solution.spacing)
-    moved = f"{percent} %: tissue moved up to {far:.3g} {result.unit}"
-    if apart is not None:
-        return f"{moved}. Of {apart[0]}; you look at {apart[1]}."
+    where = f" in {result.frame.slice_seen}" if result.frame.slice_seen else ""
+    moved = f"{percent} %: tissue moved up to {far:.3g} {result.unit}{where}"
     return moved if compared is None else f"{moved}. {_compared(compared, result)}"
 
 

@@ -15,14 +15,12 @@ from napari_hmrf.layers.field_layer import (
     can_be_source,
     field_of,
     result_of,
-    slices_apart,
     source_of,
 )
 from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.result_layers import Name, Overlay, overlay_of
 from napari_hmrf.layers.screen_directions import Directions
-from napari_hmrf.layers.slice_view import View
 from napari_hmrf.study.layer_names import naming
 from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.handover import Errands
@@ -65,11 +63,9 @@ class ResultView:
         self.cursor = UnderCursor(viewer)
         self.player = Player(native, self._errands, lambda: self.shown)
         self.more = ResultMenu(form, viewer, lambda: self.shown, self.said.emit)
-        self._heard = Listening()
         form.slider.changed.connect(self._on_slider)
         form.overlay.changed.connect(self._on_chosen)
         form.reference.changed.connect(self._on_reference)
-        form.arrows.changed.connect(self._on_ticked)
         form.play.changed.connect(self._on_play)
         form.before.native.pressed.connect(partial(setattr, self, "before", True))
         form.before.native.released.connect(partial(setattr, self, "before", False))
@@ -82,8 +78,6 @@ class ResultView:
             (viewer.layers.events.inserted, self._on_inserted),
             (viewer.layers.events.removed, self._on_removed),
             (viewer.layers.selection.events.active, self._on_active),
-            (viewer.dims.events.current_step, self._say_how_far),
-            (viewer.dims.events.order, self._say_how_far),
             (results.changed, self._on_changed),
         )
         with suppress(ValueError):  # somebody else's
@@ -106,10 +100,8 @@ class ResultView:
 
     @before.setter
     def before(self, hold: bool) -> None:
-        if self.shown is not None and hold:
-            self.shown.layers.hold_before(self.shown.source)
-        elif self.shown is not None:
-            self.shown.layers.release()
+        if self.shown is not None:
+            self.shown.layers.show_before(hold)
 
     @property
     def arrows(self) -> Any:
@@ -144,7 +136,6 @@ class ResultView:
 
     def release(self) -> None:
         """Listen no more."""
-        self._heard.release()
         self._events.release()
         self._errands.release()
         self.more.release()
@@ -161,7 +152,6 @@ class ResultView:
         other = before is None or shown is None or shown.layers is not before.layers
         # A newer state of the same is not seen as long as somebody looks at what was before.
         self._put_back(release=other)
-        self._heard.release()
         self.cursor.watch(None)
         if before is not None and other:
             before.layers.leave()
@@ -176,9 +166,7 @@ class ResultView:
             shown.copy_image()
         except HmrfError as error:
             self.said.emit(str(error))
-        self._heard = Listening((arrows.events.visible, self._on_eye))
         self._offer(shown)
-        self._on_eye()
         if self._form.overlay.value != words.NOTHING:
             self._lay_over(chosen=other)
         points = partial(Points, shown.answer.solution)
@@ -248,19 +236,9 @@ class ResultView:
         if active not in (None, self.arrows) and result_of(active) is not None:
             self._look_at(active)
 
-    def _on_eye(self, *_: Any) -> None:
-        """Let the box say whether arrows are seen, whoever has hidden or shown them."""
-        if self.shown is not None:
-            with self._form.arrows.changed.blocked():
-                self._form.arrows.value = self.shown.layers.wants("arrows")
-
     def _on_chosen(self, *_: Any) -> None:
         self.before = False
         self._lay_over(chosen=True)
-
-    def _on_ticked(self, drawn: bool) -> None:
-        if self.shown is not None:
-            self.shown.layers.want("arrows", drawn)
 
     def _on_inserted(self, event: Any) -> None:
         shown, layer = self.shown, event.value
@@ -327,7 +305,7 @@ class ResultView:
         self._errands.forget()
         if self.shown is not None:
             if release:
-                self.shown.layers.release()
+                self.shown.layers.show_before(False)
             self.shown.layers.show_whole()
         self._draw_whole()
 
@@ -345,13 +323,11 @@ class ResultView:
         self._say_how_far()
 
     def _say_how_far(self, *_: Any) -> None:
-        """Say how much is seen, and whether it is the slice of the result that is shown."""
+        """Say how much is seen, and of which slice."""
         far = ""
         if (shown := self.shown) is not None:
-            arrows, view = shown.layer("arrows"), View.of(self._viewer.dims)
-            apart = None if arrows is None else slices_apart(arrows, shown.answer, view)
             percent = self._form.slider.value
-            far = words.how_far(shown.answer, shown.longest, percent, apart, self.comparison)
+            far = words.how_far(shown.answer, shown.longest, percent, self.comparison)
         self._form.how_far.say(far)
 
     # What is pressed
