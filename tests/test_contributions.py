@@ -8,7 +8,15 @@ from napari.layers import Image, Labels, Layer
 from npe2 import PluginManifest
 from study_reader import read_layers
 
-from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, read_field, save_points, solve
+from napari_hmrf import (
+    ElasticPrior,
+    Multigrid,
+    Problem,
+    SeilerPrior,
+    read_field,
+    save_points,
+    solve,
+)
 from napari_hmrf.contributions import (
     open_landmarks,
     open_scan,

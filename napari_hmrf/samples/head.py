@@ -91,7 +91,7 @@ class HeadPhantom:
     def frame(self) -> Frame:
         """Where it lies: its middle is where the axes of the patient meet."""
         affine = np.eye(4)
-        affine[:3, 3] = [-(n - 1) / 2 * side for n, side in zip(self.image.shape, self.spacing, strict=True)]
+        affine[:3, 3] = -(np.array(self.image.shape) - 1) / 2 * self.spacing
         units = ("millimeter",) * 3
         return Frame.at(
             self.spacing, units, affine=affine, axis_labels=tuple(PATIENT_AXES), volume=True
