@@ -35,15 +35,18 @@ SAMPLE_SIZE = 95
 #: back, left), and how thick the skull is around it.
 _LONG, _BRAIN, _SKULL = 190.0, (62.0, 84.0, 66.0), 7.0
 #: Where the tumour is from the middle of the brain, and its radius.
-_TUMOUR_AT, _TUMOUR = (10.0, 28.0, 30.0), 20.0
+_TUMOUR_AT, _RADIUS = (10.0, 28.0, 30.0), 20.0
 #: Halves of a ventricle's horns, and where they are: up, back, beside the middle.
 _HORNS = (((8.0, 30.0, 8.0), (10.0, -6.0, 11.0)), ((16.0, 9.0, 7.0), (0.0, 24.0, 17.0)))
+
+#: Its label.
+TUMOUR = 3
 
 MATERIALS = (
     Material(0, "outside", 0.0),
     Material(1, "brain", 1.0),
     Material(2, "ventricles", 0.1),
-    Material(3, "tumour", 4.0),
+    Material(TUMOUR, "tumour", 4.0),
 )
 
 
@@ -132,8 +135,8 @@ def head_phantom(size: int = 64, *, growth: float = 5.0) -> HeadPhantom:
         for way in (-1, 1):
             horn = _ball((up - high, back - behind, left - way * beside), half) <= 1
             tissue[horn & inside] = 2
-    tumour = _ball(_from(shape, spacing, _TUMOUR_AT), (_TUMOUR,) * 3) <= 1
-    tissue[tumour] = 3
+    tumour = _ball(_from(shape, spacing, _TUMOUR_AT), (_RADIUS,) * 3) <= 1
+    tissue[tumour] = TUMOUR
     grey = np.array([0.0, 130.0, 60.0, 200.0])[tissue] + 235.0 * bone
     # The fissure between the halves, and folds, so that motion within the brain can be seen.
     grey -= (tissue == 1) * 50.0 * np.exp(-((left / 2.5) ** 2)) * (up > 0)
