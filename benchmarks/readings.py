@@ -19,7 +19,7 @@ import scipy.sparse.linalg as spl
 from fem import plane_stress_displacement, rmsd
 
 from napari_hmrf import Problem, phantom
-from napari_hmrf.solver.priors import LINES, line_weights
+from napari_hmrf.solver.priors import line_steps, line_weights
 
 BAR_LENGTHS = (8, 64, 256, 1200)
 PHANTOMS = ("expansion", "mass-effect")
@@ -41,7 +41,7 @@ def solve_exactly(problem: Problem, reading: str) -> npt.NDArray[np.float64]:
     weights = line_weights(problem.spacing)
     for component in (0, 1):
         parts = []
-        for line, (di, dj) in enumerate(LINES):
+        for line, (di, dj) in enumerate(line_steps(2)):
             i, j = np.mgrid[
                 abs(di) : max(height - abs(di), abs(di)), abs(dj) : max(width - abs(dj), abs(dj))
             ]

@@ -1,18 +1,24 @@
 """Volumes: how long they take, beside PyAMG, and whether what is reported holds.
 
-    python benchmarks/volumes.py [--sizes 64 128 192] [--pyamg 48] [--random 300] [--seed 0]
+    python benchmarks/volumes.py [--sizes 64 128 192] [--pyamg 48] [--paper 48] [--random 300]
+    python benchmarks/volumes.py --shaders [--sizes 128 256] [--head 190]
 
 Prints the CPU seconds of one thread, set-up included, until no voxel is further than 0.01 from the
 converged field. PyAMG (smoothed aggregation, rigid-body modes, conjugate gradients) takes as many
-iterations as it takes to the same residual; its assembly counts. Then small volumes of every kind
-are drawn at random and compared with a direct solve of a matrix that scikit-fem assembled; exits
-with 1 if one is further from it than was reported. Between these it prints how long one slice of a
-volume that moves takes to draw.
+iterations as it takes to the same residual; its assembly counts. The paper's model has its times,
+too, and how far its field is from that of finite elements; and it prints how long one slice of a
+volume that moves takes to draw. Then small volumes of every kind are drawn at random and compared
+with a direct solve of a matrix that scikit-fem assembled, or for the paper's model `line_oracle`;
+exits with 1 if one is further from it than was reported.
+
+With --shaders it prints the seconds that compute shaders take for such volumes and for a head,
+which has voxels of 1 mm in 190 rows: of a cycle, and of a whole solve with all that the host does.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 import time
@@ -24,15 +30,28 @@ os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
+from line_oracle import field_of_means
 from volume_oracle import direct_solution, parameters
 
-from napari_hmrf import ElasticPrior, Multigrid, Problem, Solution, Warper, solve
-from napari_hmrf.errors import ConvergenceError, ProblemError
+from napari_hmrf import (
+    ICM,
+    ElasticPrior,
+    Multigrid,
+    Problem,
+    SeilerPrior,
+    Solution,
+    Warper,
+    head_phantom,
+    solve,
+)
+from napari_hmrf.errors import BackendError, ConvergenceError, ProblemError
 from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.optimizers import Monitor, Optimizer
+from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.priors.elements import Lame
 from napari_hmrf.solver.priors.hexahedra import brick_shape
 
-TOLERANCE = 0.01
+WITHIN = Multigrid(0.01)
 # What is stored in single precision is rounded.
 _ROUNDED = 1e-6
 _NAMES = {False: "cube, held at its faces", True: "ball, held at a cap"}
@@ -56,10 +75,10 @@ def growing(size: int, free: bool = False) -> Problem:
     return Problem(y, c, m)
 
 
-def timed(problem: Problem, poisson: float) -> tuple[Solution, float]:
+def timed(problem: Problem, prior: Prior, optimizer: Optimizer = WITHIN) -> tuple[Solution, float]:
     """A solution, and the CPU seconds it took."""
     begun = time.process_time()
-    found = solve(problem, ElasticPrior(poisson), optimizer=Multigrid(TOLERANCE), backend="cpu")
+    found = solve(problem, prior, optimizer=optimizer, backend="cpu")
     return found, time.process_time() - begun
 
 
@@ -71,10 +90,58 @@ def print_times(sizes: list[int]) -> None:
         for free in (False, True):
             problem = growing(size, free)
             for poisson in (0.3, 0.45, 0.49):
-                found, seconds = timed(problem, poisson)
+                found, seconds = timed(problem, ElasticPrior(poisson))
                 each = 1e9 * seconds / size**3
                 cells = f"{size}^3 | {poisson} | {found.iterations} | {seconds:.2f} | {each:.0f}"
                 print(f"| {_NAMES[free]} | {cells} |", flush=True)
+
+
+def print_shaders(sizes: list[int], head: int) -> None:
+    """A table of the seconds that compute shaders take."""
+    print("| tissue | voxels | Poisson's ratio | cycles | s | ms a cycle |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    for size in sizes:
+        for free in (False, True):
+            for poisson in (0.3, 0.45):
+                print_shader_row(_NAMES[free], growing(size, free), poisson)
+    if head:
+        for poisson in (0.3, 0.45):
+            print_shader_row("head", head_phantom(size=head).problem, poisson)
+
+
+def print_shader_row(tissue: str, problem: Problem, poisson: float) -> None:
+    """A row of that table, of the second of two solves; or why there is none."""
+    try:
+        timed_shaders(problem, poisson)
+        found, seconds, cycle = timed_shaders(problem, poisson)
+        numbers = f"{found.iterations} | {seconds:.3f} | {1e3 * cycle:.2f}"
+    except (BackendError, ConvergenceError) as error:
+        numbers = f"{error} | |"
+    voxels = " x ".join(map(str, problem.shape))
+    print(f"| {tissue} | {voxels} | {poisson} | {numbers} |", flush=True)
+
+
+def timed_shaders(problem: Problem, poisson: float) -> tuple[Solution, float, float]:
+    """A solution by compute shaders, the seconds it took, and those of a cycle of it."""
+    moments: list[float] = []
+
+    def note(monitor: Monitor) -> None:
+        if monitor.message.startswith("cycle"):
+            moments.append(time.perf_counter())
+
+    def job() -> Solution:
+        return solve(
+            problem,
+            ElasticPrior(poisson),
+            optimizer=WITHIN,
+            backend="opengl",
+            progress=note,
+        )
+
+    begun = time.perf_counter()
+    found = compute_thread.submit(job).result()
+    seconds = time.perf_counter() - begun
+    return found, seconds, float(np.median(np.diff(moments))) if len(moments) > 1 else math.nan
 
 
 def print_pyamg(size: int) -> None:
@@ -85,7 +152,7 @@ def print_pyamg(size: int) -> None:
         print("PyAMG is not installed")
         return
     problem, poisson = growing(size), 0.45
-    found, ours = timed(problem, poisson)
+    found, ours = timed(problem, ElasticPrior(poisson))
     begun = time.process_time()
     matrix = stiffness_matrix(problem, poisson)
     known, field = problem.known.ravel(), problem.observed.ravel().astype(float)
@@ -156,6 +223,35 @@ def print_slices(shape: tuple[int, int, int] = (180, 220, 180)) -> None:
             )
 
 
+def print_paper(size: int) -> None:
+    """How far the paper's field is from that of finite elements, and how long it takes."""
+    cube = growing(size)
+    places = np.moveaxis(np.indices(cube.shape), 0, -1) * (2 / size) - 1
+    m = np.full(cube.shape, 20.0)
+    m[np.linalg.norm(places - (0.15, 0.1, 0.0), axis=-1) < 0.25] = 40
+    m[np.linalg.norm(places - (-0.2, -0.3, -0.2), axis=-1) < 0.35] = 10
+    problem = Problem(cube.observed, cube.confidence, m)
+    converged, seconds = timed(problem, SeilerPrior())
+    schedule, longer = timed(problem, SeilerPrior(), ICM())
+    print(
+        f"the paper's model at {size}^3: converged in {converged.iterations} cycles and "
+        f"{seconds:.2f} CPU s; its schedule takes {longer:.2f} CPU s"
+    )
+    print("| Poisson's ratio | rms of the elastic field | RMSD, converged | by its schedule |")
+    print("| --- | --- | --- | --- |")
+    for poisson in (0.0, 0.3, 0.45):
+        truth, _ = timed(problem, ElasticPrior(poisson))
+        rms = [
+            float(np.sqrt((np.linalg.norm(each, axis=-1) ** 2).mean()))
+            for each in (
+                truth.displacement,
+                converged.displacement - truth.displacement,
+                schedule.displacement - truth.displacement,
+            )
+        ]
+        print(f"| {poisson} | {' | '.join(f'{each:.3f}' for each in rms)} |", flush=True)
+
+
 def random_volume(seed: int) -> tuple[Any, ...]:
     """What a problem is made of, its spacing, and Poisson's ratio."""
     draw = np.random.default_rng(seed)
@@ -182,38 +278,52 @@ def wrong_of(seeds: range) -> int:
     became: Counter[str] = Counter()
     for seed in seeds:
         y, c, m, spacing, poisson = random_volume(seed)
-        try:
-            problem = Problem(y, c, m, spacing=spacing)
-            found, _ = timed(problem, poisson)
-        except ProblemError:
-            became["have no one answer"] += 1
-            continue
-        except ConvergenceError:
-            became["are refused, as cycles cannot be sure"] += 1
-            continue
-        apart = np.abs(found.displacement - direct_solution(problem, poisson)).max() / problem.unit
-        assert found.convergence is not None
-        right = apart <= found.convergence.error + _ROUNDED
-        became["are right" if right else "are WRONG"] += 1
-        if not right:
-            print(f"volume {seed}: {apart:.2g}, reported {found.convergence.error:.2g}", flush=True)
-    print(f"of {len(seeds)} random volumes", ", ".join(f"{n} {what}" for what, n in became.items()))
+        for prior in (ElasticPrior(poisson), SeilerPrior()):
+            try:
+                problem = Problem(y, c, m, spacing=spacing)
+                found, _ = timed(problem, prior)
+            except ProblemError:
+                became["have no one answer"] += 1
+                continue
+            except ConvergenceError:
+                became["are refused, as cycles cannot be sure"] += 1
+                continue
+            elastic = isinstance(prior, ElasticPrior)
+            truth = direct_solution(problem, poisson) if elastic else field_of_means(problem)
+            apart = np.abs(found.displacement - truth)[problem.tissue].max() / problem.unit
+            assert found.convergence is not None
+            right = apart <= found.convergence.error + _ROUNDED
+            became["are right" if right else "are WRONG"] += 1
+            if not right:
+                said = f"{apart:.2g}, reported {found.convergence.error:.2g}"
+                print(f"volume {seed}, {type(prior).__name__}: {said}", flush=True)
+    told = ", ".join(f"{n} {what}" for what, n in became.items())
+    print(f"of {len(seeds)} random volumes in two models", told)
     return became["are WRONG"]
 
 
 def main() -> int:
     """Print all; 1 if an answer is wrong."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--sizes", type=int, nargs="*", default=[64, 128])
+    parser.add_argument("--sizes", type=int, nargs="*")
+    parser.add_argument("--shaders", action="store_true", help="time compute shaders, no more")
+    parser.add_argument("--head", type=int, default=190, metavar="ROWS", help="0: not at all")
     parser.add_argument("--pyamg", type=int, default=48, metavar="SIZE", help="0: not at all")
+    parser.add_argument("--paper", type=int, default=48, metavar="SIZE", help="0: not at all")
     parser.add_argument("--random", type=int, default=300, metavar="COUNT")
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
-    timed(growing(16), 0.3)  # loads the loops
-    print_times(asked.sizes)
+    if asked.shaders:
+        print_shaders([128, 256] if asked.sizes is None else asked.sizes, asked.head)
+        return 0
+    for prior in (ElasticPrior(0.3), SeilerPrior()):
+        timed(growing(16), prior)  # loads the loops
+    print_times([64, 128] if asked.sizes is None else asked.sizes)
     if asked.pyamg:
         print_pyamg(asked.pyamg)
     print_slices()
+    if asked.paper:
+        print_paper(asked.paper)
     return min(1, wrong_of(range(asked.seed, asked.seed + asked.random)))
 
 

@@ -71,7 +71,9 @@ def jobs() -> list[Job]:
         solving("blanket-schedule", blanket, schedule, square),
         solving("blanket-converged", blanket, Multigrid(), square),
         solving("exact-steps", SeilerPrior(), ICM(iterations=2, steps=None), square),
-        Job("volume", _volume),
+        Job("volume", lambda: _volume(ElasticPrior(0.3), Multigrid())),
+        Job("volume-schedule", lambda: _volume(SeilerPrior(), schedule)),
+        Job("volume-converged", lambda: _volume(SeilerPrior(), Multigrid())),
     ]
 
 
@@ -85,11 +87,12 @@ def _solve(prior: Any, optimizer: Any, spacing: tuple[float, float], bone: bool 
     solve(problem, prior, optimizer=optimizer, backend="cpu")
 
 
-def _volume() -> None:
+def _volume(prior: Any, optimizer: Any) -> None:
     c = np.zeros((_SLICES, _SLICES, _SLICES, 3))
     c[0] = c[-1] = 1
-    solve(Problem(c, c, np.ones(c.shape[:3])), ElasticPrior(0.3), backend="cpu")
-    warp(c[..., 0], c)
+    solve(Problem(c, c, np.ones(c.shape[:3])), prior, optimizer=optimizer, backend="cpu")
+    if isinstance(prior, ElasticPrior):
+        warp(c[..., 0], c)
 
 
 def _pictures() -> None:

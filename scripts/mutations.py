@@ -81,8 +81,8 @@ MUTATIONS = (
     ),
     Mutation(
         "ui/motion/hands.py",
-        "to = (point[0] - self._offset[0], point[1] - self._offset[1])",
-        "to = (point[0] + self._offset[0], point[1] + self._offset[1])",
+        "to = tuple(x - away for x, away in zip(point, self._offset, strict=True))",
+        "to = tuple(x + away for x, away in zip(point, self._offset, strict=True))",
         "test_drawing.py test_pull.py test_grab.py",
     ),
     Mutation(

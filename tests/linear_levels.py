@@ -28,9 +28,10 @@ class Example:
         elastic = isinstance(self.prior, ElasticPrior)
         make = backend.elastic_model if elastic else backend.seiler_model
         made = make(self.prior.material(self.problem))
-        height, width = self.problem.shape
-        held = np.zeros((2, height + 4, width + 4), bool)
-        held[:, 2:-2, 2:-2] = np.moveaxis(self.problem.confidence > 0, -1, 0)
+        shape = self.problem.shape
+        held = np.zeros((len(shape), *(size + 4 for size in shape)), bool)
+        inside = (slice(None), *(slice(2, -2) for _ in shape))
+        held[inside] = np.moveaxis(self.problem.confidence > 0, -1, 0)
         made.hold(held)
         return made
 
@@ -45,9 +46,10 @@ def random_example(shape, prior, spacing=(1.0, 1.0), ratio=4.0) -> Example:
     random = np.random.default_rng([*shape, int(ratio)])
     m = ratio ** -random.random(shape)
     m[random.random(shape) < 0.05] = 0
-    m[0, 0] = 1
-    held = (random.random((*shape, 2)) < 0.1) & (m > 0)[..., None]
-    return Example(Problem(random.normal(size=(*shape, 2)), held, m, spacing=spacing), prior)
+    m[(0,) * len(shape)] = 1
+    sites = (*shape, len(shape))
+    held = (random.random(sites) < 0.1) & (m > 0)[..., None]
+    return Example(Problem(random.normal(size=sites), held, m, spacing=spacing), prior)
 
 
 def with_levels(stage, given: Example, job, number=0):

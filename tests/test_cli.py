@@ -266,6 +266,10 @@ def test_an_affine_motion_of_the_border_is_an_affine_motion_inside():
     # Second differences vanish: the field has no bend for the energy to resist.
     assert np.allclose(np.diff(field, 2, axis=0), 0)
     assert np.allclose(np.diff(field, 2, axis=1), 0)
+    problem, field = selftest.affine_example((5, 6, 7))
+    assert np.count_nonzero(problem.confidence[..., 0] == 0) == 3 * 4 * 5
+    for axis in range(3):
+        assert np.allclose(np.diff(field, 2, axis=axis), 0)
 
 
 def test_the_self_test_passes_here_and_names_nobody():
@@ -278,12 +282,15 @@ def test_the_self_test_passes_here_and_names_nobody():
     assert f"napari-hmrf  {napari_hmrf.__version__}" in done.stdout
     assert home not in done.stdout
     assert done.stdout.count("PASS affine motion") >= 2
+    assert ("stages           fragment, compute" in done.stdout) <= (
+        "elastic volume" in done.stdout
+    )
     assert "FAIL" not in done.stdout
 
 
 def test_the_self_test_fails_when_a_backend_computes_something_else(monkeypatch):
     problem, field = selftest.affine_example()
-    monkeypatch.setattr(selftest, "affine_example", lambda: (problem, -field))
+    monkeypatch.setattr(selftest, "affine_example", lambda *shape: (problem, -field))
     monkeypatch.setattr(selftest, "_BACKENDS", ("cpu",))
     lines = []
     assert selftest.selftest(lines.append) is False

@@ -48,6 +48,7 @@ WHAT_A_CALL_IS_ABOUT = {
     "StiffnessCurve": 1,
     "Warper": 1,
     "arrows": 1,
+    "at_edges": 1,
     "head_phantom": 1,
     "boundary_images": 2,
     "count_folds": 1,

@@ -5,7 +5,7 @@ import pytest
 from oracle import cliques, local_energy, total_energy
 
 from napari_hmrf import Problem, SeilerPrior
-from napari_hmrf.solver.priors import LINES, line_weights
+from napari_hmrf.solver.priors import line_steps, line_weights
 
 
 def random_problem(shape=(7, 9), seed=0, void=True, **more):
@@ -142,7 +142,7 @@ def test_the_continuum_does_not_depend_on_the_shape_of_pixels(spacing):
     # Second moments of the lines, in physical lengths: 3 along the component, 2 across, no shear.
     weights = line_weights(spacing)
     assert (weights >= 0).all()
-    steps = np.array(LINES) * spacing
+    steps = np.array(line_steps(2)) * spacing
     for component in (0, 1):
         moment = np.einsum("l,li,lj->ij", weights[:, component], steps, steps)
         along, across = moment[component, component], moment[1 - component, 1 - component]

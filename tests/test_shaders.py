@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 import pytest
@@ -10,6 +11,13 @@ from napari_hmrf import BackendError
 from napari_hmrf.resources import resource_folder
 from napari_hmrf.solver.backends.opengl import source
 from napari_hmrf.solver.backends.opengl.source import KERNELS, STAGES, compose, vertices
+from napari_hmrf.solver.backends.opengl.volume_source import (
+    GROUP,
+    MOST_BUFFERS,
+    VOLUME_KERNELS,
+    bindings,
+    compose_volume,
+)
 
 FILES = sorted(resource_folder("shaders").glob("*.glsl"))
 SHARED = {
@@ -18,12 +26,17 @@ SHARED = {
     "elements",
     "ends",
     "forces",
+    "hexahedra",
     "interpolation",
     "pulls",
     "scalars",
     "stage_fragment",
     "stage_compute",
+    "stage_volume",
     "triangle",
+    "volume",
+    "volume_scalars",
+    "volume_tile",
 }
 
 
@@ -33,8 +46,8 @@ def defines(name: str) -> dict[str, int]:
 
 def file_of(name: str) -> str:
     """The text of a kernel's file."""
-    path = resource_folder("shaders") / f"{KERNELS[name].text}.glsl"
-    return path.read_text(encoding="utf-8")
+    stem = KERNELS[name].text if name in KERNELS else name
+    return (resource_folder("shaders") / f"{stem}.glsl").read_text(encoding="utf-8")
 
 
 def header(text: str) -> str:
@@ -48,7 +61,8 @@ def header(text: str) -> str:
 
 
 def test_every_file_is_a_kernel_or_shared():
-    assert {path.stem for path in FILES} == {kernel.text for kernel in KERNELS.values()} | SHARED
+    kernels = {kernel.text for kernel in KERNELS.values()} | set(VOLUME_KERNELS)
+    assert {path.stem for path in FILES} == kernels | SHARED
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
@@ -65,6 +79,33 @@ def test_the_header_of_a_kernel_names_all_it_reads_and_writes(name):
         assert re.search(rf"\b{word}\b", inputs), f"{word} is not among the inputs"
     for word in KERNELS[name].outputs:
         assert re.search(rf"\b{word}\b", outputs), f"{word} is not among the outputs"
+
+
+@pytest.mark.parametrize("name", VOLUME_KERNELS)
+def test_the_header_of_a_kernel_for_volumes_names_all_it_reads_and_writes(name):
+    text, kernel = file_of(name), VOLUME_KERNELS[name]
+    inputs, outputs = header(text).split("// Inputs:")[1].split("// Outputs:")
+    for word in re.findall(r"^uniform \w+ (\w+)", text, flags=re.MULTILINE):
+        assert re.search(rf"\b{word}\b", inputs), f"{word} is not among the inputs"
+    for field in kernel.all_fields:
+        if field.name == "places":
+            continue  # the stage's
+        for part, access in ((inputs, "writeonly"), (outputs, "readonly")):
+            assert field.access == access or re.search(rf"\b{field.name}\b", part), field.name
+
+
+@pytest.mark.parametrize("name", VOLUME_KERNELS)
+def test_a_kernel_for_volumes_takes_no_more_than_was_asked_of_the_driver(name):
+    most = {"PARAMETERS": 2, "SPRINGS": 1}
+    kernel = VOLUME_KERNELS[name]
+    given = {define: most[define] for define in kernel.defines}
+    assert sum(parts for _, parts in bindings(kernel, given)) <= MOST_BUFFERS
+    text = compose_volume(name, given).text
+    assert text.startswith("#version 430")
+    assert text.count("#version") == 1
+    assert text.count("layout(std430") == len(bindings(kernel, given))
+    assert file_of(name) in text
+    assert 32 <= math.prod(GROUP) <= 256
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)

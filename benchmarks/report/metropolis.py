@@ -146,13 +146,13 @@ def _residual_matrix(problem: Problem):
     """All terms of all cliques as rows of a matrix, over the components of all sites."""
     import scipy.sparse as sp
 
-    from napari_hmrf.solver.priors import LINES
+    from napari_hmrf.solver.priors import line_steps
 
     height, width = problem.shape
     m = problem.stiffness.astype(np.float64)
     rows, columns, values, number = [], [], [], 0
     for i, j in np.argwhere(m > 0):
-        for line, (di, dj) in enumerate(LINES):
+        for line, (di, dj) in enumerate(line_steps(2)):
             s, t, u = (i - di, j - dj), (i, j), (i + di, j + dj)
             inside = all(0 <= a < height and 0 <= b < width for a, b in (s, u))
             if not inside or m[s] == 0 or m[u] == 0:

@@ -273,7 +273,7 @@ class _Reader:
         if image is None:
             raise LayerError(self._reference, "has no edges: choose an image.")
         pixels = self._slice(image)
-        return self._copies.made(image, (pixels,), lambda: at_edges(pixels, len(self._shape)))
+        return self._copies.made(image, (pixels,), lambda: at_edges(pixels, axes=len(self._shape)))
 
     def _notes(self) -> tuple[str, ...]:
         skew, notes = self._frame.skew, []

@@ -11,6 +11,7 @@ import os
 import platform
 import time
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ import numpy as np
 
 from napari_hmrf.errors import BackendError, HmrfError
 from napari_hmrf.samples.phantoms import phantom
-from napari_hmrf.solver.backends import compute_thread, open_backend
+from napari_hmrf.solver.backends import compute_thread, loops, open_backend
 from napari_hmrf.solver.optimizers import ICM, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
@@ -30,6 +31,8 @@ CLOSED_FORM_BOUND = 0.001
 CANDIDATES_BOUND = 0.02
 ELASTIC_BOUND = 0.001
 
+# Wider than a work group of shaders, with some levels.
+_VOLUME = (9, 12, 37)
 _BACKENDS = ("cpu", "opengl:fragment", "opengl:compute")
 _PACKAGES = (
     *("napari-hmrf", "napari", "numpy", "scipy", "numba", "llvmlite", "moderngl", "glcontext"),
@@ -72,23 +75,29 @@ def selftest(write: Callable[[str], None] = print) -> bool:
     return passed
 
 
-def affine_example(shape: tuple[int, int] = (16, 23)) -> tuple[Problem, np.ndarray[Any, Any]]:
+def affine_example(shape: tuple[int, ...] = (16, 23)) -> tuple[Problem, np.ndarray[Any, Any]]:
     """A uniform tissue whose whole border moves by an affine field, and that field.
 
     What stretches, shears and shifts evenly at its border does so inside: no clique resists, so
     the affine field is the answer, exactly, of any prior that knows mechanics.
 
+    Parameters
+    ----------
+    shape : tuple of int
+        Of an image, or of a volume.
+
     Returns
     -------
     Problem
-    ndarray, shape (H, W, 2)
+    ndarray, shape (H, W, 2) or (D, H, W, 3)
         The displacement of every site, in pixels.
     """
+    axes = len(shape)
     sites = np.moveaxis(np.indices(shape), 0, -1) - (np.array(shape) - 1) / 2
-    gradient = np.array([[0.06, 0.03], [-0.02, 0.04]])
-    field = sites @ gradient.T + np.array([0.7, -1.3])
-    border = np.ones((*shape, 2), dtype=bool)
-    border[1:-1, 1:-1] = False
+    gradient = np.array([[0.06, 0.03, 0.01], [-0.02, 0.04, 0.03], [0.02, -0.01, -0.05]])
+    field = sites @ gradient[:axes, :axes].T + np.array([0.7, -1.3, 0.4])[:axes]
+    border = np.ones((*shape, axes), dtype=bool)
+    border[(slice(1, -1),) * axes] = False
     return Problem(field * border, border, np.ones(shape)), field
 
 
@@ -134,20 +143,23 @@ def _report_opengl(say: Callable[[str], None]) -> None:
 def _check_backend(name: str, say: Callable[[str], None]) -> bool | None:
     """Solve on one backend; whether that was right, or None if it is not there."""
     say(f"  {name}")
-    try:
-        compute_thread.submit(lambda: open_backend(name, lambda: None)[0].close()).result()
-    except BackendError as error:
-        say(f"    not there: {error}")
+    refusal = _refusal(name)
+    if refusal is not None:
+        say(f"    not there: {refusal}")
         return None
-    problem, field = affine_example()
-    checks = (
-        ("closed form", SeilerPrior(), ICM(iterations=1000, steps=None), CLOSED_FORM_BOUND),
-        ("candidate set", SeilerPrior(), ICM(iterations=300), CANDIDATES_BOUND),
-        ("elastic", ElasticPrior(), Multigrid(tolerance=1e-4), ELASTIC_BOUND),
-    )
+    image, elastic = affine_example(), (ElasticPrior(), Multigrid(tolerance=1e-4), ELASTIC_BOUND)
+    checks: list[tuple[Any, ...]] = [
+        ("closed form", image, SeilerPrior(), ICM(iterations=1000, steps=None), CLOSED_FORM_BOUND),
+        ("candidate set", image, SeilerPrior(), ICM(iterations=300), CANDIDATES_BOUND),
+        ("elastic", image, *elastic),
+    ]
+    if name != "cpu" and (refusal := _refusal(name, _VOLUME)) is not None:
+        say(f"    no volumes: {refusal}")
+    elif name != "cpu" or loops.ready_for_volumes():  # few need them: nobody shall wait for these
+        checks.append(("elastic volume", affine_example(_VOLUME), *elastic))
     passed = True
     try:
-        for title, prior, schedule, bound in checks:
+        for title, (problem, field), prior, schedule, bound in checks:
             solution = solve(problem, prior, optimizer=schedule, backend=name)
             off = float(np.abs(solution.displacement - field).max())
             right = off <= bound
@@ -162,6 +174,16 @@ def _check_backend(name: str, say: Callable[[str], None]) -> bool | None:
         say(f"    FAIL {failure}")
         return False
     return passed
+
+
+def _refusal(name: str, volume: tuple[int, ...] = ()) -> BackendError | None:
+    """Why a backend is not there, or not for volumes."""
+    try:
+        job = partial(open_backend, name, lambda: None, volume=volume)
+        compute_thread.submit(lambda: job()[0].close()).result()
+    except BackendError as error:
+        return error
+    return None
 
 
 def _timings(name: str) -> Iterator[str]:

@@ -11,7 +11,7 @@ from napari_hmrf.solver.model_names import converged
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import Problem
-from napari_hmrf.solver.quadtree import levels, nearest_pixels
+from napari_hmrf.solver.quadtree import levels, sampled
 
 # How much of a boundary the first three coarse levels see: of one a pixel wide 0.16 to 0.29, of one
 # of 3 pixels 0.41 or more. Images of up to 32 pixels have no coarse levels to speak of.
@@ -58,13 +58,11 @@ def _thin_boundary(problem: Problem) -> str:
     seen = np.asarray(problem.known.any(axis=-1))
     shares = []
     for level in tree[1:4]:
-        rows, cols = nearest_pixels(level, problem.shape)
         size = 2**level.number
         there = seen
         for axis, extent in enumerate(seen.shape):
             there = np.logical_or.reduceat(there, np.arange(0, extent, size), axis=axis)
-        sampled = seen.take(rows, axis=0).take(cols, axis=1)
-        shares.append(float(sampled.sum()) / max(1.0, float(there.sum())))
+        shares.append(float(sampled(seen, level).sum()) / max(1.0, float(there.sum())))
     if np.mean(shares) > _ENOUGH:
         return ""
     return (

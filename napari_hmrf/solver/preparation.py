@@ -26,11 +26,14 @@ _prepared: set[tuple[str | bool, ...]] = set()
 
 def job_of(prior: Prior, optimizer: Optimizer, spacing: tuple[float, ...]) -> str:
     """Which job of `napari_hmrf.compiling` brings the loops of a solve, or most of them."""
-    if len(spacing) == 3:
-        return "volume"
+    volume = len(spacing) == 3
     if isinstance(prior, ElasticPrior):
+        if volume:
+            return "volume"
         return "elastic" if prior.kernels == ElasticPrior().kernels else "slipping"
     name = "schedule" if isinstance(optimizer, ICM) else "converged"
+    if volume:
+        return f"volume-{name}"
     if isinstance(prior, SeilerPrior) and prior.conditional == "blanket":
         return f"blanket-{name}"
     if len(set(spacing)) > 1:

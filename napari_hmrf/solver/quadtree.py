@@ -1,17 +1,20 @@
 """The quadtree: which sites exist on which scale level, and where their values come from.
 
 Level 0 is the image; a site of level n covers 2^n x 2^n pixels of it, fewer at the far borders. The
-coarsest level R is a single site (the paper's root r).
+coarsest level R is a single site (the paper's root r). Of a volume it is an octree, whose sites
+cover 2^n x 2^n x 2^n voxels.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 IntArray = npt.NDArray[np.int_]
+_Type = TypeVar("_Type", bound=np.generic)
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ def levels(shape: tuple[int, ...]) -> tuple[Level, ...]:
     Parameters
     ----------
     shape : tuple of int
-        The image's grid, such as (H, W).
+        The grid of the image or volume, such as (H, W).
 
     Returns
     -------
@@ -59,3 +62,10 @@ def nearest_pixels(level: Level, shape: tuple[int, ...]) -> tuple[IntArray, ...]
         np.minimum((np.arange(sites) << level.number) + half, size - 1)
         for sites, size in zip(level.shape, shape, strict=True)
     )
+
+
+def sampled(values: npt.NDArray[_Type], level: Level) -> npt.NDArray[_Type]:
+    """The values of an image or volume at the pixels nearest to a level's sites."""
+    for axis, pixels in enumerate(nearest_pixels(level, values.shape)):
+        values = values.take(pixels, axis=axis)
+    return values

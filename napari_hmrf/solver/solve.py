@@ -69,13 +69,13 @@ def solve(
     ----------
     problem : Problem
     prior : SeilerPrior or ElasticPrior, optional
-        The energy; by default elastic tissue. The paper's is ``SeilerPrior()``, for images.
+        The energy; by default elastic tissue. The paper's is ``SeilerPrior()``.
     optimizer : ICM or Multigrid, optional
         The schedule; by default multigrid, and for the paper's prior its own: 70 sweeps on each
         level. ``Multigrid()`` takes the paper's prior to where such sweeps would end.
     backend : {"auto", "opengl", "opengl:fragment", "opengl:compute", "cpu"}
         Where to run it. "auto" takes the shaders on a real GPU and the compiled loops elsewhere,
-        and logs once which. Volumes take the compiled loops.
+        and logs once which. Volumes take compute shaders (OpenGL 4.3), or the loops.
     progress : callable, optional
         Called on the caller's thread with a `Monitor`: a message and the fraction done.
     cancel : threading.Event or alike, optional
@@ -244,7 +244,11 @@ def run_here(
     started = time.perf_counter()
     job = job_of(prior, optimizer, problem.spacing)
     device, reason = open_backend(
-        backend, checkpoint, lambda: provide_loops(job, report), problem.is_volume
+        backend,
+        checkpoint,
+        lambda: provide_loops(job, report),
+        volume=problem.shape if problem.is_volume else (),
+        elastic=isinstance(prior, ElasticPrior),
     )
     try:
         _announce(device.renderer, reason)
@@ -264,7 +268,7 @@ def run_here(
         )
     of_prior = dict(prior.parameters)
     if problem.is_volume:
-        of_prior.pop("plane")  # it has none
+        of_prior.pop("plane", None)  # it has none
     return Solution(
         displacement=displacement,
         energy=outcome.energy,

@@ -172,7 +172,7 @@ def luminance(colours: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
     return bright
 
 
-def at_edges(image: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.float32]:
+def at_edges(image: npt.NDArray[Any], *, axes: int = 2) -> npt.NDArray[np.float32]:
     """Complete confidence where an image has its steepest edges, and none elsewhere.
 
     Parameters

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, Literal, get_args
 
 from napari_hmrf.errors import BackendError
-from napari_hmrf.solver.backends import compiler, loops
+from napari_hmrf.solver.backends import compiler, kept, loops
 from napari_hmrf.solver.backends.base import BATCH_SECONDS, Backend, Checkpoint, SiteRule
 from napari_hmrf.solver.backends.thread import compute_thread
 
@@ -16,8 +16,8 @@ BACKEND_NAMES: tuple[str, ...] = get_args(BackendName)
 
 #: Why a software rasteriser is taken where nobody asked for it.
 COMPILING = "until the loops for the processor are compiled"
-#: Why the compiled loops are taken where a volume is solved.
-FOR_VOLUMES = "only the compiled loops solve volumes"
+#: Why the compiled loops are taken for a volume of the paper's prior.
+FOR_VOLUMES = "only the compiled loops solve volumes by the paper's prior"
 
 __all__ = [
     "BACKEND_NAMES",
@@ -37,7 +37,8 @@ def open_backend(
     name: str,
     checkpoint: Checkpoint,
     provide_loops: Callable[[], None] = loops.use,
-    volume: bool = False,
+    volume: tuple[int, ...] = (),
+    elastic: bool = True,
 ) -> tuple[Backend[Any], str]:
     """Make a backend ready; on the compute thread only.
 
@@ -52,8 +53,11 @@ def open_backend(
     provide_loops : callable
         Called before the loops are taken where they may not be compiled yet: has that done, and
         waits for it. By default they are compiled as they are called.
-    volume : bool
-        Whether it is for a volume, which takes the compiled loops.
+    volume : (int, int, int), optional
+        The voxels (D, H, W) that it is for, if it is a volume. Shaders take it if there are compute
+        shaders, and buffers that are large enough.
+    elastic : bool
+        Whether it is for the elastic prior, the only one of which there are shaders for volumes.
 
     Returns
     -------
@@ -71,31 +75,45 @@ def open_backend(
         return _compiled(checkpoint), "asked for"
     if name not in BACKEND_NAMES:
         raise BackendError(f"there is no backend {name!r}; take one of {', '.join(BACKEND_NAMES)}")
-    if volume:
+    if volume and not elastic:
         if name != "auto":
             raise BackendError(
-                f"{name} solves images only; volumes are solved by the compiled loops. Take "
-                'backend="cpu", or "auto"'
+                f"{name} solves volumes of elastic tissue only; by the paper's prior the compiled "
+                'loops solve them. Take backend="cpu", or "auto"'
             )
         provide_loops()
         return _compiled(checkpoint), FOR_VOLUMES
     from napari_hmrf.solver.backends.opengl import OpenGLBackend, is_software_renderer
 
-    compiled = loops.ready()
+    compiled = loops.ready_for_volumes() if volume else loops.ready()
     if name != "auto":
-        compiler.compile_meanwhile()
-        return OpenGLBackend(checkpoint, stage=name.partition(":")[2] or None), "asked for"
+        if not volume:
+            compiler.compile_meanwhile()
+        asked = OpenGLBackend(checkpoint, stage=name.partition(":")[2] or None)
+        asked.check_volume(volume)
+        return asked, "asked for"
     try:
         backend = OpenGLBackend(checkpoint)
     except BackendError as error:
         provide_loops()
         return _compiled(checkpoint), f"no usable OpenGL ({error})"
-    compiler.compile_meanwhile()
+    if not volume:
+        compiler.compile_meanwhile()
+    try:
+        backend.check_volume(volume)
+    except BackendError as error:
+        backend.close()
+        provide_loops()
+        return _compiled(checkpoint), f"the shaders refuse this volume ({error})"
     if not is_software_renderer(backend.renderer):
         return backend, "a GPU is there"
     if not compiled:
+        if volume:
+            compiler.request(kept.VOLUMES)
         return backend, COMPILING
     backend.close()
+    if volume:
+        provide_loops()
     return _compiled(checkpoint), f"OpenGL here is software only ({backend.renderer})"
 
 

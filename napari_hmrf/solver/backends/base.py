@@ -35,7 +35,7 @@ class Field(Protocol):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The level's grid, (H, W)."""
+        """The level's grid, (H, W) or (D, H, W)."""
         ...
 
 
@@ -54,10 +54,10 @@ class SiteRule:
         The damping: the parabola is taken 1/relaxation times as steep and its lowest point that
         fraction of the way from where the site is.
     steps : tuple of float
-        The candidate set Gamma: ``{0} and {-e, 0, e} x {-e, 0, e}`` for each step e, in pixels.
-        Empty: the exact minimiser in closed form.
-    weights : ndarray, shape (4, 2)
-        Of each line of cliques for the (row, col) component: `priors.line_weights`.
+        The candidate set Gamma: ``{0} and {-e, 0, e} x {-e, 0, e}`` for each step e, in pixels;
+        in volumes of three components. Empty: the exact minimiser in closed form.
+    weights : ndarray, shape (4, 2) or (13, 3)
+        Of each line of cliques for each component: `priors.line_weights`.
     """
 
     blanket: bool
@@ -79,14 +79,15 @@ class Backend(Protocol[FieldType]):
 
         Parameters
         ----------
-        values : ndarray, shape (H, W, C)
+        values : ndarray, shape (H, W, C) or (D, H, W, C)
             C = 2: displacement (row, col), or stiffness (m, 1/m with 0 in void).
             C = 4: observation (y_row, y_col, p_row, p_col) with p = K c, eq. 19.
+            In a volume displacement has three, and observation six.
         """
         ...
 
     def download(self, field: FieldType) -> FloatArray:
-        """Bring a field back, shape (H, W, C)."""
+        """Bring a field back, shape (H, W, C) or (D, H, W, C)."""
         ...
 
     def zeros(self, level: Level) -> FieldType:

@@ -94,6 +94,13 @@ def compile_meanwhile(job: str = "") -> None:
         atexit.register(_State.compiler.terminate)
 
 
+def request(job: str) -> None:
+    """Have another process compile the loops of a job next, for somebody who waits for them."""
+    with suppress(OSError):
+        _wanted_file().write_text(job, encoding="utf-8")
+    compile_meanwhile(job)
+
+
 def _started(command: list[str]) -> subprocess.Popen[bytes]:
     """Start a process that says nothing."""
     silent = subprocess.DEVNULL
@@ -113,9 +120,7 @@ def provide(job: str, report: Report) -> None:
         Called several times a second; raises to wait no more. What is being compiled goes on.
     """
     if not (loops.compile_here() or kept.compiled(job)):
-        with suppress(OSError):
-            _wanted_file().write_text(job, encoding="utf-8")
-        compile_meanwhile(job)
+        request(job)
         while not kept.compiled(job):
             if not (_at_work() or kept.compiled(job)):
                 loops.compile_alone()

@@ -16,8 +16,10 @@ _LOOPS = Path(__file__).parent / "cpu"
 _PACKAGE = "napari_hmrf"
 #: The modules of loops that move pictures.
 PICTURES = (f"{_PACKAGE}.field.interpolation", f"{_PACKAGE}.field.triangle_raster")
-#: Jobs of `napari_hmrf.compiling` that are done only for those who ask for them.
-APART = ("volume",)
+#: The job of `napari_hmrf.compiling` that brings what solves volumes.
+VOLUMES = "volume"
+#: Its jobs that are done only for those who ask for them.
+APART = (VOLUMES, "volume-schedule", "volume-converged")
 #: What tells numba where to keep loops.
 _TOLD = "NUMBA_CACHE_DIR"
 

@@ -20,7 +20,16 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.backends import kept, loader
 
-__all__ = ["HERE", "compile_here", "in_use", "only_read", "ready", "ready_for_pictures", "use"]
+__all__ = [
+    "HERE",
+    "compile_here",
+    "in_use",
+    "only_read",
+    "ready",
+    "ready_for_pictures",
+    "ready_for_volumes",
+    "use",
+]
 
 #: What tells each process to compile for itself, if it is "here".
 HERE = "NAPARI_HMRF_COMPILE"
@@ -75,6 +84,11 @@ def ready() -> bool:
 def ready_for_pictures() -> bool:
     """Whether pictures can be moved by loops at once; if so, they are from now on."""
     return _ready(_State.pictures, PICTURES)
+
+
+def ready_for_volumes() -> bool:
+    """Whether volumes can be solved with loops at once."""
+    return compile_here() or kept.compiled(kept.VOLUMES)
 
 
 def _ready(part: _Part, job: str = "") -> bool:

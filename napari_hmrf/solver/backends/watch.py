@@ -25,7 +25,9 @@ LOOPS = {
     "blanket-converged": 19,
     "exact-steps": 3,
     "volume": 16,
-    "": 62,
+    "volume-schedule": 2,
+    "volume-converged": 15,
+    "": 68,
 }
 
 

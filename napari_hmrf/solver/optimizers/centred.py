@@ -64,18 +64,10 @@ def converge(
     start: Beginning | None,
 ) -> Outcome:
     """Solve to a tolerance in so many cycles for each set of states; lengths are in pixels."""
-    d, observed = host.prescribed(problem)
-    y = d.copy()
     model = backend.seiler_model(prior.material(problem))
     refinement = _Refinement(tolerance, max_iterations, model, report)
     try:
-        steep = model.steepness
-        force = host.planes(prior.limit(problem))
-        force[~observed] = 0
-        if start is not None:
-            np.copyto(d, host.combined(start), where=~observed & (steep > 0))
-        # A site that is the middle of no clique stays where it is: nothing pulls at it.
-        states = _CentredStates(observed & (steep > 0), y, force, steep)
+        d, states = _beginning(problem, prior, model, start)
         for _ in range(_MOST_EXCHANGES):
             states.place(d)
             model.hold(states.held)
@@ -98,7 +90,7 @@ def converge(
         raise
     finally:
         model.close()
-    energy += float((force * np.abs(y - d)).sum())
+    energy += states.cost(d)
     cycles = max(1, refinement.cycles)
     displacement, rounding = host.gathered(d, tolerance)
     return Outcome(
@@ -109,6 +101,19 @@ def converge(
             max(refinement.estimate, rounding), refinement.residual / max(forces, _TINY), way
         ),
     )
+
+
+def _beginning(
+    problem: Problem, prior: SeilerPrior, model: LinearModel, start: Beginning | None
+) -> tuple[Planes, _CentredStates]:
+    """The displacement to begin with, and the states of what is observed."""
+    d, observed = host.prescribed(problem)
+    steep = model.steepness
+    # A site that is the middle of no clique stays where it is: nothing pulls at it.
+    states = _CentredStates(observed & (steep > 0), d, host.planes(prior.limit(problem)), steep)
+    if start is not None:
+        np.copyto(d, host.combined(start), where=~observed & (steep > 0))
+    return d, states
 
 
 class _CentredStates(States):
@@ -127,6 +132,11 @@ class _CentredStates(States):
     def __init__(self, candidates: HeldPlanes, y: Planes, force: Planes, steep: Planes) -> None:
         limit = np.divide(force, steep, out=np.zeros_like(force), where=candidates)
         super().__init__(candidates, y, limit, y)
+        self._force = force.ravel()[self.at]
+
+    def cost(self, d: Planes) -> float:
+        """The energy of the observations: sum of p |y - d|."""
+        return float((self._force * np.abs(d.ravel()[self.at] - self.y)).sum())
 
     def off(self, d: Planes, pull: Planes) -> float:
         """How far any observed component is from where it would go next."""

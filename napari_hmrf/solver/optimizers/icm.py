@@ -16,7 +16,7 @@ from napari_hmrf.solver.backends.found import Beginning
 from napari_hmrf.solver.optimizers.base import LevelRun, Monitor, Outcome, Report
 from napari_hmrf.solver.priors import Prior, SeilerPrior, line_weights
 from napari_hmrf.solver.problem import Problem
-from napari_hmrf.solver.quadtree import Level, levels, nearest_pixels
+from napari_hmrf.solver.quadtree import Level, levels, sampled
 
 #: Sweeps between two looks at the mean energy, and between two reports of progress.
 BLOCK = 10
@@ -28,6 +28,8 @@ _MOST = 1000
 @dataclass(frozen=True)
 class ICM:
     """Top-down through the quadtree, all sites moving at once (Alg. 3.7).
+
+    Of a volume the tree is an octree, and the algorithm is the same.
 
     Parameters
     ----------
@@ -111,8 +113,7 @@ class ICM:
                 displacement = backend.prolong(coarse, above.stiffness, images.stiffness)
                 backend.release(coarse, above.stiffness, above.observation)
             above = images
-            rows, cols = nearest_pixels(level, problem.shape)
-            tissue = int(problem.tissue.take(rows, axis=0).take(cols, axis=1).sum())
+            tissue = int(sampled(problem.tissue, level).sum())
             displacement, level_energies = self._relax(
                 backend, displacement, images, rule, max(1, tissue), progress, level
             )
@@ -192,16 +193,17 @@ class _Progress:
 
 
 def _stiffness(problem: Problem) -> FloatArray:
-    """(m, 1/m) with the largest m as 1, and 0 for both in void; shape (H, W, 2)."""
+    """(m, 1/m) with the largest m as 1, and 0 for both in void; shape (H, W, 2) or (D, H, W, 2)."""
     m = problem.stiffness / problem.stiffness.max()
     inverse = np.divide(1.0, m, out=np.zeros_like(m), where=problem.tissue)
     return np.stack([m, inverse], axis=-1)
 
 
 def _observation(problem: Problem, prior: SeilerPrior) -> FloatArray:
-    """(y, p = K c) in pixels, nothing in void; shape (H, W, 4)."""
-    both = np.empty((*problem.shape, 4), dtype=np.float32)
-    np.divide(problem.observed, np.float32(problem.unit), out=both[..., :2])
-    np.multiply(problem.confidence, np.float32(prior.penalty_for(problem)), out=both[..., 2:])
+    """(y, p = K c) in pixels, nothing in void; shape (H, W, 4) or (D, H, W, 6)."""
+    axes = len(problem.shape)
+    both = np.empty((*problem.shape, 2 * axes), dtype=np.float32)
+    np.divide(problem.observed, np.float32(problem.unit), out=both[..., :axes])
+    np.multiply(problem.confidence, np.float32(prior.penalty_for(problem)), out=both[..., axes:])
     both *= problem.tissue[..., None]
     return both

@@ -1,10 +1,17 @@
 """What is known of tissue before anything is observed: the energies, as the equations say them."""
 
-from napari_hmrf.solver.priors.cliques import LINES, line_weights
+from napari_hmrf.solver.priors.cliques import line_steps, line_weights
 from napari_hmrf.solver.priors.elastic import ElasticPrior
 from napari_hmrf.solver.priors.seiler import SeilerPrior, SiteParabola
 
 #: What `solve` takes.
 Prior = SeilerPrior | ElasticPrior
 
-__all__ = ["LINES", "ElasticPrior", "Prior", "SeilerPrior", "SiteParabola", "line_weights"]
+__all__ = [
+    "ElasticPrior",
+    "Prior",
+    "SeilerPrior",
+    "SiteParabola",
+    "line_steps",
+    "line_weights",
+]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,36 +16,63 @@ from napari_hmrf.solver.priors.elements import MILD_CONTRAST, contrast
 Float64Array = npt.NDArray[np.float64]
 Slices = tuple[slice, ...]
 
-#: Step from the middle of a clique to its end u; the end s lies on the other side (figure 2).
-LINES: tuple[tuple[int, int], ...] = ((1, 0), (0, 1), (1, 1), (1, -1))
+
+@cache
+def line_steps(axes: int) -> tuple[tuple[int, ...], ...]:
+    """The directions of the lines: first the axes, then the diagonals of faces, then of space.
+
+    Parameters
+    ----------
+    axes : int
+        2 for images, which have four (figure 2), or 3 for volumes, which have thirteen.
+
+    Returns
+    -------
+    tuple of tuple of int
+        The step from the middle of a clique to its end u; its end s lies on the other side.
+    """
+    steps = [step for step in product((1, 0, -1), repeat=axes) if 1 in step]
+    upwards = [step for step in steps if -1 not in step[: step.index(1)]]
+    return tuple(sorted(upwards, key=np.count_nonzero))
 
 
 def line_weights(spacing: tuple[float, ...]) -> Float64Array:
     """How much each line of cliques counts for each component of displacement.
 
     The paper's pixels are square: there the vertical line carries the row component, the horizontal
-    line the col component, and the diagonals both, all with weight 1. For other pixels the weights
+    line the col component, and the diagonals both, all with weight 1. So it is with cubes: a
+    diagonal carries the components along which it leads. For other pixels and voxels the weights
     are those, none negative, that keep the continuum the lines stand for: in uniform tissue
-    component i obeys ``3 d_ii + 2 d_jj = 0`` in physical lengths, for any spacing.
+    component i obeys ``3 d_ii + 2 d_jj (+ 2 d_kk) = 0`` in physical lengths, for any spacing. In a
+    volume they are also those that make of slices which are all alike the images that they are.
 
     Parameters
     ----------
-    spacing : (float, float)
-        Size of a pixel in (row, col) direction.
+    spacing : tuple of float
+        Size of a pixel in (row, col) direction, or of a voxel in (plane, row, col) direction.
 
     Returns
     -------
-    ndarray, shape (4, 2)
-        Weight of each of `LINES` for the (row, col) component.
+    ndarray, shape (4, 2) or (13, 3)
+        Weight of each of `line_steps` for each component.
     """
-    row, col = spacing
-    along = np.array([row, col]) ** 2 / (row * col)  # squared sizes, in units of one pixel
-    diagonal = 1.0 / along.max()
-    own = 3.0 / along - 2.0 * diagonal
-    cross = 2.0 / along - 2.0 * diagonal
-    return np.array(
-        [[own[0], cross[0]], [cross[1], own[1]], [diagonal, diagonal], [diagonal, diagonal]]
-    )
+    axes = len(spacing)
+    sizes = np.array(spacing) / spacing[0]
+    along = sizes**2 / np.prod(sizes**2) ** (1 / axes)  # in units of one pixel
+    # Each pair of slices is joined by two diagonals of faces for one within them, and so by three
+    # times as much in all.
+    total = 3.0 ** (axes - 2)
+    longer = np.maximum.outer(along, along)
+    of_space, of_faces = 1 / along.max(), total / longer - (total - 1) / along.max()
+    weights = np.zeros((len(line_steps(axes)), axes))
+    for line, step in enumerate(line_steps(axes)):
+        at = np.flatnonzero(step)
+        if len(at) > 1:
+            weights[line, at] = of_space if len(at) == axes else of_faces[at[0], at[1]]
+    own = 3 * total / along - weights.sum(axis=0)
+    weights[:axes] = 2 * total / along[:, None] - 2 * total / longer
+    np.fill_diagonal(weights[:axes], own)
+    return weights
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +81,12 @@ class SeilerMaterial:
 
     Attributes
     ----------
-    m : ndarray, shape (H, W), float32
+    m : ndarray, shape (H, W) or (D, H, W), float32
         Stiffness; 0 is void. Only its ratios matter.
-    lines : ndarray, shape (4, 2)
+    lines : ndarray, shape (4, 2) or (13, 3)
         What each line of cliques counts for each component: `line_weights`.
     square : bool
-        Whether the pixels are.
+        Whether the pixels are, or the voxels cubes.
     blanket : bool
         Whether every clique that contains a site pulls at it, or those whose middle it is.
     """
@@ -107,7 +135,7 @@ class SeilerMaterial:
 
     @property
     def parts(self) -> tuple[tuple[tuple[int, ...], Any], ...]:
-        """Each component apart, and what gives the matrices around sites, (h, w, 9, 9)."""
+        """Of an image each component apart, and what gives the matrices around sites, 9 x 9."""
         padded = np.pad(self.m, 1)
         return tuple(((k,), partial(self._matrices, k, padded)) for k in range(2))
 
@@ -119,7 +147,7 @@ class SeilerMaterial:
         sites = padded[rows.start : rows.stop + 2, cols.start : cols.stop + 2]
         shape = sites.shape[0] - 2, sites.shape[1] - 2
         total, curvature = np.zeros((*shape, 9, 9)), np.zeros((*shape, 1))
-        for (i, j), weight in zip(LINES, self.lines[:, component], strict=True):
+        for (i, j), weight in zip(line_steps(2), self.lines[:, component], strict=True):
             s, t, u = (
                 (slice(1 + k * i, 1 + k * i + shape[0]), slice(1 + k * j, 1 + k * j + shape[1]))
                 for k in (-1, 0, 1)
@@ -171,10 +199,10 @@ class Cliques(NamedTuple):
 
     Attributes
     ----------
-    curvature : ndarray, shape (2, H + 4, W + 4)
-    slope : ndarray, shape (2, H + 4, W + 4)
+    curvature : ndarray, shape (2, H + 4, W + 4) or (3, D + 4, H + 4, W + 4)
+    slope : ndarray
         -1/2 of the derivative of the energy by the site's displacement.
-    energy : ndarray, shape (H + 4, W + 4)
+    energy : ndarray, shape (H + 4, W + 4) or (D + 4, H + 4, W + 4)
     """
 
     curvature: Float64Array
@@ -189,11 +217,11 @@ def cliques(
 
     Parameters
     ----------
-    d : ndarray, shape (2, H + 4, W + 4)
+    d : ndarray, shape (2, H + 4, W + 4) or (3, D + 4, H + 4, W + 4)
         Displacement in pixels, in a ring of zeros two sites wide.
-    m : ndarray, shape (H + 4, W + 4)
+    m : ndarray, shape (H + 4, W + 4) or (D + 4, H + 4, W + 4)
         Stiffness in the same ring; 0 is void.
-    lines : ndarray, shape (4, 2)
+    lines : ndarray, shape (4, 2) or (13, 3)
         What each line of cliques counts for each component.
     blanket : bool
     """
@@ -219,13 +247,12 @@ def _lines(
     lines: Float64Array, m: npt.NDArray[np.floating]
 ) -> Iterator[tuple[Float64Array, tuple[Slices, Slices, Slices]]]:
     """Each line of cliques in planes: what it counts, (2, 1, 1), and its sites s, t and u."""
-    height, width = (size - 4 for size in m.shape)
-    for (i, j), weights in zip(LINES, lines[:, :, None, None], strict=True):
+    for step, weights in zip(line_steps(m.ndim), lines, strict=True):
         s, t, u = (
-            (slice(2 + k * i, 2 + k * i + height), slice(2 + k * j, 2 + k * j + width))
+            tuple(slice(2 + k * a, size - 2 + k * a) for a, size in zip(step, m.shape, strict=True))
             for k in (-1, 0, 1)
         )
-        yield weights, (s, t, u)
+        yield weights.reshape(-1, *(1,) * m.ndim), (s, t, u)
 
 
 _Pair = tuple[Float64Array, Float64Array]

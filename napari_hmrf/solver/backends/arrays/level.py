@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +11,7 @@ from napari_hmrf.solver.backends.linear import HeldPlanes
 from napari_hmrf.solver.coarse_levels import MOST_PINS, SPRING
 
 Vector = npt.NDArray[np.float32]
+Real = npt.NDArray[np.floating[Any]]
 
 
 class ArrayLevel:
@@ -19,7 +20,7 @@ class ArrayLevel:
     Parameters
     ----------
     grid : tuple of int
-        Its sites, (H, W).
+        Its sites, (H, W) or (D, H, W).
     finest : bool
 
     Attributes
@@ -44,7 +45,7 @@ class ArrayLevel:
 
     def vector(self) -> Vector:
         """Return zeros."""
-        return np.zeros((2, *(size + 4 for size in self.grid)), dtype=np.float32)
+        return np.zeros((len(self.grid), *(size + 4 for size in self.grid)), dtype=np.float32)
 
     def free(self, *vectors: Vector) -> None:
         """Nothing to do: memory goes with the last reference."""
@@ -68,7 +69,8 @@ class ArrayLevel:
         A spring is as strong as the site's `pins`, times the diagonal.
         """
         assert self.weight is not None
-        self.pins[:, 2:-2, 2:-2] = np.minimum(_restricted(finer.pins, self.grid), MOST_PINS)
+        inside = (slice(None), *[slice(2, -2)] * len(self.grid))
+        self.pins[inside] = np.minimum(restricted(finer.pins, self.grid), MOST_PINS)
         np.multiply(np.float32(SPRING) * self.pins, self.diagonal, out=self.weight)
         self._invert(self.diagonal + self.weight, self.steep > 0)
 
@@ -77,14 +79,15 @@ class ArrayLevel:
         np.divide(1, diagonal, out=self.inverse, where=moves)
 
 
-def _restricted(fine: Vector, grid: tuple[int, ...]) -> Vector:
-    """The transpose of bilinear interpolation: coarse site i lies on fine site 2 i."""
-    height, width = grid
-    rows = _along(np.pad(fine, ((0, 0), (0, 2), (0, 2))), height, 1)
-    return _along(rows, width, 2)
+def restricted(fine: Real, grid: tuple[int, ...]) -> Real:
+    """The transpose of linear interpolation: coarse site i lies on fine site 2 i."""
+    fine = np.pad(fine, ((0, 0), *[(0, 2)] * len(grid)))
+    for axis, count in enumerate(grid):
+        fine = _along(fine, count, 1 + axis)
+    return fine
 
 
-def _along(fine: Vector, count: int, axis: int) -> Vector:
+def _along(fine: Real, count: int, axis: int) -> Real:
     before, here, after = (
         np.take(fine, 2 * np.arange(count) + offset, axis=axis) for offset in (1, 2, 3)
     )

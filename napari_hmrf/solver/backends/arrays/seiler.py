@@ -7,12 +7,10 @@ it, if `lines` are twice what they are.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.arrays.level import ArrayLevel, Vector
+from napari_hmrf.solver.backends.arrays.level import ArrayLevel, Real, Vector, restricted
 from napari_hmrf.solver.backends.arrays.model import ArrayModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
 from napari_hmrf.solver.backends.thread import in_child_of_fork
@@ -20,7 +18,6 @@ from napari_hmrf.solver.coarse_levels import grids
 from napari_hmrf.solver.priors.cliques import SeilerMaterial, cliques
 
 Float64Array = npt.NDArray[np.float64]
-Real = npt.NDArray[np.floating[Any]]
 
 
 class ArraySeilerLevel(ArrayLevel):
@@ -29,9 +26,9 @@ class ArraySeilerLevel(ArrayLevel):
     Parameters
     ----------
     grid : tuple of int
-    stiffness : ndarray, shape (2, H + 4, W + 4)
-    even : ndarray, shape (H + 4, W + 4)
-        What makes a sum over the finer level's tissue around a site a mean.
+    stiffness : ndarray, shape (2, H + 4, W + 4) or (2, D + 4, H + 4, W + 4)
+    even : ndarray, shape (H + 4, W + 4) or (D + 4, H + 4, W + 4)
+        What makes a sum over the finer level's tissue around a site four times its mean.
     material : SeilerMaterial
     share : float
         What a clique counts on this level.
@@ -55,7 +52,8 @@ class ArraySeilerLevel(ArrayLevel):
         self._lines = share * material.lines
         self.stiffness: Vector = stiffness.astype(np.float32)
         self.even: Vector = even.astype(np.float32)
-        found = cliques(np.zeros_like(stiffness), stiffness[0], self._lines, material.blanket)
+        at_rest = np.zeros((len(grid), *stiffness[0].shape))
+        found = cliques(at_rest, stiffness[0], self._lines, material.blanket)
         self.steep = found.curvature.astype(np.float32)
         pulled = (self.steep > 0).astype(np.float32)
         self.diagonal = self.steep if material.blanket else pulled
@@ -89,7 +87,7 @@ class ArraySeilerModel(ArrayModel):
         self._lines = (2 if material.blanket else 1) * material.lines
         m = material.m / np.float64(material.m.max())
         stiffness = np.zeros((2, *(size + 4 for size in m.shape)))
-        stiffness[0, 2:-2, 2:-2] = m
+        stiffness[0][(slice(2, -2),) * m.ndim] = m
         np.divide(1.0, stiffness[0], out=stiffness[1], where=stiffness[0] > 0)
         self._m, even = stiffness[0], np.zeros(stiffness.shape[1:])
         self.levels = []
@@ -122,8 +120,8 @@ class ArraySeilerModel(ArrayModel):
     @property
     def steepness(self) -> Planes:
         """The second derivative of each site's energy; 0 where no clique pulls."""
-        nothing = np.zeros((2, *self._m.shape))
-        found = cliques(nothing, self._m, self._lines, self.material.blanket).curvature
+        at_rest = np.zeros((self._m.ndim, *self._m.shape))
+        found = cliques(at_rest, self._m, self._lines, self.material.blanket).curvature
         return found if self.material.blanket else 2 * found
 
     def forget(self) -> None:
@@ -133,22 +131,14 @@ class ArraySeilerModel(ArrayModel):
 
 def _coarser(fine: Float64Array, grid: tuple[int, ...]) -> tuple[Float64Array, Float64Array]:
     """A coarse level's (m, 1/m): the mean of the tissue around a site; and what evens out sums."""
-    height, width = grid
-    padded = np.pad(fine, (0, 2))
-    total, share = np.zeros((2, height, width))
-    for a in range(3):
-        for b in range(3):
-            m = padded[1 + a : 1 + a + 2 * height : 2, 1 + b : 1 + b + 2 * width : 2]
-            near = (2 - abs(a - 1)) * (2 - abs(b - 1)) / 4
-            total += near * m
-            share += near * (m > 0)
-    stiffness = np.zeros((2, height + 4, width + 4))
-    inner = stiffness[:, 2:-2, 2:-2]
+    total, share = (restricted(each[None], grid)[0] for each in (fine, (fine > 0).astype(float)))
+    made = np.zeros((3, *(size + 4 for size in grid)))
+    inner = made[(slice(None), *[slice(2, -2)] * len(grid))]
     np.divide(total, share, out=inner[0], where=total > 0)
     np.divide(share, total, out=inner[1], where=total > 0)
-    even = np.zeros((height + 4, width + 4))
-    even[2:-2, 2:-2] = 4 / np.maximum(share, 1)
-    return stiffness, even
+    # Where less than a quarter of what is around a site is tissue, it counts as a quarter.
+    inner[2] = 4 / np.maximum(share, 2 ** len(grid) / 4)
+    return made[:2], made[2]
 
 
 _last: list[ArraySeilerModel] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,36 +24,41 @@ from napari_hmrf.solver.priors.cliques import SeilerMaterial
 from napari_hmrf.solver.priors.elements import ElasticMaterial
 from napari_hmrf.solver.quadtree import Level, nearest_pixels
 
-# A pessimistic guess, for cutting the work into batches: measured is 1.5 to 4 ns on two cores.
-_SLOWEST_SITE_SECONDS = 10e-9
+# Pessimistic guesses, for cutting the work into batches: measured is 1.5 to 4 ns on two cores, and
+# in a volume 10 to 20.
+_SLOWEST_SITE_SECONDS = {2: 10e-9, 3: 50e-9}
 # Levels of fewer sites are swept by one thread.
 _SMALL = 2000
 
 
 @dataclass(frozen=True, eq=False)
 class CpuField:
-    """Planes of float32, (C, H + 4, W + 4), in a ring of zeros."""
+    """Planes of float32, (C, H + 4, W + 4) or (C, D + 4, H + 4, W + 4), in a ring of zeros."""
 
     planes: FloatArray
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The level's grid, (H, W)."""
-        _, height, width = self.planes.shape
-        return height - 4, width - 4
+        """The level's grid, (H, W) or (D, H, W)."""
+        return tuple(size - 4 for size in self.planes.shape[1:])
 
     @property
     def inside(self) -> FloatArray:
-        """The planes without the ring, a view of shape (C, H, W)."""
-        return self.planes[:, 2:-2, 2:-2]
+        """The planes without the ring, a view of shape (C, H, W) or (C, D, H, W)."""
+        return self.planes[(slice(None), *[slice(2, -2)] * len(self.shape))]
+
+    @property
+    def rows(self) -> FloatArray:
+        """A volume as an image of all its rows; an image as it is."""
+        return self.planes.reshape(len(self.planes), -1, self.planes.shape[-1])
 
     @cached_property
     def spans(self) -> npt.NDArray[np.int64]:
-        """Of a stiffness: where each row's tissue begins and ends, shape (H, 2).
+        """Of a stiffness: where the tissue of each of its `rows` begins and ends, shape (H, 2).
 
         No site outside moves, so none is computed: a third of a head's image is air.
         """
-        tissue = self.inside[0] > 0
+        tissue = self.rows[0, 2:-2, 2:-2] > 0
         first = tissue.argmax(axis=1)
         past = tissue.shape[1] - tissue[:, ::-1].argmax(axis=1)
         return np.stack([first, np.where(tissue.any(axis=1), past, first)], axis=1)
@@ -86,34 +92,36 @@ class CpuBackend:
         self.renderer = f"compiled loops on {platform.machine()}, {threads} threads"
 
     def upload(self, values: FloatArray) -> CpuField:
-        """Pad values of shape (H, W, C) by void."""
+        """Pad values of shape (H, W, C) or (D, H, W, C) by void."""
         field = CpuField(self._transfer.padded(values.shape[-1], values.shape[:-1]))
         field.inside[...] = np.moveaxis(values, -1, 0)
         return field
 
     def download(self, field: CpuField) -> FloatArray:
-        """Return the values, (H, W, C)."""
+        """Return the values, (H, W, C) or (D, H, W, C)."""
         return np.ascontiguousarray(np.moveaxis(field.inside, 0, -1))
 
     def zeros(self, level: Level) -> CpuField:
         """Return a displacement of zero."""
-        return CpuField(self._transfer.padded(2, level.shape))
+        return CpuField(self._transfer.padded(len(level.shape), level.shape))
 
     def project(self, finest: CpuField, level: Level) -> CpuField:
         """Project by nearest neighbour from level 0."""
         field = CpuField(self._transfer.padded(len(finest.planes), level.shape))
-        rows, cols = nearest_pixels(level, finest.shape)
-        field.inside[...] = finest.inside.take(rows, axis=1).take(cols, axis=2)
+        values = finest.inside
+        for axis, pixels in enumerate(nearest_pixels(level, finest.shape)):
+            values = values.take(pixels, axis=1 + axis)
+        field.inside[...] = values
         return field
 
     def prolong(
         self, coarse: CpuField, coarse_stiffness: CpuField, stiffness: CpuField
     ) -> CpuField:
         """Project displacement one level down, linearly."""
-        field = CpuField(self._transfer.padded(2, stiffness.shape))
-        self._transfer.prolong(
-            coarse.planes, coarse_stiffness.planes, field.planes, stiffness.planes
-        )
+        axes = len(stiffness.shape)
+        field = CpuField(self._transfer.padded(axes, stiffness.shape))
+        prolong = self._transfer.prolong if axes == 2 else self._transfer.prolong_volume
+        prolong(coarse.planes, coarse_stiffness.planes, field.planes, stiffness.planes)
         return field
 
     def relax(
@@ -126,10 +134,12 @@ class CpuBackend:
     ) -> tuple[CpuField, EnergyArray]:
         """Move all sites at once, `sweeps` times."""
         even, (odd, share) = displacement.planes, self._scratch(stiffness)
-        row_totals = np.empty((sweeps, displacement.shape[0]))
+        row_totals = np.empty((sweeps, len(stiffness.spans)))
+        sites = math.prod(displacement.shape)
         # Waking the other threads costs more than a small level does.
-        self._numba.set_num_threads(1 if share.size < _SMALL else self._threads)
-        batch = max(1, int(BATCH_SECONDS / (_SLOWEST_SITE_SECONDS * share.size)))
+        self._numba.set_num_threads(1 if sites < _SMALL else self._threads)
+        a_site = _SLOWEST_SITE_SECONDS[len(displacement.shape)]
+        batch = max(1, int(BATCH_SECONDS / (a_site * sites)))
         for start in range(0, sweeps, batch):
             self._checkpoint()
             totals = row_totals[start : start + batch]
@@ -143,7 +153,7 @@ class CpuBackend:
         self, displacement: CpuField, stiffness: CpuField, observation: CpuField, rule: SiteRule
     ) -> float:
         """U_total: what a sweep, whose result nobody wants, begins with."""
-        totals, (odd, share) = np.empty((1, displacement.shape[0])), self._scratch(stiffness)
+        totals, (odd, share) = np.empty((1, len(stiffness.spans))), self._scratch(stiffness)
         self._sweep(displacement.planes, odd, stiffness, observation, rule, share, totals)
         return float(totals.sum())
 
@@ -158,6 +168,9 @@ class CpuBackend:
         row_totals: EnergyArray,
     ) -> None:
         """One sweep for each row of `row_totals`, from `even` to `odd`, back, and so on."""
+        if len(stiffness.shape) == 3:
+            self._sweep_volume(even, odd, stiffness, observation, rule, row_totals)
+            return
         self._kernels.sweeps(
             even,
             odd,
@@ -169,6 +182,30 @@ class CpuBackend:
             tuple(np.float32(step) for step in rule.steps) or None,
             np.float32(rule.relaxation),
             share,
+            row_totals,
+        )
+
+    def _sweep_volume(
+        self,
+        even: FloatArray,
+        odd: FloatArray,
+        stiffness: CpuField,
+        observation: CpuField,
+        rule: SiteRule,
+        row_totals: EnergyArray,
+    ) -> None:
+        from napari_hmrf.solver.backends.cpu import volume_cliques
+
+        volume_cliques.sweeps(
+            CpuField(even).rows,
+            CpuField(odd).rows,
+            stiffness.rows,
+            observation.rows,
+            stiffness.spans,
+            rule.weights.astype(np.float32),
+            volume_cliques.offsets(stiffness.shape),
+            np.array(rule.steps, dtype=np.float32),
+            np.float32(rule.relaxation),
             row_totals,
         )
 
@@ -184,6 +221,10 @@ class CpuBackend:
 
     def seiler_model(self, material: SeilerMaterial) -> LinearModel:
         """Bring the paper's cliques to the device, on all levels of multigrid."""
+        if material.m.ndim == 3:
+            from napari_hmrf.solver.backends.cpu import volume_seiler_model
+
+            return volume_seiler_model.the_model(material)
         from napari_hmrf.solver.backends.cpu.seiler_model import the_model
 
         return the_model(material)
@@ -193,7 +234,8 @@ class CpuBackend:
         if self._left_over is not None and self._left_over[0] is stiffness:
             return self._left_over[1:]
         shape = stiffness.shape
-        return self._transfer.padded(2, shape), np.empty(shape, dtype=np.float32)
+        energies = shape if len(shape) == 2 else (0, 0)  # those of a volume are summed at once
+        return self._transfer.padded(len(shape), shape), np.empty(energies, dtype=np.float32)
 
     def release(self, *fields: CpuField) -> None:
         """Nothing to do: memory goes with the last reference."""

@@ -179,7 +179,7 @@ def _observed(d, observation, i, j):
 
 
 @inline
-def _downhill(slope, penalty, off):
+def downhill(slope, penalty, off):
     """The direction, 1 or -1, in which a component's energy falls, if it falls in any."""
     # `off` is y - d. The energy is convex, so the other direction need not be tried.
     pull = penalty if off > float32(0) else (-penalty if off < float32(0) else float32(0))
@@ -187,7 +187,7 @@ def _downhill(slope, penalty, off):
 
 
 @inline
-def _change(step, curvature, twice_slope, penalty, off, now):
+def change(step, curvature, twice_slope, penalty, off, now):
     """How much a step downhill changes a component's energy; 0 if it would raise it."""
     # `now` is p |y - d|; slope and `off` are taken along the direction of the step.
     prior = step * (curvature * step - twice_slope)
@@ -202,16 +202,16 @@ def _best_candidate(d, a0, a1, b0, b1, observation, steps, i, j):
     off1 = observation[1, i, j] - d[1, i, j]
     now0 = p0 * abs(off0)
     now1 = p1 * abs(off1)
-    sign0 = _downhill(b0, p0, off0)
-    sign1 = _downhill(b1, p1, off1)
+    sign0 = downhill(b0, p0, off0)
+    sign1 = downhill(b1, p1, off1)
     twice0 = float32(2) * sign0 * b0
     twice1 = float32(2) * sign1 * b1
     least = float32(0)
     best0 = float32(0)
     best1 = float32(0)
     for k in range(len(steps)):
-        change0 = _change(steps[k], a0, twice0, p0, sign0 * off0, now0)
-        change1 = _change(steps[k], a1, twice1, p1, sign1 * off1, now1)
+        change0 = change(steps[k], a0, twice0, p0, sign0 * off0, now0)
+        change1 = change(steps[k], a1, twice1, p1, sign1 * off1, now1)
         better = change0 + change1 < least
         least = min(change0 + change1, least)
         best0 = (steps[k] if change0 < float32(0) else float32(0)) if better else best0
@@ -220,7 +220,7 @@ def _best_candidate(d, a0, a1, b0, b1, observation, steps, i, j):
 
 
 @inline
-def _minimiser(d, curvature, slope, penalty, y, relaxation):
+def minimiser(d, curvature, slope, penalty, y, relaxation):
     """The displacement of least local energy for one component: y + soft(q - y, p / 2A)."""
     share = relaxation / max(curvature, _TINY)
     distance = (d + share * slope) - y
@@ -232,12 +232,8 @@ def _minimiser(d, curvature, slope, penalty, y, relaxation):
 def _moved(d, a0, a1, b0, b1, observation, steps, relaxation, i, j):
     """The new displacement of a site, from its parabola and its observation."""
     if steps is None:
-        new0 = _minimiser(
-            d[0, i, j], a0, b0, observation[2, i, j], observation[0, i, j], relaxation
-        )
-        new1 = _minimiser(
-            d[1, i, j], a1, b1, observation[3, i, j], observation[1, i, j], relaxation
-        )
+        new0 = minimiser(d[0, i, j], a0, b0, observation[2, i, j], observation[0, i, j], relaxation)
+        new1 = minimiser(d[1, i, j], a1, b1, observation[3, i, j], observation[1, i, j], relaxation)
     else:
         new0, new1 = _best_candidate(
             d, a0 / relaxation, a1 / relaxation, b0, b1, observation, steps, i, j

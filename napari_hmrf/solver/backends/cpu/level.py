@@ -19,6 +19,7 @@ from napari_hmrf.solver.backends.linear import Steps
 from napari_hmrf.solver.coarse_levels import MOST_PINS, SPRING
 
 Vector = npt.NDArray[np.float32]
+Spans = npt.NDArray[np.int64]
 
 
 class CpuLevel:
@@ -47,7 +48,7 @@ class CpuLevel:
 
     weight: Vector | None
     pins: Vector
-    spans: npt.NDArray[np.int64]
+    spans: Spans
     #: Whether `finish` visits all coarser levels, too.
     takes_rest: bool = False
     #: Whether another visit within a cycle gains more than it costs.
@@ -241,6 +242,13 @@ def paces_of(steps: Steps, from_zero: bool) -> Vector:
     begun = 2 if from_zero else 1
     made[begun:, 2] = made[begun:, 1]
     return made
+
+
+def all_sites(grid: tuple[int, ...]) -> Spans:
+    """The spans of whole rows; those of a volume's ring are empty."""
+    whole = np.zeros((*(size + 2 * PAD for size in grid[:-1]), 2), dtype=np.int64)
+    whole[(slice(PAD, -PAD),) * (len(grid) - 1)] = 0, grid[-1]
+    return whole.reshape(-1, 2)[PAD:-PAD]
 
 
 def inside(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:

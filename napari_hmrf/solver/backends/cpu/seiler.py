@@ -106,7 +106,7 @@ def balance(pulls, load, given, inverse, share, out, row_most, row_squares):
     """
     for number in prange(out.shape[1] - 4):
         i = int64(number) + 2
-        for component in range(2):
+        for component in range(len(out)):
             for j in range(out.shape[2]):
                 here = pulls[component, i, j] + given * load[component, i, j]
                 here = float32(share * here)

@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 import math
-from typing import Self
+from typing import ClassVar, Self
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.solver.backends.cpu import kernels, seiler, vectors
-from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, inside
+from napari_hmrf.solver.backends.cpu.level import (
+    CpuLevel,
+    Spans,
+    Vector,
+    all_sites,
+    inside,
+    rows,
+)
+from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
+
+Lines = npt.NDArray[np.float64]
 
 # Where nobody wants a product.
 _NO_ROWS = np.zeros(0)
@@ -28,13 +38,14 @@ class CpuSeilerLevel(CpuLevel):
 
     Attributes
     ----------
-    stiffness : ndarray, shape (2, H + 4, W + 4)
+    stiffness : ndarray, shape (2, H + 4, W + 4) or (2, D + 4, H + 4, W + 4)
         (m, 1/m); 0 in void.
     lines : ndarray, shape (4, 2), or None
         What each line of cliques counts for each component, for the kernels that have another way
         with square pixels.
-    even : ndarray, shape (H + 4, W + 4)
-        What makes a sum over the finer level's tissue around a site a mean; `seiler.coarsen`.
+    even : ndarray, shape (H + 4, W + 4) or (D + 4, H + 4, W + 4)
+        What makes a sum over the finer level's tissue around a site four times its mean, as a
+        residual is on a grid twice as wide.
     """
 
     def __init__(
@@ -43,11 +54,11 @@ class CpuSeilerLevel(CpuLevel):
         super().__init__(grid)
         self.lines, self.blanket = None if square else lines, blanket or None
         self._lines = lines
-        self.stiffness, self.pins, self._diagonal = (self.vector() for _ in range(3))
-        self.even = self.vector()[0]
+        self.stiffness, self.even = padded(2, grid), padded(1, grid)[0]
+        self.pins, self._diagonal = self.vector(), self.vector()
         self.weight = None if finest else self.vector()
         self.threads = 1
-        self.spans: npt.NDArray[np.int64] = np.zeros((grid[0], 2), dtype=np.int64)
+        self.spans: Spans = np.zeros((rows(self.inverse).shape[1] - 2 * PAD, 2), dtype=np.int64)
 
     def coarsen(self, finer: CpuSeilerLevel) -> None:
         """Take the finer level's tissue."""
@@ -55,17 +66,32 @@ class CpuSeilerLevel(CpuLevel):
 
     def settle(self, stiffness: Planes) -> None:
         """Take in the stiffness, here in double precision."""
-        exactly = np.zeros(stiffness.shape)
-        lines = self._lines.astype(np.float64)
-        seiler.curvature(stiffness, lines, bool(self.blanket), exactly)
+        exactly = self.curvature(stiffness, self._lines.astype(np.float64))
         self._diagonal[...] = exactly if self.blanket else exactly > 0
+
+    def curvature(self, stiffness: Planes, lines: Lines) -> Planes:
+        """Each site's, in double precision as all that is done with planes."""
+        out = np.zeros(self.inverse.shape)
+        seiler.curvature(stiffness, lines, bool(self.blanket), out)
+        return out
+
+    def pull(self, d: Planes, stiffness: Planes, lines: Lines, spans: Spans, out: Planes) -> None:
+        """Out = - A d within these spans."""
+        seiler.pull(d, stiffness, lines, self.blanket, spans, out)
+
+    def work(self, d: Planes, stiffness: Planes, lines: Lines, spans: Spans, out: Planes) -> float:
+        """As `pull`; returns the energy of the cliques."""
+        share, totals = np.empty(self.grid), np.zeros(self.grid[0])
+        kernels.energy(d, stiffness, spans, lines, share, totals)
+        self.pull(d, stiffness, lines, spans, out)
+        return float(totals.sum())
 
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on the finest level."""
         self.inverse[...] = self._diagonal
         # What no clique pulls at does not move either.
         alone = (self.stiffness[0] > 0) & (self._diagonal == 0)
-        vectors.hold(self.inverse, held | alone, self.pins, self.spans)
+        vectors.hold(rows(self.inverse), rows(held | alone), rows(self.pins), self.spans)
         self._forget()
 
     def hold_as(self, finer: CpuSeilerLevel) -> None:
@@ -82,7 +108,11 @@ class CpuSeilerLevel(CpuLevel):
         numba.set_num_threads(self.threads)
         super().descend(steps, coarse, again)
         if coarse is not None and not self.blanket:
-            seiler.even_out(coarse.load, coarse.even)
+            coarse.even_out()
+
+    def even_out(self) -> None:
+        """Make a load that is a sum over the finer level's tissue what it is on this level."""
+        seiler.even_out(self.load, self.even)
 
     def ascend(self, steps: Steps, coarse: Self) -> None:
         """Add the coarse correction, and relax."""
@@ -120,12 +150,12 @@ class CpuSeilerLevel(CpuLevel):
             return float(self._rows.sum())
 
     def multiply(
-        self, direction: Vector, image: Vector, rows: npt.NDArray[np.float64] = _NO_ROWS
+        self, direction: Vector, image: Vector, totals: npt.NDArray[np.float64] = _NO_ROWS
     ) -> None:
-        """Image = A direction; their scalar product goes to rows, if there are any."""
+        """Image = A direction; their scalar product goes to the rows' totals, if there are any."""
         # What counts 0 times are numbers that the kernel reads anyway.
         nothing, no_springs = (direction, 0), (self.inverse, np.float32(0))
-        self._residual(direction, nothing, no_springs, (-1, image), rows)
+        self._residual(direction, nothing, no_springs, (-1, image), totals)
 
     def _residual(
         self,
@@ -133,7 +163,7 @@ class CpuSeilerLevel(CpuLevel):
         load: tuple[Vector, int],
         springs: tuple[Vector, np.float32],
         out: tuple[int, Vector],
-        rows: npt.NDArray[np.float64],
+        totals: npt.NDArray[np.float64],
     ) -> None:
         """`seiler.residual`, of a load that counts so often, and so often to `out`."""
         seiler.residual(
@@ -148,7 +178,7 @@ class CpuSeilerLevel(CpuLevel):
             self.spans,
             np.float32(out[0]),
             out[1],
-            rows,
+            totals,
         )
 
 
@@ -159,6 +189,9 @@ class CpuSeilerModel(HostModel):
     ----------
     material : SeilerMaterial
     """
+
+    #: What its levels are.
+    level: ClassVar[type[CpuSeilerLevel]] = CpuSeilerLevel
 
     def __init__(self, material: SeilerMaterial) -> None:
         self.material = material
@@ -175,16 +208,15 @@ class CpuSeilerModel(HostModel):
             # Four times as many sites share what a coarse site's cliques hold, sixteen times over.
             share = 0.25**number if material.blanket else 1.0
             lines = (share * self._lines).astype(np.float32)
-            self.levels.append(CpuSeilerLevel(grid, lines, square, material.blanket, number == 0))
+            self.levels.append(self.level(grid, lines, square, material.blanket, number == 0))
         finest = self.levels[0]
         self._stiffness = np.zeros(finest.stiffness.shape)
         inside(self._stiffness)[...] = m, inverse
         finest.stiffness[...] = self._stiffness
-        self._exact_pulls, self._pull = (np.zeros_like(self._stiffness) for _ in range(2))
-        self._rest = np.zeros(self._stiffness.shape, dtype=np.float32)
-        height, width = finest.grid
-        self._rows: npt.NDArray[np.float64] = np.zeros((2, height))
-        self._whole = np.tile(np.array([0, width], dtype=np.int64), (height, 1))
+        self._pull = np.zeros(finest.inverse.shape)
+        self._rest = finest.vector()
+        self._rows: npt.NDArray[np.float64] = np.zeros((2, len(finest.spans)))
+        self._whole = all_sites(m.shape)
         finest.settle(self._stiffness)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             coarse.coarsen(fine)
@@ -195,42 +227,39 @@ class CpuSeilerModel(HostModel):
         threads = numba.get_num_threads()
         for level in self.levels:
             level.threads = 1 if math.prod(level.grid) < _SMALL else threads
-        self._exact_pulls.fill(0)
+        self._pull.fill(0)
         super().hold(held)
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
-        finest, pulls = self.levels[0], self._exact_pulls
-        seiler.pull(d, self._stiffness, self._lines, self._blanket, finest.spans, pulls)
-        given = (pulls, 0.0) if load is None else (load, 1.0)
+        finest, pulls = self.levels[0], self._pull
+        finest.pull(d, self._stiffness, self._lines, finest.spans, pulls)
+        given, count = (pulls, 0.0) if load is None else (load, 1.0)
         most, squares = self._rows
-        seiler.balance(pulls, *given, finest.inverse, 1 / unit, self._rest, most, squares)
+        arrays = map(rows, (pulls, given))
+        out = rows(self._rest)
+        seiler.balance(*arrays, count, rows(finest.inverse), 1 / unit, out, most, squares)
         return float(most.max()), math.sqrt(squares.sum())
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """- A d everywhere, in double precision; valid until the next call."""
+        """- A d everywhere, in double precision; valid until anything else is asked."""
         if low is not None and self._blanket:
             pulls: Planes = self.material.pull(d, low)
             return pulls
         assert low is None  # the centred update is not refined with more digits
-        seiler.pull(d, self._stiffness, self._lines, self._blanket, self._whole, self._pull)
+        self.levels[0].pull(d, self._stiffness, self._lines, self._whole, self._pull)
         return self._pull
 
     @property
     def steepness(self) -> Planes:
         """The second derivative of each site's energy; 0 where no clique pulls."""
-        out = np.zeros(self._stiffness.shape)
-        seiler.curvature(self._stiffness, self._lines, self.material.blanket, out)
-        return out if self._blanket else 2 * out
+        curvature: Planes = self.levels[0].curvature(self._stiffness, self._lines)
+        return curvature if self._blanket else 2 * curvature
 
     def work(self, d: Planes) -> tuple[float, float]:
         """The cliques' share of U_total, and the norm of all pulls."""
-        height, width = self.levels[0].grid
-        rows = np.zeros(height)
-        share = np.empty((height, width))
-        kernels.energy(d, self._stiffness, self._whole, self._lines, share, rows)
-        pulls = self.pull(d)
-        norm = math.sqrt(np.einsum("kij,kij", pulls, pulls))
-        return float(rows.sum()) / (2 if self._blanket else 1), norm
+        pulls = self._pull
+        energy = self.levels[0].work(d, self._stiffness, self._lines, self._whole, pulls)
+        return energy / (2 if self._blanket else 1), math.sqrt(np.vdot(pulls, pulls))
 
     def forget(self) -> None:
         """Be not the last model any more: what is left in its vectors may be no number."""
@@ -241,7 +270,9 @@ _last: list[CpuSeilerModel] = []
 in_child_of_fork(_last.clear)  # who forks in the middle of a solve goes on with it
 
 
-def the_model(material: SeilerMaterial) -> CpuSeilerModel:
+def the_model(
+    material: SeilerMaterial, kind: type[CpuSeilerModel] = CpuSeilerModel
+) -> CpuSeilerModel:
     """Return the model of a material: the last one, if it is the same tissue again.
 
     What is edited most is what pulls, not the tissue. For the compute thread only, on which models
@@ -249,5 +280,5 @@ def the_model(material: SeilerMaterial) -> CpuSeilerModel:
     """
     if not _last or _last[0].material != material:
         _last[:] = ()  # its memory, first
-        _last.append(CpuSeilerModel(material))
+        _last.append(kind(material))
     return _last[0]

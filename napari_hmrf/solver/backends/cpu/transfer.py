@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numba import float32, prange
 
-from napari_hmrf.solver.backends.cpu.compiled import strict_parallel
+from napari_hmrf.solver.backends.cpu.compiled import strict_callee, strict_parallel
 
 #: Width of the ring of void around every array.
 PAD = 2
@@ -48,3 +48,38 @@ def prolong(coarse, coarse_stiffness, target, stiffness):
             if total > float32(0):
                 target[0, i + PAD, j + PAD] = sum0 / total
                 target[1, i + PAD, j + PAD] = sum1 / total
+
+
+@strict_callee
+def _nearest(i, size):
+    """The two coarse sites on either side of a fine one, in padded arrays, the nearer one first."""
+    near = min(i // 2, size - 1)
+    far = min(max(near + (1 if i % 2 else -1), 0), size - 1)
+    return near + PAD, far + PAD
+
+
+@strict_parallel
+def prolong_volume(coarse, coarse_stiffness, target, stiffness):
+    """As `prolong`, of a volume."""
+    for n in prange(target.shape[1] - 2 * PAD):
+        planes = _nearest(np.int64(n), coarse.shape[1] - 2 * PAD)
+        for i in range(target.shape[2] - 2 * PAD):
+            rows = _nearest(i, coarse.shape[2] - 2 * PAD)
+            for j in range(target.shape[3] - 2 * PAD):
+                if stiffness[0, n + PAD, i + PAD, j + PAD] <= float32(0):
+                    continue
+                cols = _nearest(j, coarse.shape[3] - 2 * PAD)
+                total = sum0 = sum1 = sum2 = float32(0)
+                for k in range(8):
+                    a, b, c = k // 4, k // 2 % 2, k % 2
+                    weight = float32(27 / 64) / float32(3 ** (a + b + c))
+                    at = planes[a], rows[b], cols[c]
+                    if coarse_stiffness[0, at[0], at[1], at[2]] > float32(0):
+                        total += weight
+                        sum0 += weight * coarse[0, at[0], at[1], at[2]]
+                        sum1 += weight * coarse[1, at[0], at[1], at[2]]
+                        sum2 += weight * coarse[2, at[0], at[1], at[2]]
+                if total > float32(0):
+                    target[0, n + PAD, i + PAD, j + PAD] = sum0 / total
+                    target[1, n + PAD, i + PAD, j + PAD] = sum1 / total
+                    target[2, n + PAD, i + PAD, j + PAD] = sum2 / total

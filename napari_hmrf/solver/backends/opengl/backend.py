@@ -37,6 +37,7 @@ from napari_hmrf.solver.backends.opengl.totals import (
     PairTotals,
     Totals,
 )
+from napari_hmrf.solver.backends.opengl.volume_passes import VolumePasses, check_volume
 from napari_hmrf.solver.priors import line_weights
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 from napari_hmrf.solver.priors.elements import ElasticMaterial
@@ -83,7 +84,7 @@ class OpenGLBackend:
             self._passes.run,
             self._passes.wait,
         )
-        self._of_models: list[Passes] = []
+        self._of_models: list[Passes | VolumePasses] = []
         self._pool = Pool(self._device.texture)
         self._keeps_shares = software
         self._drawn: dict[tuple[int, ...], Tissue] = {}
@@ -176,10 +177,28 @@ class OpenGLBackend:
         return float(totals.read()[0])
 
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
-        """Bring elastic tissue to the device; its levels come from the compiled loops."""
+        """Bring elastic tissue to the device; an image's levels come from the compiled loops."""
+        if material.m.ndim == 3:
+            from napari_hmrf.solver.backends.opengl.volume_model import GLVolumeModel
+
+            self.check_volume(material.m.shape)
+            passes = VolumePasses(self._device, self._pace)
+            self._of_models.append(passes)
+            return GLVolumeModel(passes, material)
         from napari_hmrf.solver.backends.opengl.elastic import GLElasticModel
 
         return GLElasticModel(self._passes_for(material.m), material)
+
+    def check_volume(self, grid: tuple[int, ...]) -> None:
+        """Refuse a volume, (D, H, W) voxels, that these shaders cannot solve; () is none.
+
+        Raises
+        ------
+        BackendError
+            What is lacking, and what to take.
+        """
+        if grid:
+            check_volume(self._device, self._stage, grid)
 
     def seiler_model(self, material: SeilerMaterial) -> LinearModel:
         """Bring the paper's cliques to the device; their levels come from the compiled loops."""

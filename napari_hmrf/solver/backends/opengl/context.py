@@ -48,6 +48,8 @@ class Opened:
     dispatch : callable
         Given a program's number and how many work groups there are along each axis, runs it; other
         Python threads run meanwhile, in which drivers may compile for the processor.
+    clear : callable
+        Given a buffer's number, fills it with zeros.
     way : str
         How it was made, in words.
     """
@@ -55,6 +57,7 @@ class Opened:
     ctx: Any
     finish: Callable[[], None]
     dispatch: Callable[[int, int, int], None]
+    clear: Callable[[int], None]
     way: str
 
     def release(self) -> None:
@@ -151,7 +154,7 @@ def _open(way: _Way) -> Opened:
         if store is not None:
             store.default_context = default
     finish = _function(loader.load("glFinish"))
-    opened = Opened(ctx, finish, _dispatch(loader), way.name)
+    opened = Opened(ctx, finish, _dispatch(loader), _clear(loader), way.name)
     if ctx.version_code < REQUIRED_VERSION:
         found = f"found OpenGL {ctx.info['GL_VERSION']} on {ctx.info['GL_RENDERER']}"
         opened.release()
@@ -180,6 +183,23 @@ def _dispatch(loader: Any) -> Callable[[int, int, int], None]:
         dispatch_compute(cols, rows, 1)
 
     return dispatch
+
+
+# GL_SHADER_STORAGE_BUFFER, GL_R32F, GL_RED and GL_FLOAT.
+_STORAGE, _SINGLES = 0x90D2, (0x822E, 0x1903, 0x1406)
+
+
+def _clear(loader: Any) -> Callable[[int], None]:
+    """Return what fills a buffer with zeros; of no use where there are no compute shaders."""
+    bind, fill = loader.load("glBindBuffer"), loader.load("glClearBufferData")
+    bind_buffer = _function(bind, *[ctypes.c_uint] * 2)
+    clear_data = _function(fill, *[ctypes.c_uint] * 4, ctypes.c_void_p)
+
+    def clear(buffer: int) -> None:
+        bind_buffer(_STORAGE, buffer)
+        clear_data(_STORAGE, *_SINGLES, None)
+
+    return clear
 
 
 def _function(address: int, *kinds: Any) -> Callable[..., None]:

@@ -23,6 +23,7 @@ from napari_hmrf.solver.backends.opengl.context import (
 from napari_hmrf.solver.backends.opengl.programs import Program, compile_program
 from napari_hmrf.solver.backends.opengl.regions import Window
 from napari_hmrf.solver.backends.opengl.source import Stage
+from napari_hmrf.solver.backends.opengl.volume_programs import VolumeProgram, compile_volume
 from napari_hmrf.solver.backends.thread import compute_thread, in_child_of_fork
 
 _log = logging.getLogger("napari_hmrf")
@@ -40,6 +41,8 @@ class Device:
         How long it took to make the context.
     largest : int
         The most sites along an axis that a texture can hold and a pass can write.
+    largest_buffer, most_buffers : int
+        The most bytes of a storage buffer, and how many of them a compute shader has; 0 without.
     software : bool
         Whether it is a program that plays a GPU.
     rows : int
@@ -58,10 +61,13 @@ class Device:
         self.renderer = f"{info['GL_RENDERER']}, OpenGL {info['GL_VERSION']}"
         largest = int(min(info["GL_MAX_TEXTURE_SIZE"], *info["GL_MAX_VIEWPORT_DIMS"]))
         self.largest = largest // 2 * 2  # an odd number of columns gets one more
+        self.largest_buffer = int(info.get("GL_MAX_SHADER_STORAGE_BLOCK_SIZE", 0))
+        self.most_buffers = int(info.get("GL_MAX_COMPUTE_SHADER_STORAGE_BLOCKS", 0))
         self.software = is_software_renderer(self.renderer)
         self.rows = 4 if self.software else 1
         self.lost = False
         self._programs: dict[Any, Program] = {}
+        self._volume_programs: dict[Any, VolumeProgram] = {}
         self._checked: set[str] = set()
         # moderngl binds the framebuffer in use again whenever it makes another one, even if it has
         # been released since. So one that stays is put to use before any other is released.
@@ -97,6 +103,37 @@ class Device:
             )
             self.check(f"compiling {name}")
         return self._programs[key]
+
+    def volume_program(self, name: str, defines: Mapping[str, int] | None = None) -> VolumeProgram:
+        """Compile a kernel for volumes, or return it if it has been compiled before."""
+        key = (name, *sorted((defines or {}).items()))
+        if key not in self._volume_programs:
+            dispatch = self._opened.dispatch
+            self._volume_programs[key] = compile_volume(self.ctx, name, defines, dispatch)
+            self.check(f"compiling {name}")
+        return self._volume_programs[key]
+
+    def buffer(self, size: int) -> Any:
+        """Allocate so many bytes of zeros, or say why that cannot be."""
+        self.check("computing")
+        what = f"a buffer of {size / 2**20:.0f} MiB"
+        try:
+            made = self.ctx.buffer(reserve=size)
+        except Exception as error:  # noqa: BLE001 - moderngl raises its own and plain exceptions
+            self.lose(f"making {what}: {error}")
+        self.clear_buffer(made)
+        noted = self.ctx.error
+        if noted != "GL_NO_ERROR":
+            made.release()
+            self.lose(
+                f"making {what}: {noted}. It is probably out of memory: downsample the volume, or "
+                "close what else uses the graphics card"
+            )
+        return made
+
+    def clear_buffer(self, buffer: Any) -> None:
+        """Fill a buffer with zeros."""
+        self._opened.clear(buffer.glo)
 
     def texture(self, shape: tuple[int, ...], components: int) -> Any:
         """Allocate a float32 texture of (rows, cols) texels, or say why it cannot be."""
@@ -176,7 +213,10 @@ class Device:
         self.lost = True
         for program in self._programs.values():
             program.release()
+        for volume_program in self._volume_programs.values():
+            volume_program.release()
         self._programs.clear()
+        self._volume_programs.clear()
         self._opened.release()
 
     def ensure(self, stage: Stage) -> None:

@@ -13,7 +13,7 @@ from napari_hmrf.errors import BackendError
 from napari_hmrf.solver.backends.opengl.regions import Groups, Window
 from napari_hmrf.solver.backends.opengl.source import GROUP, KERNELS, Stage, compose, vertices
 
-Uniforms = Mapping[str, npt.NDArray[np.float32] | npt.NDArray[np.int32]]
+Uniforms = Mapping[str, npt.NDArray[np.float32] | npt.NDArray[np.float64] | npt.NDArray[np.int32]]
 
 
 class Program(Protocol):
@@ -53,8 +53,10 @@ class Program(Protocol):
         ...
 
 
-# So many times it is run so that other threads go on; how long they have after each compiling.
-_FIRST_RUNS, _BREATH = 3, 0.005
+# So many times it is run so that other threads go on.
+_FIRST_RUNS = 3
+#: How long they have after each compiling.
+BREATH = 0.005
 
 
 def compile_program(
@@ -86,7 +88,7 @@ def compile_program(
             f"the {stage} shader {name}.glsl does not compile on {ctx.info['GL_RENDERER']}; please "
             f"report this with what follows\n{source.explain(str(error))}"
         ) from error
-    time.sleep(_BREATH)
+    time.sleep(BREATH)
     for unit, texture in enumerate((*KERNELS[name].inputs, "groups")):
         if texture in program:
             program[texture].value = unit
@@ -95,21 +97,23 @@ def compile_program(
     return _Fragment(ctx, program)
 
 
-class _Compiled:
+class Compiled:
     """What both stages share: uniforms that are written only when they change."""
 
     def __init__(self, ctx: Any, program: Any) -> None:
         self._ctx = ctx
         self._program = program
+        self._uniforms = set(program)
         self._written: dict[str, bytes] = {}
         self._placed: dict[str, tuple[int, ...]] = {}
 
     def set(self, values: Uniforms) -> None:
+        """Give uniforms their values."""
         for name, value in values.items():
             data = value.tobytes()
             if self._written.get(name) != data:
                 self._written[name] = data
-                if name in self._program:  # else the compiler saw that it does not matter
+                if name in self._uniforms:  # else the compiler saw that it does not matter
                     self._program[name].write(data)
 
     def _place(self, name: str, *numbers: int) -> None:
@@ -118,10 +122,11 @@ class _Compiled:
             self.set({name: np.array(numbers, np.int32)})
 
     def release(self) -> None:
+        """Free what OpenGL holds of it."""
         self._program.release()
 
 
-class _Fragment(_Compiled):
+class _Fragment(Compiled):
     """A fragment shader over a triangle that fills the window."""
 
     def __init__(self, ctx: Any, program: Any) -> None:
@@ -151,7 +156,7 @@ class _Fragment(_Compiled):
         super().release()
 
 
-class _Compute(_Compiled):
+class _Compute(Compiled):
     """A compute shader: for a window, or for listed work groups if it is for tissue."""
 
     def __init__(

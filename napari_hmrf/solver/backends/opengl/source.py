@@ -25,7 +25,8 @@ Define = int
 #: Texels that a compute work group does, (rows, cols).
 GROUP = (8, 8)
 
-_VERSIONS = {"vertex": 330, "fragment": 330, "compute": 430}
+#: Of GLSL, by stage.
+VERSIONS = {"vertex": 330, "fragment": 330, "compute": 430}
 _TYPES = {1: "float", 2: "vec2", 4: "vec4"}
 # Lines of the second file count from 2001, and so on: not every compiler tells the file.
 _FILE_LINES = 1000
@@ -267,12 +268,12 @@ def compose(
     head += [f"uniform sampler2D {texture};" for texture in kernel.inputs]
     head += _outputs(kernel, stage)
     files = ["common", *kernel.shared, kernel.text, f"stage_{stage}"]
-    return _joined(_VERSIONS[stage], head, files)
+    return joined(VERSIONS[stage], head, files)
 
 
 def vertices() -> Source:
     """The vertex shader that every fragment shader is drawn with."""
-    return _joined(_VERSIONS["vertex"], [], ["triangle"])
+    return joined(VERSIONS["vertex"], [], ["triangle"])
 
 
 def _group(rows: int) -> list[str]:
@@ -302,7 +303,8 @@ def _outputs(kernel: Kernel, stage: Stage) -> list[str]:
     return [*lines, f"#define STORE_OUTPUTS(at) {' '.join(stores)}"]
 
 
-def _joined(version: int, head: list[str], names: list[str]) -> Source:
+def joined(version: int, head: list[str], names: list[str]) -> Source:
+    """Join lines and files, which keep their numbers."""
     files = ["(declarations)", *(f"{name}.glsl" for name in names)]
     parts = [f"#version {version} core", "#line 1 0", *head]
     for number, name in enumerate(names, start=1):

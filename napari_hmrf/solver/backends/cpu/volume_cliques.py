@@ -1,0 +1,237 @@
+"""The paper's cliques in a volume as compiled loops, for both precisions.
+
+Arrays are padded as those of the other kernels are, by two sites of void on every side. Here a
+volume is an image of all its rows (`level.rows`), (C, R, W + 4): from a row to the same one of the
+next plane it is H + 4 of them. So a line of cliques is given by how many rows, and how many sites
+of a row, lie between its sites: `offsets`, (13, 2). `lines` is what each counts for each component.
+Rows of the ring have empty spans.
+
+A block of sites is done at a time. Each step is one loop along it, which vectorises as those of
+`hexahedra` do: lines of scratch memory lie a constant apart.
+"""
+
+# mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numba import float32, int64, prange
+
+from napari_hmrf.solver.backends.cpu.compiled import callee, inline, parallel, reduction, shared
+from napari_hmrf.solver.backends.cpu.kernels import change, downhill, middle_curvature, minimiser
+from napari_hmrf.solver.priors import line_steps
+
+#: Sites of a block; a line of scratch has room for more, as many as processors like.
+BLOCK = 128
+_LINE = BLOCK + 16
+# The first lines of curvature and of slope, one of each component; those of the energy, and of how
+# much it changes by a step, by the best so far, and which that is. Ratios come first.
+_CURVATURE, _SLOPE, _ENERGY, _CHANGE, _LEAST, _BEST, _LINES = 3, 6, 9, 10, 11, 12, 13
+# Below this a displacement is rounded to 0, as in `kernels`.
+_FLUSH = float32(1e-18)
+
+
+@lru_cache(maxsize=16)
+def offsets(grid: tuple[int, ...]) -> npt.NDArray[np.int64]:
+    """How many rows and sites further on the next site of each line is, on a grid (D, H, W)."""
+    plane, row, col = np.array(line_steps(3), dtype=np.int64).T
+    return np.stack([plane * (grid[1] + 4) + row, col], axis=1)
+
+
+@inline
+def scratch(d):
+    """Memory for one row."""
+    return np.empty(_LINES * _LINE, dtype=d.dtype)
+
+
+@inline
+def _line(f, number):
+    """A line of scratch."""
+    return f[number * _LINE : (number + 1) * _LINE]
+
+
+@inline
+def curvature_of(f, k):
+    """A component's curvature at the sites of the block."""
+    return f[(_CURVATURE + k) * _LINE : (_CURVATURE + k + 1) * _LINE]
+
+
+@inline
+def slope_of(f, k):
+    """Its slope."""
+    return f[(_SLOPE + k) * _LINE : (_SLOPE + k + 1) * _LINE]
+
+
+@shared
+def _ratios(stiffness, row, x, down, right, count, f):
+    """m_t/m_s and m_t/m_u of the cliques of a line, and 1 where one exists, else 0."""
+    s, u, exists = _line(f, 0), _line(f, 1), _line(f, 2)
+    before = stiffness[1, row - down, x - right : x - right + count]
+    here = stiffness[0, row, x : x + count]
+    after = stiffness[1, row + down, x + right : x + right + count]
+    one, none = f.dtype.type(1), f.dtype.type(0)
+    for j in range(count):
+        s[j] = here[j] * before[j]
+        u[j] = here[j] * after[j]
+        exists[j] = one if before[j] * here[j] * after[j] > none else none
+
+
+@shared
+def _add(d, k, weight, row, x, down, right, count, f):
+    """Add what the cliques of a line ask of one component."""
+    s, u, exists, energy = _line(f, 0), _line(f, 1), _line(f, 2), _line(f, _ENERGY)
+    curvature, slope = curvature_of(f, k), slope_of(f, k)
+    before = d[k, row - down, x - right : x - right + count]
+    here = d[k, row, x : x + count]
+    after = d[k, row + down, x + right : x + right + count]
+    one = f.dtype.type(1)
+    for j in range(count):
+        to_s, to_u = before[j] - here[j], after[j] - here[j]
+        first, second = u[j] * to_s + to_u, s[j] * to_u + to_s
+        counts = weight * exists[j]
+        curvature[j] += counts * middle_curvature(s[j], u[j])
+        slope[j] += counts * ((one + u[j]) * first + (one + s[j]) * second)
+        energy[j] += counts * (first * first + second * second)
+
+
+@callee
+def look(d, stiffness, lines, offsets, row, x, count, f):
+    """Curvature, slope and energy of the cliques in whose middle the sites of a block are.
+
+    Parameters
+    ----------
+    d : ndarray, shape (3, R, W + 4)
+    stiffness : ndarray, shape (2, R, W + 4)
+        (m, 1/m), 0 in void.
+    lines : ndarray, shape (13, 3)
+    offsets : ndarray, shape (13, 2)
+    row, x, count : int
+        Of the block, in the padded arrays.
+    f : ndarray
+        Scratch: see `curvature_of` and `slope_of`.
+    """
+    if len(f) < _LINES * _LINE:
+        return  # never; but now the compiler knows that no line is cut short
+    f[_CURVATURE * _LINE : (_ENERGY + 1) * _LINE] = 0
+    for line in range(len(lines)):
+        down, right = offsets[line, 0], offsets[line, 1]
+        _ratios(stiffness, row, x, down, right, count, f)
+        if lines[line, 0] > 0:
+            _add(d, 0, lines[line, 0], row, x, down, right, count, f)
+        if lines[line, 1] > 0:
+            _add(d, 1, lines[line, 1], row, x, down, right, count, f)
+        if lines[line, 2] > 0:
+            _add(d, 2, lines[line, 2], row, x, down, right, count, f)
+
+
+@reduction
+def energy_of(f: Any, count: int) -> float:
+    """The energy of all sites of the block."""
+    total, energy = f.dtype.type(0), f[_ENERGY * _LINE : (_ENERGY + 1) * _LINE]
+    for j in range(count):
+        total += energy[j]
+    return total
+
+
+@shared
+def _observe(d, y, p, count, f):
+    """Add the observation energy of one component."""
+    energy = _line(f, _ENERGY)
+    for j in range(count):
+        energy[j] += p[j] * abs(y[j] - d[j])
+
+
+@shared
+def _try(d, y, p, k, step, relaxation, count, f):
+    """Add how much of its energy a component loses by a step of this length, or by none."""
+    curvature, slope, lost = curvature_of(f, k), slope_of(f, k), _line(f, _CHANGE)
+    for j in range(count):
+        off = y[j] - d[j]
+        sign = downhill(slope[j], p[j], off)
+        twice = float32(2) * sign * slope[j]
+        now = p[j] * abs(off)
+        lost[j] += change(step, curvature[j] / relaxation, twice, p[j], sign * off, now)
+
+
+@shared
+def _compare(step, count, f):
+    """Take this step where it is the best so far."""
+    lost, least, best = _line(f, _CHANGE), _line(f, _LEAST), _line(f, _BEST)
+    for j in range(count):
+        best[j] = step if lost[j] < least[j] else best[j]
+        least[j] = min(lost[j], least[j])
+        lost[j] = float32(0)
+
+
+@shared
+def _move(d, y, p, k, relaxation, count, f, out):
+    """Go the best step, if it is one for this component."""
+    curvature, slope, best = curvature_of(f, k), slope_of(f, k), _line(f, _BEST)
+    for j in range(count):
+        off = y[j] - d[j]
+        sign = downhill(slope[j], p[j], off)
+        twice = float32(2) * sign * slope[j]
+        now = p[j] * abs(off)
+        lost = change(best[j], curvature[j] / relaxation, twice, p[j], sign * off, now)
+        new = d[j] + sign * (best[j] if lost < float32(0) else float32(0))
+        out[j] = float32(0) if abs(new) <= _FLUSH else new
+
+
+@shared
+def _minimise(d, y, p, k, relaxation, count, f, out):
+    """Go to the displacement of least local energy."""
+    curvature, slope = curvature_of(f, k), slope_of(f, k)
+    for j in range(count):
+        new = minimiser(d[j], curvature[j], slope[j], p[j], y[j], relaxation)
+        out[j] = float32(0) if abs(new) <= _FLUSH else new
+
+
+@callee
+def _sweep_row(source, target, stiffness, observation, span, lines, offsets, steps, relaxation, i):
+    """Move the sites of a row; their energy before."""
+    f, total = scratch(source), 0.0
+    if len(f) < _LINES * _LINE:
+        return total  # never
+    for x in range(max(span[0], 0) + 2, span[1] + 2, BLOCK):
+        end = min(x + BLOCK, span[1] + 2)
+        count = end - x
+        look(source, stiffness, lines, offsets, i, x, count, f)
+        for k in range(3):
+            y, p = observation[k, i, x:end], observation[3 + k, i, x:end]
+            _observe(source[k, i, x:end], y, p, count, f)
+        total += energy_of(f, count)
+        f[_CHANGE * _LINE :] = 0
+        for step in steps:
+            for k in range(3):
+                y, p = observation[k, i, x:end], observation[3 + k, i, x:end]
+                _try(source[k, i, x:end], y, p, k, step, relaxation, count, f)
+            _compare(step, count, f)
+        for k in range(3):
+            y, p = observation[k, i, x:end], observation[3 + k, i, x:end]
+            d, out = source[k, i, x:end], target[k, i, x:end]
+            if len(steps) > 0:
+                _move(d, y, p, k, relaxation, count, f, out)
+            else:
+                _minimise(d, y, p, k, relaxation, count, f, out)
+    return total
+
+
+@parallel
+def sweeps(even, odd, stiffness, observation, spans, lines, offsets, steps, relaxation, row_totals):
+    """Move all sites once per row of `row_totals`, each judging the cliques it is the middle of.
+
+    Ping-pong: from `even` to `odd`, back, and so on. `spans` says from where to where each row has
+    tissue, and `observation` is (y, p), components of y first. Without `steps` each site goes where
+    its energy is least. `row_totals` gets U_total before each sweep, row by row.
+    """
+    for sweep in range(len(row_totals)):
+        source, target = (even, odd) if sweep % 2 == 0 else (odd, even)
+        for number in prange(source.shape[1] - 4):
+            i = int64(number)
+            row_totals[sweep, i] = _sweep_row(
+                source, target, stiffness, observation, spans[i], lines, offsets, steps,
+                relaxation, i + 2,
+            )  # fmt: skip

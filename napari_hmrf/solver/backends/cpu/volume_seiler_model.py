@@ -1,0 +1,137 @@
+"""The paper's cliques of a volume on the processor: their levels."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.backends.cpu import seiler_model, vectors, volume, volume_seiler
+from napari_hmrf.solver.backends.cpu.level import (
+    Spans,
+    Vector,
+    all_sites,
+    inside,
+    paces_of,
+    rows,
+)
+from napari_hmrf.solver.backends.cpu.seiler_model import CpuSeilerLevel, CpuSeilerModel, Lines
+from napari_hmrf.solver.backends.cpu.volume_cliques import offsets
+from napari_hmrf.solver.backends.linear import Planes, Steps
+from napari_hmrf.solver.priors.cliques import SeilerMaterial
+
+
+class CpuVolumeSeilerLevel(CpuSeilerLevel):
+    """One level's cliques and springs, in the centred reading."""
+
+    @property
+    def _tissue(self) -> tuple[Vector, Vector, npt.NDArray[np.int64]]:
+        """What the kernels need to know of it."""
+        return rows(self.stiffness), self._lines, offsets(self.grid)
+
+    def coarsen(self, finer: CpuSeilerLevel) -> None:
+        """Take the finer level's tissue: the mean of what is around a site."""
+        tissue = finer.vector()
+        tissue[0], tissue[1] = finer.stiffness[0], finer.stiffness[0] > 0
+        volume.restrict(tissue, self.load)
+        total, share, _ = inside(self.load)
+        m, inverse = inside(self.stiffness)
+        np.divide(total, share, out=m, where=total > 0)
+        np.divide(share, total, out=inverse, where=total > 0)
+        # Where less than a quarter of what is around a site is tissue, it counts as a quarter.
+        inside(self.even[None])[0] = 4 / np.maximum(share, 2)
+        self.load.fill(0)
+
+    def curvature(self, stiffness: Planes, lines: Lines) -> Planes:
+        """Each site's, in double precision as all that is done with planes."""
+        out = np.zeros(self.inverse.shape)
+        tissue = rows(stiffness), lines, offsets(self.grid)
+        volume_seiler.curvature(*tissue, all_sites(self.grid), rows(out))
+        return out
+
+    def pull(self, d: Planes, stiffness: Planes, lines: Lines, spans: Spans, out: Planes) -> None:
+        """Out = - A d within these spans."""
+        self.work(d, stiffness, lines, spans, out)
+
+    def work(self, d: Planes, stiffness: Planes, lines: Lines, spans: Spans, out: Planes) -> float:
+        """As `pull`; returns the energy of the cliques."""
+        totals = np.zeros(len(spans))
+        tissue = rows(stiffness), lines, offsets(self.grid)
+        volume_seiler.pull(rows(d), *tissue, spans, rows(out), totals)
+        return float(totals.sum())
+
+    def even_out(self) -> None:
+        """Make a load that is a sum over the finer level's tissue what it is on this level."""
+        self.load *= self.even
+
+    def relax(self, steps: Steps, from_zero: bool) -> None:
+        """Chebyshev-Jacobi steps on `correction` for `load`."""
+        paces = paces_of(steps, from_zero)
+        if from_zero:
+            volume.start(*map(rows, (self.load, self.inverse, self.correction)), paces[0, 0])
+            paces = paces[1:]
+        weight, springs = self._springs
+        volume_seiler.smooth(
+            *map(rows, (self.correction, self._other, self.load)),
+            *self._tissue,
+            rows(self.inverse),
+            rows(weight),
+            springs,
+            self.spans,
+            paces,
+        )
+        if len(paces) % 2 == 1:
+            self.correction, self._other = self._other, self.correction
+
+    def _hand_down(self, coarse: CpuSeilerLevel) -> None:
+        # Its first step after this does not ask for the one before.
+        out = 1, self._other
+        self._residual(self.correction, (self.load, 1), self._springs, out, np.zeros(0))
+        volume.restrict(self._other, coarse.load)
+
+    @staticmethod
+    def _restrict(fine: Vector, coarse: Vector) -> None:
+        volume.restrict(fine, coarse)
+
+    def _take(self, coarse: Vector) -> None:
+        volume.interpolate(coarse, self.correction, self.inverse)
+
+    def _forget(self) -> None:
+        """The kernels write within the spans only: beyond them there must be 0."""
+        self.clear()
+
+    def free(self, *vectors: Vector) -> None:
+        """Let them go: memory is what limits volumes."""
+
+    def _residual(
+        self,
+        d: Vector,
+        load: tuple[Vector, int],
+        springs: tuple[Vector, np.float32],
+        out: tuple[int, Vector],
+        totals: npt.NDArray[np.float64],
+    ) -> None:
+        volume_seiler.residual(
+            rows(d),
+            rows(load[0]),
+            np.float32(load[1]),
+            *self._tissue,
+            rows(self.inverse),
+            rows(springs[0]),
+            springs[1],
+            self.spans,
+            np.float32(out[0]),
+            rows(out[1]),
+        )
+        if len(totals):
+            vectors.product(rows(d), rows(out[1]), totals)
+
+
+class CpuVolumeSeilerModel(CpuSeilerModel):
+    """`LinearModel` of a volume's cliques."""
+
+    level = CpuVolumeSeilerLevel
+
+
+def the_model(material: SeilerMaterial) -> CpuSeilerModel:
+    """Return the model of a volume, as `seiler_model.the_model` does of an image."""
+    return seiler_model.the_model(material, CpuVolumeSeilerModel)

@@ -1,0 +1,25 @@
+// What the tissue answers to a displacement, such as the direction of a step.
+//
+//     image = (A + W) d where a component moves, 0 elsewhere;    total = d . image
+//
+// Inputs:  displacement  d, voxels
+//          inverse       D^-1; 0 where a component does not move
+//          lame, shape, share  the elements (hexahedra.glsl)
+//          springs       the diagonal matrix W, if SPRINGS, one component after the other
+// Outputs: image         voxels times stiffness
+//          shares        of the scalar product
+// Border rule: elements that leave the volume do not exist.
+
+void kernel(int at)
+{
+    int size = (depth + 4) * stride();
+    for (int k = 0; k < 3; ++k) {
+        float pulls = force[k];
+#if SPRINGS
+        pulls += springs.at[k * size + at] * displaced(k);
+#endif
+        pulls = inverse[k].at[at] > 0.0 ? pulls : 0.0;
+        image[k].at[at] = pulls;
+        total += pulls * displaced(k);
+    }
+}

@@ -1,0 +1,18 @@
+// The first step of a level's smoother, from zero.
+//
+//     begun = scale D^-1 load
+//
+// Inputs:  load     what the level is relaxed for, voxels times stiffness
+//          inverse  D^-1; 0 where a component does not move
+//          scale    no unit
+// Outputs: begun    voxels
+// Border rule: none needed, a site reads its own values only.
+
+uniform float scale;
+
+void kernel(int at)
+{
+    for (int k = 0; k < 3; ++k) {
+        begun[k].at[at] = scale * inverse[k].at[at] * load[k].at[at];
+    }
+}

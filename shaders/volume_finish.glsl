@@ -1,0 +1,58 @@
+// All steps of the coarsest level's smoother at once, by one work group: each invocation has a site.
+//
+//     step = scale D^-1 (load - (A + W) d) + momentum step,    d = d + step,    from d = 0
+//
+// Inputs:  load          what the level is relaxed for, voxels times stiffness
+//          inverse       D^-1 of A + W; 0 where a component does not move
+//          lame, shape, share  the elements (hexahedra.glsl)
+//          springs       the diagonal matrix W, if SPRINGS, one component after the other
+//          count, paces  how many steps there are, and (scale, momentum) of each; no unit
+// Outputs: correction    d, voxels
+// Border rule: elements that leave the volume do not exist.
+
+layout(local_size_x = SITES) in;
+
+uniform int count;
+uniform float paces[2 * MOST_STEPS];
+
+void main()
+{
+    int local = int(gl_LocalInvocationIndex);
+    for (int number = local; number < 3 * TILE; number += SITES) {
+        tile[number] = 0.0;
+    }
+    bool runs = local < depth * height * width;
+    int site = runs ? local : 0;
+    int at = number_of(site / (height * width), site / width % height, site % width, height, width);
+    float d[3];
+    float way[3];
+    for (int k = 0; k < 3; ++k) {
+        d[k] = way[k] = 0.0;
+    }
+    for (int number = 0; number < count; ++number) {
+        memoryBarrierShared();
+        barrier();
+        enter(at);
+        find_forces(at);
+        for (int k = 0; k < 3; ++k) {
+            float pulls = force[k];
+#if SPRINGS
+            pulls += springs.at[k * (depth + 4) * stride() + at] * d[k];
+#endif
+            float rest = load[k].at[at] - pulls;
+            way[k] = paces[2 * number] * inverse[k].at[at] * rest + paces[2 * number + 1] * way[k];
+            d[k] += way[k];
+        }
+        barrier();
+        if (runs) {
+            for (int k = 0; k < 3; ++k) {
+                tile[k * TILE + at] = d[k];
+            }
+        }
+    }
+    if (runs) {
+        for (int k = 0; k < 3; ++k) {
+            correction[k].at[at] = d[k];
+        }
+    }
+}

@@ -1,0 +1,23 @@
+// What a level's correction leaves of its load.
+//
+//     rest = load - (A + W) d,    0 where a component does not move
+//
+// Inputs:  displacement  the correction d, voxels
+//          load          voxels times stiffness
+//          inverse       D^-1; 0 where a component does not move
+//          lame, shape, share  the elements (hexahedra.glsl)
+//          springs       the diagonal matrix W, if SPRINGS, one component after the other
+// Outputs: rest          voxels times stiffness
+// Border rule: elements that leave the volume do not exist.
+
+void kernel(int at)
+{
+    int size = (depth + 4) * stride();
+    for (int k = 0; k < 3; ++k) {
+        float pulls = force[k];
+#if SPRINGS
+        pulls += springs.at[k * size + at] * displaced(k);
+#endif
+        rest[k].at[at] = inverse[k].at[at] > 0.0 ? load[k].at[at] - pulls : 0.0;
+    }
+}

@@ -1,0 +1,33 @@
+// A Chebyshev-Jacobi step of a level's smoother.
+//
+//     other = d + scale D^-1 (load - (A + W) d) + ahead d - back other
+//
+// What `other` holds before is the displacement before the last step, if `back` is not 0.
+//
+// Inputs:  displacement  the correction d, voxels
+//          load          what the level is relaxed for, voxels times stiffness
+//          inverse       D^-1 of A + W; 0 where a component does not move
+//          lame, shape, share  the elements (hexahedra.glsl)
+//          springs       the diagonal matrix W, if SPRINGS, one component after the other
+//          other         the displacement before the last step, voxels
+//          scale, ahead, back  no unit
+// Outputs: other         the displacement after this one
+// Border rule: elements that leave the volume do not exist.
+
+uniform float scale;
+uniform float ahead;
+uniform float back;
+
+void kernel(int at)
+{
+    int size = (depth + 4) * stride();
+    for (int k = 0; k < 3; ++k) {
+        float d = displaced(k);
+        float pulls = force[k];
+#if SPRINGS
+        pulls += springs.at[k * size + at] * d;
+#endif
+        float way = scale * inverse[k].at[at] * (load[k].at[at] - pulls) + ahead * d;
+        other[k].at[at] = d + (way - back * other[k].at[at]);
+    }
+}
