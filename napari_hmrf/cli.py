@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import napari_hmrf
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.samples.demo import SAMPLE_SIZE
+from napari_hmrf.samples.head import SAMPLE_SIZE as VOLUME_SIZE
 from napari_hmrf.samples.phantoms import PHANTOM_NAMES, SMALLEST
 from napari_hmrf.solver.backends import BACKEND_NAMES
 from napari_hmrf.solver.model_names import ModelName
@@ -23,7 +25,8 @@ from napari_hmrf.study.models import chosen
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
 if TYPE_CHECKING:
-    from napari_hmrf.samples.demo import Demonstration
+    from napari_hmrf.contributions import LayerData
+    from napari_hmrf.solver.solution import Solution
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -62,8 +65,12 @@ def _parser() -> argparse.ArgumentParser:
     demo = commands.add_parser(
         "demo", help="deform a sample, draw it, and open it in napari where there is a display"
     )
-    demo.add_argument(
+    which = demo.add_mutually_exclusive_group()
+    which.add_argument(
         "--phantom", choices=PHANTOM_NAMES, default=PHANTOM_NAMES[0], help="default: %(default)s"
+    )
+    which.add_argument(
+        "--volume", action="store_true", help="a head, in which a tumour grows, as a volume"
     )
     demo.add_argument(
         "--model",
@@ -89,9 +96,9 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument(
         "--size",
         type=_size,
-        default=300,
         metavar="N",
-        help="pixels along each side (default: %(default)s, the size with a finite-element field)",
+        help=f"pixels along each side (default: {SAMPLE_SIZE}, the size with a finite-element "
+        f"field; of a volume from front to back: {VOLUME_SIZE}, voxels of 2 mm)",
     )
     demo.add_argument(
         "--out",
@@ -322,8 +329,11 @@ def _replay(options: argparse.Namespace) -> int:
 
 
 def _demo(options: argparse.Namespace) -> int:
+    from napari_hmrf.contributions import phantom_layers
     from napari_hmrf.samples.demo import demonstrate, table, write_results
 
+    if options.volume:
+        return _demo_volume(options)
     models = [_model(options)]
     if models[0] != chosen("paper"):
         models.append(chosen("paper"))
@@ -333,7 +343,7 @@ def _demo(options: argparse.Namespace) -> int:
     demonstrations = [
         demonstrate(
             options.phantom,
-            options.size,
+            options.size or SAMPLE_SIZE,
             backend=options.backend,
             progress=progress.show,
             prior=prior,
@@ -345,16 +355,52 @@ def _demo(options: argparse.Namespace) -> int:
     print(table(*demonstrations), flush=True)
     demonstration = demonstrations[0]
     _tell("drawing ...")
-    written = write_results(demonstration, options.out)
+    _tell_written(options, write_results(demonstration, options.out))
+    layers = phantom_layers(demonstration.phantom)
+    _show_in_napari(options, layers, demonstration.solution, models[0][0])
+    return 0
+
+
+def _demo_volume(options: argparse.Namespace) -> int:
+    from napari_hmrf.contributions import volume_layers
+    from napari_hmrf.samples.demo import table
+    from napari_hmrf.samples.volume_demo import demonstrate_volume, write_volume_results
+
+    prior, _ = _model(options)
+    if not isinstance(prior, ElasticPrior) or options.plane is not None:
+        raise HmrfError("--volume is of elastic tissue, which has no plane")
+    options.out.mkdir(parents=True, exist_ok=True)
+    progress = _ProgressLine()
+    demonstration = demonstrate_volume(
+        options.size or VOLUME_SIZE,
+        backend=options.backend,
+        progress=progress.show,
+        poisson=float(prior.poisson),
+    )
+    progress.end()
+    print(table(demonstration), flush=True)
+    _tell("drawing ...")
+    _tell_written(options, write_volume_results(demonstration, options.out))
+    layers = volume_layers(demonstration.head)
+    _show_in_napari(options, layers, demonstration.solution, prior)
+    return 0
+
+
+def _tell_written(options: argparse.Namespace, written: Sequence[Path]) -> None:
     print(f"\nwritten to {options.out}: {', '.join(path.name for path in written)}", flush=True)
+
+
+def _show_in_napari(
+    options: argparse.Namespace, layers: Sequence[LayerData], solution: Solution, prior: Prior
+) -> None:
+    """Open napari, unless nobody wants it or may see it."""
     if options.no_window:
-        return 0
+        return
     if _has_display():
         _tell("opening napari ...")
-        _open_napari(demonstration, models[0][0])
+        _open_napari(layers, solution, prior)
     else:
         _tell("napari is not opened, as there is no display (or CI is set)")
-    return 0
 
 
 _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
@@ -413,18 +459,16 @@ def _has_display() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def _open_napari(demonstration: Demonstration, prior: Prior) -> None:
+def _open_napari(layers: Sequence[LayerData], solution: Solution, prior: Prior) -> None:
     """Show a demonstration in napari, with the widget beside it, until the window is closed."""
     import napari
     from napari.layers import Layer
 
-    from napari_hmrf.contributions import phantom_layers
-
     viewer = napari.Viewer()
-    for data, attributes, kind in phantom_layers(demonstration.phantom):
+    for data, attributes, kind in layers:
         viewer.add_layer(Layer.create(data, attributes, kind))
     _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
-    widget.model = demonstration.solution.provenance.model
+    widget.model = solution.provenance.model
     if isinstance(prior, ElasticPrior):
         widget.plane = prior.plane
         widget.materials = tuple(replace(row, poisson=prior.poisson) for row in widget.materials)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from napari_hmrf.samples.head import HeadPhantom
     from napari_hmrf.samples.phantoms import Phantom
     from napari_hmrf.ui.soft_tissue import SoftTissue
 
@@ -28,13 +29,32 @@ def sample_bar() -> list[LayerData]:
     return _sample("bar")
 
 
+def sample_head() -> list[LayerData]:
+    """Open the head with a growing tumour, to be deformed as a volume."""
+    from napari_hmrf.samples.head import SAMPLE_SIZE, head_phantom
+
+    return volume_layers(head_phantom(SAMPLE_SIZE))
+
+
+def volume_layers(head: HeadPhantom) -> list[LayerData]:
+    """The layers of a head where they lie in the patient; all of it is deformed at once."""
+    from napari_hmrf.layers.metadata import METADATA
+
+    place = head.frame.placement()
+    layers = [
+        (data, {**attributes, **place}, kind) for data, attributes, kind in phantom_layers(head)
+    ]
+    layers[0][1]["metadata"][METADATA]["extent"] = "volume"
+    return layers
+
+
 def _sample(name: str) -> list[LayerData]:
     from napari_hmrf.samples.phantoms import sample
 
     return phantom_layers(sample(name))
 
 
-def phantom_layers(found: Phantom) -> list[LayerData]:
+def phantom_layers(found: Phantom | HeadPhantom) -> list[LayerData]:
     """An image and its two painted layers, with the tables that the widget opens with."""
     from napari_hmrf.layers.label_colours import boundary_colours
     from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, described

@@ -11,6 +11,8 @@ from patience import LONG_MS
 
 import napari_hmrf
 from napari_hmrf import SeilerPrior, Solution, cli, solve
+from napari_hmrf.field.frame import PATIENT_AXES
+from napari_hmrf.io.study_file import load_study
 from napari_hmrf.samples import selftest
 from napari_hmrf.samples.demo import demonstrate
 from napari_hmrf.solver.optimizers import Monitor
@@ -328,3 +330,79 @@ def test_where_there_is_a_display_the_demo_ends_in_napari_with_its_result(
     prior = widget.solution.provenance.parameters["prior"]
     assert (prior["name"], prior["poisson"], prior["plane"]) == ("ElasticPrior", 0.3, "strain")
     assert {"Image", "Labels", "Vectors"} <= {type(layer).__name__ for layer in viewer.layers}
+
+
+def test_the_demo_of_a_volume_grows_a_tumour_and_says_by_how_much(tmp_path, capsys):
+    assert demo(tmp_path, "--volume", "--size", "48") == 0
+    measured = table(capsys.readouterr().out)
+    assert list(measured) == [
+        *("sample", "model", "renderer", "iterations", "seconds", "estimated error", "folds"),
+        *("tumour before", "tumour after"),
+    ]
+    assert measured["sample"] == "Head with a growing tumour, 38 x 48 x 38 voxels of 3.96 mm"
+    assert measured["model"] == "elastic (Poisson's ratio 0.45), converged"
+    before, after = (float(measured[f"tumour {when}"].split()[0]) for when in ("before", "after"))
+    assert before == pytest.approx(4 / 3 * np.pi * 2**3, rel=0.03)
+    assert 1.5 * before < after < 1.25**3 * before
+    written = tmp_path / "out"
+    assert {path.name for path in written.iterdir()} == {
+        *("head.study", "before.png", "after.png", "magnitude.png")
+    }
+    saved = load_study(written / "head.study")
+    assert saved.solution.displacement.shape == (38, 48, 38, 3)
+    assert saved.study.grid.place.axis_labels == tuple(PATIENT_AXES)
+
+
+def test_slices_of_a_volume_are_drawn_where_they_meet_with_the_head_up(tmp_path, monkeypatch):
+    from napari_hmrf.io import figures
+    from napari_hmrf.samples.volume_demo import demonstrate_volume, write_volume_results
+
+    drawn = {}
+    monkeypatch.setattr(figures, "_saved", lambda _, made: drawn.update(made) or [])
+    shown = demonstrate_volume(24, backend="cpu", progress=lambda _: None, poisson=0.3)
+    assert shown.solution.provenance.parameters["prior"]["poisson"] == 0.3
+    write_volume_results(shown, tmp_path)
+    assert set(drawn) == {"before", "after", "magnitude"}
+    for name, figure in drawn.items():
+        across = [axes for axes in figure.axes if axes.get_title()]
+        assert [axes.get_title()[0] for axes in across] == ["S", "P", "L"]
+        ways = [bottom > top for bottom, top in (axes.get_ylim() for axes in across)]
+        assert ways == [True, False, False], "rows of the first lead to the back, of others up"
+        assert len(figure.axes) == (4 if name == "magnitude" else 3)
+        figure.draw_without_rendering()
+        widths = [
+            axes.get_window_extent().width / (axes.get_xlim()[1] - axes.get_xlim()[0])
+            for axes in across
+        ]
+        assert widths == pytest.approx(widths[:1] * 3, rel=0.05), "one scale"
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        (("--model", "paper"), "--volume is of elastic tissue"),
+        (("--plane", "strain"), "--volume is of elastic tissue"),
+        (("--size", "20"), "at least 24"),
+    ],
+)
+def test_what_no_volume_has_is_refused_before_any_work(tmp_path, capsys, option, said):
+    assert demo(tmp_path, "--volume", *option) == 1
+    printed = capsys.readouterr()
+    assert said in printed.err
+    assert not printed.out
+
+
+def test_the_demo_of_a_volume_ends_in_napari_with_all_of_it_deformed(
+    tmp_path, make_napari_viewer, qtbot, monkeypatch
+):
+    import napari
+
+    viewer = make_napari_viewer()
+    monkeypatch.setattr(cli, "_has_display", lambda: True)
+    monkeypatch.setattr(napari, "Viewer", lambda: viewer)
+    monkeypatch.setattr(napari, "run", lambda: None)
+    assert demo(tmp_path, "--volume", "--size", "24") == 0
+    (widget,) = viewer.window.dock_widgets.values()
+    qtbot.waitUntil(lambda: widget.idle, timeout=LONG_MS)
+    assert widget.extent == "volume"
+    assert widget.solution.displacement.shape == (19, 24, 19, 3)

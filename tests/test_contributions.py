@@ -8,24 +8,34 @@ from napari.layers import Image, Labels, Layer
 from npe2 import PluginManifest
 from study_reader import read_layers
 
-from napari_hmrf import Problem, SeilerPrior, read_field, save_points, solve
+from napari_hmrf import (
+    ElasticPrior,
+    Multigrid,
+    Problem,
+    SeilerPrior,
+    read_field,
+    save_points,
+    solve,
+)
 from napari_hmrf.contributions import (
     open_landmarks,
     open_scan,
     open_solution,
     sample_bar,
     sample_expansion,
+    sample_head,
     sample_mass_effect,
     save_solution,
 )
 from napari_hmrf.errors import FileFormatError
-from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.frame import PATIENT_AXES, Frame
 from napari_hmrf.io.fields import Place
 from napari_hmrf.io.images import ImageFile, save_image
 from napari_hmrf.layers.metadata import METADATA, rows_of
 from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.result_layers import result_layers
-from napari_hmrf.layers.slice_view import frame_of
+from napari_hmrf.layers.slice_view import View, frame_of
+from napari_hmrf.samples.head import SAMPLE_SIZE, head_phantom
 from napari_hmrf.samples.phantoms import sample
 from napari_hmrf.solver.optimizers import ICM
 
@@ -89,6 +99,35 @@ def test_a_sample_makes_the_very_problem_of_its_phantom(opened, name):
     expected = sample(name).problem
     for field in ("observed", "confidence", "stiffness"):
         np.testing.assert_array_equal(getattr(problem, field), getattr(expected, field))
+
+
+@pytest.fixture(scope="module")
+def head_layers():
+    return [Layer.create(*data) for data in sample_head()]
+
+
+def test_the_sample_of_a_volume_makes_the_very_problem_of_its_phantom(head_layers):
+    image, tissue, boundary = head_layers
+    view = View((1, 2), (0.0, 0.0, 0.0), volume=True)
+    rows = rows_of(tissue, "tissue"), rows_of(boundary, "boundary")
+    request = Request(tissue, boundary, image, *rows, view=view)
+    problem = read_layers(request, ElasticPrior(), Multigrid()).problem
+    expected = head_phantom(SAMPLE_SIZE).problem
+    assert problem.spacing == pytest.approx((2.0,) * 3)
+    for field in ("observed", "confidence", "stiffness"):
+        np.testing.assert_array_equal(getattr(problem, field), getattr(expected, field))
+
+
+def test_the_sample_of_a_volume_lies_in_the_patient_and_is_deformed_whole(head_layers):
+    for layer in head_layers:
+        assert layer.axis_labels == tuple(PATIENT_AXES)
+        assert [str(unit) for unit in layer.units] == ["millimeter"] * 3
+        np.testing.assert_allclose(layer.extent.world.mean(axis=0), 0, atol=1e-6)
+    image, tissue, _ = head_layers
+    assert image.metadata[METADATA]["extent"] == "volume"
+    tumour = np.argwhere(tissue.data == 3).mean(axis=0)
+    superior, posterior, left = tissue.data_to_world(tumour)
+    assert (superior > 5, posterior > 20, left > 20) == (True,) * 3
 
 
 def test_samples_can_be_painted_on_and_their_tables_saved_as_text():

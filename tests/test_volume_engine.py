@@ -4,11 +4,14 @@ import threading
 
 import numpy as np
 import pytest
+from scipy.ndimage import binary_erosion, label
 
 from napari_hmrf import Arrow, Drawing, Grid, Motion, Study, Tissue, solve_study, warp
 from napari_hmrf.study.coarse_grid import CoarseGrid, Plane
 from napari_hmrf.study.engine import Engine
+from napari_hmrf.study.ground import statement_of
 from napari_hmrf.study.study import Pictures
+from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.tissue.drawing import Landmark, Stroke
 
 SHAPE, SPACING = (20, 24, 22), (1.5, 1.0, 1.0)
@@ -51,6 +54,21 @@ def test_a_coarse_grid_has_every_so_many_th_site():
     assert study.pictures.image[2, 1, 5] == a_study().pictures.image[8, 4, 20]
     assert study.motion.drawing.marks[0].at == (2.5, 3, 2.75)
     assert study.motion.drawing.marks[0].by == PULL.by
+
+
+@pytest.mark.parametrize("step", [2, 3, 4])
+def test_a_closed_shell_that_is_painted_thinly_is_closed_on_a_coarse_grid(step):
+    away = np.linalg.norm(np.indices((40, 40, 40)) - 19.3, axis=0)
+    inside = away < 15
+    shell = inside & ~binary_erosion(inside, np.ones((3, 3, 3)))
+    grid = Grid(shell.shape, (1.0,) * 3)
+    rules = (BoundaryRule(2, "expand", amount=2.0),)
+    study = Study(
+        grid, Tissue(stiffness=np.ones(shell.shape)), Motion(labels=2 * shell, rules=rules)
+    )
+    coarse = CoarseGrid(step).study(study).motion.labels
+    assert label(coarse == 0)[1] == 2, "what is in it, and what is around it"
+    statement_of(CoarseGrid(step).study(study))  # by no open sheet
 
 
 def test_every_mark_lies_on_the_coarse_grid_where_it_was():

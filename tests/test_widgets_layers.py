@@ -3,8 +3,10 @@
 import dask.array as da
 import numpy as np
 import pytest
-from napari.layers import Labels
+from napari.layers import Labels, Layer
 
+from napari_hmrf import head_phantom
+from napari_hmrf.contributions import volume_layers
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.study.ground import statement_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
@@ -237,3 +239,18 @@ def test_results_of_an_image_go_with_it_and_the_next_has_its_own(
     widget.image = viewer.add_image(image.data, name="MR")
     run(widget)
     assert [layer.name for layer in viewer.layers].count("MR deformed") == 1
+
+
+@pytest.mark.parametrize("opened", ["before", "after"])
+def test_the_sample_of_a_volume_is_deformed_whole(widget, opened):
+    viewer = viewer_of(widget)
+    made = [Layer.create(*data) for data in volume_layers(head_phantom(24))]
+    if opened == "before":
+        viewer.add_image(np.ones((8, 9)), name="other")
+    for layer in made:
+        viewer.add_layer(layer)
+    assert (widget.extent, widget.tissue, widget.boundary) == ("volume", *made[1:])
+    assert {layer.n_edit_dimensions for layer in made[1:]} == {3}
+    assert widget.study.grid.shape == made[0].data.shape
+    widget.image = viewer.add_image(np.ones((8, 9)), name="flat")
+    assert widget.extent == "slice"

@@ -7,7 +7,8 @@ matplotlib is imported by the first picture.
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,8 @@ from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.colormaps import DIVERGING, FOLDED, OPACITY, RISING, opacity
 from napari_hmrf.field.deformation import arrows, deformation_grid, pixels_between
-from napari_hmrf.field.quantities import Quantity, coloured
+from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.quantities import Coloured, Quantity, coloured
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.energy_figure import draw_energy
 from napari_hmrf.solver.problem import Problem
@@ -109,6 +111,41 @@ def save_result_pictures(
     figures["jacobian"] = jacobian_picture(solution, image)
     figures["strain"] = strain_picture(solution, image)
     figures["energy"] = energy_picture(solution)
+    return _saved(folder, figures)
+
+
+def save_volume_pictures(
+    folder: Path, image: npt.ArrayLike, solution: Solution, at: Sequence[int], unit: str = "px"
+) -> list[Path]:
+    """Draw three slices of a volume, across each other, into PNG files.
+
+    Parameters
+    ----------
+    folder : Path
+        Must exist; files of the same names are replaced.
+    image : array_like, shape (D, H, W)
+        What the tissue looks like before it moves.
+    solution : Solution
+    at : sequence of int, shape (3,)
+        The voxel in which the slices meet.
+    unit : str
+        Of the displacement and of spacing.
+
+    Returns
+    -------
+    list of Path
+        What was written: before, after, magnitude.
+    """
+    grey = np.asarray(image)
+    moved = warp(grey, solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
+    far = coloured(solution, "magnitude")
+    figures = {
+        "before": _slices_picture("before", grey, solution, at),
+        "after": _slices_picture("after", moved, solution, at, greys_of=grey),
+        "magnitude": _slices_picture(
+            _BEFORE.format(f"displacement / {unit}"), grey, solution, at, colours=far
+        ),
+    }
     return _saved(folder, figures)
 
 
@@ -216,31 +253,81 @@ def energy_picture(solution: Solution) -> Figure:
 
 def _map(solution: Solution, quantity: Quantity, title: str, image: npt.ArrayLike | None) -> Figure:
     """Draw a quantity as colours on the image, with their scale, as the viewer does."""
-    import matplotlib
-    from matplotlib.colors import ListedColormap
-
     figure, (axes,) = _figure(solution.spacing, _BEFORE.format(title))
     if image is not None:
         _show(axes, np.asarray(image))
-    values, limits, signed, folded = coloured(solution, quantity)
-    part = np.linspace(0, 1, 256)
-    colours = matplotlib.colormaps[DIVERGING if signed else RISING](part)
-    colours[:, 3] = opacity(part, signed)
-    shown = axes.imshow(
-        values,
-        cmap=ListedColormap(colours),
-        alpha=OPACITY,
-        aspect=axes.get_aspect(),
-        vmin=limits[0],
-        vmax=limits[1],
-    )
-    above, below = (values > limits[1]).any(), (values < limits[0]).any() and signed
-    ends = "both" if above and below else "max" if above else "min" if below else "neither"
-    figure.colorbar(shown, ax=axes, shrink=0.8, extend=ends)
-    if folded:
-        marked = np.where(values <= 0, 1.0, np.nan)
-        axes.imshow(marked, cmap=ListedColormap([FOLDED]), aspect=axes.get_aspect())
+    seen = coloured(solution, quantity)
+    _draw_colours(figure, [(axes, seen.values)], seen)
     return figure
+
+
+def _draw_colours(
+    figure: Figure, parts: Sequence[tuple[Axes, npt.NDArray[Any]]], seen: Coloured
+) -> None:
+    """Draw slices of a quantity as colours with one scale, each on its axes."""
+    import matplotlib
+    from matplotlib.colors import ListedColormap
+
+    part = np.linspace(0, 1, 256)
+    colours = matplotlib.colormaps[DIVERGING if seen.signed else RISING](part)
+    colours[:, 3] = opacity(part, seen.signed)
+    low, high = seen.limits
+    for axes, values in parts:
+        shown = axes.imshow(
+            values,
+            cmap=ListedColormap(colours),
+            alpha=OPACITY,
+            aspect=axes.get_aspect(),
+            vmin=low,
+            vmax=high,
+        )
+        if seen.folded:
+            marked = np.where(values <= 0, 1.0, np.nan)
+            axes.imshow(marked, cmap=ListedColormap([FOLDED]), aspect=axes.get_aspect())
+    above, below = (seen.values > high).any(), (seen.values < low).any() and seen.signed
+    ends = "both" if above and below else "max" if above else "min" if below else "neither"
+    figure.colorbar(shown, ax=[axes for axes, _ in parts], shrink=0.8, extend=ends)
+
+
+def _slices_picture(
+    title: str,
+    image: npt.NDArray[Any],
+    solution: Solution,
+    at: Sequence[int],
+    *,
+    greys_of: npt.NDArray[Any] | None = None,
+    colours: Coloured | None = None,
+) -> Figure:
+    """Draw the slices of a volume across each axis, the patient's head upward."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(15.0, 6.2), layout="constrained")
+    figure.suptitle(title, fontsize=11)
+    frame = Frame.of_solution(solution)
+    slices = [_across(frame, axis, at[axis]) for axis in range(3)]
+    # All in one scale.
+    _, height, width = np.multiply(image.shape, solution.spacing)
+    row = figure.subplots(1, 3, width_ratios=[width, width, height])
+    for axis, (axes, place) in enumerate(zip(row, slices, strict=True)):
+        axes.set_title(place.slice_seen, fontsize=11)
+        axes.set_axis_off()
+        axes.set_aspect(place.spacing[0] / place.spacing[1])
+        _show(axes, image.take(at[axis], axis), greys_of=image if greys_of is None else greys_of)
+    if colours is not None:
+        parts = [np.take(colours.values, at[axis], axis) for axis in range(3)]
+        _draw_colours(figure, list(zip(row, parts, strict=True)), colours)
+    for axes, place in zip(row, slices, strict=True):
+        down = place.plane[0]
+        if place.axis_labels[down] == "superior" and place.matrix[down][down] > 0:
+            axes.invert_yaxis()
+    return figure
+
+
+def _across(frame: Frame, axis: int, number: int) -> Frame:
+    """The place of a slice across an axis of a volume."""
+    plane, index = list(frame.plane), list(frame.index)
+    index[plane.pop(axis)] = number
+    return replace(frame, plane=tuple(plane), index=tuple(index))
 
 
 def _figure(spacing: tuple[float, ...], *titles: str) -> tuple[Figure, list[Axes]]:

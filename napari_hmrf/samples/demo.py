@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,9 @@ from napari_hmrf.solver.preparation import EVERYTHING, provide_loops
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import solve
+
+if TYPE_CHECKING:
+    from napari_hmrf.samples.volume_demo import VolumeDemonstration
 
 #: The size that `sample_data` has phantoms and finite-element fields of, in pixels.
 SAMPLE_SIZE = 300
@@ -84,7 +87,7 @@ def _in_pixels(rmsd: float) -> str:
     return f"{rmsd:.2f} px" if rmsd >= 0.1 else f"{rmsd:.1g} px"
 
 
-def table(*shown: Demonstration) -> str:
+def table(*shown: Demonstration | VolumeDemonstration) -> str:
     """What was measured, one line each; of several, one beside the other."""
     rows = [demonstration.rows() for demonstration in shown]
     columns = [[name for name, _ in rows[0]], *([value for _, value in each] for each in rows)]

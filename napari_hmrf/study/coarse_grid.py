@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from napari_hmrf.study.study import Pictures, Study
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Mark
@@ -60,6 +61,9 @@ class CoarseGrid:
         def sampled(array: Array | None) -> Array | None:
             return None if array is None else np.ascontiguousarray(array[every])
 
+        painted = motion.labels
+        if painted is not None:  # however thin, so that a closed shell stays closed
+            painted = sampled(scipy.ndimage.maximum_filter(painted, self.step))
         return replace(
             study,
             grid=replace(
@@ -72,7 +76,7 @@ class CoarseGrid:
             ),
             motion=replace(
                 motion,
-                labels=sampled(motion.labels),
+                labels=painted,
                 observed=sampled(motion.observed),
                 confidence=sampled(motion.confidence),
                 drawing=self.drawing(motion.drawing),

@@ -61,7 +61,8 @@ class Choices:
         self._lost = False
         motion.boundary.choice.changed.connect(self._on_boundary)
         form.image.changed.connect(self._on_image)
-        form.extent.changed.connect(self._on_extent)
+        for field in (form.extent, form.tissue.choice, motion.boundary.choice):
+            field.changed.connect(self._on_extent)
 
     @property
     def values(self) -> dict[str, Any]:
@@ -208,11 +209,14 @@ class Choices:
         if image is None:
             return
         known = self._edits.get(Slot(CHOICE, image))
-        if known is None and before is None:  # what was chosen before an image stays with it
+        if known is not None:
+            self.values = known
             return
-        meant = known_of(image).get("extent", "slice") if self._form.extent.visible else "slice"
-        self.values = known or {**self._beginning, "extent": meant}
-        if known is None:
-            with self.nobody_chooses():
-                for layer in painted_on(image, self._viewer.layers, self.view):
-                    self._take_painted(layer)
+        meant = known_of(image).get("extent", "slice") if self._form.extent.has_slices else "slice"
+        if before is None:  # what was chosen before an image stays with it
+            self.values = {"extent": meant}
+            return
+        self.values = {**self._beginning, "extent": meant}
+        with self.nobody_chooses():
+            for layer in painted_on(image, self._viewer.layers, self.view):
+                self._take_painted(layer)

@@ -138,6 +138,8 @@ class LandmarkChoice(Container):
 class ExtentChoice(ComboBox):
     """How much of an image is deformed; there is a choice for images that have slices."""
 
+    has_slices = False
+
     def __init__(self) -> None:
         super().__init__(
             label="deform",
@@ -154,6 +156,7 @@ class ExtentChoice(ComboBox):
 
     def look_at(self, image: Any) -> None:
         """Offer what there is of an image."""
-        self.visible = image is not None and layer_extents(image)[-3:-2] > (1,)
-        if not self.visible:
+        self.has_slices = image is not None and layer_extents(image)[-3:-2] > (1,)
+        self.visible = self.has_slices
+        if not self.has_slices:
             self.value = "slice"

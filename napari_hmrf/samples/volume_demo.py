@@ -1,0 +1,127 @@
+"""The demonstration of a volume: a tumour grows in a head, solved, measured and drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from napari_hmrf.field.deformation import count_folds
+from napari_hmrf.field.measurement import Measurement, measure
+from napari_hmrf.samples.head import TUMOUR, HeadPhantom, head_phantom
+from napari_hmrf.solver.model_names import in_words
+from napari_hmrf.solver.optimizers import Monitor
+from napari_hmrf.solver.preparation import EVERYTHING, provide_loops
+from napari_hmrf.solver.problem import grid_in_words
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.ground import solve_study
+from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
+from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
+
+#: Cubic millimetres.
+_MILLILITRE = 1000.0
+
+
+@dataclass(frozen=True, eq=False)
+class VolumeDemonstration:
+    """A head, its solution, and what was measured on it.
+
+    Attributes
+    ----------
+    head : HeadPhantom
+    study : Study
+        What was solved.
+    solution : Solution
+    tumour : Measurement
+        What happened to the tumour.
+    folds : int
+        Voxels at which tissue is turned over.
+    """
+
+    head: HeadPhantom
+    study: Study
+    solution: Solution
+    tumour: Measurement
+    folds: int
+
+    def rows(self) -> tuple[tuple[str, str], ...]:
+        """What was measured, by name."""
+        solution, run = self.solution, self.solution.provenance
+        size = f"{grid_in_words(solution.tissue.shape)} voxels of {solution.spacing[0]:.3g} mm"
+        before = self.tumour.area / _MILLILITRE
+        after = before * (1 + self.tumour.area_change / 100)
+        near = solution.convergence
+        return (
+            ("sample", f"{self.head.title}, {size}"),
+            ("model", in_words(run.parameters)),
+            ("renderer", f"{run.renderer} ({run.backend})"),
+            ("iterations", f"{solution.iterations}"),
+            ("seconds", f"{run.seconds:.2f} (and {run.preparation_seconds:.2f} to get ready)"),
+            ("estimated error", "-" if near is None else f"{near.error:.1g} voxels"),
+            ("folds", f"{self.folds}"),
+            ("tumour before", f"{before:.1f} ml"),
+            ("tumour after", f"{after:.1f} ml"),
+        )
+
+
+def demonstrate_volume(
+    size: int,
+    *,
+    backend: str,
+    progress: Callable[[Monitor], None],
+    poisson: float = USUAL_POISSON,
+) -> VolumeDemonstration:
+    """Solve a head in which a tumour grows.
+
+    Parameters
+    ----------
+    size : int
+        As of `head_phantom`.
+    backend, progress
+        As of `demonstrate`.
+    poisson : float
+        Of all tissue.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no head of that size.
+    BackendError
+        If the backend asked for cannot run.
+    """
+    head = head_phantom(size)
+    materials = tuple(replace(row, poisson=poisson) for row in head.materials)
+    study = Study(
+        Grid(head.image.shape, head.spacing, "millimeter", head.frame),
+        Tissue(labels=head.tissue_labels, materials=materials),
+        Motion(hold_edge=False, labels=head.boundary_labels, rules=head.boundary),
+        pictures=Pictures(head.image, head.tissue_labels, "head"),
+    )
+    if backend == "auto":
+        # Napari will find them, for whatever is done there.
+        provide_loops(EVERYTHING, progress)
+    solution = solve_study(study, backend=backend, progress=progress)
+    measured = measure(solution, head.tissue_labels)
+    return VolumeDemonstration(
+        head,
+        study,
+        solution,
+        tumour=next(each for each in measured if each.label == TUMOUR),
+        folds=count_folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue),
+    )
+
+
+def write_volume_results(demonstration: VolumeDemonstration, folder: Path) -> list[Path]:
+    """Write the study with its field, and pictures of slices through the middle of the tumour.
+
+    To a folder that exists; the files written.
+    """
+    from napari_hmrf.io.figures import save_volume_pictures
+    from napari_hmrf.io.study_file import save_study
+
+    head, solution = demonstration.head, demonstration.solution
+    path = save_study(folder / "head.study", demonstration.study, solution)
+    middle = np.argwhere(head.tissue_labels == TUMOUR).mean(axis=0).round().astype(int).tolist()
+    return [path, *save_volume_pictures(folder, head.image, solution, middle, unit="mm")]
