@@ -243,3 +243,20 @@ def test_deform_solves_a_volume_from_nothing(volume, settle):
     assert np.abs(widget.solution.displacement - before).max() < 0.02
     known = by_name(person.viewer, "MR arrows, elastic").metadata[METADATA]
     assert known["slice"] == ""
+
+
+def test_a_hand_that_pulls_again_waits_for_no_volume(volume, settle, qtbot):
+    person, widget = volume
+    person.drag((16, 16), (18, 18))
+    settle(widget)
+    widget.deform()
+    seen = []
+    widget.seen.connect(seen.append)
+    person.press(8, 8)
+    person.move(9, 9)
+    qtbot.waitUntil(lambda: any(each.plane is not None for each in seen), timeout=LONG_MS)
+    person.move(10, 10)
+    person.release(10, 10)
+    settle(widget)
+    assert len(widget.drawing.marks) == 2
+    assert widget.solution.displacement.shape == (*SHAPE, 3)

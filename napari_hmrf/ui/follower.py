@@ -85,8 +85,9 @@ class Follower:
         self._newest = Newest(self._on_seen)
         self._repainted = Repainted(self._on_repainted)
         self._engine = Engine(self._deliver, _FOLLOWING, self._overlay)
-        # Whether what was submitted is not painted yet, and the newest that waits for that.
-        self._behind = False
+        # Whether what was submitted is not painted yet, whether that takes so long that nothing waits
+        # for it, and the newest that waits.
+        self._behind = self._long = False
         self._next: tuple[Study, str, Plane | None] | None = None
         self._beside = Errands(lambda _: None)  # a drag says itself what went wrong
         self._rehearsed = False
@@ -101,7 +102,7 @@ class Follower:
         study, backend, plane
             As `Engine.submit` takes them.
         """
-        if self._behind and (plane is not None or len(study.grid.shape) == 2):
+        if self._behind and not self._long:
             self._next = study, backend, plane
         else:
             self._submit(study, backend, plane=plane)
@@ -160,6 +161,7 @@ class Follower:
         self, study: Study, backend: str, plane: Plane | None = None, settle: bool = False
     ) -> None:
         self._behind, self._next = True, None
+        self._long = plane is None and len(study.grid.shape) == 3
         self._engine.submit(study, backend, settle, plane)
 
     def _on_seen(self, seen: Seen) -> None:
