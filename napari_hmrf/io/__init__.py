@@ -1,1 +1,1 @@
-"""Files that people read: figures."""
+"""Files: studies, fields, images, landmarks, tables and figures."""
