@@ -57,6 +57,8 @@ class Choices:
         self._beginning = self.values
         self._image: Any = None
         self.by_itself = False
+        # Whether somebody chose an image, or none.
+        self._by_hand = False
         # Whether there is no image as the one that was worked on is gone.
         self._lost = False
         motion.boundary.choice.changed.connect(self._on_boundary)
@@ -133,7 +135,7 @@ class Choices:
             if before is not None and form.image.value is None:
                 others = (form.tissue.choice.value, form.motion.boundary.confidence.value)
                 images = [layer for layer in form.image.offered if layer not in others]
-                self._lost = not images
+                self._lost, self._by_hand = not images, self._by_hand and bool(images)
                 if images:
                     form.image.value = images[0]
                 else:  # the next one begins as the first did
@@ -154,14 +156,15 @@ class Choices:
                 self._take_painted(layer)
 
     def take(self, layer: Any) -> None:
-        """Choose a layer that came: what is painted, and an image unless there is one.
+        """Choose a layer that came: what is painted, and an image unless work has begun on one.
 
         A sample's image is chosen all the same, unless something is drawn on the one there is.
         """
         image = self._form.image
+        free = image.value is None or self._edits.next_undo is None
         sample = role_of(layer) == IMAGE and not self._drawn_on
         with self.nobody_chooses():
-            if layer in image.offered and (image.value is None or sample):
+            if layer in image.offered and (sample or (free and not self._by_hand)):
                 image.value = layer
             self._take_painted(layer)
 
@@ -201,6 +204,7 @@ class Choices:
 
     def _on_image(self, image: Any) -> None:
         """Choose what goes with an image: what was chosen for it before, if it was."""
+        self._by_hand = self._by_hand or not self.by_itself
         self._lost = self._lost and image is None
         before, self._image = self._image, image
         if before is image:
