@@ -181,7 +181,12 @@ def _add_file_commands(commands: Any) -> None:
         metavar="IMAGE|edges",
         help="how sure a field is: an image from 0 to 1, a mask, or where the image has edges",
     )
-    solve.add_argument("--slice", type=int, metavar="N", help="of a volume, along its first axis")
+    solve.add_argument(
+        "--slice",
+        type=int,
+        metavar="N",
+        help="of a volume only this slice along its first axis; by default all of it",
+    )
     solve.add_argument(
         "--hold-edge", action="store_true", help="the outer edge of the tissue stays"
     )
@@ -269,12 +274,14 @@ def _measure(options: argparse.Namespace) -> int:
     from pandas import DataFrame
 
     from napari_hmrf.io.case import measured
-    from napari_hmrf.io.tables import save_measurements
+    from napari_hmrf.io.tables import measurement_titles, save_measurements
 
-    rows = measured(options.result, options.labels)
-    print(DataFrame(rows).to_string(index=False, float_format=lambda value: f"{value:.4g}"))
+    found = measured(options.result, options.labels)
+    table = DataFrame(found.rows, columns=measurement_titles(volume=found.of_volume))
+    print(table.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
     if options.out is not None:
-        print(f"written: {save_measurements(options.out, rows)}")
+        path = save_measurements(options.out, found.rows, volume=found.of_volume)
+        print(f"written: {path}")
     return 0
 
 

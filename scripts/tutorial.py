@@ -337,7 +337,7 @@ def stack(images: dict[str, Path]) -> None:
 
 
 def volume(_: dict[str, Path]) -> None:
-    """A tumour in a volume: pulled in a slice, looked at across another axis, and in three views."""
+    """A tumour in a volume: pulled in a slice, and looked at across another axis."""
     person = Person(SIZE)
     open_sample(person, "Head with a growing tumour (volume)")
     dock = open_dock(person)
