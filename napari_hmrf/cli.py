@@ -21,7 +21,7 @@ from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE, Plane
-from napari_hmrf.study.models import chosen
+from napari_hmrf.study.models import chosen, family_of
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
 if TYPE_CHECKING:
@@ -373,16 +373,18 @@ def _demo_volume(options: argparse.Namespace) -> int:
     from napari_hmrf.samples.demo import table
     from napari_hmrf.samples.volume_demo import demonstrate_volume, write_volume_results
 
-    prior, _ = _model(options)
-    if not isinstance(prior, ElasticPrior) or options.plane is not None:
-        raise HmrfError("--volume is of elastic tissue, which has no plane")
+    prior, optimizer = _model(options)
+    if options.plane is not None:
+        raise HmrfError("--plane is for slices: a volume is strained in all directions")
+    more = {"poisson": float(prior.poisson)} if isinstance(prior, ElasticPrior) else {}
     options.out.mkdir(parents=True, exist_ok=True)
     progress = _ProgressLine()
     demonstration = demonstrate_volume(
         options.size or VOLUME_SIZE,
         backend=options.backend,
         progress=progress.show,
-        poisson=float(prior.poisson),
+        model=family_of(prior, optimizer),
+        **more,
     )
     progress.end()
     print(table(demonstration), flush=True)
