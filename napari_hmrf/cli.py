@@ -21,7 +21,7 @@ from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE, Plane
-from napari_hmrf.study.models import chosen
+from napari_hmrf.study.models import chosen, family_of
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
 if TYPE_CHECKING:
@@ -181,7 +181,12 @@ def _add_file_commands(commands: Any) -> None:
         metavar="IMAGE|edges",
         help="how sure a field is: an image from 0 to 1, a mask, or where the image has edges",
     )
-    solve.add_argument("--slice", type=int, metavar="N", help="of a volume, along its first axis")
+    solve.add_argument(
+        "--slice",
+        type=int,
+        metavar="N",
+        help="of a volume only this slice along its first axis; by default all of it",
+    )
     solve.add_argument(
         "--hold-edge", action="store_true", help="the outer edge of the tissue stays"
     )
@@ -269,12 +274,14 @@ def _measure(options: argparse.Namespace) -> int:
     from pandas import DataFrame
 
     from napari_hmrf.io.case import measured
-    from napari_hmrf.io.tables import save_measurements
+    from napari_hmrf.io.tables import measurement_titles, save_measurements
 
-    rows = measured(options.result, options.labels)
-    print(DataFrame(rows).to_string(index=False, float_format=lambda value: f"{value:.4g}"))
+    found = measured(options.result, options.labels)
+    table = DataFrame(found.rows, columns=measurement_titles(volume=found.of_volume))
+    print(table.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
     if options.out is not None:
-        print(f"written: {save_measurements(options.out, rows)}")
+        path = save_measurements(options.out, found.rows, volume=found.of_volume)
+        print(f"written: {path}")
     return 0
 
 
@@ -366,16 +373,18 @@ def _demo_volume(options: argparse.Namespace) -> int:
     from napari_hmrf.samples.demo import table
     from napari_hmrf.samples.volume_demo import demonstrate_volume, write_volume_results
 
-    prior, _ = _model(options)
-    if not isinstance(prior, ElasticPrior) or options.plane is not None:
-        raise HmrfError("--volume is of elastic tissue, which has no plane")
+    prior, optimizer = _model(options)
+    if options.plane is not None:
+        raise HmrfError("--plane is for slices: a volume is strained in all directions")
+    more = {"poisson": float(prior.poisson)} if isinstance(prior, ElasticPrior) else {}
     options.out.mkdir(parents=True, exist_ok=True)
     progress = _ProgressLine()
     demonstration = demonstrate_volume(
         options.size or VOLUME_SIZE,
         backend=options.backend,
         progress=progress.show,
-        poisson=float(prior.poisson),
+        model=family_of(prior, optimizer),
+        **more,
     )
     progress.end()
     print(table(demonstration), flush=True)

@@ -9,6 +9,7 @@ import itertools
 import math
 import sys
 import tempfile
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -335,6 +336,68 @@ def stack(images: dict[str, Path]) -> None:
     person.viewer.close()
 
 
+def volume(_: dict[str, Path]) -> None:
+    """A tumour in a volume: pulled in a slice, and looked at across another axis."""
+    person = Person(SIZE)
+    open_sample(person, "Head with a growing tumour (volume)")
+    dock = open_dock(person)
+    form, viewer = dock._form, person.viewer
+    wait_until(lambda: dock.solution is not None and not dock.busy)
+    viewer.dims.set_point(0, 10.0)
+    wait(0.5)
+    keep(person, "volume-opened", pointer=False)
+    print(dock.status, dock.warning)
+    table = form.motion.boundary.table
+    person.show(table)
+    person.write(table, 1, 5, "3")
+    wait_until(lambda: not dock.busy)
+    print(dock.status, dock.warning)
+    take(person, dock, "pull")
+    pulled(person, dock, (-10, -30), (-18, -40))
+    keep(person, "volume-pulled")
+    person.release(-18, -40)
+    wait_until(lambda: not dock.busy)
+    person.click(viewer.window._qt_viewer.viewerButtons.rollDimsButton)
+    wait(0.5)
+    viewer.dims.set_point(2, 30.0)
+    person.show(form.result.overlay.native)
+    person.choose(form.result.overlay, "strain: equivalent")
+    wait_until(lambda: not dock.busy)
+    dock.result.visible = False
+    home(person)
+    keep(person, "volume-strain")
+    print(dock.status, dock.warning)
+    viewer.close()
+
+
+def views(_: dict[str, Path]) -> None:
+    """The same tumour in three views at once, if the plugin for that is there."""
+    try:
+        from napari_orthogonal_views.ortho_view_manager import show_orthogonal_views
+    except ImportError:
+        print("napari-orthogonal-views is not installed: no picture of three views")
+        return
+    person = Person((1480, 860))
+    open_sample(person, "Head with a growing tumour (volume)")
+    dock = open_dock(person)
+    viewer = person.viewer
+    wait_until(lambda: dock.solution is not None and not dock.busy)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of that plugin's
+        show_orthogonal_views(viewer)
+    wait(1)
+    for name in ("Boundary", "Tissue"):
+        viewer.layers[name].visible = False
+    for axis, place in enumerate((10.0, 28.0, 30.0)):
+        viewer.dims.set_point(axis, place)
+    person.choose(dock._form.result.overlay, "how far (mm)")
+    wait_until(lambda: not dock.busy)
+    home(person)
+    wait(0.5)
+    keep(person, "volume-views", pointer=False)
+    viewer.close()
+
+
 PAGES: dict[str, Callable[[dict[str, Path]], None]] = {
     "first": first,
     "animation": animation,
@@ -344,6 +407,8 @@ PAGES: dict[str, Callable[[dict[str, Path]], None]] = {
     "own": own,
     "photograph": photograph,
     "stack": stack,
+    "volume": volume,
+    "views": views,
 }
 
 

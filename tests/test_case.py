@@ -232,7 +232,7 @@ def test_an_edge_is_where_the_image_is_steep():
 @pytest.mark.parametrize(
     ("more", "sentence"),
     [
-        ({"slice": None}, r"scan\.nii\.gz: is a volume of 3 slices\. Give --slice 0 to 2"),
+        ({"slice": 3}, r"scan\.nii\.gz: is a volume of 3 slices\. Give --slice 0 to 2"),
         ({"labels": "small.png"}, r"small\.png: is 4 x 5, but the image 30 x 36"),
         ({"boundary": "one.csv"}, r"one\.csv: says where things are, not where they should be"),
     ],

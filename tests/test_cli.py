@@ -353,6 +353,11 @@ def test_the_demo_of_a_volume_grows_a_tumour_and_says_by_how_much(tmp_path, caps
     assert saved.study.grid.place.axis_labels == tuple(PATIENT_AXES)
 
 
+def test_the_demo_of_a_volume_takes_the_paper_s_model_too(tmp_path, capsys):
+    assert demo(tmp_path, "--volume", "--size", "24", "--model", "paper-converged") == 0
+    assert table(capsys.readouterr().out)["model"] == "the paper's prior (centred), converged"
+
+
 def test_slices_of_a_volume_are_drawn_where_they_meet_with_the_head_up(tmp_path, monkeypatch):
     from napari_hmrf.io import figures
     from napari_hmrf.samples.volume_demo import demonstrate_volume, write_volume_results
@@ -380,8 +385,8 @@ def test_slices_of_a_volume_are_drawn_where_they_meet_with_the_head_up(tmp_path,
 @pytest.mark.parametrize(
     ("option", "said"),
     [
-        (("--model", "paper"), "--volume is of elastic tissue"),
-        (("--plane", "strain"), "--volume is of elastic tissue"),
+        (("--plane", "strain"), "--plane is for slices"),
+        (("--model", "paper", "--poisson", "0.3"), "are for --model elastic"),
         (("--size", "20"), "at least 24"),
     ],
 )

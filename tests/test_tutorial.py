@@ -30,6 +30,7 @@ NOT_OURS = {
     "Apply scale/transforms from Clipboard",
     "in the same order",
     "The command palette",
+    "Show Orthogonal Views",
     "The image is larger than what you see.",
     "You want to move the view, not the tissue.",
     "Nothing moves when you drag.",

@@ -247,7 +247,7 @@ def test_an_image_in_another_order_of_axes_than_the_result_is_turned_to_it(solut
     )
     labels = ImageFile((smooth_image() > 100).astype(np.uint8), Place(SIZE, ORIGIN, turn))
     save_image(tmp_path / "labels.mha", labels)
-    rows = measured(tmp_path / "result.npz", tmp_path / "labels.mha")
+    rows = measured(tmp_path / "result.npz", tmp_path / "labels.mha").rows
     there = solution.tissue & (smooth_image() > 100)
     assert rows[1].pixels == there.sum()
 
@@ -255,7 +255,7 @@ def test_an_image_in_another_order_of_axes_than_the_result_is_turned_to_it(solut
 def test_measurements_of_a_volume_are_called_so(solution, tmp_path):
     solution.save(tmp_path / "result.npz")
     save_image(tmp_path / "labels.tif", ImageFile(np.ones(SHAPE, np.uint8)))
-    rows = measured(tmp_path / "result.npz", tmp_path / "labels.tif")
+    rows = measured(tmp_path / "result.npz", tmp_path / "labels.tif").rows
     path = save_measurements(tmp_path / "rows.csv", rows, "mm", volume=True)
     first, line = path.read_text().splitlines()
     assert first.startswith("label,name,voxels,volume,volume_change,mean_displacement")
@@ -307,7 +307,7 @@ def test_a_study_of_a_volume_comes_back(solution, tmp_path):
     field = load_field(path)
     np.testing.assert_array_equal(field.displacement, solution.displacement)
     np.testing.assert_allclose(field.place.direction, PLACE.direction, atol=1e-12)
-    assert len(measured(path)) == 1
+    assert len(measured(path).rows) == 1
 
 
 def test_a_study_of_a_volume_that_lies_as_a_slice_is_refused(solution, tmp_path):

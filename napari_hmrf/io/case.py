@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +36,9 @@ from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.surroundings import at_edges
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
+#: How far, in voxels, two volumes may lie apart and be the same.
+_SAME = 0.01
+
 
 @dataclass(frozen=True)
 class Case:
@@ -59,7 +62,7 @@ class Case:
         How sure a field is: an image from 0 to 1 or a mask; or 1 at the edges of the image and 0
         elsewhere. By default 1 wherever there is a field.
     slice : int, optional
-        Of a volume along its first axis.
+        Of a volume along its first axis; by default all of a volume is deformed.
     hold_edge : bool
         Whether the outer edge of the tissue stays where it is.
     model : str
@@ -83,21 +86,20 @@ def read_case(case: Case) -> Study:
     Raises
     ------
     ProblemError
-        If images are of different size, or a volume is given without its slice.
+        If images are of different size, or lie in different places, or a volume has no such slice.
     FileFormatError, HmrfError, OSError
         If a file cannot be read, by its name.
     """
     if is_study_file(case.image):
         return load_study(case.image).study
     whole = load_image(case.image)
-    image, place = _slice_of(whole, case)
-    shape = image.pixels.shape[:2]
-    grid = _grid(shape, whole, case)
+    image, place = _part(whole, case)
+    grid = _grid(image, whole, case)
     materials = () if case.materials is None else _materials(case.materials)
-    labels = None if case.labels is None else _pixels(case, case.labels, shape, whole=True)
+    labels = None if case.labels is None else _pixels(case, case.labels, whole, labels=True)
     if case.maps:
-        labels = _most_likely([_pixels(case, each, shape) for each in case.maps])
-    motion = replace(_motion(case, grid, place, image.pixels), hold_edge=case.hold_edge)
+        labels = _most_likely([_pixels(case, each, whole) for each in case.maps])
+    motion = replace(_motion(case, grid, place, whole), hold_edge=case.hold_edge)
     return Study(
         grid,
         Tissue(labels=labels, materials=materials),
@@ -123,13 +125,20 @@ def solve_case(case: Case, folder: Path, *, backend: str = "auto") -> Saved:
     if image is not None:
         moved = warp(image, solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
         where = None if study.grid.unit == "pixel" else place_of(solution)
-        written = ImageFile(moved, where, colours=moved.ndim > 2)
+        written = ImageFile(moved, where, colours=moved.ndim > len(study.grid.shape))
         save_image(folder / f"{name} deformed{'.nrrd' if where else '.tif'}", written)
     save_study(folder / f"{name}.study", study, solution)
     return Saved(study, solution)
 
 
-def measured(path: Path, labels: Path | None = None) -> tuple[Measurement, ...]:
+class Measured(NamedTuple):
+    """What happened to each tissue, and whether lengths to the third are meant by its area."""
+
+    rows: tuple[Measurement, ...]
+    of_volume: bool
+
+
+def measured(path: Path, labels: Path | None = None) -> Measured:
     """Measure what happened to each tissue of a study or result.
 
     Parameters
@@ -151,7 +160,7 @@ def measured(path: Path, labels: Path | None = None) -> tuple[Measurement, ...]:
         image = _on_grid(labels, solution)
     if image is None:
         raise HmrfError(f"{path.name}: the file holds no tissue labels. Give --labels.")
-    return measure(solution, image, names=names)
+    return Measured(measure(solution, image, names=names), solution.tissue.ndim == 3)
 
 
 def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArray[Any]]:
@@ -177,13 +186,15 @@ def _on_grid(path: Path, solution: Solution) -> npt.NDArray[Any]:
     return (image.laid_as(place_of(solution)) if volume else image).pixels
 
 
-def _slice_of(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:
-    """The slice that is meant, and its place in the volume."""
+def _part(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:
+    """The slice that is meant, and its place in the volume; or all of a volume, upright."""
     place, number = image.place, case.slice
     if image.ndim == 2:
         return image, place
+    if number is None:
+        return image.upright, image.upright.place
     count = len(image.pixels)
-    if number is None or not 0 <= number < count:
+    if not 0 <= number < count:
         raise ProblemError(
             case.image.name, f"is a volume of {count} slices. Give --slice 0 to {count - 1}."
         )
@@ -193,15 +204,19 @@ def _slice_of(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:
     return image._replace(pixels=image.pixels[number]), place
 
 
-def _grid(shape: tuple[int, ...], image: ImageFile, case: Case) -> Grid:
-    """The slice that is meant, which knows its number and the place of the volume."""
-    number = case.slice if image.ndim > 2 and case.slice is not None else 0
-    if image.place is not None:
-        return Grid(shape, image.place.spacing[-2:], "millimeter", image.place.frame(number))
-    if image.ndim == 2:
+def _grid(part: ImageFile, whole: ImageFile, case: Case) -> Grid:
+    """The slice that is meant, which knows its number and the place of the volume; or a volume."""
+    n, number = part.ndim, case.slice if whole.ndim > 2 and case.slice is not None else 0
+    shape = part.pixels.shape[:n]
+    if whole.place is None and n == whole.ndim == 2:
         return Grid(shape, (1.0, 1.0))
-    pixels = Place((1.0,) * 3, (0.0,) * 3, np.eye(3))
-    return Grid(shape, (1.0, 1.0), place=pixels.frame(number, "pixel"))
+    unit, place = "millimeter", part.place
+    if place is None:
+        unit, place = "pixel", Place((1.0,) * 3, (0.0,) * 3, np.eye(3))
+    frame = place.frame(number, unit)
+    if n == 3:
+        frame = replace(frame, plane=(0, 1, 2))
+    return Grid(shape, place.spacing[-n:], unit, frame)
 
 
 def _materials(path: Path) -> tuple[Material, ...]:
@@ -210,23 +225,34 @@ def _materials(path: Path) -> tuple[Material, ...]:
     return load_materials(path).materials
 
 
-def _pixels(
-    case: Case, path: Path, shape: tuple[int, ...], whole: bool = False
-) -> npt.NDArray[Any]:
+def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> npt.NDArray[Any]:
     """A grey image on the same pixels; of a volume the same slice."""
-    image, _ = _slice_of(load_image(path), replace(case, image=path))
-    pixels = image.pixels
+    there, image = _part(whole, case)[0], load_image(path)
+    if there.ndim == 3 and image.place is None:
+        image = image._replace(place=whole.place)
+    image, _ = _part(image, replace(case, image=path))
+    pixels, shape = image.pixels, there.pixels.shape[: there.ndim]
     if pixels.shape != shape:
         raise ProblemError(
             path.name,
             f"is {grid_in_words(pixels.shape)}, but the image {grid_in_words(shape)}. Give one of "
             "the same pixels.",
         )
-    if whole and pixels.dtype.kind == "f" and (pixels == np.rint(pixels)).all():
+    if there.ndim == 3 and _apart(image.place, there.place) > _SAME:
+        raise ProblemError(path.name, "lies elsewhere than the image. Give one of the same voxels.")
+    if labels and pixels.dtype.kind == "f" and (pixels == np.rint(pixels)).all():
         pixels = pixels.astype(np.int32)  # as some tools keep labels
-    if whole and pixels.dtype.kind not in "iu":
+    if labels and pixels.dtype.kind not in "iu":
         raise ProblemError(path.name, f"holds {pixels.dtype} values. Give labels: whole numbers.")
     return pixels
+
+
+def _apart(one: Place | None, other: Place | None) -> float:
+    """How far the voxels of two volumes lie apart, in voxels; 0 if one of them lies nowhere."""
+    if one is None or other is None:
+        return 0.0
+    corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    return float(np.abs(one.to_pixels(other.to_space(corners)) - corners).max())
 
 
 def _most_likely(maps: Sequence[npt.NDArray[Any]]) -> npt.NDArray[np.uint8]:
@@ -237,20 +263,20 @@ def _most_likely(maps: Sequence[npt.NDArray[Any]]) -> npt.NDArray[np.uint8]:
     return found.astype(np.uint8)
 
 
-def _motion(case: Case, grid: Grid, place: Place | None, image: npt.NDArray[Any]) -> Motion:
+def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Motion:
     path = case.boundary
     if path is None:
         return Motion()
     if path.name.lower().endswith(POINT_SUFFIXES):
-        return Motion(drawing=_landmarks(case, path, grid, place))
+        return Motion(drawing=_landmarks(case, path, grid, whole))
     if case.rules is not None:
-        labels = _pixels(case, path, grid.shape, whole=True)
+        labels = _pixels(case, path, whole, labels=True)
         return Motion(labels=labels, rules=read_rules(case.rules))
-    field, counts = load_field(path), _counts(case, grid, image)
+    field, counts = load_field(path), _counts(case, whole)
     if len(field.shape) == 3 and grid.place is not None:  # of the volume that the slice lies in
-        whole = PixelField(field.field.to_pixels(), field.place.frame())
+        found = PixelField(field.field.to_pixels(), field.place.frame())
         try:
-            there = whole.on(grid.place, (image.shape[0], image.shape[1]))
+            there = found.on(grid.place, grid.shape)
         except ProblemError as error:
             raise ProblemError(path.name, error.message) from None
         return Motion(observed=there.displacement, confidence=np.where(there.known, counts, 0))
@@ -263,27 +289,33 @@ def _motion(case: Case, grid: Grid, place: Place | None, image: npt.NDArray[Any]
     return Motion(observed=field.displacement, confidence=counts)
 
 
-def _counts(case: Case, grid: Grid, image: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def _counts(case: Case, whole: ImageFile) -> npt.NDArray[Any]:
+    part, _ = _part(whole, case)
     if case.confidence is None:
-        return np.ones(grid.shape, np.float32)
+        return np.ones(part.pixels.shape[: part.ndim], np.float32)
     if case.confidence == "edges":
-        return at_edges(image)
-    counts = _pixels(case, case.confidence, grid.shape).astype(np.float32)
+        return at_edges(part.pixels, axes=part.ndim)
+    counts = _pixels(case, case.confidence, whole).astype(np.float32)
     return counts / counts.max() if counts.max() > 1 else counts
 
 
-def _landmarks(case: Case, path: Path, grid: Grid, place: Place | None) -> Drawing:
-    file = load_points(path)
+def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
+    file, n = load_points(path), len(grid.shape)
     if file.targets is None:
         raise ProblemError(
             path.name, "says where things are, not where they should be. Give pairs, as BigWarp."
         )
-    where = place_for(file, place, path.name, 2)
+    _, place = _part(whole, case)
+    # Points of BigWarp's are in the order of the file's axes, which are turned upright afterwards.
+    first = whole.place if n == 3 else place
+    where = place_for(file, first, path.name, n)
     ends = [where.to_pixels(points) for points in (file.points, file.targets)]
-    if where is not place and case.slice is not None:
+    if first is not None and place is not None and n == 3:
+        ends = [place.to_pixels(first.to_space(at)) for at in ends]
+    if where is not first and n == 2 and case.slice is not None:
         ends = [at - [*[case.slice] * (at.shape[1] - 2), 0, 0] for at in ends]  # of the volume
-    if any((abs(at[:, :-2]) > 0.5).any() for at in ends):
+    if any((abs(at[:, :-n]) > 0.5).any() for at in ends):
         raise ProblemError(path.name, "holds points that lie on other slices than the image.")
     radius = usual_radius(grid.shape, grid.spacing)
-    pairs = zip(*(each[:, -2:].tolist() for each in ends), strict=True)
+    pairs = zip(*(each[:, -n:].tolist() for each in ends), strict=True)
     return Drawing(tuple(Landmark(tuple(at), tuple(to), radius) for at, to in pairs))

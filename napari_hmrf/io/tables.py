@@ -2,8 +2,8 @@
 
 Materials have the columns ``label,stiffness`` and, if wanted, ``name`` and ``poisson``; the
 stiffness of what moves as one is the word ``rigid``. Rules have ``label,action`` and, if wanted,
-``name``, ``row`` and ``col`` (how far what moves goes), ``amount`` (by how much what expands grows)
-and ``confidence``.
+``name``, ``row`` and ``col`` (how far what moves goes; in a volume ``plane``, too), ``amount`` (by
+how much what expands grows) and ``confidence``.
 """
 
 from __future__ import annotations
@@ -60,11 +60,17 @@ def read_rules(path: str | os.PathLike[str]) -> tuple[BoundaryRule, ...]:
     """
 
     def row(cells: dict[str, str]) -> dict[str, Any]:
-        vector = (cells.pop("row", 0), cells.pop("col", 0))
+        across = [cells.pop("plane")] if "plane" in cells else []
+        vector = (*across, cells.pop("row", 0), cells.pop("col", 0))
         confidence = (cells.pop("confidence", 1),) * 2
         return {**cells, "vector": vector, "confidence": confidence}
 
     return _read(path, _RULES, row, needed=("label", "action"))
+
+
+def measurement_titles(*, volume: bool) -> list[str]:
+    """What the columns of measurements are called, of a slice or of a volume."""
+    return [_OF_VOLUMES.get(name, name) if volume else name for name in Measurement._fields]
 
 
 def save_measurements(
@@ -93,8 +99,7 @@ def save_measurements(
     target = Path(checked_path(path))
     file = io.StringIO()
     more = {"unit": unit} if unit else {}
-    names = Measurement._fields
-    titles = [_OF_VOLUMES.get(name, name) for name in names] if volume else names
+    titles = measurement_titles(volume=volume)
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow([*titles, *more])
     writer.writerows([*row, *more.values()] for row in rows)

@@ -71,6 +71,7 @@ def demonstrate_volume(
     *,
     backend: str,
     progress: Callable[[Monitor], None],
+    model: str = "elastic",
     poisson: float = USUAL_POISSON,
 ) -> VolumeDemonstration:
     """Solve a head in which a tumour grows.
@@ -81,8 +82,9 @@ def demonstrate_volume(
         As of `head_phantom`.
     backend, progress
         As of `demonstrate`.
+    model : {"elastic", "paper", "paper, converged"}
     poisson : float
-        Of all tissue.
+        Of all elastic tissue.
 
     Raises
     ------
@@ -97,6 +99,7 @@ def demonstrate_volume(
         Grid(head.image.shape, head.spacing, "millimeter", head.frame),
         Tissue(labels=head.tissue_labels, materials=materials),
         Motion(hold_edge=False, labels=head.boundary_labels, rules=head.boundary),
+        model=model,
         pictures=Pictures(head.image, head.tissue_labels, "head"),
     )
     if backend == "auto":

@@ -1,0 +1,195 @@
+"""A volume is solved whole from files in the shell, as it would be from arrays."""
+
+import numpy as np
+import pytest
+
+from napari_hmrf import (
+    BoundaryRule,
+    ElasticPrior,
+    ProblemError,
+    head_phantom,
+    load_study,
+    save_points,
+    solve,
+    write_field,
+)
+from napari_hmrf.cli import main
+from napari_hmrf.field.frame import PATIENT_AXES
+from napari_hmrf.io.case import Case, read_case
+from napari_hmrf.io.fields import Place, place_of
+from napari_hmrf.io.images import ImageFile, load_image, save_image
+from napari_hmrf.io.tables import read_rules
+from napari_hmrf.study.ground import statement_of
+
+sitk = pytest.importorskip("SimpleITK")
+
+MATERIALS = (
+    "label,name,stiffness,poisson\n0,outside,0,\n1,brain,1,\n2,ventricles,0.1,\n3,tumour,4,\n"
+)
+RULES = "label,action,amount,name\n1,fixed,,skull\n2,expand,6,tumour rim\n"
+#: As a scanner cuts it from the side: the first axis leads to the left, and rows to the feet.
+SIDEWAYS = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+@pytest.fixture(scope="module")
+def head():
+    return head_phantom(38, growth=6.0)
+
+
+@pytest.fixture(scope="module")
+def files(head, tmp_path_factory):
+    """A head and what is painted on it, as it lies and as cut from the side, with its tables."""
+    folder = tmp_path_factory.mktemp("head")
+    place = Place(head.spacing, (-70.0, -90.0, -70.0), np.eye(3))
+    turned = Place(head.spacing, (-70.0, -90.0, 66.0), SIDEWAYS)
+    images = {"t1": head.image, "labels": head.tissue_labels, "rim": head.boundary_labels}
+    for name, pixels in images.items():
+        save_image(folder / f"{name}.nii.gz", ImageFile(pixels, place))
+        from_side = pixels[::-1].transpose(2, 0, 1)
+        save_image(folder / f"{name}-side.mha", ImageFile(from_side, turned))
+    (folder / "m.csv").write_text(MATERIALS)
+    (folder / "r.csv").write_text(RULES)
+    return folder
+
+
+def solved(folder, out, *more, image="t1.nii.gz"):
+    command = ["solve", folder / image, "-o", out, "--backend", "cpu", *more]
+    assert main([str(each) for each in command]) == 0
+    return load_study(out / f"{image.partition('.')[0]}.study")
+
+
+@pytest.fixture(scope="module")
+def grown(files):
+    given = ("--labels", files / "labels.nii.gz", "--materials", files / "m.csv")
+    rim = ("--boundary", files / "rim.nii.gz", "--rules", files / "r.csv")
+    return files / "out", solved(files, files / "out", *given, *rim)
+
+
+def test_the_shell_solves_a_volume_as_python_would(head, grown):
+    out, (study, solution) = grown
+    problem = statement_of(study).problem
+    for name in ("observed", "confidence", "stiffness"):
+        found, expected = getattr(problem, name), getattr(head.problem, name)
+        np.testing.assert_allclose(found, expected, atol=1e-4)
+    d = solve(head.problem, ElasticPrior(0.45), backend="cpu").displacement
+    np.testing.assert_allclose(solution.displacement, d, atol=0.01 * head.spacing[0])
+    assert study.grid.unit == "millimeter"
+    assert study.grid.place.plane == (0, 1, 2)
+    assert study.grid.place.axis_labels == tuple(PATIENT_AXES)
+    seen = load_image(out / "t1 deformed.nrrd")
+    assert seen.pixels.shape == head.image.shape
+    assert (seen.pixels != head.image).any()
+    np.testing.assert_allclose(seen.place.origin, (-70, -90, -70))
+
+
+def test_what_comes_of_a_volume_is_replayed_exported_applied_and_measured(grown, files, capsys):
+    out, (_, solution) = grown
+    study = str(out / "t1.study")
+    assert main(["replay", study]) == 0
+    assert "bit by bit the same field" in capsys.readouterr().out
+    assert main(["export", study, str(out / "field.mha")]) == 0
+    field = sitk.ReadImage(str(out / "field.mha"))
+    volume = sitk.ReadImage(str(files / "t1.nii.gz"))
+    assert field.GetSize() == volume.GetSize()
+    np.testing.assert_allclose(field.GetOrigin(), volume.GetOrigin(), atol=1e-4)
+    tumour = str(files / "labels.nii.gz")
+    assert main(["apply", study, tumour, "--labels", "-o", str(out / "moved")]) == 0
+    before, after = (load_image(each).pixels == 3 for each in (tumour, out / "moved/labels.nii.gz"))
+    assert 1.3 * before.sum() < after.sum() < 1.3**3 * before.sum()
+    table = out / "measured.csv"
+    assert main(["measure", study, "-o", str(table)]) == 0
+    assert "volume_change" in capsys.readouterr().out
+    titles, *rows = table.read_text().splitlines()
+    assert titles.split(",")[2:5] == ["voxels", "volume", "volume_change"]
+    assert [row.split(",")[1] for row in rows] == ["brain", "ventricles", "tumour"]
+    assert float(rows[2].split(",")[4]) > 20
+    assert solution.tissue.any()
+
+
+def test_a_volume_that_was_cut_from_the_side_is_turned_with_all_that_lies_on_it(grown, files):
+    _, (_, expected) = grown
+    given = ("--labels", files / "labels-side.mha", "--materials", files / "m.csv")
+    rim = ("--boundary", files / "rim-side.mha", "--rules", files / "r.csv")
+    study, solution = solved(files, files / "side", *given, *rim, image="t1-side.mha")
+    assert study.grid.place.axis_labels == tuple(PATIENT_AXES)
+    # Its first axis leads to the feet.
+    d = solution.displacement[::-1] * (-1, 1, 1)
+    far = np.linalg.norm(d - expected.displacement, axis=-1)
+    assert far.max() < 0.5, "of normals some are as near to one voxel as to another"
+    assert far.mean() < 0.005
+    assert place_of(solution).origin == pytest.approx((-70, -90, 66))
+
+
+def test_maps_and_labels_without_a_place_are_of_the_same_voxels(files, head):
+    bare = head.tissue_labels[::-1].transpose(2, 0, 1)
+    save_image(files / "bare.tif", ImageFile(bare))
+    case = Case(files / "t1-side.mha", labels=files / "bare.tif", hold_edge=True)
+    np.testing.assert_array_equal(read_case(case).tissue.labels, head.tissue_labels[::-1])
+    maps = [files / f"map{label}.mha" for label in (1, 3)]
+    place = load_image(files / "t1.nii.gz").place
+    for path, label in zip(maps, (1, 3), strict=True):
+        likely = (head.tissue_labels == label).astype(np.float32)
+        save_image(path, ImageFile(likely, place))
+    found = read_case(Case(files / "t1.nii.gz", maps=maps, hold_edge=True)).tissue.labels
+    assert (found == 2)[head.tissue_labels == 3].all()
+    assert not found[head.tissue_labels == 0].any()
+
+
+@pytest.mark.parametrize("image", ["t1.nii.gz", "t1-side.mha"])
+def test_landmarks_of_the_patient_lead_through_slices(files, image):
+    where, should = [[0.0, 10.0, 20.0]], [[8.0, 10.0, 16.0]]
+    save_points(files / "pairs.csv", where, should)
+    volume = load_image(files / image)
+    study = read_case(Case(files / image, boundary=files / "pairs.csv", hold_edge=True))
+    (mark,) = study.motion.drawing.marks
+    # BigWarp's points are in the images' units, from the first voxel on, by the file's axes.
+    first = volume.place.to_space(np.array(where) / volume.place.spacing)
+    last = volume.place.to_space(np.array(should) / volume.place.spacing)
+    upright = volume.upright.place
+    np.testing.assert_allclose([mark.source], upright.to_pixels(first), atol=1e-6)
+    np.testing.assert_allclose([mark.target], upright.to_pixels(last), atol=1e-6)
+
+
+def test_a_field_is_observed_in_all_of_a_volume_or_where_it_has_edges(files, head):
+    d = np.zeros((*head.image.shape, 3))
+    d[..., 0] = 1.5
+    place = load_image(files / "t1.nii.gz").place
+    write_field(files / "field.mha", d, **place._asdict(), forward=True)
+    back = files / "back.nii.gz"
+    write_field(back, d, **place._asdict())
+    study = read_case(Case(files / "t1.nii.gz", boundary=back))
+    known = study.motion.confidence > 0
+    assert known.mean() > 0.7
+    inside = np.s_[4:-4, 4:-4, 4:-4]
+    np.testing.assert_allclose(study.motion.observed[inside][..., 0], 1.5, atol=0.05)
+    edges = read_case(Case(files / "t1.nii.gz", boundary=back, confidence="edges"))
+    assert 0.05 < edges.motion.confidence.mean() < 0.15
+    mask = Case(files / "t1.nii.gz", boundary=back, confidence=files / "labels.nii.gz")
+    assert not read_case(mask).motion.confidence[0].any()
+
+
+def test_a_rule_may_lead_across_the_planes_of_a_volume(tmp_path):
+    (tmp_path / "r.csv").write_text("label,action,plane,row,col\n1,move,2,1,-1\n2,fixed,,,\n")
+    assert read_rules(tmp_path / "r.csv") == (
+        BoundaryRule(1, "move", vector=(2.0, 1.0, -1.0)),
+        BoundaryRule(2, "fixed"),
+    )
+
+
+def test_a_stack_that_lies_nowhere_is_a_volume_in_voxels(tmp_path):
+    stack = np.random.default_rng(0).integers(100, 200, (6, 8, 9), dtype=np.uint8)
+    save_image(tmp_path / "stack.tif", ImageFile(stack))
+    study, solution = solved(tmp_path, tmp_path / "out", "--hold-edge", image="stack.tif")
+    assert study.grid.unit == "pixel"
+    assert solution.displacement.shape == (6, 8, 9, 3)
+    assert load_image(tmp_path / "out" / "stack deformed.tif").pixels.shape == (6, 8, 9)
+
+
+def test_what_lies_elsewhere_is_refused_by_its_name(files, head):
+    place = load_image(files / "t1.nii.gz").place._replace(origin=(0.0, 0.0, 0.0))
+    save_image(files / "far.mha", ImageFile(head.tissue_labels, place))
+    with pytest.raises(ProblemError, match=r"far\.mha: lies elsewhere than the image"):
+        read_case(Case(files / "t1.nii.gz", labels=files / "far.mha"))
+    save_image(files / "small.mha", ImageFile(head.tissue_labels[1:], place))
+    with pytest.raises(ProblemError, match=r"small\.mha: is 29 x 38 x 30, but the image 30 x 38"):
+        read_case(Case(files / "t1.nii.gz", labels=files / "small.mha"))
