@@ -17,12 +17,10 @@ import os
 import sys
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
-from typing import Any
 
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 # Else glibc keeps what is freed of arrays up to 32 MiB; those of large volumes are larger.
@@ -32,17 +30,13 @@ import numpy as np
 import numpy.typing as npt
 import psutil
 import scipy.sparse as sp
-from volume_oracle import direct_solution, parameters
+from random_volumes import TOLERANCE, judge
+from volume_oracle import parameters
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, Solution, solve
-from napari_hmrf.errors import ConvergenceError, ProblemError
-from napari_hmrf.solver.backends.factors import Factors
 from napari_hmrf.solver.priors.elements import Lame
 from napari_hmrf.solver.priors.hexahedra import brick_shape
 
-TOLERANCE = 0.01
-# What is stored in single precision is rounded.
-_ROUNDED = 1e-6
 _NAMES = {False: "cube, held at its faces", True: "ball, held at a cap"}
 
 
@@ -186,60 +180,6 @@ def rigid_motions(shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
     return np.stack([each.ravel() for each in (*moves, *turns)], axis=-1)
 
 
-def random_volume(seed: int) -> tuple[Any, ...]:
-    """What a problem is made of, its spacing, and Poisson's ratio."""
-    draw = np.random.default_rng(seed)
-    shape = tuple(draw.integers(2, 14, 3))
-    size, ratio = draw.integers(1, 5), 10 ** draw.choice([0, 0.3, 0.7, 1, 2, 3, 4, 5, 6])
-    coarse = draw.random(tuple(-(-extent // size) for extent in shape))
-    blobs = np.kron(coarse, np.ones((size, size, size)))[tuple(map(slice, shape))]
-    m = np.where(blobs > draw.uniform(0, 0.7), ratio, 1.0) if draw.random() < 0.5 else ratio**blobs
-    if draw.random() < 0.5:
-        m[blobs < draw.uniform(0, 0.3)] = 0
-    held = draw.random(shape) < draw.choice([0.002, 0.02, 0.2])
-    held[[0, -1][: draw.integers(3)]] = True
-    y, c = np.zeros((*shape, 3)), np.zeros((*shape, 3))
-    c[held] = 1
-    y[held] = draw.normal(size=3) + draw.integers(2) * draw.normal(size=(held.sum(), 3)) / 2
-    spacing = (1.0, 1.0, 1.0) if draw.random() < 0.5 else tuple(draw.uniform(0.5, 2, 3))
-    poisson = draw.choice([0, 0.3, 0.45, 0.49, 0.499])
-    each = (draw.random(shape) * 0.499).astype(np.float32)
-    nu = each if draw.random() < 0.2 else float(poisson)
-    if draw.random() < 0.2:
-        m[(blobs > draw.uniform(0.8, 0.98)) & (m > 0) & ~held] = np.inf
-    return y * spacing, c, m, spacing, nu
-
-
-def wrong_of(seeds: range) -> int:
-    """How many random volumes are further from the direct solution than was reported.
-
-    Every other one is solved as if it were too large for factors.
-    """
-    became: Counter[str] = Counter()
-    fit = Factors.fit
-    for seed in seeds:
-        Factors.fit = staticmethod(lambda shape, even=seed % 2 == 0: even and fit(shape))  # type: ignore[method-assign]
-        y, c, m, spacing, poisson = random_volume(seed)
-        try:
-            problem = Problem(y, c, m, spacing=spacing)
-            found, _ = timed(problem, poisson)
-        except ProblemError:
-            became["have no one answer, or none"] += 1
-            continue
-        except ConvergenceError:
-            became["are refused, as cycles cannot be sure"] += 1
-            print(f"volume {seed}: refused", flush=True)
-            continue
-        apart = np.abs(found.displacement - direct_solution(problem, poisson)).max() / problem.unit
-        assert found.convergence is not None
-        right = apart <= found.convergence.error + _ROUNDED
-        became[f"are right, by {found.convergence.way}" if right else "are WRONG"] += 1
-        if not right:
-            print(f"volume {seed}: {apart:.2g}, reported {found.convergence.error:.2g}", flush=True)
-    print(f"of {len(seeds)} random volumes", ", ".join(f"{n} {what}" for what, n in became.items()))
-    return became["are WRONG"]
-
-
 def main() -> int:
     """Print all; 1 if an answer is wrong."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -255,7 +195,9 @@ def main() -> int:
         print_memory(asked.memory)
     if asked.pyamg:
         print_pyamg(asked.pyamg)
-    return min(1, wrong_of(range(asked.seed, asked.seed + asked.random)))
+    told, wrong = judge(range(asked.seed, asked.seed + asked.random))
+    print(told)
+    return min(1, wrong)
 
 
 if __name__ == "__main__":
