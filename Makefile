@@ -9,6 +9,7 @@ PLUGINS := -p hypothesispytest -p napari -p pytest-qt -p timeout -p xdist
 # How many random problems `make trust` solves on each, and which.
 LOOPS ?= 5000
 SHADERS ?= 500
+VOLUMES ?= 300
 SEED ?= 0
 
 .PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test docs format lint types lines benchmarks live dragging trust volumes hard report mutations screenshots sample-data constraints clean
@@ -86,7 +87,7 @@ dragging: setup-for-windows
 	@$(HEADLESS) $(RUN) benchmarks/dragging.py $(if $(AGAINST),--against $(AGAINST))
 
 trust: setup
-	@$(RUN) benchmarks/trust.py --loops $(LOOPS) --shaders $(SHADERS) --seed $(SEED) $(if $(PAGE),--page $(PAGE))
+	@$(RUN) benchmarks/trust.py --loops $(LOOPS) --shaders $(SHADERS) --volumes $(VOLUMES) --seed $(SEED) $(if $(PAGE),--page $(PAGE))
 
 volumes: setup-for-report
 	@$(RUN) benchmarks/volumes.py

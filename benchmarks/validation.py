@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from report import analytic, finite_elements, levels, metropolis, paper, registration, speed
+from report import analytic, bricks, finite_elements, levels, metropolis, paper, registration, speed
 from report.page import Section, Settings, write_page
 
 OUT = Path(__file__).resolve().parent.parent / "docs" / "validation"
@@ -28,8 +28,18 @@ SECTIONS: dict[str, Callable[[Settings], Section]] = {
     "finite-elements": finite_elements.section,
     "registration": registration.section,
     "analytic": analytic.section,
+    "volumes": bricks.section,
 }
-ORDER = ("paper", "levels", "metropolis", "finite-elements", "registration", "analytic", "speed")
+ORDER = (
+    "paper",
+    "levels",
+    "metropolis",
+    "finite-elements",
+    "registration",
+    "analytic",
+    "volumes",
+    "speed",
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -78,7 +78,8 @@ def direct_solution(problem, poisson, locking=False, load=None, held=None):
     right = -(matrix @ field)
     if load is not None:
         right += load.ravel() * problem.unit**2
-    field += basis @ spl.spsolve((basis.T @ matrix @ basis).tocsc(), basis.T @ right)
+    reduced = (basis.T @ matrix @ basis).tocsc()
+    field += basis @ spl.spsolve(reduced, basis.T @ right, permc_spec="MMD_AT_PLUS_A")
     return field.reshape(*problem.shape, 3)
 
 

@@ -155,11 +155,13 @@ def test_every_kind_of_problem_comes_up():
 def test_a_report_counts_and_says_how_to_see_each_again(answer, capsys, tmp_path):
     answer(ConvergenceError("not within 0.001 px"))
     page = tmp_path / "trust.md"
-    assert trust.main(["--loops", "3", "--shaders", "0", "--seed", "5", "--page", str(page)]) == 1
+    some = ["--loops", "3", "--shaders", "0", "--volumes", "2", "--seed", "5"]
+    assert trust.main([*some, "--page", str(page)]) == 1
     said, written = capsys.readouterr().out, page.read_text(encoding="utf-8")
     for text in (said, written):
         assert "3 problems of seed 5 (3 on cpu)" in text
         assert "saying “not within # px”" in text
+        assert "Of 2 random volumes" in text
         assert "`--seed 5 --only " in text
     assert written.startswith("# Random problems against exact solutions\n")
 

@@ -85,7 +85,7 @@ class Follower:
         self._newest = Newest(self._on_seen)
         self._repainted = Repainted(self._on_repainted)
         self._engine = Engine(self._deliver, _FOLLOWING, self._overlay)
-        # Whether what was submitted is not painted yet, whether that takes so long that nothing waits
+        # Whether what was submitted is not painted yet, whether it takes so long that nothing waits
         # for it, and the newest that waits.
         self._behind = self._long = False
         self._next: tuple[Study, str, Plane | None] | None = None

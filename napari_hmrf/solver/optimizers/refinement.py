@@ -35,6 +35,8 @@ _IN_DOUBLE = 8
 _BELIEVABLE = 3.0
 # How much more doubtful a problem may be than its rehearsal was, and any volume is.
 _MARGIN = 4.0
+# And how much more one is that is not mild.
+_VOLUME_MARGIN = 1.5
 _REHEARSAL_CYCLES = 40
 # What a round of a rehearsal must leave of its error at most, for another one.
 _GAIN = 0.5
@@ -168,6 +170,8 @@ class Refinement:
         sees_bodies = model.bodies is None or (moves is not None and not moves.close)
         sure = self._mild and not volume and model.material.compressible and sees_bodies
         doubt = 1.0 if sure else max(_MARGIN * found.doubt, _MARGIN if volume else 1.0)
+        if volume and not self._mild:
+            doubt *= _VOLUME_MARGIN
         if moves is not None and moves.close:
             doubt *= _MARGIN
         while True:

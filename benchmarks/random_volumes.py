@@ -1,0 +1,88 @@
+"""Small volumes of every kind, drawn at random and compared with a direct solve.
+
+The matrix of that is one that scikit-fem assembled, or for the paper's model that of `line_oracle`.
+Every other volume is solved as if it were too large for factors, so that cycles and factors are
+tried alike.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from line_oracle import field_of_means
+from volume_oracle import direct_solution
+
+from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, solve
+from napari_hmrf.errors import ConvergenceError, ProblemError
+from napari_hmrf.solver.backends.factors import Factors
+
+TOLERANCE = 0.01
+#: What became of a volume, if it must not.
+WRONG = "are WRONG"
+# What is stored in single precision is rounded.
+_ROUNDED = 1e-6
+
+
+def random_volume(seed: int) -> tuple[Any, ...]:
+    """What a problem is made of, its spacing, and Poisson's ratio."""
+    draw = np.random.default_rng(seed)
+    shape = tuple(draw.integers(2, 14, 3))
+    size, ratio = draw.integers(1, 5), 10 ** draw.choice([0, 0.3, 0.7, 1, 2, 3, 4, 5, 6])
+    coarse = draw.random(tuple(-(-extent // size) for extent in shape))
+    blobs = np.kron(coarse, np.ones((size, size, size)))[tuple(map(slice, shape))]
+    m = np.where(blobs > draw.uniform(0, 0.7), ratio, 1.0) if draw.random() < 0.5 else ratio**blobs
+    if draw.random() < 0.5:
+        m[blobs < draw.uniform(0, 0.3)] = 0
+    held = draw.random(shape) < draw.choice([0.002, 0.02, 0.2])
+    held[[0, -1][: draw.integers(3)]] = True
+    y, c = np.zeros((*shape, 3)), np.zeros((*shape, 3))
+    c[held] = 1
+    y[held] = draw.normal(size=3) + draw.integers(2) * draw.normal(size=(held.sum(), 3)) / 2
+    spacing = (1.0, 1.0, 1.0) if draw.random() < 0.5 else tuple(draw.uniform(0.5, 2, 3))
+    poisson = draw.choice([0, 0.3, 0.45, 0.49, 0.499])
+    each = (draw.random(shape) * 0.499).astype(np.float32)
+    nu = each if draw.random() < 0.2 else float(poisson)
+    if draw.random() < 0.2:
+        m[(blobs > draw.uniform(0.8, 0.98)) & (m > 0) & ~held] = np.inf
+    return y * spacing, c, m, spacing, nu
+
+
+def judged(seed: int, paper: bool = False) -> tuple[str, str]:
+    """What became of a random volume, and in what it is remarkable."""
+    y, c, m, spacing, poisson = random_volume(seed)
+    no_factors = patch.object(Factors, "fit", staticmethod(lambda shape: False))
+    try:
+        problem = Problem(y, c, m, spacing=spacing)
+        prior = SeilerPrior() if paper else ElasticPrior(poisson)
+        optimizer = Multigrid(TOLERANCE)
+        if seed % 2:
+            with no_factors:
+                found = solve(problem, prior, optimizer=optimizer, backend="cpu")
+        else:
+            found = solve(problem, prior, optimizer=optimizer, backend="cpu")
+    except ProblemError:
+        return "have not one answer", ""
+    except ConvergenceError as error:
+        return "are refused, as cycles cannot be sure", f"volume {seed}: {error}"
+    truth = field_of_means(problem) if paper else direct_solution(problem, poisson)
+    apart = np.abs(found.displacement - truth)[problem.tissue].max() / problem.unit
+    assert found.convergence is not None
+    if apart > found.convergence.error + _ROUNDED:
+        return WRONG, f"volume {seed}: {apart:.2g}, reported {found.convergence.error:.2g}"
+    return f"are right, by {found.convergence.way}", ""
+
+
+def judge(seeds: range, paper: bool = False) -> tuple[str, int]:
+    """What became of random volumes, in words, and how many are wrong."""
+    became: Counter[str] = Counter()
+    remarks = []
+    for seed in seeds:
+        what, remark = judged(seed, paper)
+        became[what] += 1
+        remarks += [remark] if remark else []
+    told = ", ".join(f"{count} {what}" for what, count in became.most_common())
+    model = " in the paper's model" if paper else ""
+    return "\n".join([f"Of {len(seeds)} random volumes{model} {told}.", *remarks]), became[WRONG]
