@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from napari_hmrf.field.deformation import smallest_determinant
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.warp import warp
 from napari_hmrf.solver.backends import compiler, kept, loops
@@ -71,7 +72,7 @@ def jobs() -> list[Job]:
         solving("blanket-schedule", blanket, schedule, square),
         solving("blanket-converged", blanket, Multigrid(), square),
         solving("exact-steps", SeilerPrior(), ICM(iterations=2, steps=None), square),
-        Job("volume", _volume),
+        Job(loops.VOLUMES, _volume),
     ]
 
 
@@ -89,7 +90,9 @@ def _volume() -> None:
     c = np.zeros((_SLICES, _SLICES, _SLICES, 3))
     c[0] = c[-1] = 1
     solve(Problem(c, c, np.ones(c.shape[:3])), ElasticPrior(0.3), backend="cpu")
-    warp(c[..., 0], c)
+    for kind in (np.float32, np.float64):
+        warp(c[..., 0].astype(kind), c)
+    smallest_determinant(c)
 
 
 def _pictures() -> None:

@@ -16,6 +16,8 @@ _LOOPS = Path(__file__).parent / "cpu"
 _PACKAGE = "napari_hmrf"
 #: The modules of loops that move pictures.
 PICTURES = (f"{_PACKAGE}.field.interpolation", f"{_PACKAGE}.field.triangle_raster")
+#: Those of loops that move volumes.
+VOLUMES = (f"{_PACKAGE}.field.tetrahedron_raster", f"{_PACKAGE}.field.volume_loops")
 #: Jobs of `napari_hmrf.compiling` that are done only for those who ask for them.
 APART = ("volume",)
 #: What tells numba where to keep loops.
@@ -28,6 +30,7 @@ def modules() -> tuple[str, ...]:
     solver = f"{__package__}.{_LOOPS.name}"
     return (
         *PICTURES,
+        *VOLUMES,
         *(f"{solver}.{path.stem}" for path in _files(_LOOPS) if path.stem != "__init__"),
     )
 
@@ -103,7 +106,7 @@ def _temporary() -> Path:
 def _key() -> str:
     """What loops are compiled from, by and for."""
     made = hashlib.sha256(sources())
-    for name in PICTURES:
+    for name in PICTURES + VOLUMES:
         made.update(_LOOPS.parents[3].joinpath(*name.split(".")).with_suffix(".py").read_bytes())
     for package in ("numba", "llvmlite", "numpy"):
         with suppress(PackageNotFoundError):

@@ -20,12 +20,23 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.backends import kept, loader
 
-__all__ = ["HERE", "compile_here", "in_use", "only_read", "ready", "ready_for_pictures", "use"]
+__all__ = [
+    "HERE",
+    "compile_here",
+    "in_use",
+    "only_read",
+    "ready",
+    "ready_for_pictures",
+    "ready_for_volumes",
+    "use",
+]
 
 #: What tells each process to compile for itself, if it is "here".
 HERE = "NAPARI_HMRF_COMPILE"
 #: The job of `napari_hmrf.compiling` that brings what moves pictures.
 PICTURES = "pictures"
+#: The one that brings what solves volumes and what moves them.
+VOLUMES = "volume"
 
 
 @dataclass
@@ -43,6 +54,7 @@ class _State:
 
     solver = _Part()
     pictures = _Part()
+    volumes = _Part()
     #: Whether it compiles what it needs, as no other process can.
     alone = False
 
@@ -77,6 +89,11 @@ def ready_for_pictures() -> bool:
     return _ready(_State.pictures, PICTURES)
 
 
+def ready_for_volumes() -> bool:
+    """Whether volumes can be looked up by loops at once; if so, they are from now on."""
+    return _ready(_State.volumes, VOLUMES)
+
+
 def _ready(part: _Part, job: str = "") -> bool:
     """Whether some loops can be computed with."""
     # To load them takes as long as a few pictures. A process that has not computed yet does it when
@@ -84,7 +101,7 @@ def _ready(part: _Part, job: str = "") -> bool:
     if part.in_use or compile_here():
         return True
     if part.begun_without:
-        part.in_use = kept.mark().exists() and loader.loaded()
+        part.in_use = kept.mark().exists() and kept.compiled(job) and loader.loaded()
     else:
         part.in_use = kept.compiled(job)
         part.begun_without = not part.in_use
