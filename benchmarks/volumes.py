@@ -1,6 +1,7 @@
 """Volumes: how long they take, beside PyAMG, and whether what is reported holds.
 
-    python benchmarks/volumes.py [--sizes 64 128] [--pyamg 48] [--head 190] [--random 300]
+    python benchmarks/volumes.py [--sizes 64 128] [--pyamg 48] [--head 190]
+        [--random 300] [--seed 0]
 
 Prints the CPU seconds of one thread, set-up included, until no voxel is further than 0.01 from the
 converged field. PyAMG (smoothed aggregation, rigid-body modes, conjugate gradients) takes as many

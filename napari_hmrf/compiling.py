@@ -19,6 +19,7 @@ import numpy as np
 
 from napari_hmrf.field.deformation import smallest_determinant
 from napari_hmrf.field.live_warp import Picture, Warper
+from napari_hmrf.field.strain import small_strain
 from napari_hmrf.field.warp import warp
 from napari_hmrf.solver.backends import compiler, kept, loops
 from napari_hmrf.solver.backends.compiler import Stage
@@ -93,6 +94,7 @@ def _volume() -> None:
     for kind in (np.float32, np.float64):
         warp(c[..., 0].astype(kind), c)
     smallest_determinant(c)
+    small_strain(c)
 
 
 def _pictures() -> None:

@@ -12,6 +12,11 @@ from napari_hmrf.field.deformation import (
     smallest_determinant,
 )
 from napari_hmrf.field.resample import resample
+from napari_hmrf.field.strain import (
+    deformation_gradient,
+    green_lagrange_strain,
+    small_strain,
+)
 from napari_hmrf.field.warp import inverse_raster, moved_sites
 from napari_hmrf.solver.backends import loops
 
@@ -99,6 +104,16 @@ def test_determinants_are_those_of_numpy(kind, shape, monkeypatch):
         np.testing.assert_array_equal(one, each())
     if kind == "rough":
         assert (found[0] <= 0).any()
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
+def test_strains_are_those_of_numpy(kind, monkeypatch):
+    d, tissue = moving(kind, shape=(10, 4, 5))
+    asked = deformation_gradient, small_strain, green_lagrange_strain
+    found = [each(d, spacing=SIZE, tissue=tissue) for each in asked]
+    monkeypatch.setattr(loops, "ready_for_volumes", lambda: False)
+    for one, each in zip(found, asked, strict=True):
+        np.testing.assert_array_equal(one, each(d, spacing=SIZE, tissue=tissue))
 
 
 KINDS = ["u1", "i2", "u2", "i4", "i8", "u8", "f2", "f4", "f8", ">f4", ">i8", "bool"]

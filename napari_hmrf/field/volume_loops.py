@@ -168,3 +168,45 @@ def determinants(moved, tissue, kind):
                 else:
                     made[plane, row, col] = (a + b + c + d + e + f + g + h) / 8
     return made
+
+
+@numba.njit(**_kept)
+def gradients(moved, tissue, sizes):
+    """Find the gradient of the displacement at each site of a volume's tissue, one after the other.
+
+    On the caller's thread, as `determinants`.
+
+    Parameters
+    ----------
+    moved : ndarray, shape (D, H, W, 3), float64
+    tissue : ndarray, shape (D, H, W), bool
+        Of `moved_sites`.
+    sizes : ndarray, shape (3,)
+        Size of a voxel along each axis.
+
+    Returns
+    -------
+    ndarray, shape (N, 3, 3), float64
+        H[..., i, j] = dd_i / dX_j, without a unit.
+    """
+    depth, height, width = tissue.shape
+    found = np.empty((tissue.sum(), 3, 3))
+    number = 0
+    for plane in range(depth):
+        for row in range(height):
+            for col in range(width):
+                if not tissue[plane, row, col]:
+                    continue
+                along = (
+                    _steps(moved, tissue, plane, row, col, 1, 0, 0),
+                    _steps(moved, tissue, plane, row, col, 0, 1, 0),
+                    _steps(moved, tissue, plane, row, col, 0, 0, 1),
+                )
+                for j in range(3):
+                    following, previous = along[j]
+                    for i in range(3):
+                        unstrained = 1.0 if i == j else 0.0
+                        mean = (following[i] + previous[i]) / 2 - unstrained
+                        found[number, i, j] = mean * (sizes[i] / sizes[j])
+                number += 1
+    return found

@@ -24,7 +24,7 @@ LOOPS = {
     "blanket-schedule": 3,
     "blanket-converged": 19,
     "exact-steps": 3,
-    "volume": 19,
+    "volume": 20,
     "": 62,
 }
 
