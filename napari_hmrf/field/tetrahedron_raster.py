@@ -34,8 +34,6 @@ _ROUND = (1.0, -1.0, -1.0, 1.0, 1.0, -1.0)
 # One step along each axis, and the pairs of these that squares have for sides.
 _UNITS = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 _PAIRS = ((0, 1), (0, 2), (1, 2))
-# The axes in whose order they lead there: of a place within one the shares along them descend.
-_WAYS = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
 # Steps of the corners of a cell may differ by so many voxels, all axes together, and none of its
 # tetrahedra be turned over: below 1 no matrix of three of its edges can be singular.
 _ALIKE = 0.9
@@ -156,8 +154,8 @@ def _steps_of(moved, plane, row, col):
 
 
 @_callee
-def _shares(moved, plane, row, col, way, z, y, x):
-    """Of a tetrahedron's corners but the first: how far a place is towards each."""
+def _claims(moved, source, state, plane, row, col, way, to_plane, to_row, to_col):
+    """Draw a tetrahedron that kept its orientation onto one voxel; whether it lies there."""
     b0, b1, b2 = _SECOND[way]
     c0, c1, c2 = _THIRD[way]
     az, ay, ax = moved[plane, row, col, 0], moved[plane, row, col, 1], moved[plane, row, col, 2]
@@ -170,13 +168,21 @@ def _shares(moved, plane, row, col, way, z, y, x):
     dz = moved[plane + 1, row + 1, col + 1, 0] - az
     dy = moved[plane + 1, row + 1, col + 1, 1] - ay
     dx = moved[plane + 1, row + 1, col + 1, 2] - ax
-    z, y, x = z - az, y - ay, x - ax
+    z, y, x = to_plane - az, to_row - ay, to_col - ax
     bnz, bny, bnx = cy * dx - cx * dy, cx * dz - cz * dx, cz * dy - cy * dz
     part = 1.0 / (bz * bnz + by * bny + bx * bnx)
     to_b = part * (z * bnz + y * bny + x * bnx)
     to_c = part * (z * (dy * bx - dx * by) + y * (dx * bz - dz * bx) + x * (dz * by - dy * bz))
     to_d = part * (z * (by * cx - bx * cy) + y * (bx * cz - bz * cx) + x * (bz * cy - by * cz))
-    return to_b, to_c, to_d
+    if min(to_b, to_c, to_d) < -_SIDE or to_b + to_c + to_d > 1 + _SIDE:
+        return False
+    _mark(
+        source, state, 2, to_plane, to_row, to_col,
+        plane + to_b * b0 + to_c * c0 + to_d,
+        row + to_b * b1 + to_c * c1 + to_d,
+        col + to_b * b2 + to_c * c2 + to_d,
+    )  # fmt: skip
+    return True
 
 
 @_callee
@@ -198,26 +204,26 @@ def _draw_alike(moved, source, state, first, past, plane, row, col, least, most)
                 if shifted:
                     _mark(source, state, 2, z, y, x, z - least[0], y - least[1], x - least[2])
                     continue
-                offset = z - plane, y - row, x - col
-                for way in range(6):
-                    one, two, three = _WAYS[way]
-                    middle = offset[two]
-                    if offset[one] - least[one] < middle - most[two] - 2 * _SIDE:
-                        continue
-                    if middle - least[two] < offset[three] - most[three] - 2 * _SIDE:
-                        continue
-                    to_b, to_c, to_d = _shares(moved, plane, row, col, way, z, y, x)
-                    if min(to_b, to_c, to_d) < -_SIDE or to_b + to_c + to_d > 1 + _SIDE:
-                        continue
-                    b0, b1, b2 = _SECOND[way]
-                    c0, c1, c2 = _THIRD[way]
-                    _mark(
-                        source, state, 2, z, y, x,
-                        plane + to_b * b0 + to_c * c0 + to_d,
-                        row + to_b * b1 + to_c * c1 + to_d,
-                        col + to_b * b2 + to_c * c2 + to_d,
-                    )  # fmt: skip
-                    break
+                # Whether its share along the first of two axes may be as large as the other's.
+                deep, down, along = z - plane, y - row, x - col
+                zy = deep - least[0] > down - most[1] - 2 * _SIDE
+                yz = down - least[1] > deep - most[0] - 2 * _SIDE
+                zx = deep - least[0] > along - most[2] - 2 * _SIDE
+                xz = along - least[2] > deep - most[0] - 2 * _SIDE
+                yx = down - least[1] > along - most[2] - 2 * _SIDE
+                xy = along - least[2] > down - most[1] - 2 * _SIDE
+                if zy and yx and _claims(moved, source, state, plane, row, col, 0, z, y, x):
+                    continue
+                if zx and xy and _claims(moved, source, state, plane, row, col, 1, z, y, x):
+                    continue
+                if yz and zx and _claims(moved, source, state, plane, row, col, 2, z, y, x):
+                    continue
+                if yx and xz and _claims(moved, source, state, plane, row, col, 3, z, y, x):
+                    continue
+                if xz and zy and _claims(moved, source, state, plane, row, col, 4, z, y, x):
+                    continue
+                if xy and yz:
+                    _claims(moved, source, state, plane, row, col, 5, z, y, x)
 
 
 @_callee
