@@ -73,7 +73,7 @@ def jobs() -> list[Job]:
         solving("blanket-schedule", blanket, schedule, square),
         solving("blanket-converged", blanket, Multigrid(), square),
         solving("exact-steps", SeilerPrior(), ICM(iterations=2, steps=None), square),
-        Job(loops.VOLUMES, _volume),
+        Job("volume", _volume),
     ]
 
 

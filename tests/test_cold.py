@@ -62,7 +62,6 @@ def cold(monkeypatch, tmp_path):
     monkeypatch.setattr(kept, "folder", lambda: tmp_path)
     monkeypatch.setattr(loops._State, "solver", loops._Part())
     monkeypatch.setattr(loops._State, "pictures", loops._Part())
-    monkeypatch.setattr(loops._State, "volumes", loops._Part())
     monkeypatch.setattr(loops._State, "alone", False)
     monkeypatch.setattr(compiler._State, "compiler", None)
     monkeypatch.setattr(compiler, "_started", Compiler)
@@ -365,11 +364,10 @@ def test_where_nothing_can_be_kept_shaders_go_on(cold, monkeypatch, tmp_path):
     assert not loops.ready()
 
 
-def test_what_volumes_take_is_done_without_loops_until_those_are_kept(cold, monkeypatch):
+def test_what_volumes_take_is_done_without_loops_until_those_are_kept(cold):
     kept.mark().touch()
     assert loops.ready_for_pictures()
     assert not loops.ready_for_volumes()
-    monkeypatch.setattr(loops._State, "volumes", loops._Part())
     kept.mark("volume").touch()
     assert loops.ready_for_volumes()
 

@@ -16,12 +16,18 @@ _LOOPS = Path(__file__).parent / "cpu"
 _PACKAGE = "napari_hmrf"
 #: The modules of loops that move pictures.
 PICTURES = (f"{_PACKAGE}.field.interpolation", f"{_PACKAGE}.field.triangle_raster")
-#: Those of loops that move volumes.
-VOLUMES = (f"{_PACKAGE}.field.tetrahedron_raster", f"{_PACKAGE}.field.volume_loops")
-#: Jobs of `napari_hmrf.compiling` that are done only for those who ask for them.
-APART = ("volume",)
+#: The job of `napari_hmrf.compiling` that brings what solves volumes.
+VOLUMES = "volume"
+#: Its jobs that are done only for those who ask for them.
+APART = (VOLUMES,)
 #: What tells numba where to keep loops.
 _TOLD = "NUMBA_CACHE_DIR"
+#: The modules of all loops that move something.
+_MOTION = (
+    *PICTURES,
+    f"{_PACKAGE}.field.tetrahedron_raster",
+    f"{_PACKAGE}.field.volume_loops",
+)
 
 
 @cache
@@ -29,8 +35,7 @@ def modules() -> tuple[str, ...]:
     """The names of all modules that may have loops."""
     solver = f"{__package__}.{_LOOPS.name}"
     return (
-        *PICTURES,
-        *VOLUMES,
+        *_MOTION,
         *(f"{solver}.{path.stem}" for path in _files(_LOOPS) if path.stem != "__init__"),
     )
 
@@ -106,7 +111,7 @@ def _temporary() -> Path:
 def _key() -> str:
     """What loops are compiled from, by and for."""
     made = hashlib.sha256(sources())
-    for name in PICTURES + VOLUMES:
+    for name in _MOTION:
         made.update(_LOOPS.parents[3].joinpath(*name.split(".")).with_suffix(".py").read_bytes())
     for package in ("numba", "llvmlite", "numpy"):
         with suppress(PackageNotFoundError):

@@ -35,8 +35,6 @@ __all__ = [
 HERE = "NAPARI_HMRF_COMPILE"
 #: The job of `napari_hmrf.compiling` that brings what moves pictures.
 PICTURES = "pictures"
-#: The one that brings what solves volumes and what moves them.
-VOLUMES = "volume"
 
 
 @dataclass
@@ -54,7 +52,6 @@ class _State:
 
     solver = _Part()
     pictures = _Part()
-    volumes = _Part()
     #: Whether it compiles what it needs, as no other process can.
     alone = False
 
@@ -90,8 +87,8 @@ def ready_for_pictures() -> bool:
 
 
 def ready_for_volumes() -> bool:
-    """Whether volumes can be looked up by loops at once; if so, they are from now on."""
-    return _ready(_State.volumes, VOLUMES)
+    """Whether volumes can be solved with loops at once."""
+    return compile_here() or kept.compiled(kept.VOLUMES)
 
 
 def _ready(part: _Part, job: str = "") -> bool:
@@ -101,7 +98,7 @@ def _ready(part: _Part, job: str = "") -> bool:
     if part.in_use or compile_here():
         return True
     if part.begun_without:
-        part.in_use = kept.mark().exists() and kept.compiled(job) and loader.loaded()
+        part.in_use = kept.mark().exists() and loader.loaded()
     else:
         part.in_use = kept.compiled(job)
         part.begun_without = not part.in_use
