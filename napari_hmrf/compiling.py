@@ -17,7 +17,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from napari_hmrf.field.deformation import smallest_determinant
 from napari_hmrf.field.live_warp import Picture, Warper
+from napari_hmrf.field.strain import small_strain
 from napari_hmrf.field.warp import warp
 from napari_hmrf.solver.backends import compiler, kept, loops
 from napari_hmrf.solver.backends.compiler import Stage
@@ -92,7 +94,10 @@ def _volume(prior: Any, optimizer: Any) -> None:
     c[0] = c[-1] = 1
     solve(Problem(c, c, np.ones(c.shape[:3])), prior, optimizer=optimizer, backend="cpu")
     if isinstance(prior, ElasticPrior):
-        warp(c[..., 0], c)
+        for kind in (np.float32, np.float64):
+            warp(c[..., 0].astype(kind), c)
+        smallest_determinant(c)
+        small_strain(c)
 
 
 def _pictures() -> None:

@@ -364,6 +364,14 @@ def test_where_nothing_can_be_kept_shaders_go_on(cold, monkeypatch, tmp_path):
     assert not loops.ready()
 
 
+def test_what_volumes_take_is_done_without_loops_until_those_are_kept(cold):
+    kept.mark().touch()
+    assert loops.ready_for_pictures()
+    assert not loops.ready_for_volumes()
+    kept.mark("volume").touch()
+    assert loops.ready_for_volumes()
+
+
 def test_loops_for_volumes_are_compiled_only_for_who_waits_for_them(cold, monkeypatch):
     done = []
     names = ["elastic", "volume"]

@@ -6,8 +6,9 @@ Segments and arrows are in pixels, in the order of the axes, as napari's Vectors
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import product
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -15,11 +16,15 @@ import numpy.typing as npt
 from napari_hmrf.arguments import is_whole, real, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.warp import BoolArray, Float64Array, as_field, checked_sizes, moved_sites
+from napari_hmrf.solver.backends import loader, loops
 
 FloatArray = npt.NDArray[np.float32]
 
 # Rows that are looked at together, and planes of a volume.
 _STRIP, _SLAB = 64, 8
+# What can become of the determinants around a site, as the loop for volumes counts them.
+_Kind = Literal["smallest", "mean", "mean or fold"]
+_KINDS: tuple[_Kind, ...] = get_args(_Kind)
 # Lines that are farther apart than any image is large.
 _FAR = 2**31
 # What moves by less than this part of the farthest has no arrow beside others: it would be a dot.
@@ -81,7 +86,7 @@ def jacobian_determinant(
     """
     moved, mask = moved_sites(displacement, spacing, tissue)
     # The mean over the quadrants around a site is the determinant of its central differences.
-    return _over_quadrants(lambda each: np.add.reduce(each) / len(each), moved, mask)
+    return _over_quadrants("mean", moved, mask)
 
 
 def count_folds(
@@ -132,7 +137,7 @@ def smallest_determinant(
         Naming the input at fault.
     """
     moved, mask = moved_sites(displacement, spacing, tissue)
-    return _over_quadrants(np.minimum.reduce, moved, mask)
+    return _over_quadrants("smallest", moved, mask)
 
 
 def determinant_or_fold(
@@ -141,12 +146,7 @@ def determinant_or_fold(
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
     """The `jacobian_determinant`; at folds the `smallest_determinant`, which is 0 or below."""
-
-    def value(each: list[Float64Array]) -> Float64Array:
-        smallest, mean = np.minimum.reduce(each), np.add.reduce(each) / len(each)
-        return np.asarray(np.where(smallest <= 0, smallest, mean))
-
-    return _over_quadrants(value, *moved_sites(displacement, spacing, tissue))
+    return _over_quadrants("mean or fold", *moved_sites(displacement, spacing, tissue))
 
 
 def deformation_grid(
@@ -356,19 +356,31 @@ def _lattice(sites: float, spacing: Float64Array) -> tuple[int, ...]:
     return row, col
 
 
-def _over_quadrants(
-    reduced: Callable[[list[Float64Array]], Float64Array], moved: Float64Array, mask: BoolArray
-) -> FloatArray:
+def _over_quadrants(kind: _Kind, moved: Float64Array, mask: BoolArray) -> FloatArray:
     """What becomes of the determinants of the quadrants around each site; NaN in void."""
+    if mask.ndim == 3 and loops.ready_for_volumes():
+        loader.before_numba()
+        from napari_hmrf.field.volume_loops import determinants
+
+        found: FloatArray = determinants(moved, loops.only_read(mask), _KINDS.index(kind))
+        return found
     # Strip by strip, with a row of each neighbour: what lies between stays in the cache.
     made = np.full(mask.shape, np.nan, dtype=np.float32)
     strip = _STRIP if mask.ndim == 2 else _SLAB
     for begin in range(0, len(mask), strip):
         first, last = max(begin - 1, 0), begin + strip + 1
-        values = reduced(_quadrants(moved[first:last], mask[first:last]))
+        values = _reduced(kind, _quadrants(moved[first:last], mask[first:last]))
         inner = slice(begin, begin + strip)
         np.copyto(made[inner], values[begin - first :][:strip], where=mask[inner])
     return made
+
+
+def _reduced(kind: _Kind, each: list[Float64Array]) -> Float64Array:
+    """What becomes of the determinants of several quadrants."""
+    smallest, mean = np.minimum.reduce(each), np.add.reduce(each) / len(each)
+    if kind == "mean or fold":
+        return np.asarray(np.where(smallest <= 0, smallest, mean))
+    return np.asarray(smallest if kind == "smallest" else mean)
 
 
 def _quadrants(moved: Float64Array, mask: BoolArray) -> list[Float64Array]:

@@ -139,7 +139,7 @@ class Warper:
         """
         d, mask = self._checked(displacement, tissue, self.shape)
         if len(self.shape) == 3:
-            moved, _ = moved_sites(fraction * d.astype(np.float64), self._spacing, mask)
+            moved, _ = moved_sites(d, self._spacing, mask, fraction)
             source, state = inverse_raster(moved, mask)
             return [look.by_splines(source, state, mask) for look in self._looks]
         if not loops.ready_for_pictures():
@@ -235,7 +235,7 @@ class Warper:
         self, d: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], fraction: float
     ) -> list[npt.NDArray[Any]]:
         """Move the pictures by NumPy and SciPy."""
-        moved, _ = moved_sites(fraction * d.astype(np.float64), self._spacing, mask)
+        moved, _ = moved_sites(d, self._spacing, mask, fraction)
         source, state = triangle_arrays.rasterise(moved, mask)
         return [look.by_splines(source, state, mask) for look in self._looks]
 
@@ -301,13 +301,13 @@ class _Look:
         state: npt.NDArray[np.uint8],
         tissue: npt.NDArray[np.bool_],
     ) -> npt.NDArray[Any]:
-        """Look it up with SciPy, which takes any type and order."""
-        still = ~tissue & (state == 0)
-        source = source.copy()
-        source[still] = np.argwhere(still)
-        return resample(
-            self._image, source, (state > 0) | still, order=self._order, fill=self._fill.item()
-        )
+        """Look it up with SciPy, which takes any type and order, or with the loop for volumes."""
+        covered = (state > 0) | ~tissue
+        if tissue.ndim == 2:
+            still = covered & (state == 0)
+            source = source.copy()
+            source[still] = np.argwhere(still)
+        return resample(self._image, source, covered, order=self._order, fill=self._fill.item())
 
     def slice(self, origins: SliceOrigins) -> npt.NDArray[Any]:
         """Look one slice of a volume up, as `by_splines` does."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ import scipy
 
 from napari_hmrf.arguments import real, shown
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.backends import loader, loops
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import as_numbers
 
 Float64Array = npt.NDArray[np.float64]
@@ -54,6 +57,13 @@ def resample(
             "coordinates",
             f"have shape {source.shape} and covered {there.shape}. Give both of an inverse_map.",
         )
+    picture = as_image(image, there.shape)
+    order = checked_order(order)
+    background = checked_fill(fill, picture.dtype)
+    if there.ndim == 3:
+        found = _by_loop(picture, source, there, order, background)
+        if found is not None:
+            return found
     known = np.asarray(np.isfinite(source).all(axis=-1))
     if not known.all():
         if (there & ~known).any():
@@ -63,12 +73,65 @@ def resample(
                 "Give both of an inverse_map.",
             )
         source = np.where(known[..., None], source, 0.0)
-    picture = as_image(image, there.shape)
-    order = checked_order(order)
-    background = checked_fill(fill, picture.dtype)
     moved = sampled(picture, source, order)
     moved[~there] = background
     return moved
+
+
+def _by_loop(
+    picture: npt.NDArray[Any],
+    source: Float64Array,
+    covered: BoolArray,
+    order: int,
+    background: npt.NDArray[Any],
+) -> npt.NDArray[Any] | None:
+    """A volume looked up by the compiled loop; None if that cannot do it, or is not there yet."""
+    kind = picture.dtype
+    nearest = order == 0 or kind.kind == "b"
+    # What is only copied may be taken for a number of its size, whatever that would be; others for
+    # those that hold all their values.
+    bits = nearest and kind.kind in "iu" and kind.itemsize == 8 and kind.isnative
+    taken = _numbers_for(kind)
+    if not (bits or taken) or not (nearest or order == 1) or not loops.ready_for_volumes():
+        return None
+    loader.before_numba()
+    from napari_hmrf.field.volume_loops import look_up
+
+    values = picture.view(np.float64) if bits else picture.astype(taken, copy=False)
+    values = np.ascontiguousarray(values).reshape(*covered.shape, -1)
+    smooth, gaps = values, False
+    if kind.kind == "f" and not nearest:
+        channels = [filled_in(channel) for channel in np.moveaxis(values, -1, 0)]
+        gaps = any(bad.any() for _, bad in channels)
+        if gaps:
+            smooth = np.stack([filled for filled, _ in channels], axis=-1)
+    moved = np.empty_like(values)
+    fill = background.view(np.float64) if bits else background.astype(taken)
+    looked_up = partial(
+        look_up,
+        loops.only_read(values),
+        loops.only_read(smooth),
+        gaps,
+        loops.only_read(np.ascontiguousarray(source)),
+        loops.only_read(np.ascontiguousarray(covered)),
+        nearest,
+        kind.kind != "f",
+        fill[()],
+        moved,
+    )
+    if not compute_thread.result_of(looked_up, "a volume to be looked up"):
+        return None
+    found = moved.view(kind) if bits else moved.astype(kind, copy=False)
+    return found.reshape(picture.shape)
+
+
+def _numbers_for(kind: np.dtype[Any]) -> str:
+    """What the loop for volumes takes a type for, which holds all its values; "" if it has none."""
+    for taken in ("float32", "float64"):
+        wide = kind.kind in "iu" and kind.itemsize == 8  # NumPy says that a double holds these
+        if np.can_cast(kind, taken) and not wide:
+            return taken
+    return ""
 
 
 def sampled(picture: npt.NDArray[Any], places: Float64Array, order: int) -> npt.NDArray[Any]:

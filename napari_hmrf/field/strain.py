@@ -33,6 +33,7 @@ from napari_hmrf.field.deformation import (
     smallest_determinant,
 )
 from napari_hmrf.field.warp import BoolArray, Float64Array, as_field, checked_sizes, moved_sites
+from napari_hmrf.solver.backends import loader, loops
 from napari_hmrf.solver.problem import as_numbers
 
 __all__ = [
@@ -81,9 +82,8 @@ def deformation_gradient(
     ProblemError
         Naming the input at fault.
     """
-    gradient = _displacement_gradient(displacement, spacing, tissue)
-    gradient += np.eye(gradient.shape[-1])
-    return gradient.astype(np.float32)
+    gradient, mask = _displacement_gradient(displacement, spacing, tissue)
+    return _on_sites(gradient + np.eye(mask.ndim), mask)
 
 
 def folds(
@@ -141,8 +141,8 @@ def small_strain(
     ProblemError
         Naming the input at fault.
     """
-    gradient = _displacement_gradient(displacement, spacing, tissue)
-    return _symmetric(gradient).astype(np.float32)
+    gradient, mask = _displacement_gradient(displacement, spacing, tissue)
+    return _on_sites(_symmetric(gradient), mask)
 
 
 def green_lagrange_strain(
@@ -170,11 +170,10 @@ def green_lagrange_strain(
     ProblemError
         Naming the input at fault.
     """
-    gradient = _displacement_gradient(displacement, spacing, tissue)
+    gradient, mask = _displacement_gradient(displacement, spacing, tissue)
     # (F^T F - I) / 2 by way of H: small strains are not lost beside the ones of I.
     product = np.einsum("...ki,...kj->...ij", gradient, gradient)
-    strain: FloatArray = (_symmetric(gradient) + product / 2).astype(np.float32)
-    return strain
+    return _on_sites(_symmetric(gradient) + product / 2, mask)
 
 
 def strain_values(
@@ -205,13 +204,16 @@ def strain_values(
         Naming the input at fault.
     """
     d = as_field(displacement)
-    mask = np.ones(d.shape[:-1], bool) if tissue is None else as_numbers("tissue", tissue)
+    mask = np.ones(d.shape[:-1], bool)
+    if tissue is not None:
+        mask = as_numbers("tissue", tissue).astype(bool)
     slab = len(d) if d.ndim == 3 else _SLAB
-    values = np.empty(d.shape[:-1], np.float32)
+    values = np.full(d.shape[:-1], np.nan, np.float32)
     for begin in range(0, len(d), slab):
         first, last = max(begin - 1, 0), begin + slab + 1
         strain = green_lagrange_strain(d[first:last], spacing=spacing, tissue=mask[first:last])
-        values[begin : begin + slab] = value(strain[begin - first :][:slab])
+        there = mask[begin : begin + slab]
+        values[begin : begin + slab][there] = value(strain[begin - first :][:slab][there])
     return values
 
 
@@ -318,16 +320,27 @@ def strain_through_slice(strain: npt.ArrayLike, poisson: npt.ArrayLike) -> Float
 
 def _displacement_gradient(
     displacement: npt.ArrayLike, spacing: Sequence[float] | None, tissue: npt.ArrayLike | None
-) -> Float64Array:
-    """H[..., i, j] = dd_i / dX_j without a unit; NaN where there is no tissue."""
+) -> tuple[Float64Array, BoolArray]:
+    """H[..., i, j] = dd_i / dX_j without a unit, of one site of the tissue after the other."""
     moved, mask = moved_sites(displacement, spacing, tissue)
+    sizes = checked_sizes(spacing, mask.ndim)
+    if mask.ndim == 3 and loops.ready_for_volumes():
+        loader.before_numba()
+        from napari_hmrf.field.volume_loops import gradients
+
+        return gradients(moved, loops.only_read(mask), sizes), mask
     gradient = np.empty((*moved.shape, mask.ndim))
     for axis, (following, previous) in enumerate(differences_along_axes(moved, mask)):
         gradient[..., axis] = (following + previous) / 2 - np.eye(mask.ndim)[axis]
-    sizes = checked_sizes(spacing, mask.ndim)
-    gradient *= sizes[:, None] / sizes  # from pixels to lengths: rows and columns may differ
-    gradient[~mask] = np.nan
-    return gradient
+    # From pixels to lengths: rows and columns may differ.
+    return gradient[mask] * (sizes[:, None] / sizes), mask
+
+
+def _on_sites(values: Float64Array, mask: BoolArray) -> FloatArray:
+    """What is known of the tissue, on all pixels; NaN where there is none."""
+    made = np.full((*mask.shape, *values.shape[1:]), np.nan, np.float32)
+    made[mask] = values
+    return made
 
 
 def _symmetric(tensor: Float64Array) -> Float64Array:

@@ -31,6 +31,12 @@ TWICE = 3
 _SECOND = ((1, 0, 0), (1, 0, 0), (0, 1, 0), (0, 1, 0), (0, 0, 1), (0, 0, 1))
 _THIRD = ((1, 1, 0), (1, 0, 1), (1, 1, 0), (0, 1, 1), (1, 0, 1), (0, 1, 1))
 _ROUND = (1.0, -1.0, -1.0, 1.0, 1.0, -1.0)
+# One step along each axis, and the pairs of these that squares have for sides.
+_UNITS = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+_PAIRS = ((0, 1), (0, 2), (1, 2))
+# Steps of the corners of a cell may differ by so many voxels, all axes together, and none of its
+# tetrahedra be turned over: below 1 no matrix of three of its edges can be singular.
+_ALIKE = 0.9
 
 
 @_callee
@@ -112,16 +118,112 @@ def _draw(moved, source, state, value, first, past, plane, row, col, way):
 
 
 @_callee
-def _is_whole(tissue, plane, row, col):
-    """Whether all corners of a cell are tissue; of one beyond the edge they are not."""
-    if min(plane, row, col) < 0:
+def _is_inner(tissue, plane, row, col):
+    """Whether a site lies between tissue on all sides, across corners too."""
+    depth, height, width = tissue.shape
+    if min(plane, row, col) < 1 or plane > depth - 2 or row > height - 2 or col > width - 2:
         return False
-    if plane > tissue.shape[0] - 2 or row > tissue.shape[1] - 2 or col > tissue.shape[2] - 2:
-        return False
-    for corner in range(8):
-        if not tissue[plane + corner // 4, row + corner // 2 % 2, col + corner % 2]:
-            return False
+    for i in range(plane - 1, plane + 2):
+        for j in range(row - 1, row + 2):
+            if not (tissue[i, j, col - 1] and tissue[i, j, col] and tissue[i, j, col + 1]):
+                return False
     return True
+
+
+@_callee
+def _is_face(tissue, plane, row, col):
+    """Whether the four sites of a cell's face across the columns are tissue."""
+    return (
+        tissue[plane, row, col]
+        and tissue[plane, row + 1, col]
+        and tissue[plane + 1, row, col]
+        and tissue[plane + 1, row + 1, col]
+    )
+
+
+@_callee
+def _steps_of(moved, plane, row, col):
+    """The least and the largest step of these four along each axis."""
+    least, most = (math.inf, math.inf, math.inf), (-math.inf, -math.inf, -math.inf)
+    for corner in range(4):
+        i, j = plane + corner // 2, row + corner % 2
+        z, y, x = moved[i, j, col, 0] - i, moved[i, j, col, 1] - j, moved[i, j, col, 2] - col
+        least = min(least[0], z), min(least[1], y), min(least[2], x)
+        most = max(most[0], z), max(most[1], y), max(most[2], x)
+    return least, most
+
+
+@_callee
+def _claims(moved, source, state, plane, row, col, way, to_plane, to_row, to_col):
+    """Draw a tetrahedron that kept its orientation onto one voxel; whether it lies there."""
+    b0, b1, b2 = _SECOND[way]
+    c0, c1, c2 = _THIRD[way]
+    az, ay, ax = moved[plane, row, col, 0], moved[plane, row, col, 1], moved[plane, row, col, 2]
+    bz = moved[plane + b0, row + b1, col + b2, 0] - az
+    by = moved[plane + b0, row + b1, col + b2, 1] - ay
+    bx = moved[plane + b0, row + b1, col + b2, 2] - ax
+    cz = moved[plane + c0, row + c1, col + c2, 0] - az
+    cy = moved[plane + c0, row + c1, col + c2, 1] - ay
+    cx = moved[plane + c0, row + c1, col + c2, 2] - ax
+    dz = moved[plane + 1, row + 1, col + 1, 0] - az
+    dy = moved[plane + 1, row + 1, col + 1, 1] - ay
+    dx = moved[plane + 1, row + 1, col + 1, 2] - ax
+    z, y, x = to_plane - az, to_row - ay, to_col - ax
+    bnz, bny, bnx = cy * dx - cx * dy, cx * dz - cz * dx, cz * dy - cy * dz
+    part = 1.0 / (bz * bnz + by * bny + bx * bnx)
+    to_b = part * (z * bnz + y * bny + x * bnx)
+    to_c = part * (z * (dy * bx - dx * by) + y * (dx * bz - dz * bx) + x * (dz * by - dy * bz))
+    to_d = part * (z * (by * cx - bx * cy) + y * (bx * cz - bz * cx) + x * (bz * cy - by * cz))
+    if min(to_b, to_c, to_d) < -_SIDE or to_b + to_c + to_d > 1 + _SIDE:
+        return False
+    _mark(
+        source, state, 2, to_plane, to_row, to_col,
+        plane + to_b * b0 + to_c * c0 + to_d,
+        row + to_b * b1 + to_c * c1 + to_d,
+        col + to_b * b2 + to_c * c2 + to_d,
+    )  # fmt: skip
+    return True
+
+
+@_callee
+def _draw_alike(moved, source, state, first, past, plane, row, col, least, most):
+    """Draw a whole cell whose corners make much the same step, as its tetrahedra would be."""
+    # What lies at a voxel came from it less a step between these: most often one tetrahedron can
+    # hold that, and no other is looked at. Of those that share a side the first has it.
+    _, height, width = state.shape
+    first_plane = math.ceil(max(1.0 * first, plane + least[0] - _SIDE))
+    last_plane = math.floor(min(past - 1.0, plane + 1 + most[0] + _SIDE))
+    first_row = math.ceil(max(0.0, row + least[1] - _SIDE))
+    last_row = math.floor(min(height - 1.0, row + 1 + most[1] + _SIDE))
+    first_col = math.ceil(max(0.0, col + least[2] - _SIDE))
+    last_col = math.floor(min(width - 1.0, col + 1 + most[2] + _SIDE))
+    shifted = least == most
+    for z in range(first_plane, last_plane + 1):
+        for y in range(first_row, last_row + 1):
+            for x in range(first_col, last_col + 1):
+                if shifted:
+                    _mark(source, state, 2, z, y, x, z - least[0], y - least[1], x - least[2])
+                    continue
+                # Whether its share along the first of two axes may be as large as the other's.
+                deep, down, along = z - plane, y - row, x - col
+                zy = deep - least[0] > down - most[1] - 2 * _SIDE
+                yz = down - least[1] > deep - most[0] - 2 * _SIDE
+                zx = deep - least[0] > along - most[2] - 2 * _SIDE
+                xz = along - least[2] > deep - most[0] - 2 * _SIDE
+                yx = down - least[1] > along - most[2] - 2 * _SIDE
+                xy = along - least[2] > down - most[1] - 2 * _SIDE
+                if zy and yx and _claims(moved, source, state, plane, row, col, 0, z, y, x):
+                    continue
+                if zx and xy and _claims(moved, source, state, plane, row, col, 1, z, y, x):
+                    continue
+                if yz and zx and _claims(moved, source, state, plane, row, col, 2, z, y, x):
+                    continue
+                if yx and xz and _claims(moved, source, state, plane, row, col, 3, z, y, x):
+                    continue
+                if xz and zy and _claims(moved, source, state, plane, row, col, 4, z, y, x):
+                    continue
+                if xy and yz:
+                    _claims(moved, source, state, plane, row, col, 5, z, y, x)
 
 
 @_callee
@@ -135,9 +237,49 @@ def _reaches(moved, first, past, plane, row, col):
 
 
 @_callee
+def _draw_cell(moved, tissue, source, state, value, first, past, plane, row, col):
+    """Draw the tetrahedra of a cell one by one; whether one was turned over."""
+    turned = False
+    if not (tissue[plane, row, col] and tissue[plane + 1, row + 1, col + 1]):
+        return False
+    if not _reaches(moved, first, past, plane, row, col):
+        return False
+    for way in range(6):
+        b0, b1, b2 = _SECOND[way]
+        c0, c1, c2 = _THIRD[way]
+        if tissue[plane + b0, row + b1, col + b2] and tissue[plane + c0, row + c1, col + c2]:
+            turned |= _draw(moved, source, state, value, first, past, plane, row, col, way)
+    return turned
+
+
+@_callee
+def _draw_row(moved, tissue, source, state, value, first, past, plane, row):
+    """Draw a row of cells; whether a tetrahedron was turned over."""
+    turned = whole = False
+    nothing = 0.0, 0.0, 0.0
+    least, most = nothing, nothing
+    for col in range(-1, tissue.shape[2] - 1):
+        # The face behind a cell is the one before the next.
+        begins, low, high = whole, least, most
+        whole = _is_face(tissue, plane, row, col + 1)
+        if whole:
+            least, most = _steps_of(moved, plane, row, col + 1)
+        if begins and whole:
+            low = min(low[0], least[0]), min(low[1], least[1]), min(low[2], least[2])
+            high = max(high[0], most[0]), max(high[1], most[1]), max(high[2], most[2])
+            if high[0] - low[0] + high[1] - low[1] + high[2] - low[2] < _ALIKE:
+                if value == 2:
+                    _draw_alike(moved, source, state, first, past, plane, row, col, low, high)
+                continue
+        if col >= 0:
+            turned |= _draw_cell(moved, tissue, source, state, value, first, past, plane, row, col)
+    return turned
+
+
+@_callee
 def _tetrahedra(moved, tissue, source, state, reach, first, past):
     """Draw all tetrahedra onto the planes of voxels from `first` to before `past`."""
-    depth, height, width = tissue.shape
+    depth, height, _ = tissue.shape
     turned = True
     for value in (2, 1):
         if not turned:
@@ -149,22 +291,7 @@ def _tetrahedra(moved, tissue, source, state, reach, first, past):
             if max(reach[plane, 1], reach[plane + 1, 1]) < first - 1:
                 continue
             for row in range(height - 1):
-                for col in range(width - 1):
-                    if not (tissue[plane, row, col] and tissue[plane + 1, row + 1, col + 1]):
-                        continue
-                    if not _reaches(moved, first, past, plane, row, col):
-                        continue
-                    whole = _is_whole(tissue, plane, row, col)
-                    for way in range(6):
-                        b0, b1, b2 = _SECOND[way]
-                        c0, c1, c2 = _THIRD[way]
-                        if whole or (
-                            tissue[plane + b0, row + b1, col + b2]
-                            and tissue[plane + c0, row + c1, col + c2]
-                        ):
-                            turned |= _draw(
-                                moved, source, state, value, first, past, plane, row, col, way
-                            )
+                turned |= _draw_row(moved, tissue, source, state, value, first, past, plane, row)
 
 
 @_callee
@@ -172,14 +299,15 @@ def _patch(moved, source, state, longest, first, past, plane, row, col, one, oth
     """Draw the moved square that two unit steps make from a site onto voxels still empty."""
     # A step of (0, 0, 0) makes it a line, and two of these a dot.
     _, height, width = state.shape
-    a = moved[plane, row, col]
-    b = moved[plane + one[0], row + one[1], col + one[2]]
-    c = moved[plane + other[0], row + other[1], col + other[2]]
-    d = moved[plane + one[0] + other[0], row + one[1] + other[1], col + one[2] + other[2]]
-    along = across = 0.0
-    for axis in range(3):
-        along = max(along, abs(b[axis] - a[axis]), abs(d[axis] - c[axis]))
-        across = max(across, abs(c[axis] - a[axis]), abs(d[axis] - b[axis]))
+    i, j, k = plane + one[0], row + one[1], col + one[2]
+    az, ay, ax = moved[plane, row, col, 0], moved[plane, row, col, 1], moved[plane, row, col, 2]
+    bz, by, bx = moved[i, j, k, 0], moved[i, j, k, 1], moved[i, j, k, 2]
+    i, j, k = i + other[0], j + other[1], k + other[2]
+    dz, dy, dx = moved[i, j, k, 0], moved[i, j, k, 1], moved[i, j, k, 2]
+    i, j, k = i - one[0], j - one[1], k - one[2]
+    cz, cy, cx = moved[i, j, k, 0], moved[i, j, k, 1], moved[i, j, k, 2]
+    along = max(abs(bz - az), abs(by - ay), abs(bx - ax), abs(dz - cz), abs(dy - cy), abs(dx - cx))
+    across = max(abs(cz - az), abs(cy - ay), abs(cx - ax), abs(dz - bz), abs(dy - by), abs(dx - bx))
     # Half a voxel at a time, by rounding no more; what is larger than the volume lies outside.
     steps = math.ceil(2.0 * min(along, longest) - _SIDE)
     rows = math.ceil(2.0 * min(across, longest) - _SIDE)
@@ -187,12 +315,15 @@ def _patch(moved, source, state, longest, first, past, plane, row, col, one, oth
         s = number / max(steps, 1)
         for line in range(rows + 1):
             t = line / max(rows, 1)
-            at = (1 - t) * ((1 - s) * a + s * b) + t * ((1 - s) * c + s * d) + 0.5
-            inside = first <= at[0] < past and 0 <= at[1] < height and 0 <= at[2] < width
-            if inside and state[math.floor(at[0]), math.floor(at[1]), math.floor(at[2])] == 0:
+            z = (1 - t) * ((1 - s) * az + s * bz) + t * ((1 - s) * cz + s * dz) + 0.5
+            y = (1 - t) * ((1 - s) * ay + s * by) + t * ((1 - s) * cy + s * dy) + 0.5
+            x = (1 - t) * ((1 - s) * ax + s * bx) + t * ((1 - s) * cx + s * dx) + 0.5
+            if not (first <= z < past and 0 <= y < height and 0 <= x < width):
+                continue
+            if state[math.floor(z), math.floor(y), math.floor(x)] == 0:
                 _mark(
                     source, state, 2,
-                    math.floor(at[0]), math.floor(at[1]), math.floor(at[2]),
+                    math.floor(z), math.floor(y), math.floor(x),
                     plane + s * one[0] + t * other[0],
                     row + s * one[1] + t * other[1],
                     col + s * one[2] + t * other[2],
@@ -200,11 +331,10 @@ def _patch(moved, source, state, longest, first, past, plane, row, col, one, oth
 
 
 @_callee
-def _outline(moved, tissue, source, state, reach, longest, first, past):
+def _outline(moved, tissue, outer, source, state, reach, longest, first, past):
     """Draw sites, and lines and squares between outermost ones, onto what is empty of these."""
     depth, height, width = tissue.shape
-    units = np.eye(3, dtype=np.int64)
-    nowhere = np.zeros(3, np.int64)
+    nowhere = 0, 0, 0
     for size in range(3):  # what is nearest to a site goes first
         for plane in range(depth):
             after = min(plane + 1, depth - 1)
@@ -214,72 +344,31 @@ def _outline(moved, tissue, source, state, reach, longest, first, past):
                 continue
             for row in range(height):
                 for col in range(width):
-                    if not tissue[plane, row, col]:
+                    if not outer[plane, row, col]:
                         continue
-                    inner = True
-                    for corner in range(8):
-                        inner &= _is_whole(
-                            tissue, plane - corner // 4, row - corner // 2 % 2, col - corner % 2
-                        )
-                    if inner:
-                        continue
-                    if size == 0:
-                        _patch(
-                            moved,
-                            source,
-                            state,
-                            longest,
-                            first,
-                            past,
-                            plane,
-                            row,
-                            col,
-                            nowhere,
-                            nowhere,
-                        )
-                    for axis in range(3 if size else 0):
-                        one = units[axis]
-                        beside = plane + one[0], row + one[1], col + one[2]
-                        if not _holds(tissue, beside[0], beside[1], beside[2]):
-                            continue
-                        if size == 1:
+                    for way in range(3 if size else 1):
+                        one = other = nowhere
+                        if size > 0:
+                            one = _UNITS[_PAIRS[way][0] if size == 2 else way]
+                        if size == 2:
+                            other = _UNITS[_PAIRS[way][1]]
+                        if _is_square(tissue, plane, row, col, one, other):
                             _patch(
-                                moved,
-                                source,
-                                state,
-                                longest,
-                                first,
-                                past,
-                                plane,
-                                row,
-                                col,
-                                one,
-                                nowhere,
-                            )
-                            continue
-                        for second in range(axis + 1, 3):
-                            two = units[second]
-                            if _holds(tissue, plane + two[0], row + two[1], col + two[2]) and (
-                                _holds(
-                                    tissue,
-                                    beside[0] + two[0],
-                                    beside[1] + two[1],
-                                    beside[2] + two[2],
-                                )
-                            ):
-                                _patch(
-                                    moved,
-                                    source,
-                                    state,
-                                    longest,
-                                    first,
-                                    past,
-                                    plane,
-                                    row,
-                                    col,
-                                    one,
-                                    two,
-                                )
+                                moved, source, state, longest, first, past,
+                                plane, row, col, one, other,
+                            )  # fmt: skip
+
+
+@_callee
+def _is_square(tissue, plane, row, col, one, other):
+    """Whether the corners are tissue of the square that two steps make from a site."""
+    return (
+        _holds(tissue, plane + one[0], row + one[1], col + one[2])
+        and _holds(tissue, plane + other[0], row + other[1], col + other[2])
+        and _holds(
+            tissue, plane + one[0] + other[0], row + one[1] + other[1], col + one[2] + other[2]
+        )
+    )
 
 
 @_callee
@@ -287,6 +376,18 @@ def _holds(tissue, plane, row, col):
     """Whether there is tissue at a site, which may lie beyond the last."""
     depth, height, width = tissue.shape
     return plane < depth and row < height and col < width and tissue[plane, row, col]
+
+
+@_callee
+def _stay(tissue, source, state, first, past):
+    """What is no tissue stays in place where none came."""
+    for plane in range(first, past):
+        for row in range(tissue.shape[1]):
+            for col in range(tissue.shape[2]):
+                if state[plane, row, col] == 0 and not tissue[plane, row, col]:
+                    source[plane, row, col, 0] = plane
+                    source[plane, row, col, 1] = row
+                    source[plane, row, col, 2] = col
 
 
 @numba.njit(parallel=True, **_kept)
@@ -317,7 +418,8 @@ def rasterise(moved, tissue, planes, longest, slabs):
     Returns
     -------
     source : ndarray, shape (P, H, W, 3), float64
-        Where the tissue now on each voxel came from, in voxels.
+        Where the tissue now on each voxel came from, in voxels; of a volume that is whole, its own
+        place where there is no tissue and none came.
     state : ndarray, shape (P, H, W), uint8
         0 nothing came, 1 by a tetrahedron turned over, 2 by one that was not, or by an outline, 3
         by two that were not, from places more than a voxel apart.
@@ -325,13 +427,16 @@ def rasterise(moved, tissue, planes, longest, slabs):
     depth, height, width = tissue.shape
     source = np.zeros((planes, height, width, 3))
     state = np.zeros((planes, height, width), np.uint8)
+    outer = np.empty(tissue.shape, np.bool_)
     reach = np.empty((depth, 2))
     for number in numba.prange(depth):
         plane = np.int64(number)
         low, high = math.inf, -math.inf
         for row in range(height):
             for col in range(width):
+                outer[plane, row, col] = False
                 if tissue[plane, row, col]:
+                    outer[plane, row, col] = not _is_inner(tissue, plane, row, col)
                     low = min(low, moved[plane, row, col, 0])
                     high = max(high, moved[plane, row, col, 0])
         reach[plane, 0] = low
@@ -341,5 +446,7 @@ def rasterise(moved, tissue, planes, longest, slabs):
         first = slab * planes // slabs
         past = (slab + 1) * planes // slabs
         _tetrahedra(moved, tissue, source, state, reach, first, past)
-        _outline(moved, tissue, source, state, reach, longest, first, past)
+        _outline(moved, tissue, outer, source, state, reach, longest, first, past)
+        if planes == depth:
+            _stay(tissue, source, state, first, past)
     return source, state

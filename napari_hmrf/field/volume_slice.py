@@ -70,8 +70,8 @@ def slice_origins(
     ends = np.stack([steps.min(axis=(1, 2)), steps.max(axis=(1, 2))]) * (fraction / spacing[0])
     low, high = _planes_near(ends, number, len(tissue), every[0])
     part = slice(low, high)
-    d = _on_voxels(displacement, tissue, every, part).astype(np.float64)
-    moved, mask = moved_sites(fraction * d, spacing, tissue[part])
+    d = _on_voxels(displacement, tissue, every, part)
+    moved, mask = moved_sites(d, spacing, tissue[part], fraction)
     moved[..., 0] -= number - low
     sources, states = inverse_raster(moved, mask, tissue.shape, planes=1)
     source, state = sources[0], states[0]

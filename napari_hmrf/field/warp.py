@@ -134,9 +134,10 @@ def inverse_map_and_overlaps(
     """
     moving, mask = moved_sites(displacement, spacing, tissue)
     coordinates, state = inverse_raster(moving, mask)
-    still = ~mask & (state == 0)
-    coordinates[still] = np.argwhere(still)
-    return coordinates, (state > 0) | still, state == triangle_arrays.TWICE
+    if mask.ndim == 2:
+        still = ~mask & (state == 0)
+        coordinates[still] = np.argwhere(still)
+    return coordinates, (state > 0) | ~mask, state == triangle_arrays.TWICE
 
 
 def inverse_raster(
@@ -156,7 +157,8 @@ def inverse_raster(
     Returns
     -------
     source : ndarray, shape ([D,] H, W, n), float64
-        Where that which is seen at each pixel came from.
+        Where the tissue that is seen at each pixel came from; of a whole volume also its own place
+        where there is none.
     state : ndarray, shape ([D,] H, W), uint8
         0 where nothing came; `TWICE` where two parts of the tissue did.
     """
@@ -171,10 +173,7 @@ def inverse_raster(
         longest = float(sum(shape or tissue.shape))
         drawn = partial(tetrahedron_raster.rasterise, moved, mask, planes, longest, slabs)
         # This loop uses numba's own threads, which must not be entered from two threads.
-        if compute_thread.is_current():
-            coordinates, state = drawn()
-        else:
-            coordinates, state = compute_thread.submit(drawn, "a volume to be warped").result()
+        coordinates, state = compute_thread.result_of(drawn, "a volume to be warped")
         return coordinates, state
     if not loops.ready_for_pictures():
         compiler.compile_meanwhile()
@@ -188,38 +187,24 @@ def inverse_raster(
 
 
 def moved_sites(
-    displacement: npt.ArrayLike, spacing: Sequence[float] | None, tissue: npt.ArrayLike | None
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float] | None,
+    tissue: npt.ArrayLike | None,
+    fraction: float = 1.0,
 ) -> tuple[Float64Array, BoolArray]:
     """Check a displacement and its tissue; where every site has moved, in pixels.
+
+    Parameters
+    ----------
+    displacement, spacing, tissue
+        As in `warp`.
+    fraction : float
+        How much of the displacement.
 
     Returns
     -------
     moved : ndarray, shape ([D,] H, W, n), float64
         X + d(X) in pixels; X where there is no tissue.
-    tissue : ndarray, shape ([D,] H, W), bool
-
-    Raises
-    ------
-    ProblemError
-        Naming the input at fault.
-    """
-    d, sizes, mask = checked_field(displacement, spacing, tissue)
-    moved = d / sizes
-    for axis, places in enumerate(np.ogrid[tuple(map(slice, mask.shape))]):
-        moved[..., axis] += places
-    return moved, mask
-
-
-def checked_field(
-    displacement: npt.ArrayLike, spacing: Sequence[float] | None, tissue: npt.ArrayLike | None
-) -> tuple[Float64Array, Float64Array, BoolArray]:
-    """Check a displacement, its pixel spacing and its tissue.
-
-    Returns
-    -------
-    displacement : ndarray, shape ([D,] H, W, n), float64
-        Zero where there is no tissue.
-    spacing : ndarray, shape (n,)
     tissue : ndarray, shape ([D,] H, W), bool
         Everywhere, if it was not given.
 
@@ -239,16 +224,37 @@ def checked_field(
                 f"has shape {mask.shape}, but the displacement has shape {d.shape}, so "
                 f"{d.shape[:-1]} is needed. Give both on the same pixel grid.",
             )
-    d = np.where(mask[..., None], d, 0).astype(np.float64)
-    if not np.isfinite(d).all():
-        bad = ~np.isfinite(d).all(axis=-1)
+    moved = _added(d, sizes, mask, fraction)
+    if not np.isfinite(moved).all():
+        bad = ~np.isfinite(moved).all(axis=-1)
         at = tuple(int(i) for i in np.argwhere(bad)[0])
         raise ProblemError(
             "displacement",
             f"is NaN or infinite at {int(bad.sum())} pixels, the first at {at}. Replace those "
             "vectors, or leave the pixels out of `tissue`.",
         )
-    return d, sizes, mask
+    return moved, mask
+
+
+def _added(
+    d: npt.NDArray[Any], sizes: Float64Array, mask: BoolArray, fraction: float
+) -> Float64Array:
+    """Where every site has moved, in pixels, by so much of a displacement."""
+    # A plane after the other, which stays in the cache, and all components of a row as one line:
+    # a loop over three components takes as long as one over a hundred.
+    (height, width), n = mask.shape[-2:], mask.ndim
+    moved, size = np.empty(d.shape), np.tile(sizes, width)
+    own = np.zeros((height, width, n))
+    own[..., n - 2], own[..., n - 1] = np.ogrid[:height, :width]
+    for plane in np.ndindex(mask.shape[:-2]):
+        own[..., : n - 2] = plane
+        there = np.repeat(mask[plane], n, axis=-1)
+        line = moved[plane].reshape(there.shape)
+        line[...] = np.where(there, d[plane].reshape(there.shape), 0)
+        line *= fraction
+        line /= size
+        line += own.reshape(there.shape)
+    return moved
 
 
 def checked_sizes(spacing: Sequence[float] | None, axes: int = 2) -> Float64Array:

@@ -22,6 +22,12 @@ VOLUMES = "volume"
 APART = (VOLUMES, "volume-schedule", "volume-converged")
 #: What tells numba where to keep loops.
 _TOLD = "NUMBA_CACHE_DIR"
+#: The modules of all loops that move something.
+_MOTION = (
+    *PICTURES,
+    f"{_PACKAGE}.field.tetrahedron_raster",
+    f"{_PACKAGE}.field.volume_loops",
+)
 
 
 @cache
@@ -29,7 +35,7 @@ def modules() -> tuple[str, ...]:
     """The names of all modules that may have loops."""
     solver = f"{__package__}.{_LOOPS.name}"
     return (
-        *PICTURES,
+        *_MOTION,
         *(f"{solver}.{path.stem}" for path in _files(_LOOPS) if path.stem != "__init__"),
     )
 
@@ -105,7 +111,7 @@ def _temporary() -> Path:
 def _key() -> str:
     """What loops are compiled from, by and for."""
     made = hashlib.sha256(sources())
-    for name in PICTURES:
+    for name in _MOTION:
         made.update(_LOOPS.parents[3].joinpath(*name.split(".")).with_suffix(".py").read_bytes())
     for package in ("numba", "llvmlite", "numpy"):
         with suppress(PackageNotFoundError):

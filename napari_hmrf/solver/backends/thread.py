@@ -79,6 +79,10 @@ class ComputeThread:
             self._jobs.put((job, future, doing))
         return future
 
+    def result_of(self, job: Callable[[], T], doing: Doing = _SOMETHING) -> T:
+        """Do a job, as of `submit`, and wait for it; at once if this is the thread itself."""
+        return job() if self.is_current() else self.submit(job, doing).result()
+
     def delays(self, future: Future[Any]) -> str:
         """What a job waits for, and how to stop that, in words; "" once it runs."""
         if future.running() or future.done():

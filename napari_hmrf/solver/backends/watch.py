@@ -24,10 +24,10 @@ LOOPS = {
     "blanket-schedule": 3,
     "blanket-converged": 19,
     "exact-steps": 3,
-    "volume": 16,
+    "volume": 20,
     "volume-schedule": 2,
     "volume-converged": 15,
-    "": 68,
+    "": 72,
 }
 
 

@@ -1,0 +1,212 @@
+"""The compiled loops that look volumes up at an inverse map, and say how much tissue grows.
+
+Imports numba; `resample` and `deformation` import this module when they have a volume, and NumPy
+and SciPy do the same until its loops are compiled.
+"""
+
+# mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator, misc"
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+_LOOPS = {"error_model": "numpy", "no_cfunc_wrapper": True}
+_callee = numba.njit(no_cpython_wrapper=True, **_LOOPS)
+_kept = {"cache": True, "nogil": True, **_LOOPS}
+
+
+@numba.njit(parallel=True, **_kept)
+def look_up(image, smooth, gaps, source, covered, nearest, whole, fill, moved):
+    """Look a volume up where its tissue came from, as `resample` does, by all cores.
+
+    Parameters
+    ----------
+    image : ndarray, shape (D, H, W, channels)
+    smooth : ndarray, shape (D, H, W, channels)
+        The image, finite everywhere: what is interpolated.
+    gaps : bool
+        Whether the two differ: a voxel that is not finite stays one such voxel.
+    source : ndarray, shape (D, H, W, 3), float64
+    covered : ndarray, shape (D, H, W), bool
+        Of `inverse_map`.
+    nearest : bool
+        Whether to take the nearest voxel; else the eight around the place.
+    whole : bool
+        Whether to round.
+    fill
+        What is seen where tissue has left, of the type of the image.
+    moved : ndarray, shape (D, H, W, channels)
+        Overwritten by the result.
+
+    Returns
+    -------
+    bool
+        Whether all places that are covered are finite; if not, there is no result.
+    """
+    depth, height, width, channels = image.shape
+    fine = np.ones(depth, np.bool_)
+    for plane in numba.prange(depth):
+        for row in range(height):
+            for col in range(width):
+                if not covered[plane, row, col]:
+                    for channel in range(channels):
+                        moved[plane, row, col, channel] = fill
+                    continue
+                z = source[plane, row, col, 0]
+                y = source[plane, row, col, 1]
+                x = source[plane, row, col, 2]
+                if not math.isfinite(z + y + x):
+                    fine[plane] = False
+                    continue
+                z = min(max(z, 0.0), depth - 1.0)
+                y = min(max(y, 0.0), height - 1.0)
+                x = min(max(x, 0.0), width - 1.0)
+                i, j, k = math.floor(z + 0.5), math.floor(y + 0.5), math.floor(x + 0.5)
+                if nearest:
+                    for channel in range(channels):
+                        moved[plane, row, col, channel] = image[i, j, k, channel]
+                    continue
+                above, top, left = math.floor(z), math.floor(y), math.floor(x)
+                under = min(above + 1, depth - 1)
+                below, right = min(top + 1, height - 1), min(left + 1, width - 1)
+                deep, down, along = z - above, y - top, x - left
+                for channel in range(channels):
+                    a = smooth[above, top, left, channel] * (1.0 - along)
+                    a += smooth[above, top, right, channel] * along
+                    b = smooth[above, below, left, channel] * (1.0 - along)
+                    b += smooth[above, below, right, channel] * along
+                    c = smooth[under, top, left, channel] * (1.0 - along)
+                    c += smooth[under, top, right, channel] * along
+                    d = smooth[under, below, left, channel] * (1.0 - along)
+                    d += smooth[under, below, right, channel] * along
+                    before, after = a * (1.0 - down) + b * down, c * (1.0 - down) + d * down
+                    value = before * (1.0 - deep) + after * deep
+                    moved[plane, row, col, channel] = np.rint(value) if whole else value
+                    if gaps and not math.isfinite(image[i, j, k, channel]):
+                        moved[plane, row, col, channel] = image[i, j, k, channel]
+    return fine.all()
+
+
+@_callee
+def _steps(moved, tissue, plane, row, col, i, j, k):
+    """Differences along an axis, of which (i, j, k) is one step, to the next site and the last."""
+    # Each stands in for the other where that is missing, and the step itself for both.
+    depth, height, width = tissue.shape
+    z, y, x = moved[plane, row, col, 0], moved[plane, row, col, 1], moved[plane, row, col, 2]
+    following = previous = 1.0 * i, 1.0 * j, 1.0 * k
+    p, r, c = plane - i, row - j, col - k
+    begun = min(p, r, c) >= 0 and tissue[p, r, c]
+    if begun:
+        previous = z - moved[p, r, c, 0], y - moved[p, r, c, 1], x - moved[p, r, c, 2]
+        following = previous
+    p, r, c = plane + i, row + j, col + k
+    if p < depth and r < height and c < width and tissue[p, r, c]:
+        following = moved[p, r, c, 0] - z, moved[p, r, c, 1] - y, moved[p, r, c, 2] - x
+        if not begun:
+            previous = following
+    return following, previous
+
+
+@_callee
+def _across(b, c):
+    """The vector product: what the third edge of a brick is measured by."""
+    return b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
+
+
+@_callee
+def _octants(step, rows, cols):
+    """The determinants of the four octants on one side of a site, along the first axis."""
+    one, two = _across(rows[0], cols[0]), _across(rows[0], cols[1])
+    three, four = _across(rows[1], cols[0]), _across(rows[1], cols[1])
+    return (
+        step[0] * one[0] + step[1] * one[1] + step[2] * one[2],
+        step[0] * two[0] + step[1] * two[1] + step[2] * two[2],
+        step[0] * three[0] + step[1] * three[1] + step[2] * three[2],
+        step[0] * four[0] + step[1] * four[1] + step[2] * four[2],
+    )
+
+
+@numba.njit(**_kept)
+def determinants(moved, tissue, kind):
+    """Find what becomes of the determinants of the eight octants around each site of a volume.
+
+    On the caller's thread, which need not be the compute thread: a volume takes as long as a few
+    sweeps of a solver.
+
+    Parameters
+    ----------
+    moved : ndarray, shape (D, H, W, 3), float64
+    tissue : ndarray, shape (D, H, W), bool
+        Of `moved_sites`.
+    kind : int
+        0 for the smallest, 1 for the mean, and 2 for the mean but the smallest where that is 0 or
+        below.
+
+    Returns
+    -------
+    ndarray, shape (D, H, W), float32
+        NaN where there is no tissue.
+    """
+    depth, height, width = tissue.shape
+    made = np.empty(tissue.shape, np.float32)
+    for plane in range(depth):
+        for row in range(height):
+            for col in range(width):
+                if not tissue[plane, row, col]:
+                    made[plane, row, col] = np.nan
+                    continue
+                planes = _steps(moved, tissue, plane, row, col, 1, 0, 0)
+                rows = _steps(moved, tissue, plane, row, col, 0, 1, 0)
+                cols = _steps(moved, tissue, plane, row, col, 0, 0, 1)
+                a, b, c, d = _octants(planes[0], rows, cols)
+                e, f, g, h = _octants(planes[1], rows, cols)
+                smallest = min(a, b, c, d, e, f, g, h)
+                if kind == 0 or (kind == 2 and smallest <= 0):
+                    made[plane, row, col] = smallest
+                else:
+                    made[plane, row, col] = (a + b + c + d + e + f + g + h) / 8
+    return made
+
+
+@numba.njit(**_kept)
+def gradients(moved, tissue, sizes):
+    """Find the gradient of the displacement at each site of a volume's tissue, one after the other.
+
+    On the caller's thread, as `determinants`.
+
+    Parameters
+    ----------
+    moved : ndarray, shape (D, H, W, 3), float64
+    tissue : ndarray, shape (D, H, W), bool
+        Of `moved_sites`.
+    sizes : ndarray, shape (3,)
+        Size of a voxel along each axis.
+
+    Returns
+    -------
+    ndarray, shape (N, 3, 3), float64
+        H[..., i, j] = dd_i / dX_j, without a unit.
+    """
+    depth, height, width = tissue.shape
+    found = np.empty((tissue.sum(), 3, 3))
+    number = 0
+    for plane in range(depth):
+        for row in range(height):
+            for col in range(width):
+                if not tissue[plane, row, col]:
+                    continue
+                along = (
+                    _steps(moved, tissue, plane, row, col, 1, 0, 0),
+                    _steps(moved, tissue, plane, row, col, 0, 1, 0),
+                    _steps(moved, tissue, plane, row, col, 0, 0, 1),
+                )
+                for j in range(3):
+                    following, previous = along[j]
+                    for i in range(3):
+                        unstrained = 1.0 if i == j else 0.0
+                        mean = (following[i] + previous[i]) / 2 - unstrained
+                        found[number, i, j] = mean * (sizes[i] / sizes[j])
+                number += 1
+    return found

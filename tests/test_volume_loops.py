@@ -1,0 +1,147 @@
+"""The loops that move volumes, beside their twins in NumPy and SciPy."""
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+from napari_hmrf import ProblemError
+from napari_hmrf.field.deformation import (
+    determinant_or_fold,
+    jacobian_determinant,
+    smallest_determinant,
+)
+from napari_hmrf.field.resample import resample
+from napari_hmrf.field.strain import (
+    deformation_gradient,
+    green_lagrange_strain,
+    small_strain,
+)
+from napari_hmrf.field.warp import inverse_raster, moved_sites
+from napari_hmrf.solver.backends import loops
+
+SIZE = (1.5, 1.0, 0.7)
+#: From the first corner of a cell to its last along edges, as `tetrahedron_raster` takes them.
+WAYS = list(permutations(range(3)))
+#: How rough a motion is, and by how much it shifts.
+MOTIONS = {"smooth": (0.1, 0), "shifted": (0.0, 2.3), "rough": (1.5, 1), "torn": (0.2, 0)}
+
+
+def moving(kind, seed=0, shape=(6, 7, 8)):
+    """A displacement in the unit of SIZE, and tissue with void in it."""
+    random = np.random.default_rng([seed, *map(ord, kind)])
+    rough, shift = MOTIONS[kind]
+    d = rough * random.normal(size=(*shape, 3)) + shift * random.uniform(-1, 1, 3)
+    if kind == "torn":
+        d[: shape[0] // 2] = 2 * shape[0] / 3, 0, 0
+    return d * SIZE, random.random(shape) < random.choice([0.7, 0.95, 1])
+
+
+def corners(way):
+    steps = np.eye(3, dtype=int)[list(way)]
+    return np.concatenate([np.zeros((1, 3), int), np.cumsum(steps, axis=0)])
+
+
+def drawn_one_by_one(moved, tissue):
+    """Which voxels tetrahedra cover, and where the tissue there came from; the first has it."""
+    places = np.argwhere(np.ones(tissue.shape, bool))
+    source, state = np.zeros(moved.shape), np.zeros(tissue.shape, int)
+    for value in (2, 1):
+        for cell in np.ndindex(*np.subtract(tissue.shape, 1)):
+            for way in WAYS:
+                sites = np.array(cell) + corners(way)
+                if not tissue[tuple(sites.T)].all():
+                    continue
+                first, *others = moved[tuple(sites.T)]
+                edges = np.transpose(others - first)
+                volume = np.linalg.det(edges) * np.linalg.det(np.eye(3)[list(way)])
+                if abs(volume) < 1e-12 or (volume > 0) != (value == 2):
+                    continue
+                shares = np.linalg.solve(edges, (places - first).T).T
+                inside = (shares.min(axis=1) >= -1e-9) & (shares.sum(axis=1) <= 1 + 1e-9)
+                for place, share in zip(places[inside], shares[inside], strict=True):
+                    at, origin = tuple(place), sites[0] + share @ (sites[1:] - sites[0])
+                    if state[at] < value:
+                        state[at], source[at] = value, origin
+                    elif value == 2 and np.abs(source[at] - origin).max() > 1:
+                        state[at] = 3
+    return source, state
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_cells_are_drawn_as_their_tetrahedra_one_by_one(kind, seed):
+    moved, tissue = moved_sites(*moved_by(kind, seed))
+    source, state = inverse_raster(moved, tissue)
+    expected, states = drawn_one_by_one(moved, tissue)
+    covered = states > 0
+    assert covered.sum() > 20
+    np.testing.assert_array_equal(state[covered], states[covered])
+    np.testing.assert_allclose(source[covered], expected[covered], atol=1e-8)
+    assert set(np.unique(state[~covered])) <= {0, 2}  # these are outlines
+    still = ~tissue & (state == 0)
+    np.testing.assert_array_equal(source[still], np.argwhere(still))
+
+
+def moved_by(kind, seed):
+    d, tissue = moving(kind, seed)
+    return d, SIZE, tissue
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
+@pytest.mark.parametrize("shape", [(11, 9, 10), (1, 7, 8), (2, 1, 3)])
+def test_determinants_are_those_of_numpy(kind, shape, monkeypatch):
+    d, tissue = moving(kind, shape=shape)
+    asked = [
+        lambda: smallest_determinant(d, SIZE, tissue),
+        lambda: jacobian_determinant(d, spacing=SIZE, tissue=tissue),
+        lambda: determinant_or_fold(d, SIZE, tissue),
+    ]
+    found = [each() for each in asked]
+    monkeypatch.setattr(loops, "ready_for_volumes", lambda: False)
+    for one, each in zip(found, asked, strict=True):
+        assert one.dtype == np.float32
+        np.testing.assert_array_equal(one, each())
+    if kind == "rough":
+        assert (found[0] <= 0).any()
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
+def test_strains_are_those_of_numpy(kind, monkeypatch):
+    d, tissue = moving(kind, shape=(10, 4, 5))
+    asked = deformation_gradient, small_strain, green_lagrange_strain
+    found = [each(d, spacing=SIZE, tissue=tissue) for each in asked]
+    monkeypatch.setattr(loops, "ready_for_volumes", lambda: False)
+    for one, each in zip(found, asked, strict=True):
+        np.testing.assert_array_equal(one, each(d, spacing=SIZE, tissue=tissue))
+
+
+KINDS = ["u1", "i2", "u2", "i4", "i8", "u8", "f2", "f4", "f8", ">f4", ">i8", "bool"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_a_volume_is_looked_up_as_by_scipy(kind, order, monkeypatch):
+    random, shape = np.random.default_rng(4), (7, 6, 5)
+    source = random.uniform(-2, 8, (*shape, 3))
+    covered = random.random(shape) < 0.8
+    source[~covered] = np.nan
+    image = random.integers(0, 2 if kind == "bool" else 120, (*shape, 2)).astype(kind)
+    if image.dtype.kind in "iu":
+        image.flat[::7] = np.iinfo(kind).max
+    if image.dtype.kind == "f":
+        image.flat[::37], image.flat[5] = np.nan, np.inf
+    for picture in (image, image[..., 0]):
+        found = resample(picture, source, covered, order=order, fill=1)
+        with monkeypatch.context() as none:
+            none.setattr(loops, "ready_for_volumes", lambda: False)
+            expected = resample(picture, source, covered, order=order, fill=1)
+        assert found.dtype.name == picture.dtype.name
+        np.testing.assert_allclose(found.astype(float), expected.astype(float), rtol=1e-3)
+
+
+def test_a_place_that_is_no_number_is_told():
+    source = np.zeros((3, 3, 3, 3))
+    source[1, 1, 1, 2] = np.inf
+    with pytest.raises(ProblemError, match="are NaN or infinite at 1 pixels that are covered"):
+        resample(np.zeros((3, 3, 3)), source, np.ones((3, 3, 3)))
