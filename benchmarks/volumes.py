@@ -8,9 +8,9 @@ converged field. PyAMG (smoothed aggregation, rigid-body modes, conjugate gradie
 iterations as it takes to the same residual; its assembly counts. The paper's model has its times,
 too, and how far its field is from that of finite elements; and it prints how long one slice of a
 volume that moves takes to draw and, as parts of the time that a head at 1 mm takes to solve, how
-long it takes to move, and to say where it folds. Then small volumes of every kind are drawn at random and compared
-with a direct solve of a matrix that scikit-fem assembled, or for the paper's model `line_oracle`;
-exits with 1 if one is further from it than was reported.
+long it takes to move, and to say where it folds. Then small volumes of every kind are drawn at
+random and compared with a direct solve of a matrix that scikit-fem assembled, or for the paper's
+model `line_oracle`; exits with 1 if one is further from it than was reported.
 
 With --shaders it prints the seconds that compute shaders take for such volumes and for a head,
 which has voxels of 1 mm in 190 rows: of a cycle, and of a whole solve with all that the host does.
