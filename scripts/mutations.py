@@ -137,8 +137,8 @@ MUTATIONS = (
     # ui: what is said, shown and played
     Mutation(
         "study/ground.py",
-        "dark_border(image) & (tissue.labels == 0)",
-        "dark_border(image) & (tissue.labels == 1)",
+        "dark_border(image, len(shape)) & (tissue.labels == 0)",
+        "dark_border(image, len(shape)) & (tissue.labels == 1)",
         "test_layers_background.py",
     ),
     Mutation(
