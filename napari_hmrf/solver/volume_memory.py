@@ -11,7 +11,7 @@ from napari_hmrf.solver.backends import kept_volumes
 from napari_hmrf.solver.problem import Problem, grid_in_words
 
 #: Bytes a voxel that a solve takes beside the problem; and where cycles go on in double precision.
-ORDINARY, IN_DOUBLE = 110, 256
+ORDINARY, IN_DOUBLE = 112, 256
 # The part of the memory that is free now that a solve may take.
 _FREE = 0.9
 _GIB = 2.0**30

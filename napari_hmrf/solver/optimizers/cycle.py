@@ -49,7 +49,7 @@ _MOST_RATIO = 50.0
 CAREFUL_VOLUME = Smoothing(0.02, 14, 0.01, 30, visits=2)
 #: For volumes; and for those that resist changes of volume much more than those of shape.
 STRETCHING_VOLUME = Smoothing(0.1, 3, 0.02, 20, visits=2, careful=CAREFUL_VOLUME)
-NEARLY_INCOMPRESSIBLE_VOLUME = Smoothing(0.05, 6, 0.01, 30, visits=2, careful=CAREFUL_VOLUME)
+NEARLY_INCOMPRESSIBLE_VOLUME = Smoothing(0.02, 10, 0.01, 30, visits=2, careful=CAREFUL_VOLUME)
 # Up to which ratio of lambda to mu the former does.
 _MOST_RATIO_VOLUME = 20.0
 #: For models of means of neighbours, which are not symmetric.
