@@ -407,7 +407,7 @@ def test_fragment_shaders_refuse_volumes():
 def test_the_papers_prior_has_no_shaders_for_volumes():
     with pytest.raises(BackendError, match='Take backend="cpu"'):
         on_compute_thread(
-            lambda: open_backend("opengl", lambda: None, volume=(9, 9, 9), elastic=False)
+            lambda: open_backend("opengl", lambda: None, volume=(9, 9, 9), plain=False)
         )
 
 
@@ -416,8 +416,8 @@ def test_a_gpu_takes_a_volume_unless_it_is_too_large(monkeypatch):
         "napari_hmrf.solver.backends.opengl.is_software_renderer", lambda renderer: False
     )
 
-    def choice(elastic=True):
-        backend, reason = open_backend("auto", lambda: None, volume=(9, 9, 9), elastic=elastic)
+    def choice(plain=True):
+        backend, reason = open_backend("auto", lambda: None, volume=(9, 9, 9), plain=plain)
         backend.close()
         return backend.name, reason
 
@@ -426,7 +426,7 @@ def test_a_gpu_takes_a_volume_unless_it_is_too_large(monkeypatch):
     name, reason = on_compute_thread(choice)
     assert name == "cpu"
     assert "refuse this volume" in reason
-    assert on_compute_thread(lambda: choice(elastic=False))[0] == "cpu"
+    assert on_compute_thread(lambda: choice(plain=False))[0] == "cpu"
 
 
 def test_a_rasteriser_stands_in_until_the_loops_for_volumes_are_compiled(monkeypatch):
@@ -458,3 +458,16 @@ def test_an_error_that_opengl_notes_when_it_allocates_ends_the_solve(monkeypatch
         solve(pressed(12, True), backend="opengl")
     monkeypatch.undo()
     solve(pressed(12, True), backend="opengl")  # by a new context
+
+
+@pytest.mark.parametrize("kind", ["rigid", "slips"])
+def test_what_is_rigid_or_slips_goes_to_the_loops(kind):
+    problem = pressed(8, True)
+    m = problem.stiffness.copy()
+    m[5, 5, 2:4] = np.inf
+    if kind == "rigid":
+        problem = Problem(problem.observed, problem.confidence, m, spacing=OBLONG)
+    prior = ElasticPrior(0.3, penalty=np.inf if kind == "rigid" else 0.5)
+    with pytest.raises(BackendError, match="nothing is rigid or may slip"):
+        solve(problem, prior, backend="opengl")
+    assert solve(problem, prior, backend="auto").provenance.backend == "cpu"

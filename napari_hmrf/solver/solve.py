@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import platform
 import queue
 import threading
@@ -250,7 +251,7 @@ def run_here(
         checkpoint,
         lambda: provide_loops(job, report),
         volume=problem.shape if problem.is_volume else (),
-        elastic=isinstance(prior, ElasticPrior),
+        plain=_is_plain(problem, prior),
     )
     try:
         _announce(device.renderer, reason)
@@ -323,3 +324,9 @@ def _versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
+
+
+def _is_plain(problem: Problem, prior: Prior) -> bool:
+    """Whether tissue is elastic, and nothing of it rigid or may slip."""
+    firm = isinstance(prior, ElasticPrior) and prior.penalty == math.inf
+    return firm and not bool(np.isinf(problem.stiffness).any())

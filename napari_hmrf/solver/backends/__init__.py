@@ -16,8 +16,8 @@ BACKEND_NAMES: tuple[str, ...] = get_args(BackendName)
 
 #: Why a software rasteriser is taken where nobody asked for it.
 COMPILING = "until the loops for the processor are compiled"
-#: Why the compiled loops are taken for a volume of the paper's prior.
-FOR_VOLUMES = "only the compiled loops solve volumes by the paper's prior"
+#: Why the compiled loops are taken for a volume that there are no shaders for.
+FOR_VOLUMES = "only the compiled loops solve such volumes"
 
 __all__ = [
     "BACKEND_NAMES",
@@ -38,7 +38,7 @@ def open_backend(
     checkpoint: Checkpoint,
     provide_loops: Callable[[], None] = loops.use,
     volume: tuple[int, ...] = (),
-    elastic: bool = True,
+    plain: bool = True,
 ) -> tuple[Backend[Any], str]:
     """Make a backend ready; on the compute thread only.
 
@@ -56,8 +56,9 @@ def open_backend(
     volume : (int, int, int), optional
         The voxels (D, H, W) that it is for, if it is a volume. Shaders take it if there are compute
         shaders, and buffers that are large enough.
-    elastic : bool
-        Whether it is for the elastic prior, the only one of which there are shaders for volumes.
+    plain : bool
+        Whether it is for the elastic prior, of tissue of which nothing is rigid and nothing may
+        slip: of volumes there are shaders for no other.
 
     Returns
     -------
@@ -75,11 +76,11 @@ def open_backend(
         return _compiled(checkpoint), "asked for"
     if name not in BACKEND_NAMES:
         raise BackendError(f"there is no backend {name!r}; take one of {', '.join(BACKEND_NAMES)}")
-    if volume and not elastic:
+    if volume and not plain:
         if name != "auto":
             raise BackendError(
-                f"{name} solves volumes of elastic tissue only; by the paper's prior the compiled "
-                'loops solve them. Take backend="cpu", or "auto"'
+                f"{name} solves volumes of elastic tissue only, of which nothing is rigid or may "
+                'slip; the compiled loops solve all. Take backend="cpu", or "auto"'
             )
         provide_loops()
         return _compiled(checkpoint), FOR_VOLUMES
