@@ -57,7 +57,7 @@ class Choices:
         self._beginning = self.values
         self._image: Any = None
         self.by_itself = False
-        # Whether somebody chose an image, or none.
+        # Whether somebody chose an image, or none, or had one deformed.
         self._by_hand = False
         # Whether there is no image as the one that was worked on is gone.
         self._lost = False
@@ -154,6 +154,10 @@ class Choices:
                 layers = [] if known else painted_on(image, layers, self.view)
             for layer in layers:
                 self._take_painted(layer)
+
+    def begin(self) -> None:
+        """Work has begun with the image that is chosen: no other takes its place by itself."""
+        self._by_hand = True
 
     def take(self, layer: Any) -> None:
         """Choose a layer that came: what is painted, and an image unless work has begun on one.

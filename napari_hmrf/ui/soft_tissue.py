@@ -317,6 +317,7 @@ class SoftTissue(Dock):
         if self.idle and not self.away:
             for table in self._form.tables:
                 table.look()
+            self._choices.begin()
             self._live_study.settle()
 
     def cancel(self) -> None:
