@@ -8,6 +8,7 @@ from napari.components import ViewerModel
 from napari.layers import Image, Labels, Points
 
 from napari_hmrf import Arrow, BoundaryRule, Drawing, Grid, Motion, ProblemError, Study, Tissue
+from napari_hmrf.field.deformation import arrows_in_slices
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.read import Request, read_study, study_layers
 from napari_hmrf.layers.result_layers import layer_on, overlay_of, result_layers
@@ -179,3 +180,17 @@ def test_a_colour_volume_is_drawn_as_one():
     assert study.intensities.shape == SHAPE
     frame = frame_of(Image(image, rgb=True), View((1, 2), (0.0,) * 3, volume=True))
     assert layer_on(frame, image, "MR", {}, {}).attributes["rgb"]
+
+
+def test_slices_across_each_axis_have_as_many_arrows_apart_from_each_other():
+    shape = (48, 56, 40)
+    d = np.broadcast_to(np.float32((1, 1, 1)), (*shape, 3))
+    starts = arrows_in_slices(d, about=60)[:, 0]
+    for axis in range(3):
+        others = [at for at in range(3) if at != axis]
+        wanted = 60 * np.prod(np.take(shape, others)) / (56 * 40)
+        for number in range(shape[axis]):
+            there = starts[starts[:, axis] == number][:, others]
+            assert 0.7 * wanted < len(there) < 1.4 * wanted
+            apart = np.linalg.norm(there[:, None] - there[None], axis=-1)
+            assert apart[~np.eye(len(there), dtype=bool)].min() >= 3

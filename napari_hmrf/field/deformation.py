@@ -278,19 +278,20 @@ def arrows_in_slices(
     tissue: npt.ArrayLike | None = None,
     about: int = 1000,
 ) -> FloatArray:
-    """Pick arrows of a volume, in each slice along its first axis about so many in the fullest.
+    """Pick arrows of a volume, about so many in the fullest slice, across whichever axis.
 
-    What hardly moves has none. The parameters, what is returned and errors are those of `arrows`.
+    They lie on a lattice that no slice cuts along its rows, x + s y + s^2 z = 0 modulo how many
+    voxels there are to an arrow, with s near their golden section. What hardly moves has none. The
+    parameters, what is returned and errors are those of `arrows`.
     """
     moved, mask = moved_sites(displacement, spacing, tissue)
-    sizes = checked_sizes(spacing, 3)
-    row, col = _lattice(mask.sum(axis=(1, 2)).max() / about, sizes[1:])
-    lines = (slice(None), slice(row // 2, None, row), slice(col // 2, None, col))
-    chosen = np.zeros_like(mask)
-    chosen[lines] = mask[lines]
-    starts = np.argwhere(chosen)
+    sites = max(1, round(int(mask.sum(axis=(1, 2)).max()) / about))
+    share = round(sites * 0.618)
+    share = next((s for s in range(share, 2 * sites) if math.gcd(s, sites) == 1), 1)
+    deep, row, col = np.ogrid[tuple(map(slice, mask.shape))]
+    starts = np.argwhere(mask & ((col + share * row + share**2 * deep) % sites == 0))
     steps = moved[tuple(starts.T)] - starts
-    lengths = np.linalg.norm(steps * sizes, axis=1)
+    lengths = np.linalg.norm(steps * checked_sizes(spacing, 3), axis=1)
     far = lengths >= max(_LEAST * lengths.max(initial=0.0), 1e-6)
     found: FloatArray = np.stack([starts, steps], axis=1)[far].astype(np.float32)
     return found
