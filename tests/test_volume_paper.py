@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from cancelling import During
 from line_oracle import cliques, field_of_means, weights_of
+from random_volumes import random_volume
 
 from napari_hmrf import Multigrid, Problem, SeilerPrior, Solution, solve
 from napari_hmrf.errors import BackendError, Cancelled, ConvergenceError, ProblemError
@@ -567,3 +568,9 @@ def test_what_has_no_meaning_is_refused():
     m[3, 3, 3] = np.inf
     with pytest.raises(ProblemError, match="ratios of stiffness"):
         solve(Problem(problem.observed, problem.confidence, m), SeilerPrior())
+
+
+def test_a_volume_that_cycles_are_not_sure_of_is_refused_as_it_has_no_factors():
+    y, c, m, spacing, _ = random_volume(6)
+    with pytest.raises(ConvergenceError, match="no factors are there"):
+        solve(Problem(y, c, m, spacing=spacing), SeilerPrior(), optimizer=Multigrid(0.01))

@@ -254,3 +254,15 @@ def test_the_sample_of_a_volume_is_deformed_whole(widget, opened):
     assert widget.study.grid.shape == made[0].data.shape
     widget.image = viewer.add_image(np.ones((8, 9)), name="flat")
     assert widget.extent == "slice"
+
+
+def test_what_is_painted_for_one_image_is_not_taken_over_by_another(widget):
+    viewer = viewer_of(widget)
+    first = viewer.add_image(np.zeros((20, 24)), name="first")
+    widget.make_layers()
+    tissue, boundary = widget.tissue, widget.boundary
+    second = viewer.add_image(np.ones((20, 24)), name="second")
+    widget.image = second
+    assert (widget.tissue, widget.boundary) == (None, None)
+    widget.image = first
+    assert (widget.tissue, widget.boundary) == (tissue, boundary)

@@ -193,6 +193,13 @@ class Choices:
         slots = [each for each in self._edits.slots if each.what == DRAWING]
         return [slot.layer for slot in slots if self._edits.get(slot).marks]
 
+    @property
+    def _of_others(self) -> list[Any]:
+        """What goes with other images, and is no more meant for this one."""
+        slots = [each for each in self._edits.slots if each.what == CHOICE]
+        others = [self._edits.get(slot) for slot in slots if slot.layer is not self._image]
+        return [value for values in others for value in values.values()]
+
     def _on_extent(self, _: str) -> None:
         """Have napari's brush be a ball where a volume is painted."""
         for choice in (self._form.tissue.choice, self._form.motion.boundary.choice):
@@ -226,5 +233,7 @@ class Choices:
             return
         self.values = {**self._beginning, "extent": meant}
         with self.nobody_chooses():
+            theirs = self._of_others
             for layer in painted_on(image, self._viewer.layers, self.view):
-                self._take_painted(layer)
+                if layer not in theirs:
+                    self._take_painted(layer)

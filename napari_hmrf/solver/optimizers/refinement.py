@@ -23,6 +23,7 @@ from napari_hmrf.solver.backends.linear import Balance, LinearModel, Planes
 from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
+from napari_hmrf.solver.priors.cliques import SeilerMaterial
 from napari_hmrf.solver.volume_memory import IN_DOUBLE, ORDINARY, fits
 
 # A rehearsal ends at this part of its field, as reported; and what it reports may be this much less
@@ -143,7 +144,7 @@ class Refinement:
     def _iterate(self, d: Planes, load: Planes | None, tolerance: float, balance: Balance) -> bool:
         """Go to the tolerance by cycles; whether it can be said that they arrived."""
         found, before = self._model.found, math.inf
-        if not self._mild and self._factors_first and Factors.fit(self._model.shape):
+        if not self._mild and self._factors_first and factors_fit(self._model):
             self._factors_tried = True
             return False
         if not self._entrain():
@@ -217,7 +218,7 @@ class Refinement:
     def _exactly(self) -> Any:
         """The finest level in double precision, where factors are not the shorter way."""
         shape = self._model.shape
-        if Factors.fit(shape) or not fits(shape, IN_DOUBLE - ORDINARY):
+        if factors_fit(self._model) or not fits(shape, IN_DOUBLE - ORDINARY):
             return None
         return self._model.exactly
 
@@ -243,7 +244,7 @@ class Refinement:
     @property
     def _too_long(self) -> bool:
         """Whether factors are the shorter way from here."""
-        return len(self._gains) >= self._patience and Factors.fit(self._model.shape)
+        return len(self._gains) >= self._patience and factors_fit(self._model)
 
     @property
     def _cycles_at_most(self) -> int:
@@ -388,6 +389,12 @@ def add(d: Planes, low: Planes, way: Planes) -> None:
     np.copyto(d, total)
 
 
+def factors_fit(model: LinearModel) -> bool:
+    """Whether factors are a way; of volumes in the paper's model there are none."""
+    there = len(model.shape) == 2 or not isinstance(model.material, SeilerMaterial)
+    return there and Factors.fit(model.shape)
+
+
 def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
     """Return the factors of a model with what is held now; they are kept for the next time.
 
@@ -399,13 +406,13 @@ def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
         If there is no memory for them, or if double precision cannot tell what holds the tissue.
     """
     if model.found.factors is None:
-        if len(model.shape) == 3 and not Factors.fit(model.shape):
+        if len(model.shape) == 3 and not factors_fit(model):
             raise ConvergenceError(
-                "cycles cannot be sure of this volume, and it is too large for factors. Raise "
+                "cycles cannot be sure of this volume, and no factors are there for it. Raise "
                 "max_iterations, crop it, hold more of it, or bring the softest and the stiffest "
                 f"tissue closer together{known}"
             )
-        if not Factors.fit(model.shape):
+        if not factors_fit(model):
             raise ConvergenceError(
                 "cycles cannot be sure of this tissue, and its factors need "
                 f"{Factors.needed(model.shape) / 2**30:.0f} GiB of memory. Crop the image, or "

@@ -7,13 +7,12 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
-from napari_hmrf.solver.backends.factors import Factors
 from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.solver.bending_modes import free_bend
 from napari_hmrf.solver.optimizers import interior, least_motion
 from napari_hmrf.solver.optimizers.base import Report
 from napari_hmrf.solver.optimizers.null_space import Play, find_play
-from napari_hmrf.solver.optimizers.refinement import Refinement, factorise
+from napari_hmrf.solver.optimizers.refinement import Refinement, factorise, factors_fit
 from napari_hmrf.solver.optimizers.slip_states import ActiveSet
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import Problem
@@ -79,7 +78,7 @@ class Slip:
             self._refinement.doubt_again()
             self._exchange(d, exact, _ABOVE * exact)
             clear = np.array_equal(self._clear(d), self._states.held)
-            if not clear and Factors.fit(self._model.shape):
+            if not clear and factors_fit(self._model):
                 factorise(self._model, self._report)
                 self._refinement.run(d, self._states.load, exact)
             pull = self._refinement.pull(d)
