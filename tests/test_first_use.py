@@ -177,9 +177,10 @@ def test_what_goes_with_an_image_is_undone_step_by_step_in_whichever_image(widge
     widget.without_border = False
     widget.boundary = None
     widget.image = other
-    widget.hold_edge = True
+    widget.hold_edge = not widget.hold_edge
+    held = widget.hold_edge
     widget.undo()
-    assert (widget.image, widget.hold_edge) == (other, False)
+    assert (widget.image, widget.hold_edge) == (other, not held)
     widget.undo()
     assert (widget.image, widget.boundary) == (image, boundary), (
         "of the other image, and goes there"
