@@ -27,8 +27,9 @@ from napari_hmrf.solver.backends import (
     open_backend,
 )
 from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
+from napari_hmrf.solver.backends.watch import HARDER
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
-from napari_hmrf.solver.preparation import job_of, prepare, provide_loops
+from napari_hmrf.solver.preparation import job_of, loop_watch, prepare, provide_loops
 from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Provenance, Solution
@@ -266,7 +267,8 @@ def _solution_of(
         _announce(device.renderer, reason)
         prepare(device, prior, optimizer, problem.spacing, report)
         ready = time.perf_counter()
-        outcome = optimizer.run(problem, prior, device, report, begin)
+        with loop_watch(HARDER, report):
+            outcome = optimizer.run(problem, prior, device, report, begin)
         name, renderer = device.name, device.renderer
     finally:
         device.close()
