@@ -47,8 +47,8 @@ _FEW = 1024
 _MOST_HINGES = 40
 # A correction by factors must be smaller than the one before it by this factor.
 _FALL = 0.25
-# One of this many pixels, where tissue moves by one, need only be smaller at all; and one of so many
-# is as small as they get, if it is not.
+# One of this many pixels, where tissue moves by one, need only be smaller at all; and one of so
+# many is as small as they get, if it is not.
 _ROUNDING, _STALLED = 1e-15, 1e-7
 
 
