@@ -14,6 +14,7 @@ from psygnal import Signal
 from napari_hmrf.field.animation import Moment, Motion
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.quantities import QUANTITIES
+from napari_hmrf.field.tissue_point import Points
 from napari_hmrf.layers.field_layer import picture_of, source_of
 from napari_hmrf.layers.image_result import Part, Result
 from napari_hmrf.layers.metadata import METADATA
@@ -60,6 +61,8 @@ class MovingLayers:
         How much of the deformation is drawn.
     longest : float
         How far anything moves, in the unit of the answer.
+    points : Points
+        What happens at each point.
     """
 
     def __init__(self, viewer: Any, arrows: Any, answer: Answer, layers: Result) -> None:
@@ -70,6 +73,7 @@ class MovingLayers:
         self.motion = Motion(answer.solution)
         self.percent = FULL
         self.longest = float(magnitude(answer.solution.displacement).max(initial=0.0))
+        self.points = Points(answer.solution)
         # How long arrows are at 100 %.
         self._length = arrows.length
 

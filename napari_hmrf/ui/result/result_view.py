@@ -10,7 +10,6 @@ from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.comparison import Comparison, compare
-from napari_hmrf.field.tissue_point import Points
 from napari_hmrf.layers.field_layer import (
     can_be_source,
     field_of,
@@ -60,7 +59,7 @@ class ResultView:
         self.shown: MovingLayers | None = None
         #: How far the result is from its reference, if there is one.
         self.comparison: Comparison | None = None
-        self.cursor = UnderCursor(viewer)
+        self.cursor = UnderCursor(viewer, lambda: self.shown)
         self.player = Player(native, self._errands, lambda: self.shown)
         self.more = ResultMenu(form, viewer, lambda: self.shown, self.said.emit)
         form.slider.changed.connect(self._on_slider)
@@ -152,10 +151,10 @@ class ResultView:
         other = before is None or shown is None or shown.layers is not before.layers
         # A newer state of the same is not seen as long as somebody looks at what was before.
         self._put_back(release=other)
-        self.cursor.watch(None)
         if before is not None and other:
             before.layers.leave()
         self.shown = shown
+        self.cursor.look()
         self._form.offer(self.arrows)
         self.looked.emit()
         self._compare()
@@ -169,8 +168,6 @@ class ResultView:
         self._offer(shown)
         if self._form.overlay.value != words.NOTHING:
             self._lay_over(chosen=other)
-        points = partial(Points, shown.answer.solution)
-        self._errands.send("points", points, partial(self.cursor.watch, shown))
 
     def _offer(self, shown: MovingLayers) -> None:
         """Offer what can lie over the image of a result, and choose what does."""
