@@ -21,9 +21,8 @@ from napari_hmrf.field.observation import PixelField
 from napari_hmrf.field.other_grid import OtherGrid
 from napari_hmrf.layers.label_colours import OBSERVED
 from napari_hmrf.layers.metadata import IMAGE, METADATA, TISSUE, known_of, role_of, rows_of
-from napari_hmrf.layers.pixel_copy import copy_slice, plane_shape
 from napari_hmrf.layers.result_layers import ARROWS, Answer, LayerData
-from napari_hmrf.layers.slice_view import View, frame_of, layer_extents
+from napari_hmrf.layers.slice_view import View, copy_slice, frame_of, layer_extents, plane_shape
 from napari_hmrf.study.layer_names import full_resolution, naming
 
 Array = npt.NDArray[Any]

@@ -10,8 +10,7 @@ import numpy as np
 from napari.layers import Image
 
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, role_of
-from napari_hmrf.layers.pixel_copy import fits
-from napari_hmrf.layers.slice_view import View
+from napari_hmrf.layers.slice_view import View, fits
 from napari_hmrf.study.layer_names import full_resolution
 
 #: Ways of drawing an image that leave nothing to be seen of what lies beneath.

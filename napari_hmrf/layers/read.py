@@ -26,9 +26,9 @@ from napari_hmrf.layers.metadata import (
     rows_of,
     tissue_record,
 )
-from napari_hmrf.layers.pixel_copy import LayerCopies, check_size, plane_shape
+from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.result_layers import layer_on
-from napari_hmrf.layers.slice_view import View, frame_of
+from napari_hmrf.layers.slice_view import View, check_size, frame_of, plane_shape
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import grid_in_words
