@@ -1,4 +1,7 @@
-"""All edits of ours in a viewer, in the order they were made: undo, redo and their keys."""
+"""All edits of ours in a viewer, in the order they were made: undo, redo, their keys, and files.
+
+What was edited since it was saved last is known slice by slice, as a study is of a slice.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import weakref
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -108,14 +112,10 @@ class ViewerSteps:
             self._tell("Did again", self.edits.redo(), "There is nothing to do again.")
 
     @property
-    def undo_tooltip(self) -> str:
-        """What `undo` would do, for its button; it ends with the key."""
-        return f"{_tip('take back', self.edits.next_undo)} (Ctrl+Z)"
-
-    @property
-    def redo_tooltip(self) -> str:
-        """What `redo` would do, for its button; it ends with the key."""
-        return f"{_tip('do again', self.edits.next_redo)} (Ctrl+Shift+Z)"
+    def tooltips(self) -> tuple[str, str]:
+        """What `undo` and `redo` would do, for their buttons; each ends with its key."""
+        undo, redo = self.edits.next_undo, self.edits.next_redo
+        return f"{_tip('take back', undo)} (Ctrl+Z)", f"{_tip('do again', redo)} (Ctrl+Shift+Z)"
 
     def bind_keys(self, owner: Any) -> None:
         """Undo and redo by keys, wherever no layer has others for them.
@@ -224,3 +224,57 @@ def _tip(what: str, step: Step | None) -> str:
 def steps_of(viewer: Any) -> ViewerSteps:
     """The steps of a viewer; the same ones for all that edit in it."""
     return shared(unwrapped(viewer), ViewerSteps)
+
+
+class UnsavedWork:
+    """Knows which slices no file holds as they are; of a viewer there is one (`shared`).
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+
+    Attributes
+    ----------
+    paths : dict of Slot to Path
+        The file that holds a slice as it was, of those that were saved or opened.
+    kept : dict of Slot to Path
+        The file that a slice is kept in against a crash.
+    """
+
+    def __init__(self, viewer: Any) -> None:
+        self._edits = steps_of(viewer).edits
+        self._before: dict[Slot, dict[Slot, Any]] = {}
+        self.paths: dict[Slot, Path] = {}
+        self.kept: dict[Slot, Path] = {}
+
+    @property
+    def slices(self) -> tuple[Slot, ...]:
+        """The drawings of the slices on which something is other than in any file."""
+        there = self._edits.slots
+        return tuple(
+            here
+            for here, edited in self._before.items()
+            if here in there
+            and any(
+                slot in there and self._edits.get(slot) != held for slot, held in edited.items()
+            )
+        )
+
+    def note(self, here: Slot, slot: Slot | None = None, before: Any = None) -> None:
+        """Something is edited on a slice.
+
+        Parameters
+        ----------
+        here : Slot
+            The drawing of the slice.
+        slot : Slot, optional
+            What is edited; without, the slice is unsaved until it is saved, whatever is taken back.
+        before : object
+            What that held.
+        """
+        held = object() if slot is None else before
+        self._before.setdefault(here, {}).setdefault(slot or here, held)
+
+    def save(self, here: Slot) -> None:
+        """A slice is in a file as it is now, or is not wanted any more."""
+        self._before.pop(here, None)
