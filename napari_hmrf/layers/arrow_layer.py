@@ -63,18 +63,12 @@ def arrow_lines(
     colours : ndarray, shape (N, 4), float32
         Red, green, blue and opacity of each, 0 to 1.
     """
-    marks = [
-        (mark, number == selected)
+    parts = [
+        (_lines_of(mark, spacing, across), SELECTED if number == selected else DRAWN)
         for number, mark in enumerate(drawing.marks)
         if not isinstance(mark, Stroke)
     ]
-    return coloured(
-        (
-            (_lines_of(mark, spacing, across), SELECTED if chosen else DRAWN)
-            for mark, chosen in marks
-        ),
-        len(spacing),
-    )
+    return coloured(parts, len(spacing))
 
 
 def coloured(parts: Iterable[tuple[npt.NDArray[Any], Sequence[float]]], axes: int = 2) -> Lines:

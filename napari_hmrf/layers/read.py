@@ -141,8 +141,12 @@ class _Reader:
         self._reference = reference = request.layers[0]
         self._frame = frame_of(reference, request.view)
         self._shape = plane_shape(reference, self._frame)
-        self._of_arrows: tuple[str, ...] = ()
-        self._multiscale = any(layer.multiscale for layer in request.layers)
+        self._notes: list[str] = []
+        if (skew := self._frame.skew) > _RIGHT_ANGLE:
+            sheared = f"the pixels are sheared by {skew:.1f} degrees, but taken as rectangles"
+            self._notes.append(sheared)
+        if any(layer.multiscale for layer in request.layers):
+            self._notes.append(f"computed on the finest level, {grid_in_words(self._shape)}")
 
     def study(self, prior: Prior, optimizer: Optimizer) -> Study:
         request, frame, reference = self._request, self._frame, self._reference
@@ -173,7 +177,7 @@ class _Reader:
                 labels_look=look_of(request.tissue) if tissue.labels is not None else {},
             ),
             names=names,
-            notes=(*self._notes(), *self._of_arrows),
+            notes=tuple(self._notes),
         )
 
     def _slice(self, layer: Any) -> npt.NDArray[Any]:
@@ -255,7 +259,7 @@ class _Reader:
         of = (data, sure, own, frame.spacing, shape, *(field or ()))
         y, c, out = self._copies.made(layer, of, observe)
         if out > (0 if field is None else _OUT * max(frame.spacing)):
-            self._of_arrows = (f"'{layer.name}' leads out of the slice, too, which did not count",)
+            self._notes.append(f"'{layer.name}' leads out of the slice, too, which did not count")
         return y, c
 
     def _sure(self) -> npt.NDArray[Any] | None:
@@ -274,14 +278,6 @@ class _Reader:
             raise LayerError(self._reference, "has no edges: choose an image.")
         pixels = self._slice(image)
         return self._copies.made(image, (pixels,), lambda: at_edges(pixels, axes=len(self._shape)))
-
-    def _notes(self) -> tuple[str, ...]:
-        skew, notes = self._frame.skew, []
-        if skew > _RIGHT_ANGLE:
-            notes.append(f"the pixels are sheared by {skew:.1f} degrees, but taken as rectangles")
-        if self._multiscale:
-            notes.append(f"computed on the finest level, {grid_in_words(self._shape)}")
-        return tuple(notes)
 
 
 def look_of(layer: Any) -> dict[str, Any]:

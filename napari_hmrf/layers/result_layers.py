@@ -319,21 +319,18 @@ def overlay_of(answer: Answer, name: Name, compared: Comparison | None = None) -
         None if the result has nothing of that name: no folds, no labels, no reference, or no
         problem.
     """
-    made: LayerData | None
     if name == "grid":
         look = {"vector_style": "line", "edge_color": "cyan", "edge_width": max(answer.shape) / 500}
-        made = answer.layer(name, moved_grid(answer.solution), name, look, "vectors")
-    elif name == "folds":
-        made = _fold_layer(answer)
-    elif name == "observed":
-        made = None if answer.problem is None else _motion_layer(answer, answer.problem)
-    elif (pixels := _pixels_of(answer, name, compared)) is not None:
-        picture, *shown = pixels
-        moved = np.asarray(Motion(answer.solution, overlay=picture).at(1).overlay)
-        return Overlay(name, answer.layer(name, moved, *shown), picture)
-    else:
-        made = None
-    return None if made is None else Overlay(name, made)
+        grid = moved_grid(answer.solution)
+        return Overlay(name, answer.layer(name, grid, name, look, "vectors"))
+    if name in ("folds", "observed"):
+        made = _fold_layer(answer) if name == "folds" else _motion_layer(answer)
+        return None if made is None else Overlay(name, made)
+    if (pixels := _pixels_of(answer, name, compared)) is None:
+        return None
+    picture, *shown = pixels
+    moved = np.asarray(Motion(answer.solution, overlay=picture).at(1).overlay)
+    return Overlay(name, answer.layer(name, moved, *shown), picture)
 
 
 def _pixels_of(answer: Answer, name: Name, compared: Comparison | None) -> tuple[Any, ...] | None:
@@ -384,8 +381,10 @@ def _fold_layer(answer: Answer) -> LayerData | None:
     return answer.layer("folds", folded.astype(np.uint8), _BEFORE.format("folds"), look, "labels")
 
 
-def _motion_layer(answer: Answer, problem: Problem) -> LayerData:
-    """How tissue was to move (y), as arrows."""
+def _motion_layer(answer: Answer) -> LayerData | None:
+    """How tissue was to move (y), as arrows; None if that is not known."""
+    if (problem := answer.problem) is None:
+        return None
     y, known = problem.observed, problem.known  # what was held has a dot
     apart = pixels_between(_ACROSS, answer.shape, problem.spacing)
     cell = (1, apart, apart)[-len(answer.shape) :]
