@@ -57,7 +57,7 @@ class UnderCursor:
             As of `viewer.cursor.position`.
         """
         shown = self._shown()
-        arrows = None if shown is None else shown.layer("arrows")
+        arrows = None if shown is None else shown.layers.layer("arrows")
         if shown is None or arrows is None:
             return None
         place = place_at(arrows, shown.answer, position, View.of(self._viewer.dims))

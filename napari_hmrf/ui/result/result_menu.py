@@ -108,10 +108,6 @@ class ResultMenu:
             return measure(answer.solution, np.ones(answer.shape, int), names={1: "tissue"})
         return measure(answer.solution, labels, names={row.label: row.name for row in rows})
 
-    def save_measurements(self, path: str | Path) -> Path:
-        """Write what `measure` finds; as `napari_hmrf.io.tables.save_measurements`."""
-        return save_measurements(path, self.measure(), self._shown.answer.unit)
-
     def save_pictures(self, folder: str | Path, own_folder: bool = False) -> None:
         """Write pictures, perhaps into a new folder in that one; then `saved` is emitted.
 
