@@ -128,23 +128,19 @@ class ViewerSteps:
         owner : object
             Who has the keys from now on, in place of who had them before.
         """
-        self._release_keys()
+        self._keys.close()
         self._owner = weakref.ref(owner)
         self._keys = self._bind(self._viewer)
         active = self._viewer.layers.selection.events.active
         active.connect(self._on_active)
         self._keys.callback(active.disconnect, self._on_active)
+        self._keys.callback(lambda: self._of_layer.close())
         self._on_active()
 
     def unbind_keys(self, owner: Any) -> None:
         """Leave the viewer's keys as they were, unless somebody else has them by now."""
         if self._owner() is owner:
-            self._release_keys()
-
-    def _release_keys(self) -> None:
-        self._owner = lambda: None
-        self._of_layer.close()
-        self._keys.close()
+            self._keys.close()
 
     def _bind(self, owner: Any) -> ExitStack:
         bound = ExitStack()
@@ -191,12 +187,12 @@ class ViewerSteps:
         dims, layer = self._viewer.dims, slot.layer
         missing = dims.ndim - layer.ndim
         axes = tuple(axis + missing for axis in plane)
-        if turn and (dims.ndisplay != 2 or axes != View.of(dims).displayed):
+        if dims.ndisplay != 2 or axes != View.of(dims).displayed:
+            if not turn:
+                return
             dims.ndisplay = 2
             dims.order = (*(axis for axis in range(dims.ndim) if axis not in axes), *axes)
         view = View.of(dims)
-        if dims.ndisplay != 2 or axes != view.displayed:
-            return
         there = np.asarray(layer.data_to_world(np.array(index, dtype=float)))
         there = there / view.factors(layer)
         for axis in range(layer.ndim):
