@@ -79,8 +79,6 @@ class Answer:
         With its frame.
     frame : Frame
         Where it lies.
-    facts : mapping
-        What all its layers know.
     pictures : Pictures
         What moves with it, but for the image; nothing, of a result from a file.
     problem : Problem, optional
@@ -89,7 +87,6 @@ class Answer:
 
     solution: Solution
     frame: Frame
-    facts: Facts
     pictures: Pictures = field(default_factory=Pictures)
     problem: Problem | None = None
 
@@ -125,12 +122,18 @@ class Answer:
         source : str
             By default what was deformed.
         """
-        known = {"kind": kind, **self.facts}
+        provenance = self.solution.provenance
+        known = {
+            **_whence(self.frame, self.pictures),
+            "kind": kind,
+            "model": in_words(provenance.parameters),
+            "provenance": asdict(provenance),
+        }
         if sort == "vectors":
-            known = {**known, "solution": self.solution}
+            known["solution"] = self.solution
             look = {**look, "length": 1.0, "opacity": 1.0}
-        run = self.solution.provenance.parameters
-        name = _result_name(source or self.source, what, run, self.frame.slice_seen)
+        where = self.frame.slice_seen
+        name = _result_name(source or self.source, what, provenance.parameters, where)
         return layer_on(self.frame, data, name, known, look, sort)
 
 
@@ -193,12 +196,7 @@ def result_layers(
     checkpoint()
     folds = int((smallest_determinant(*field) <= 0).sum())
     shown = pictures or Pictures()
-    facts = {
-        **_whence(frame, shown),
-        "model": in_words(solution.provenance.parameters),
-        "provenance": asdict(solution.provenance),
-    }
-    answer = Answer(solution, frame, facts, replace(shown, image=None, look={}), problem)
+    answer = Answer(solution, frame, replace(shown, image=None, look={}), problem)
     layers: dict[Kind, LayerData] = {}
     overlaps = 0
     if pictures is not None:  # a file that is opened need not wait for the compiler of the loops
