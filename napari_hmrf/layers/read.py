@@ -29,8 +29,6 @@ from napari_hmrf.layers.metadata import (
 from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.result_layers import layer_on
 from napari_hmrf.layers.slice_view import View, check_size, frame_of, plane_shape
-from napari_hmrf.solver.optimizers import Multigrid, Optimizer
-from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.study.layer_names import LayerError, naming
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
@@ -106,19 +104,12 @@ class Request:
         return tuple(layer for layer in chosen if isinstance(layer, Layer))
 
 
-def read_study(
-    request: Request,
-    prior: Prior | None = None,
-    optimizer: Optimizer | None = None,
-    copies: LayerCopies | None = None,
-) -> Study:
+def read_study(request: Request, copies: LayerCopies | None = None) -> Study:
     """Read the slice that is shown out of every layer; quick, for the window waits for it.
 
     Parameters
     ----------
     request : Request
-    prior, optimizer
-        By default elastic tissue, to convergence.
     copies : LayerCopies, optional
         Of a viewer: a layer that did not change since is not read again.
 
@@ -127,9 +118,7 @@ def read_study(
     ProblemError
         Naming the layer that lies elsewhere, is of another size or cannot be read.
     """
-    return _Reader(request, copies or LayerCopies()).study(
-        prior or ElasticPrior(), optimizer or Multigrid()
-    )
+    return _Reader(request, copies or LayerCopies()).study()
 
 
 class _Reader:
@@ -148,7 +137,7 @@ class _Reader:
         if any(layer.multiscale for layer in request.layers):
             self._notes.append(f"computed on the finest level, {grid_in_words(self._shape)}")
 
-    def study(self, prior: Prior, optimizer: Optimizer) -> Study:
+    def study(self) -> Study:
         request, frame, reference = self._request, self._frame, self._reference
         image = None if request.image is None else self._slice(request.image)
         tissue, motion = self._tissue(), self._motion()
@@ -166,8 +155,6 @@ class _Reader:
             grid=Grid(self._shape, frame.spacing, frame.unit, frame),
             tissue=tissue,
             motion=motion,
-            prior=prior,
-            optimizer=optimizer,
             pictures=Pictures(
                 image=image,
                 labels=tissue.labels,
