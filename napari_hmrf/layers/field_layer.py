@@ -85,10 +85,12 @@ def field_layer(
 
 def source_of(layers: Iterable[Any], result: Answer) -> Any:
     """Find the image that a result deforms: by its name, else one that lies where it does."""
-    images = [layer for layer in layers if can_be_source(layer, result)]
-    named = [layer for layer in images if layer.name == result.source]
-    meant = [layer for layer in images if role_of(layer) == IMAGE]
-    return next(iter([*named, *meant, *images]), None)
+    images = (layer for layer in layers if can_be_source(layer, result))
+
+    def likeness(image: Any) -> tuple[bool, bool]:
+        return image.name == result.source, role_of(image) == IMAGE
+
+    return max(images, key=likeness, default=None)
 
 
 def can_be_source(layer: Any, result: Answer) -> bool:

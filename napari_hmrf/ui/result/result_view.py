@@ -77,8 +77,7 @@ class ResultView:
         with suppress(ValueError):  # somebody else's
             viewer.bind_key(BEFORE_KEY, self._while_key_is_held)
         found = [layer for layer in viewer.layers if result_of(layer) is not None]
-        seen = [layer for layer in found if results.of(layer).visible]
-        self.arrows = next(reversed(seen or found), None)
+        self.arrows = max(reversed(found), key=lambda each: results.of(each).visible, default=None)
 
     # What there is
 
