@@ -96,20 +96,18 @@ class ViewerSteps:
         self._owner: Callable[[], Any] = lambda: None
         # What is done to leave the keys, of all layers and of the active one, as they were.
         self._keys, self._of_layer = ExitStack(), ExitStack()
-        # Whether napari paints, and not an undo or a redo.
-        self._painting = False
         self.edits.changed.connect(self._on_changed)
         viewer.layers.events.removed.connect(self._on_removed)
 
     def undo(self) -> None:
         """Take back what was done last, and go to where that was."""
         if not self._before_us("undo", self.edits.next_undo):
-            self._tell("Took back", self.edits.undo(), "There is nothing to take back.")
+            self._tell("undo", "Took back", self.edits.undo(), "There is nothing to take back.")
 
     def redo(self) -> None:
         """Do again what was taken back last, and go to where that is."""
         if not self._before_us("redo", self.edits.next_redo):
-            self._tell("Did again", self.edits.redo(), "There is nothing to do again.")
+            self._tell("redo", "Did again", self.edits.redo(), "There is nothing to do again.")
 
     @property
     def tooltips(self) -> tuple[str, str]:
@@ -162,9 +160,8 @@ class ViewerSteps:
     def _on_paint(self, event: Any) -> None:
         """Have a stroke of napari's brush be a step among the others."""
         slot = Slot(PAINT, event.source)
-        strokes, self._painting = self.edits.open(slot, 0), True
+        strokes = self.edits.open(slot, 0)
         self.edits.do(slot, strokes + 1, f"painted in '{event.source.name}'")
-        self._painting = False
 
     def _before_us(self, name: str, step: Step | None) -> bool:
         """Take back, or do again, paint of the active layer that was there before anybody asked."""
@@ -174,9 +171,13 @@ class ViewerSteps:
             getattr(layer, name)()
         return known
 
-    def _tell(self, what: str, step: Step | None, nothing: str) -> None:
+    def _tell(self, name: str, what: str, step: Step | None, nothing: str) -> None:
+        """Show and say what was taken back or done again; paint napari has to."""
         if step is not None:
-            self.go_to(step.slot)
+            slot: Any = step.slot
+            if slot.what == PAINT and paint_steps(slot.layer, name):  # it keeps a hundred at most
+                getattr(slot.layer, name)()
+            self.go_to(slot)
         self.said.emit(nothing if step is None else f"{what}: {step.word}.", step)
 
     def go_to(self, slot: Any, turn: bool = False) -> None:
@@ -199,14 +200,10 @@ class ViewerSteps:
             if axis not in plane:
                 dims.set_point(axis + missing, float(there[axis]))
 
-    def _on_changed(self, slot: Any, value: Any, before: Any) -> None:
-        """Have the layer carry its table, or its paint; whoever shows it listens for itself."""
+    def _on_changed(self, slot: Any, value: Any) -> None:
+        """Have the layer carry its table; whoever shows it listens for itself."""
         if slot.what in (TISSUE, BOUNDARY):
             value.give_to(slot.layer, slot.what)
-        elif slot.what == PAINT and not self._painting:
-            name = "undo" if value < before else "redo"
-            if paint_steps(slot.layer, name):  # napari keeps no more than a hundred
-                getattr(slot.layer, name)()
 
     def _on_removed(self, event: Any) -> None:
         gone = event.value
@@ -246,14 +243,11 @@ class UnsavedWork:
     @property
     def slices(self) -> tuple[Slot, ...]:
         """The drawings of the slices on which something is other than in any file."""
-        there = self._edits.slots
+        now = {slot: self._edits.get(slot) for slot in self._edits.slots}
         return tuple(
             here
             for here, edited in self._before.items()
-            if here in there
-            and any(
-                slot in there and self._edits.get(slot) != held for slot, held in edited.items()
-            )
+            if here in now and any(slot in now and now[slot] != edited[slot] for slot in edited)
         )
 
     def note(self, here: Slot, slot: Slot | None = None, before: Any = None) -> None:
