@@ -34,9 +34,8 @@ _PIECES, _ROUND = 8, 64
 
 def result_of(layer: Any) -> Answer | None:
     """The result that a layer of arrows holds; None if it holds none."""
-    known = known_of(layer)
-    answer = known.get("answer")
-    return answer if isinstance(answer, Answer) and known.get("kind") == "arrows" else None
+    answer = known_of(layer).get("answer")
+    return answer if isinstance(answer, Answer) else None
 
 
 def holds_field(layer: Any) -> bool:
@@ -88,7 +87,7 @@ def source_of(layers: Iterable[Any], result: Answer) -> Any:
     images = (layer for layer in layers if can_be_source(layer, result))
 
     def likeness(image: Any) -> tuple[bool, bool]:
-        return image.name == result.source, role_of(image) == IMAGE
+        return image.name == result.pictures.name, role_of(image) == IMAGE
 
     return max(images, key=likeness, default=None)
 

@@ -168,9 +168,8 @@ def painted_marks(canvas: Canvas) -> Lines:
     plane = np.eye(n)[-2:]
     shorter = min(extent * step for extent, step in zip(canvas.shape, size, strict=True))
     apart = max(shorter / _ACROSS, 4 * float(size.max()))
-    counts = np.isin(kinds, [KINDS[each] for each in _MARKED]) & (canvas.confidence > 0).any(
-        axis=-1
-    )
+    marked = np.isin(kinds, [KINDS[each] for each in _MARKED])
+    counts = marked & (canvas.confidence > 0).any(axis=-1)
     places = spread(counts, np.where(np.arange(n) < n - 2, 1, apart / size))
     parts: list[tuple[npt.NDArray[Any], Sequence[float]]] = []
     for action in _MARKED:

@@ -24,13 +24,7 @@ from napari_hmrf.field.deformation import (
     spread,
 )
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.quantities import (
-    QUANTITIES,
-    Coloured,
-    Quantity,
-    coloured,
-    title_and_unit,
-)
+from napari_hmrf.field.quantities import QUANTITIES, Coloured, Quantity, coloured, title_and_unit
 from napari_hmrf.field.resample import emptiness, resample
 from napari_hmrf.field.strain import folds
 from napari_hmrf.field.units import unit_symbol
@@ -80,7 +74,8 @@ class Answer:
     frame : Frame
         Where it lies.
     pictures : Pictures
-        What moves with it, but for the image; nothing, of a result from a file.
+        What moves with it, but for the image, of which there is the name; nothing, of a result
+        from a file.
     problem : Problem, optional
         What was solved; not known of a result from a file.
     """
@@ -100,11 +95,6 @@ class Answer:
         """Rows and columns, of a volume planes before these."""
         shape: tuple[int, ...] = self.solution.tissue.shape
         return shape
-
-    @property
-    def source(self) -> str:
-        """The name that the deformed image's layer had; empty for a result from a file."""
-        return self.pictures.name
 
     def layer(
         self, kind: str, data: Array, what: str, look: Facts, sort: str = "image", source: str = ""
@@ -133,7 +123,7 @@ class Answer:
             known["solution"] = self.solution
             look = {**look, "length": 1.0, "opacity": 1.0}
         where = self.frame.slice_seen
-        name = _result_name(source or self.source, what, provenance.parameters, where)
+        name = _result_name(source or self.pictures.name, what, provenance.parameters, where)
         return layer_on(self.frame, data, name, known, look, sort)
 
 

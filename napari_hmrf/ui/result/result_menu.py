@@ -118,7 +118,7 @@ class ResultMenu:
         """
         shown = self._shown
         answer = shown.answer
-        made = f"{answer.source or 'result'} pictures" if own_folder else ""
+        made = f"{answer.pictures.name or 'result'} pictures" if own_folder else ""
         what = Path(folder), answer.solution, shown.image, answer.unit, made
         self._say(SAVING)
         self._errands.send(f"{folder}", partial(save_result_pictures, *what), self._on_saved)
