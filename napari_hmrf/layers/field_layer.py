@@ -98,14 +98,10 @@ def can_be_source(layer: Any, result: Answer) -> bool:
     return own and frame_in(layer, result) is not None
 
 
-def tissue_of(layers: Iterable[Any], result: Answer) -> Any:
-    """Find the layer that says how stiff the tissue of a result is, or None.
-
-    That is one of labels with a table, or one of stiffness.
-    """
-    tissues = [layer for layer in layers if role_of(layer) == TISSUE]
-    described = [each for each in tissues if isinstance(each, Image) or rows_of(each, TISSUE)]
-    return next((each for each in reversed(described) if frame_in(each, result)), None)
+def tissue_labels(layers: Iterable[Any], result: Answer) -> Any:
+    """Find the topmost layer of labels that says what the tissue of a result is, or None."""
+    tissues = [layer for layer in layers if isinstance(layer, Labels) and rows_of(layer, TISSUE)]
+    return next((each for each in reversed(tissues) if frame_in(each, result)), None)
 
 
 def frame_in(layer: Any, result: Answer) -> Frame | None:
