@@ -39,10 +39,7 @@ _BEYOND, _TIP = 1.4, 0.25
 
 
 def arrow_lines(
-    drawing: Drawing,
-    spacing: Sequence[float],
-    selected: int | None = None,
-    across: int = 0,
+    drawing: Drawing, spacing: Sequence[float], selected: int | None = None, across: int = 0
 ) -> Lines:
     """Lines that show a drawing's arrows and landmarks.
 
