@@ -196,9 +196,8 @@ class ViewerSteps:
         view = View.of(dims)
         there = np.asarray(layer.data_to_world(np.array(index, dtype=float)))
         there = there / view.factors(layer)
-        for axis in range(layer.ndim):
-            if axis not in plane:
-                dims.set_point(axis + missing, float(there[axis]))
+        others = [axis for axis in range(layer.ndim) if axis not in plane]
+        dims.set_point([axis + missing for axis in others], there[others].tolist())
 
     def _on_changed(self, slot: Any, value: Any) -> None:
         """Have the layer carry its table; whoever shows it listens for itself."""

@@ -115,11 +115,8 @@ class Result:
     @property
     def percent(self) -> int:
         """How much of the deformation is seen."""
-        for part in ("image", "overlay"):
-            layer = self.layer(part)
-            if layer is not None and layer.visible:
-                return _percent_of(layer)
-        return 0
+        pictures = (layer for part, layer, _ in self._there() if part in ("image", "overlay"))
+        return next((_percent_of(layer) for layer in pictures if layer.visible), 0)
 
     # What is shown
 
