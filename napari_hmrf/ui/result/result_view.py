@@ -154,22 +154,6 @@ class ResultView:
         self.more.release()
         self.cursor.release()
 
-    # Which result is looked at
-
-    def _offer(self, shown: MovingLayers) -> None:
-        """Offer what can lie over the image of a result, and choose what does."""
-        choice, there = self._form.overlay, shown.layers.layer("overlay")
-        with choice.changed.blocked():
-            name = choice.value
-            if name == words.NOTHING and there is not None and there.visible:
-                name = known_of(there)["kind"]  # of a dock that was closed
-            ways = Directions.of(shown.answer.frame, self._viewer)
-            compared = self._form.reference.value is not None
-            if name == "difference" and not compared:
-                name = words.NOTHING
-            choice.choices = words.overlay_choices(shown.answer.unit, ways, compared)
-            choice.value = name
-
     # What it is compared with
 
     def _compare(self) -> None:
@@ -199,6 +183,8 @@ class ResultView:
             self._offer(self.shown)
             if self._form.overlay.value == words.NOTHING:
                 self._lay_over(chosen=False)  # as the map of another reference lay there
+
+    # Which result is looked at
 
     def _on_changed(self, result: Result) -> None:
         """What is seen in a place is another result, or none."""
@@ -246,6 +232,20 @@ class ResultView:
             self.arrows = None
 
     # What lies over the image
+
+    def _offer(self, shown: MovingLayers) -> None:
+        """Offer what can lie over the image of a result, and choose what does."""
+        choice, there = self._form.overlay, shown.layers.layer("overlay")
+        with choice.changed.blocked():
+            name = choice.value
+            if name == words.NOTHING and there is not None and there.visible:
+                name = known_of(there)["kind"]  # of a dock that was closed
+            ways = Directions.of(shown.answer.frame, self._viewer)
+            compared = self._form.reference.value is not None
+            if name == "difference" and not compared:
+                name = words.NOTHING
+            choice.choices = words.overlay_choices(shown.answer.unit, ways, compared)
+            choice.value = name
 
     def _lay_over(self, chosen: bool) -> None:
         """Have what is chosen lie over the image; `chosen`: just now, so that it is to be seen."""
