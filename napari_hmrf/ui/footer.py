@@ -97,7 +97,7 @@ class Footer(QWidget):
 
     def show_steps(self, steps: ViewerSteps) -> None:
         """Show what there is to take back, and to do again."""
-        self.undo.tooltip, self.redo.tooltip = steps.undo_tooltip, steps.redo_tooltip
+        self.undo.tooltip, self.redo.tooltip = steps.tooltips
         self.undo.enabled = steps.edits.next_undo is not None
         self.redo.enabled = steps.edits.next_redo is not None
 

@@ -14,8 +14,8 @@ from qtpy.QtWidgets import QComboBox, QHeaderView, QSizePolicy, QTableWidget, QT
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.metadata import BOUNDARY, Role, Table
-from napari_hmrf.layers.pixel_copy import CHANGES, copy_slice
-from napari_hmrf.layers.slice_view import View, frame_of
+from napari_hmrf.layers.pixel_copy import CHANGES
+from napari_hmrf.layers.slice_view import View, copy_slice, frame_of
 from napari_hmrf.tissue.boundary_rules import unlisted
 from napari_hmrf.ui.events import Listening, single_shot
 

@@ -145,7 +145,8 @@ class LiveStudy:
     def read(self, request: Request) -> Study:
         """Read what is chosen, and how it is to be solved."""
         model = self._form.model
-        return read_study(request, model.prior, model.optimizer, self._copies)
+        study = read_study(request, self._copies)
+        return replace(study, prior=model.prior, optimizer=model.optimizer)
 
     def first_curve(self) -> StiffnessCurve:
         """Guess by which curve the slice's brightness says how stiff tissue is.

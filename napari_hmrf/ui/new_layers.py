@@ -11,8 +11,7 @@ from napari.layers import Labels
 
 from napari_hmrf.layers.label_colours import boundary_colours
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
-from napari_hmrf.layers.pixel_copy import fits, plane_shape
-from napari_hmrf.layers.slice_view import View, frame_of, layer_extents
+from napari_hmrf.layers.slice_view import View, fits, frame_of, layer_extents, plane_shape
 from napari_hmrf.tissue.boundary_rules import UNPAINTED, BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.tissue.usual_lengths import usual_step

@@ -29,10 +29,10 @@ from napari_hmrf.layers.edit_history import (
     PAINT,
     Place,
     Slot,
+    UnsavedWork,
     steps_of,
 )
 from napari_hmrf.layers.read import study_layers
-from napari_hmrf.layers.unsaved_work import UnsavedWork
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.study.models import details_of, family_of

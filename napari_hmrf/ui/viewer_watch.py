@@ -12,7 +12,7 @@ from napari_hmrf.field.frame import PLACE
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of
 from napari_hmrf.layers.pixel_copy import CHANGES
-from napari_hmrf.layers.viewer_layers import is_selection_kept, shared
+from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
 from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.dock_form import DockForm
@@ -61,7 +61,6 @@ class ViewerWatch:
         self._pointer, self._live, self._guide = pointer, live, guide
         self._read: list[Any] = []
         self._active = viewer.layers.selection.active
-        self._selected = single_shot(native, 0, self._on_active)
         self._starting = single_shot(native, 0, self._on_first)
         # napari may be in the middle of removing more layers than the one.
         self._leaving = single_shot(native, 0, self._on_left)
@@ -205,9 +204,6 @@ class ViewerWatch:
             pointer.changed.emit()
 
     def _on_active(self, *_: Any) -> None:
-        if is_selection_kept(self._viewer):
-            self._selected.start()  # what is selected then counts
-            return
         before, self._active = self._active, self._viewer.layers.selection.active
         self.look_at_mouse()
         if self._active is not before:  # else a layer of ours has come beside it
