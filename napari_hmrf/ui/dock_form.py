@@ -21,7 +21,7 @@ from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.footer import Footer
-from napari_hmrf.ui.forms import CalmWheel, Narrow, row
+from napari_hmrf.ui.forms import CalmField, Narrow, row
 from napari_hmrf.ui.label_table import LabelTable
 from napari_hmrf.ui.layer_choice import ExtentChoice, LayerChoice, is_picture
 from napari_hmrf.ui.model import ModelForm
@@ -160,11 +160,10 @@ class DockForm:
         outer.native.layout().addWidget(scroll)
         self._body = body  # magicgui's containers end with the last reference
         outer.native.layout().addWidget(self.footer)
-        calm = CalmWheel(scroll)
+        calm = CalmField(scroll)
         for kind in (QComboBox, QAbstractSpinBox, QAbstractSlider):
             for field in body.native.findChildren(kind):
-                field.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-                field.installEventFilter(calm)
+                calm.watch(field)
         for container in (outer, body, first, ways, *(part for _, part, _ in steps)):
             container.margins = (2, 2, 2, 2)
 

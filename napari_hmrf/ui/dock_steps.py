@@ -12,7 +12,6 @@ from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import Listening
-from napari_hmrf.ui.footer import StepKeys
 from napari_hmrf.ui.messages import WELCOME
 
 #: Of the viewer, and no layer.
@@ -39,8 +38,6 @@ class DockSteps:
 
     Parameters
     ----------
-    native : QWidget
-        The dock.
     form : DockForm
         Of the dock.
     choices : Choices
@@ -49,7 +46,7 @@ class DockSteps:
         Of the viewer.
     """
 
-    def __init__(self, native: Any, form: DockForm, choices: Choices, steps: ViewerSteps) -> None:
+    def __init__(self, form: DockForm, choices: Choices, steps: ViewerSteps) -> None:
         self._form, self._choices, self._steps = form, choices, steps
         self._model = steps.edits
         form.model.values = self._model.get(_THE_MODEL, {})  # of a dock that was closed
@@ -63,7 +60,6 @@ class DockSteps:
         form.tissue.editor.plot.settled.connect(self._model.end)
         form.footer.undo.changed.connect(lambda _: steps.undo())
         form.footer.redo.changed.connect(lambda _: steps.redo())
-        StepKeys(native, steps)
         self._heard = Listening(
             (self._model.changed, self._on_undone), (self._model.moved, self.show)
         )

@@ -181,7 +181,7 @@ class SoftTissue(Dock):
         self._view = ResultView(self.native, viewer, form.result, results)
         form.image.changed.connect(self._view.stand_on)
         remember(form.model.in_detail["device"])
-        self._steps = DockSteps(self.native, form, self._choices, steps)
+        self._steps = DockSteps(form, self._choices, steps)
         self._guide = Guide(viewer, form, self._pointer, self._live_study, steps)
         self._watch = ViewerWatch(
             self.native, viewer, form, self._choices, self._pointer, self._live_study, self._guide
