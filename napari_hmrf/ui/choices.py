@@ -16,7 +16,6 @@ from napari_hmrf.layers.image_choice import image_in_front, painted_on
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, known_of, role_of
 from napari_hmrf.layers.read import Request
-from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.ui.dock_form import DockForm
@@ -91,11 +90,6 @@ class Choices:
                 self.settled.emit()
 
     @property
-    def view(self) -> View:
-        """Which slice is shown, and whether all of the volume is meant."""
-        return View.of(self._viewer.dims, self._form.extent.is_volume)
-
-    @property
     def request(self) -> Request:
         """All that is chosen, with the slice that is shown and no drawing.
 
@@ -117,7 +111,7 @@ class Choices:
             boundary=boundary.choice.value,
             rules=boundary.table.rows if isinstance(boundary.choice.value, Labels) else None,
             confidence=boundary.confidence.value if arrows else None,
-            view=self.view,
+            view=form.view(),
             hold_edge=form.motion.edge.value,
             drawing=Drawing(),
             preset=form.motion.fields.preset.value,
@@ -151,7 +145,7 @@ class Choices:
             if image is not None:
                 known = Slot(CHOICE, image) in self._edits.slots  # by a dock that was closed
                 self._form.image.value = image
-                layers = [] if known else painted_on(image, layers, self.view)
+                layers = [] if known else painted_on(image, layers, self._form.view())
             for layer in layers:
                 self._take_painted(layer)
 
@@ -234,6 +228,6 @@ class Choices:
         self.values = {**self._beginning, "extent": meant}
         with self.nobody_chooses():
             theirs = self._of_others
-            for layer in painted_on(image, self._viewer.layers, self.view):
+            for layer in painted_on(image, self._viewer.layers, self._form.view()):
                 if layer not in theirs:
                     self._take_painted(layer)

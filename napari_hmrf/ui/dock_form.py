@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from magicgui.widgets import Container, PushButton
 from psygnal import Signal
@@ -28,7 +28,7 @@ from napari_hmrf.ui.model import ModelForm
 from napari_hmrf.ui.motion.motion_form import MotionForm
 from napari_hmrf.ui.motion.tools import TOOLS
 from napari_hmrf.ui.result.result_form import ResultForm
-from napari_hmrf.ui.tissue_form import Layers, Shown, TissueSection
+from napari_hmrf.ui.tissue_form import Layers, TissueSection
 
 #: Of the dock, in pixels.
 _WIDTH = 336
@@ -43,8 +43,7 @@ class DockForm:
     ----------
     outer : Container
         The dock widget.
-    layers, view : callable
-        The viewer's layers, and which slice it shows.
+    viewer : napari.Viewer or ViewerModel
 
     Attributes
     ----------
@@ -62,7 +61,9 @@ class DockForm:
     #: Something that a field depends on was changed by hand.
     edited = Signal()
 
-    def __init__(self, outer: Container, layers: Layers, view: Shown) -> None:
+    def __init__(self, outer: Container, viewer: Any) -> None:
+        self._viewer = viewer
+        layers: Layers = partial(list, viewer.layers)
         self.image = LayerChoice(
             layers, is_picture, "image", "The image to deform; of a stack, the slice that is shown"
         )
@@ -77,12 +78,8 @@ class DockForm:
             tooltip="How bright the image is says how stiff tissue is, by a curve that you draw",
         )
 
-        def shown() -> View | None:
-            seen = view()
-            return None if seen is None else replace(seen, volume=self.extent.is_volume)
-
-        self.tissue = TissueSection(layers, shown)
-        self.motion = MotionForm(layers, shown)
+        self.tissue = TissueSection(layers, self.view)
+        self.motion = MotionForm(layers, self.view)
         self.result = ResultForm(layers, self.image)
         self.model = ModelForm()
         keys = ", ".join(f"{tool.key}: {tool.title.lower()}" for tool in TOOLS)
@@ -99,6 +96,10 @@ class DockForm:
         for told in (*parts, *(field.changed for field in fields)):
             told.connect(self.edited, max_args=0)
         self._assemble(outer)
+
+    def view(self) -> View:
+        """Which slice is shown, and whether all of the volume is meant."""
+        return View.of(self._viewer.dims, self.extent.is_volume)
 
     @property
     def choices(self) -> tuple[LayerChoice, ...]:

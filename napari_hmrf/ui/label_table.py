@@ -83,7 +83,7 @@ class LabelTable(QTableWidget):
     found = Signal(str)
     refused = Signal(str)
 
-    def __init__(self, view: Callable[[], View | None]) -> None:
+    def __init__(self, view: Callable[[], View]) -> None:
         super().__init__()
         self._view = view
         self._contents = Table(())

@@ -18,7 +18,7 @@ from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.read import Request, read_study
 from napari_hmrf.layers.screen_directions import Directions
-from napari_hmrf.layers.slice_view import View, plane_shown
+from napari_hmrf.layers.slice_view import plane_shown
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
@@ -156,7 +156,7 @@ class LiveStudy:
             If it cannot be read, or is of one value.
         """
         image = self._form.image.value
-        study = self.read(Request(image=image, view=self._choices.view, drawing=Drawing()))
+        study = self.read(Request(image=image, view=self._form.view(), drawing=Drawing()))
         assert study.intensities is not None
         return first_curve(study.intensities)
 
@@ -315,7 +315,7 @@ class LiveStudy:
         """What of a volume is looked at while a hand moves it; None: all of it."""
         if len(study.grid.shape) == 2 or not self._pointer.hand.holding:
             return None
-        axis, number = plane_shown(study.grid.place, View.of(self._viewer.dims))
+        axis, number = plane_shown(study.grid.place, self._form.view())
         return Plane(axis, number, CoarseGrid.of_at_most(GLANCED, study.grid.shape))
 
     def _is_hasty(self, study: Study) -> bool:

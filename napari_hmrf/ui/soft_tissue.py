@@ -17,7 +17,6 @@ from napari_hmrf.layers.edit_history import steps_of
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.screen_directions import Sides
-from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.priors.elastic import Plane
@@ -171,9 +170,7 @@ class SoftTissue(Dock):
         self._taken: tuple[Landmark, ...] = ()
         # Whether a tool was taken up by itself, and nobody has used it yet.
         self._unused = False
-        self._form = form = DockForm(
-            self, lambda: list(viewer.layers), lambda: View.of(viewer.dims)
-        )
+        self._form = form = DockForm(self, viewer)
         self._choices = Choices(viewer, form)
         self._pointer = Pointer(self.native, viewer, form.motion.fields, steps)
         self._live_study = LiveStudy(self.native, viewer, form, self._choices, self._pointer)
@@ -338,7 +335,7 @@ class SoftTissue(Dock):
             raise HmrfError(messages.WELCOME)
         by_itself = self.curve is not None
         chosen = (self.image if by_itself else self.tissue, self.boundary)
-        made = add_missing(self._viewer, self.image, *chosen, self._choices.view)
+        made = add_missing(self._viewer, self.image, *chosen, self._form.view())
         with self._choices.nobody_chooses():  # undo would not take the layers away
             self.tissue, self.boundary = BRIGHTNESS if by_itself else made[0], made[1]
         self.say(messages.PAINT)
@@ -369,7 +366,7 @@ class SoftTissue(Dock):
             raise HmrfError(messages.WELCOME if self.image is None else self.status)
         study = self._live_study.study
         assert study is not None
-        grid, view = study.grid, self._choices.view
+        grid, view = study.grid, self._form.view()
         marks = read_landmarks(where, should, grid.place, grid.shape, view, **how)
         others = [mark for mark in self.drawing.marks if mark not in self._taken]
         self._taken = marks

@@ -21,7 +21,7 @@ from napari_hmrf.ui.layer_choice import LandmarkChoice, LayerChoice
 from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialMenu, MaterialTable
 
 Layers = Callable[[], list[Any]]
-Shown = Callable[[], View | None]
+Shown = Callable[[], View]
 Table = TypeVar("Table", bound=LabelTable)
 #: The tissue of an image that goes by a curve, in place of a layer.
 BRIGHTNESS = "brightness"
