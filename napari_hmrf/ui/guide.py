@@ -105,10 +105,6 @@ class Guide:
         """Say why what somebody did is not done, until they do something else."""
         self.say(sentence, _Said.REFUSED)
 
-    def say_arrows_gone(self) -> None:
-        """Say how to have the arrows back, until something new is begun."""
-        self.say(motion_messages.ARROWS_GONE, _Said.STEP)
-
     def look_at_mouse(self, stopped: bool) -> None:
         """Another layer feels the mouse, or ours does again; `stopped`: ours did until now."""
         if stopped and self._paused:

@@ -59,7 +59,6 @@ class ViewerWatch:
         self._viewer, self._form, self._choices = viewer, form, choices
         self._results = shared(viewer, ResultLayers)
         self._pointer, self._live, self._guide = pointer, live, guide
-        self._read: list[Any] = []
         self._active = viewer.layers.selection.active
         self._selected = single_shot(native, 0, self._on_active)
         self._starting = single_shot(native, 0, self._on_first)
@@ -82,9 +81,7 @@ class ViewerWatch:
         self._events = Listening(
             (viewer.layers.events, self._on_layers),
             (viewer.layers.selection.events.active, self._on_active),
-            (viewer.dims.events.current_step, self._on_slice),
-            (viewer.dims.events.order, self._on_slice),
-            (viewer.dims.events.ndisplay, self._on_slice),
+            (viewer.dims.events, self._on_slice),
         )
         viewer.mouse_drag_callbacks.append(self._on_drag)
         self._on_choice()
@@ -125,10 +122,7 @@ class ViewerWatch:
     # What is chosen, and what it holds
 
     def _on_choice(self, *_: Any) -> None:
-        form = self._form
-        boundary = form.motion.boundary
-        image, there = form.image.value, form.image.value is not None
-        self._read = [image, form.tissue.layer, boundary.choice.value, boundary.confidence.value]
+        form, there = self._form, self._form.image.value is not None
         form.make.enabled = there and None in self._painted
         form.intensity.enabled = form.result.keep.enabled = there
         self._live.touch()
@@ -162,7 +156,7 @@ class ViewerWatch:
 
     def _reads(self, layer: Any) -> bool:
         """Whether a layer is among those that are read."""
-        return any(layer is each for each in self._read)
+        return layer in (self._form.image.value, *self._choices.values.values())
 
     def _on_inserted(self, event: Any) -> None:
         self._choices.look()
@@ -170,13 +164,10 @@ class ViewerWatch:
         self._on_choice()
 
     def _on_removed(self, event: Any) -> None:
-        layer, live, display = event.value, self._live, self._pointer.display
+        layer, live = event.value, self._live
         was_read = self._reads(layer)
         self._choices.look()
-        if layer is display.arrows.former and not display.quiet:
-            self._pointer.release()
-            self._guide.say_arrows_gone()
-        if live.study is not None and layer is live.source:
+        if layer is live.source:
             live.cancel()
             live.forget()
             self._guide.say("")
