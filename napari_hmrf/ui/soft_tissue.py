@@ -31,7 +31,6 @@ from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.dock_form import DockForm
-from napari_hmrf.ui.dock_steps import DockSteps
 from napari_hmrf.ui.forms import Part, attempt
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.live_study import LiveStudy
@@ -132,7 +131,7 @@ class SoftTissue(Dock):
     confidence = Part[Any]("_form.motion.boundary.confidence.value")
     materials = Part[tuple[Material, ...]]("_form.tissue.table.rows")
     rules = Part[tuple[BoundaryRule, ...]]("_form.motion.boundary.table.rows")
-    curve = Part[StiffnessCurve | None]("_steps.curve")
+    curve = Part[StiffnessCurve | None]("_choices.curve")
     hold_edge = Part[bool]("_form.motion.edge.value")
     without_border = Part[bool]("_form.tissue.border.value")
     fields = Part[ToolFields]("_form.motion.fields")
@@ -171,14 +170,13 @@ class SoftTissue(Dock):
         # Whether a tool was taken up by itself, and nobody has used it yet.
         self._unused = False
         self._form = form = DockForm(self, viewer)
+        remember(form.model.in_detail["device"])
         self._choices = Choices(viewer, form)
         self._pointer = Pointer(self.native, viewer, form.motion.fields, steps)
         self._live_study = LiveStudy(self.native, viewer, form, self._choices, self._pointer)
         results = shared(viewer, ResultLayers)
         self._view = ResultView(self.native, viewer, form.result, results)
         form.image.changed.connect(self._view.stand_on)
-        remember(form.model.in_detail["device"])
-        self._steps = DockSteps(form, self._choices, steps)
         self._guide = Guide(viewer, form, self._pointer, self._live_study, steps)
         self._watch = ViewerWatch(
             self.native, viewer, form, self._choices, self._pointer, self._live_study, self._guide
@@ -478,7 +476,7 @@ class SoftTissue(Dock):
             self._pointer.leave()
             self._view.rest()
         shown = (self._second, self._sides, self._view)
-        heard = (self._unsaved, self._watch, self._guide, self._live_study, self._steps)
+        heard = (self._unsaved, self._watch, self._guide, self._live_study, self._choices)
         for part in (*shown, *heard, self._form):
             part.release()
         self._pointer.end()
