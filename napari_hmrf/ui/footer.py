@@ -25,8 +25,7 @@ _HELP = (
 LARGEST = 1200 * 1200
 _LIVE = (
     "The tissue follows any edit of tissue, boundary or tables; what is pulled, always.\n"
-    "It is off by itself for more than 1200 x 1200 pixels, which take seconds an edit, unless "
-    "there is a graphics card: tick it to try."
+    "Off at first beyond 1200 x 1200 pixels, which without a graphics card take seconds an edit."
 )
 
 

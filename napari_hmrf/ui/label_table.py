@@ -113,11 +113,7 @@ class LabelTable(QTableWidget):
     def columns(self) -> list[Column]:
         """What the columns are now; subclasses have more."""
         return [
-            Column(
-                "",
-                "Label and colour; click a row to paint with it",
-                lambda row: str(row.label),
-            ),
+            Column("", "Click a row to paint with its label", lambda row: str(row.label)),
             Column(
                 self.title,
                 "Any name",

@@ -96,8 +96,7 @@ class ModelForm(Container):
             label="slice is",
             choices=[(words, plane) for plane, words in messages.PLANES.items()],
             value="stress",
-            tooltip="What is in front of the image and behind it. Plane stress: nothing that holds "
-            "it; plane strain: tissue that lets nothing through",
+            tooltip="What lies around the slice: nothing (plane stress), or tissue (plane strain)",
         )
         self.poisson = FloatSpinBox(
             name="poisson",

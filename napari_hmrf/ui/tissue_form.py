@@ -145,17 +145,14 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
             layers,
             lambda layer: isinstance(layer, Labels | Vectors) and "kind" not in known_of(layer),
             "boundary",
-            "A Labels layer in which is painted what holds or moves, or observed displacements: a "
-            "Vectors layer, or a field of a registration by File > Open. Landmarks, as two Points "
-            "layers or as lines of a Shapes layer, come on top: their menus are below once there "
-            "are such layers",
+            "Labels: what is painted holds or moves; or Vectors: observed displacements, such as "
+            "a field by File > Open. Landmarks are chosen below once there are Points or Shapes",
         )
         self.confidence = LayerChoice(
             layers,
             _may_be_confidence,
             "confidence",
-            "How sure what is observed is: an image from 0 to 1, labels as a mask, or only where "
-            "the image has edges; without, 1",
+            "How sure that is: an image from 0 to 1, a mask, or the image's edges; without, 1",
             lambda: [("edges of the image", EDGES)],
         )
         super().__init__(choice, [self.confidence], BoundaryTable(view))
