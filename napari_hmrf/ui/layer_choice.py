@@ -100,7 +100,7 @@ class LandmarkChoice(Container):
             layers,
             lambda layer: isinstance(layer, Points),
             "should be at",
-            "Points: where the same things should be, in the same order, or the same places",
+            "Points: where these should be, in the same order; where both agree, tissue is held",
         )
         self.take = PushButton(
             text="Take as landmarks",

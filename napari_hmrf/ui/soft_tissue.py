@@ -177,15 +177,11 @@ class SoftTissue(Dock):
         results = shared(viewer, ResultLayers)
         self._view = ResultView(self.native, viewer, form.result, results)
         form.image.changed.connect(self._view.stand_on)
-        self._guide = Guide(viewer, form, self._pointer, self._live_study, steps)
-        self._watch = ViewerWatch(
-            self.native, viewer, form, self._choices, self._pointer, self._live_study, self._guide
-        )
+        self._guide = Guide(viewer, self._live_study, steps)
+        self._watch = ViewerWatch(self.native, viewer, self._live_study, self._guide)
         self._second = SecondImage(viewer, form, self._view, self._live_study)
         self._sides = PatientSides(viewer)
-        self._unsaved = Unsaved(
-            self, viewer, self._choices, self._pointer, self._live_study, self._try
-        )
+        self._unsaved = Unsaved(self, viewer, self._live_study, self._try)
         self._connect()
         self._choices.choose_first()
 

@@ -38,7 +38,6 @@ from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.study.models import details_of, family_of
 from napari_hmrf.study.study import Study
 from napari_hmrf.ui import messages
-from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.events import Listening, single_shot
 from napari_hmrf.ui.forms import Prose, row
 from napari_hmrf.ui.remembered_settings import settings
@@ -63,8 +62,6 @@ class Unsaved(QObject):
     ----------
     dock : SoftTissue
     viewer : napari.Viewer or ViewerModel
-    choices : Choices
-    pointer : Pointer
     live : LiveStudy
     attempt : callable
         Given what to do, does it or says why not.
@@ -75,14 +72,12 @@ class Unsaved(QObject):
         Given a question, answers "save", "discard" or "cancel"; by default a person does.
     """
 
-    def __init__(
-        self, dock: Any, viewer: Any, choices: Choices, pointer: Any, live: Any, attempt: Attempt
-    ) -> None:
+    def __init__(self, dock: Any, viewer: Any, live: Any, attempt: Attempt) -> None:
         super().__init__(dock.native)
         self.ask: Callable[[str], Answer] = self._ask_person
         self._try = attempt
-        self._dock, self._viewer, self._choices = dock, viewer, choices
-        self._pointer, self._live = pointer, live
+        self._dock, self._viewer, self._live = dock, viewer, live
+        self._choices, self._pointer = live.choices, live.pointer
         self._steps, self._work = steps_of(viewer), shared(viewer, UnsavedWork)
         self._writer = threading.Thread()
         self._resting = single_shot(dock.native, _REST, self._keep)

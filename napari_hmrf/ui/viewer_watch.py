@@ -14,12 +14,9 @@ from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of
 from napari_hmrf.layers.pixel_copy import CHANGES
 from napari_hmrf.layers.viewer_layers import is_selection_kept, shared
 from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
-from napari_hmrf.ui.choices import Choices
-from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import Listening, single_shot
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.live_study import LiveStudy
-from napari_hmrf.ui.motion.pointer import Pointer
 
 #: What napari paints with.
 _BRUSHES = ("paint", "erase", "fill", "polygon")
@@ -36,9 +33,6 @@ class ViewerWatch:
     native : QWidget
         The dock.
     viewer : napari.Viewer or ViewerModel
-    form : DockForm
-    choices : Choices
-    pointer : Pointer
     live : LiveStudy
     guide : Guide
     """
@@ -46,19 +40,10 @@ class ViewerWatch:
     #: There is a first image, which nobody is at work with: it can be pulled.
     first_came = Signal()
 
-    def __init__(
-        self,
-        native: Any,
-        viewer: Any,
-        form: DockForm,
-        choices: Choices,
-        pointer: Pointer,
-        live: LiveStudy,
-        guide: Guide,
-    ) -> None:
-        self._viewer, self._form, self._choices = viewer, form, choices
+    def __init__(self, native: Any, viewer: Any, live: LiveStudy, guide: Guide) -> None:
+        self._viewer, self._live, self._guide = viewer, live, guide
+        self._form, self._choices, self._pointer = live.form, live.choices, live.pointer
         self._results = shared(viewer, ResultLayers)
-        self._pointer, self._live, self._guide = pointer, live, guide
         self._active = viewer.layers.selection.active
         self._selected = single_shot(native, 0, self._on_active)
         self._starting = single_shot(native, 0, self._on_first)
@@ -67,12 +52,12 @@ class ViewerWatch:
         self._begun = self._was_active = False
         live.moved_on.connect(self._on_other)
         self._slice = self._slice_shown
-        form.edited.connect(self._on_choice)
-        form.image.changed.connect(self._on_choice)
+        self._form.edited.connect(self._on_choice)
+        self._form.image.changed.connect(self._on_choice)
         self._answers: dict[str, Any] = {
             "inserted": self._on_inserted,
             "removed": self._on_removed,
-            "renamed": choices.look,
+            "renamed": self._choices.look,
             "reordered": guide.show,
             "visible": guide.show,
             "mode": self._on_mode,
