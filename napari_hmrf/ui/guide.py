@@ -86,19 +86,12 @@ class Guide:
 
     def invite(self) -> None:
         """Say what can be done next, unless what was taken back or refused is to be read still."""
-        if self._why not in ("step", "refused"):
+        if self._why == "news":
             self.say("")
 
     def refuse(self, sentence: str) -> None:
         """Say why what somebody did is not done, until they do something else."""
         self.say(sentence, "refused")
-
-    def look_at_mouse(self, stopped: bool) -> None:
-        """Another layer feels the mouse, or ours does again; `stopped`: ours did until now."""
-        if stopped and self._paused:
-            self.say("")
-        else:
-            self.show()
 
     def show(self, *_: object) -> None:
         """Show what is to be read now."""
@@ -121,8 +114,7 @@ class Guide:
 
     def _on_begun(self, *_: object) -> None:
         """Something new is begun: what was taken back before has been read."""
-        if self._why in ("step", "refused"):
-            self._why = "news"
+        self._why = "news"
 
     def _on_step(self, sentence: str, step: Step | None) -> None:
         """Say what was taken back, on another slice, too; and that the mouse draws no more."""

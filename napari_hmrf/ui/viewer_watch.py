@@ -177,7 +177,8 @@ class ViewerWatch:
             stopped, self._was_active = self._was_active and not pointer.active, pointer.active
             if stopped:
                 pointer.release()
-            self._guide.look_at_mouse(stopped)
+                self._guide.say("")
+            self._guide.show()
             pointer.changed.emit()
 
     def _on_active(self, *_: Any) -> None:
