@@ -13,6 +13,7 @@ from qtpy.QtWidgets import (
     QAbstractSpinBox,
     QComboBox,
     QFrame,
+    QScrollArea,
     QSizePolicy,
 )
 from superqt import QCollapsible
@@ -21,7 +22,7 @@ from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.footer import Footer
-from napari_hmrf.ui.forms import CalmField, Narrow, row
+from napari_hmrf.ui.forms import CalmField, row
 from napari_hmrf.ui.label_table import LabelTable
 from napari_hmrf.ui.layer_choice import ExtentChoice, LayerChoice, is_picture
 from napari_hmrf.ui.model import ModelForm
@@ -151,13 +152,13 @@ class DockForm:
         layout.setSpacing(4)
         layout.addStretch()
         # The dock may be lower than the form is, but no narrower.
-        self._scroll = scroll = Narrow()
+        self._scroll = scroll = QScrollArea()
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QFrame.Shape.NoFrame)
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         scroll.setWidget(body.native)
         scroll.setMinimumWidth(_WIDTH)
-        scroll.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
+        scroll.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
         outer.native.layout().addWidget(scroll)
         self._body = body  # magicgui's containers end with the last reference
         outer.native.layout().addWidget(self.footer)

@@ -9,9 +9,9 @@ from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox, Label
-from qtpy.QtCore import QEvent, QObject, QSize, Qt
+from qtpy.QtCore import QEvent, QObject, Qt
 from qtpy.QtGui import QKeySequence
-from qtpy.QtWidgets import QAbstractSpinBox, QMenu, QPushButton, QScrollArea, QSizePolicy
+from qtpy.QtWidgets import QAbstractSpinBox, QMenu, QPushButton, QSizePolicy
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.ui.messages import in_short
@@ -177,11 +177,3 @@ def align_labels(form: Container) -> None:
     """Give a form's labels one width: magicgui does so only when one of them changes."""
     first = form[0]
     first.label = first.label
-
-
-class Narrow(QScrollArea):
-    """Asks for no more width than it needs: the rest is the canvas'."""
-
-    def sizeHint(self) -> QSize:
-        """As narrow as may be."""
-        return QSize(self.minimumWidth(), super().sizeHint().height())
