@@ -135,14 +135,13 @@ class Choices:
         image, tissue = form.image.value, form.tissue.layer
         if image is None and (self._lost or not isinstance(tissue, Labels)):
             raise HmrfError(CHOOSE if self._viewer.layers else WELCOME)
-        labelled = isinstance(tissue, Labels)
         arrows = isinstance(boundary.choice.value, Vectors)
         return Request(
             image=image,
             tissue=tissue,
-            materials=form.tissue.table.rows if labelled else None,
+            materials=form.tissue.table.rows,
             boundary=boundary.choice.value,
-            rules=boundary.table.rows if isinstance(boundary.choice.value, Labels) else None,
+            rules=boundary.table.rows,
             confidence=boundary.confidence.value if arrows else None,
             view=form.view(),
             hold_edge=form.motion.edge.value,

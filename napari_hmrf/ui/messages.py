@@ -29,10 +29,7 @@ MODELS: dict[ModelName, str] = {
     "paper": "paper's: 70 sweeps per level",
     "paper, converged": "paper's, computed to the end",
 }
-PLANES: dict[Plane, str] = {
-    "stress": "free to bulge",
-    "strain": "held at its faces",
-}
+PLANES: dict[Plane, str] = {"stress": "free to bulge", "strain": "held at its faces"}
 # The figures are those of the README, by `make benchmarks`: on two cores, without a GPU.
 _WHEN: dict[ModelName, str] = {
     "elastic": "Tissue stretches and bulges as elastic material does. Boundaries are held exactly.",

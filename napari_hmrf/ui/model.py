@@ -7,12 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from magicgui.widgets import (
-    Container,
-    FloatSpinBox,
-    RadioButtons,
-    create_widget,
-)
+from magicgui.widgets import Container, FloatSpinBox, RadioButtons, create_widget
 from napari.layers import Image
 from qtpy.QtCore import QSize
 from qtpy.QtGui import QIcon

@@ -22,15 +22,7 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.io import recovery
 from napari_hmrf.io.study_file import SUFFIX, load_study, save_study
 from napari_hmrf.layers.compat import is_quitting, stop_quitting
-from napari_hmrf.layers.edit_history import (
-    CHOICE,
-    DRAWING,
-    MODEL,
-    PAINT,
-    Place,
-    Slot,
-    steps_of,
-)
+from napari_hmrf.layers.edit_history import CHOICE, DRAWING, MODEL, PAINT, Place, Slot, steps_of
 from napari_hmrf.layers.read import study_layers
 from napari_hmrf.layers.unsaved_work import UnsavedWork
 from napari_hmrf.layers.viewer_layers import shared
@@ -278,11 +270,10 @@ class LeftBehind(Container):
     def __init__(self, take_up: Callable[[Path], None]) -> None:
         self._file = Path()
         self._said = Prose()
-        answers: dict[str, Callable[[Path], None]] = {"Open it": take_up, "Discard": _discard}
-        buttons = [PushButton(text=words) for words in answers]
-        super().__init__(widgets=[self._said, row(*buttons)], labels=False)
-        for button, answer in zip(buttons, answers.values(), strict=True):
-            button.changed.connect(partial(self._on_pressed, answer))
+        opened, discarded = PushButton(text="Open it"), PushButton(text="Discard")
+        super().__init__(widgets=[self._said, row(opened, discarded)], labels=False)
+        opened.changed.connect(partial(self._on_pressed, take_up))
+        discarded.changed.connect(partial(self._on_pressed, _discard))
         self.look()
 
     def look(self) -> None:
