@@ -83,7 +83,7 @@ class LiveStudy:
     #: What goes on, to be said until it is over; then "".
     doing = Signal(str)
     #: Another slice or image is worked on.
-    moved_on = Signal()
+    moved_on = Signal(Study)
 
     def __init__(
         self, native: Any, viewer: Any, form: DockForm, choices: Choices, pointer: Pointer
@@ -279,7 +279,7 @@ class LiveStudy:
             self._describe()
             self.form.footer.live.judge(math.prod(study.grid.shape[-2:]))
             self._follower.rehearse(study)
-            self.moved_on.emit()
+            self.moved_on.emit(study)
         ways = Directions.of(place.place, self._viewer)
         self.curve_layer.show(study, source)
         self.form.show_place(unit_symbol(place.unit), ways)
@@ -366,21 +366,16 @@ class LiveStudy:
 
     def _on_poll(self) -> None:
         footer, monitor = self.form.footer, self._follower.monitor
-        waited, study = time.monotonic() - self._since, self.study
-        moves = study is not None and study.moves
-        what = "Following the last edit" if moves else "Getting ready"
         if not (self._follower.busy or self.settling):
             self._poll.stop()
             self._stop()
-            return
-        if self.settling:
-            what = "Deforming"
-        elif waited > _PATIENCE:
+        elif self.settling or time.monotonic() - self._since > _PATIENCE:
+            moves = self.study is not None and self.study.moves
+            following = "Following the last edit" if moves else "Getting ready"
+            what = "Deforming" if self.settling else following
             footer.cancel.enabled = True
-        else:
-            return
-        self.doing.emit(messages.progress(monitor, what))
-        footer.explain(monitor.message)
+            self.doing.emit(messages.progress(monitor, what))
+            footer.explain(monitor.message)
 
     @property
     def _state(self) -> str:

@@ -13,6 +13,7 @@ from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of
 from napari_hmrf.layers.pixel_copy import CHANGES
 from napari_hmrf.layers.viewer_layers import is_selection_kept, shared
+from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
 from napari_hmrf.ui.events import Listening, single_shot
 from napari_hmrf.ui.guide import Guide
@@ -77,10 +78,9 @@ class ViewerWatch:
         if self._on_drag in self._viewer.mouse_drag_callbacks:
             self._viewer.mouse_drag_callbacks.remove(self._on_drag)
 
-    def _on_other(self) -> None:
+    def _on_other(self, study: Study) -> None:
         """Another slice or image is worked on: have lengths that suit the first, and pull it."""
-        study = self._live.study
-        if not self._begun and study is not None:
+        if not self._begun:
             self._begun = True
             size = study.grid.shape, study.grid.spacing
             self._form.motion.fields.begin_with(usual_radius(*size), usual_step(*size))
