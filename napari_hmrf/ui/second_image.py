@@ -16,7 +16,6 @@ from napari_hmrf.layers.result_layers import Answer
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.tissue.drawing import Landmark
-from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.result.result_view import ResultView
@@ -32,18 +31,17 @@ class SecondImage:
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
-    form : DockForm
-        Its landmark layers say where things are and should be; without, those of the drawing do.
     view : ResultView
         Of the result that is looked at.
     live : LiveStudy
+        Its landmark layers say where things are and should be; without, those of the drawing do.
     """
 
-    def __init__(self, viewer: Any, form: DockForm, view: ResultView, live: LiveStudy) -> None:
-        self._viewer, self._view, self._live, self._form = viewer, view, live, form.result
+    def __init__(self, viewer: Any, view: ResultView, live: LiveStudy) -> None:
+        self._viewer, self._view, self._live = viewer, view, live
         self._results = shared(viewer, ResultLayers)
-        self._image = form.image
-        self._pair = form.motion.boundary.landmarks
+        self._image, self._form = live.form.image, live.form.result
+        self._pair = live.form.motion.boundary.landmarks
         # The second image and those under it, how they were before, and where the second was.
         self._drawn: list[Any] = []
         self._before: list[dict[str, Any]] = []

@@ -179,7 +179,7 @@ class SoftTissue(Dock):
         form.image.changed.connect(self._view.stand_on)
         self._guide = Guide(viewer, self._live_study, steps)
         self._watch = ViewerWatch(self.native, viewer, self._live_study, self._guide)
-        self._second = SecondImage(viewer, form, self._view, self._live_study)
+        self._second = SecondImage(viewer, self._view, self._live_study)
         self._sides = PatientSides(viewer)
         self._unsaved = Unsaved(self, viewer, self._live_study, self._try)
         self._connect()
@@ -453,11 +453,11 @@ class SoftTissue(Dock):
 
     def _on_finished(self, outputs: object) -> None:
         """Have the result be seen that was asked for, and not what was painted on it."""
-        if outputs is not None and self.image is not None and self.tissue is not None:
+        if outputs is not None and self.image is not None:
             self._live_study.show_before(False)
-            tissue = self.tissue if self.curve is None else self._live_study.curve_layer.layer
-            if tissue is not None:
-                tissue.visible = False  # it would tint what was deformed
+            for tissue in (self._form.tissue.layer, self._live_study.curve_layer.layer):
+                if tissue is not None:
+                    tissue.visible = False  # it would tint what was deformed
 
     def on_window(self, window: Any) -> None:
         """The dock is in a window of napari's."""
@@ -471,9 +471,8 @@ class SoftTissue(Dock):
             self._live_study.forget()
             self._pointer.leave()
             self._view.rest()
-        shown = (self._second, self._sides, self._view)
-        heard = (self._unsaved, self._watch, self._guide, self._live_study, self._choices)
-        for part in (*shown, *heard, self._form):
+        parts = (self._second, self._sides, self._view, self._unsaved, self._watch, self._guide)
+        for part in (*parts, self._live_study, self._choices, self._form):
             part.release()
         self._pointer.end()
         super().on_over(closed)
