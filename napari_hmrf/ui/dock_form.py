@@ -86,14 +86,9 @@ class DockForm:
         keys = ", ".join(f"{tool.key}: {tool.title.lower()}" for tool in TOOLS)
         self.footer = Footer(f"Tools: {keys}.")
         self.tissue.edited.connect(self._on_tissue)
-        fields = (
-            self.extent,
-            self.model,
-            self.model.in_detail,
-            self.motion.edge,
-            self.motion.fields.preset,
-        )
-        parts = (self.tissue.edited, self.motion.boundary.edited)
+        model, motion = self.model, self.motion
+        fields = (self.extent, model, model.in_detail, motion.edge, motion.fields.preset)
+        parts = (self.tissue.edited, motion.boundary.edited)
         for told in (*parts, *(field.changed for field in fields)):
             told.connect(self.edited, max_args=0)
         self._assemble(outer)

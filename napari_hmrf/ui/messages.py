@@ -92,13 +92,8 @@ def warnings_of(done: Done) -> tuple[str, str]:
             f"Warning: at {outputs.overlaps} pixels one part of the tissue has moved onto another "
             "and hides it; parts do not feel each other across a gap."
         )
-    parts += map(sentence_of, done.notes)
+    parts += (f"{note[0].upper()}{note[1:]}." for note in done.notes)
     return " ".join(parts), short
-
-
-def sentence_of(clause: str) -> str:
-    """A clause as a sentence of its own."""
-    return f"{clause[0].upper()}{clause[1:]}."
 
 
 def in_short(error: Exception) -> str:

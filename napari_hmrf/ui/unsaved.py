@@ -92,8 +92,8 @@ class Unsaved(QObject):
         self._settle(self._pointer.history.slot, written)
         return written
 
-    def save_as(self) -> bool:
-        """Ask where to save the study, and save it; whether it was."""
+    def save_as(self) -> None:
+        """Ask where to save the study, and save it."""
         here, name = self._pointer.history.slot, "study"
         if isinstance(here, Slot):
             name = _NO_FILE_NAME.sub("-", _name(here))
@@ -103,7 +103,6 @@ class Unsaved(QObject):
         )
         if chosen:
             self.save(chosen)
-        return bool(chosen)
 
     def open(self, path: str | Path) -> None:
         """Add the layers of a saved study; what was drawn on others stays on them."""
