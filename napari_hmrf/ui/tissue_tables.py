@@ -76,8 +76,10 @@ class MaterialTable(LabelTable):
 
 
 def _stiffness(material: Material, text: str) -> Material:
-    stiffness = number_of(str(read_stiffness(text)))
-    if stiffness != RIGID and not 0 <= stiffness <= LARGEST_STIFFNESS:
+    if text.casefold() == "inf" or read_stiffness(text) == RIGID:
+        return replace(material, stiffness=RIGID)
+    stiffness = number_of(text)
+    if not 0 <= stiffness <= LARGEST_STIFFNESS:
         raise ValueError("Stiffness must be a number, 0 or more, or 'rigid'")
     return replace(material, stiffness=stiffness)
 
