@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from napari.layers import Labels, Vectors
@@ -91,12 +92,11 @@ class Choices:
         form.tissue.editor.plot.settled.connect(self._edits.end)
         form.footer.undo.changed.connect(lambda _: steps.undo())
         form.footer.redo.changed.connect(lambda _: steps.redo())
-        self._heard = Listening(
-            (self._edits.changed, self._on_undone), (self._edits.moved, self._show_steps)
-        )
+        show = partial(form.footer.show_steps, steps)
+        self._heard = Listening((self._edits.changed, self._on_undone), (self._edits.moved, show))
         steps.bind_keys(self)
         self.note(by_itself=True)
-        self._show_steps()
+        show()
 
     @property
     def values(self) -> dict[str, Any]:
@@ -338,10 +338,6 @@ class Choices:
             for table in form.tables:
                 if slot == Slot(table.role, table.layer):
                     table.contents = value
-
-    def _show_steps(self) -> None:
-        """Show what there is to take back, and to do again."""
-        self._form.footer.show_steps(self._steps)
 
 
 def _step(slot: Slot, before: Any, now: Any) -> str:
