@@ -358,9 +358,7 @@ class SoftTissue(Dock):
         """
         if self.image is None or not self._live_study.look():
             raise HmrfError(messages.WELCOME if self.image is None else self.status)
-        study = self._live_study.study
-        assert study is not None
-        grid, view = study.grid, self._form.view()
+        grid, view = self.study.grid, self._form.view()
         marks = read_landmarks(where, should, grid.place, grid.shape, view, **how)
         others = [mark for mark in self.drawing.marks if mark not in self._taken]
         self._taken = marks

@@ -121,8 +121,7 @@ class BoundaryTable(LabelTable):
             ),
             Column(
                 "confi-\ndence",
-                "How sure this is: from 0, unknown, to 1, certain.\nTwo numbers, such as "
-                "1 / 0.5, for rows and columns apart",
+                "How sure: 0 to 1.\nTwo numbers, such as 1 / 0.5: for rows and columns apart",
                 lambda row: " / ".join(f"{part:g}" for part in dict.fromkeys(row.confidence)),
                 _sure,
             ),
