@@ -18,6 +18,7 @@ from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
 from napari_hmrf.ui.events import Listening, single_shot
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.live_study import LiveStudy
+from napari_hmrf.ui.motion.motion_messages import ARROWS_GONE
 
 #: What napari paints with.
 _BRUSHES = ("paint", "erase", "fill", "polygon")
@@ -149,9 +150,11 @@ class ViewerWatch:
         self._on_choice()
 
     def _on_removed(self, event: Any) -> None:
-        layer, live = event.value, self._live
+        layer, live, display = event.value, self._live, self._pointer.display
         was_read = self._reads(layer)
         self._choices.look()
+        if layer is display.arrows.former and not display.quiet:
+            self._guide.say(ARROWS_GONE, why="step")
         if layer is live.source:
             live.cancel()
             live.forget()
