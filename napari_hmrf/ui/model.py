@@ -7,12 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from magicgui.widgets import (
-    Container,
-    FloatSpinBox,
-    RadioButtons,
-    create_widget,
-)
+from magicgui.widgets import Container, FloatSpinBox, RadioButtons, create_widget
 from napari.layers import Image
 from qtpy.QtCore import QSize
 from qtpy.QtGui import QIcon
@@ -96,8 +91,7 @@ class ModelForm(Container):
             label="slice is",
             choices=[(words, plane) for plane, words in messages.PLANES.items()],
             value="stress",
-            tooltip="What is in front of the image and behind it. Plane stress: nothing that holds "
-            "it; plane strain: tissue that lets nothing through",
+            tooltip="What lies around the slice: nothing (plane stress), or tissue (plane strain)",
         )
         self.poisson = FloatSpinBox(
             name="poisson",

@@ -62,9 +62,8 @@ def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View)
         )
         boundary = blank("Boundary", described(BOUNDARY, rules), colormap=boundary_colours())
         layers.append(boundary)
-    first = tissue
-    if not isinstance(tissue, Labels) or (tissue_there and not boundary_there):
-        first = boundary
+    lacking = not isinstance(tissue, Labels) or (tissue_there and not boundary_there)
+    first = boundary if lacking else tissue
     viewer.layers.selection = {first}
     if isinstance(first, Labels):
         first.selected_label, first.mode = 2 if first is tissue else 1, "paint"
