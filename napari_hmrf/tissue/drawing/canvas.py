@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.tissue.boundary_rules import BoundaryRule, boundary_images
 from napari_hmrf.tissue.drawing.marks import (
     Action,
     Arrow,
@@ -22,6 +21,7 @@ from napari_hmrf.tissue.drawing.marks import (
     Point,
     Stroke,
 )
+from napari_hmrf.tissue.normals import outward_normals
 
 FloatArray = npt.NDArray[np.float32]
 #: What a part of an image has along each axis; it ends where it begins if it has no pixels.
@@ -141,9 +141,13 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     elif mark.action == "free":
         y[where], c[where] = 0, 0
     elif mark.action == "expand":
-        moved, sure = _expanded(mark, canvas.spacing, canvas.shape, box)
+        normals, region = _outward(mark, canvas.spacing, canvas.shape)
+        sides = zip(box, region, strict=True)
+        at = tuple(slice(side.start - of.start, side.stop - of.start) for side, of in sides)
+        moves = normals[at][where]
         # The inside of a patch is free, whatever is beneath.
-        y[where], c[where] = (each[where][:, which] for each in (moved, mark.confidence * sure))
+        y[where] = np.float32(mark.amount) * moves[:, which]
+        c[where] = mark.confidence * moves.any(axis=-1, keepdims=True)
     elif mark.action == "confidence":
         soft = mark.softness * reach
         share = np.clip((reach - distance) / soft, 0, 1) if soft > 0 else np.ones_like(distance)
@@ -170,7 +174,7 @@ def refuse_open_line(stroke: Stroke, spacing: tuple[float, ...], shape: tuple[in
     ProblemError
         If it is an open line.
     """
-    _expanded_whole(stroke, spacing, shape)
+    _outward(stroke, spacing, shape)
 
 
 def covered(stroke: Stroke, spacing: Sequence[float], box: Box) -> npt.NDArray[np.bool_]:
@@ -250,26 +254,13 @@ def brush_reach(radius: float, spacing: Sequence[float]) -> float:
     return max(radius, 0.5 * math.hypot(*spacing)) * (1 + 1e-6)
 
 
-def _expanded(
-    stroke: Stroke, spacing: tuple[float, ...], shape: tuple[int, ...], window: Box
-) -> tuple[FloatArray, FloatArray]:
-    """Displacement and confidence of an expanding stroke, in a window of the image."""
-    y, c, box = _expanded_whole(stroke, spacing, shape)
-    sides = zip(window, (side.start for side in box), strict=True)
-    at = tuple(slice(side.start - first, side.stop - first) for side, first in sides)
-    return y[at], c[at]
-
-
 @lru_cache(maxsize=8)
-def _expanded_whole(
+def _outward(
     stroke: Stroke, spacing: tuple[float, ...], shape: tuple[int, ...]
-) -> tuple[FloatArray, FloatArray, Box]:
-    """The same of its whole region, and where that lies: normals depend on all of it."""
+) -> tuple[FloatArray, Box]:
+    """The normals of all that a stroke covers, on which each depends, and where that lies."""
     # A region that leaves the image has its outline out there, but not endlessly far.
     box = box_of(stroke, spacing, tuple(slice(-size, 2 * size) for size in shape))
-    painted = covered(stroke, spacing, box)
-    rule = BoundaryRule(1, "expand", amount=stroke.amount, name="brush stroke")
-    y, c = boundary_images(painted.astype(np.uint8), [rule], spacing=spacing)
-    y.setflags(write=False)
-    c.setflags(write=False)
-    return y, c, box
+    normals = outward_normals(covered(stroke, spacing, box), spacing, "a brush stroke")
+    normals.setflags(write=False)
+    return normals, box
