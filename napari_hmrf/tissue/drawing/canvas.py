@@ -52,7 +52,8 @@ class Canvas:
     labels : ndarray of int, shape ([D,] H, W)
         Which tissue, for strokes that paint tissue.
     kinds : ndarray of uint8, shape ([D,] H, W)
-        What was painted last, by its number in `KINDS`; 0 where nothing was. For people to look at.
+        What was painted last, by its number in `KINDS`; 0 where nothing was, or confidence alone.
+        For people to look at.
     spacing : tuple of float, shape (n,)
         Size of a pixel along each axis.
     """
@@ -159,10 +160,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     kinds = canvas.kinds[box]
     if isinstance(mark, Arrow):
         kinds[where] = 0
-    elif mark.action == "confidence":
-        # What is pinned, moved or freed stays so; the rest shows that it was gone over.
-        kinds[where & (kinds == 0) & (c > 0).any(axis=-1)] = KINDS["confidence"]
-    else:
+    elif mark.action != "confidence":  # what is pinned, moved or freed stays so
         kinds[where] = KINDS[mark.action]
 
 
