@@ -205,14 +205,12 @@ class Rendering:
             As `Drawing.render`; the images are then those of the drawing before.
         """
         window = self._changed(drawing)
-        if window is None:
-            self.drawing = drawing
-            return None
-        try:
-            self._redraw(drawing, window)
-        except Exception:
-            self._redraw(self.drawing, window)
-            raise
+        if window is not None:
+            try:
+                self._redraw(drawing, window)
+            except Exception:
+                self._redraw(self.drawing, window)
+                raise
         self.drawing = drawing
         return window
 

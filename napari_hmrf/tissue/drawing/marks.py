@@ -107,7 +107,7 @@ class _Checked:
     @property
     def _places(self) -> tuple[Point, ...]:
         """Places and steps, all of as many axes."""
-        raise NotImplementedError
+        return tuple(value for name, value in vars(self).items() if _VALUES[name] is _PLACE)
 
 
 @dataclass(frozen=True)
@@ -140,10 +140,6 @@ class Arrow(_Checked):
     confidence: float = 1.0
     components: Components = "both"
 
-    @property
-    def _places(self) -> tuple[Point, ...]:
-        return self.at, self.by
-
     def head(self, spacing: Iterable[float]) -> Point:
         """Where the middle of the patch goes, in pixels."""
         steps = zip(self.at, self.by, spacing, strict=True)
@@ -171,10 +167,6 @@ class Landmark(_Checked):
     target: Point
     radius: float
     confidence: float = 1.0
-
-    @property
-    def _places(self) -> tuple[Point, ...]:
-        return self.source, self.target
 
     def arrow(self, spacing: Iterable[float]) -> Arrow:
         """The same as an arrow, whose length depends on the size of a pixel."""
