@@ -78,7 +78,6 @@ class Engine:
         self._asked: Deformation | None = None
         # With the study that each was made of.
         self._grounds: dict[CoarseGrid, tuple[Study, Ground]] = {}
-        self._drawn_on: Ground | None = None
         self._rendering: Rendering | None = None
         self._over: Pictures = ()
         self._warper: tuple[Array | None, Pictures, Warper] | None = None
@@ -164,9 +163,8 @@ class Engine:
         fine = self._ground_of(study, CoarseGrid(), checkpoint)
         ground = fine if grid.step == 1 else self._ground_of(study, grid, checkpoint)
         self._asked = replace(self._asked, ground=fine)
-        if self._rendering is None or ground is not self._drawn_on:
+        if self._rendering is None or self._rendering.base is not ground.base:
             self._rendering, self._over = Rendering(ground.base), ()
-            self._drawn_on = ground
         drawing, canvas = grid.drawing(study.motion.drawing), self._rendering.canvas
         window = self._rendering.show(drawing)
         if self._overlay is not None and grid.step == 1:
@@ -211,18 +209,15 @@ class Engine:
             return None if image is None else self._moved_plane(asked, image, plane, solution), ()
         if solution is None:
             return image, tuple(np.array(picture.image) for picture in over)
-        shown = (
-            []
-            if image is None
-            else [Picture(image, fill=emptiness(image, len(asked.study.grid.shape)))]
-        )
-        shown += over
-        if not shown:
+        if image is None and not over:
             return None, ()
+        d, tissue = solution.displacement, solution.tissue
         known = self._warper
         if known is None or known[0] is not image or known[1] != over:
+            shown = [] if image is None else [Picture(image, fill=emptiness(image, tissue.ndim))]
+            shown += over
             known = self._warper = (image, over, Warper(shown, spacing=solution.spacing))
-        moved = known[2](solution.displacement, solution.tissue)
+        moved = known[2](d, tissue)
         return moved.pop(0) if image is not None else None, tuple(moved)
 
     def _moved_plane(

@@ -176,6 +176,7 @@ class Rendering:
 
     Attributes
     ----------
+    base : Canvas
     canvas : Canvas
         The images with the drawing; written to in place.
     drawing : Drawing
@@ -183,7 +184,7 @@ class Rendering:
     """
 
     def __init__(self, base: Canvas) -> None:
-        self._base = base
+        self.base = base
         self.canvas = base.copy()
         self.drawing = Drawing()
 
@@ -215,7 +216,7 @@ class Rendering:
         return window
 
     def _redraw(self, drawing: Drawing, window: Box) -> None:
-        base, canvas = self._base, self.canvas
+        base, canvas = self.base, self.canvas
         for image, beneath in zip(canvas.images, base.images, strict=True):
             image[window] = beneath[window]
         for mark in drawing.marks:
