@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.tissue.drawing.marks import (
+    COMPONENTS,
     Action,
     Arrow,
-    Components,
     Landmark,
     Mark,
     Point,
@@ -26,14 +26,6 @@ from napari_hmrf.tissue.normals import outward_normals
 FloatArray = npt.NDArray[np.float32]
 #: What a part of an image has along each axis; it ends where it begins if it has no pixels.
 Box = tuple[slice, ...]
-
-# Counted from the last, as a volume has one before them.
-_COMPONENTS: dict[Components, slice] = {
-    "both": slice(None),
-    "row": slice(-2, -1),
-    "col": slice(-1, None),
-}
-
 
 #: Numbers of what strokes do, in `Canvas.kinds`; what becomes tissue is seen in the labels.
 KINDS: dict[Action, int] = {"pin": 1, "free": 2, "move": 3, "expand": 4, "confidence": 5}
@@ -133,7 +125,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     distance = distance_to(lines, radius, canvas.spacing, box)
     reach = brush_reach(radius, canvas.spacing)
     where = distance <= reach
-    which = _COMPONENTS[mark.components]
+    which = COMPONENTS[mark.components]
     y, c = canvas.observed[box][..., which], canvas.confidence[box][..., which]
     if isinstance(mark, Arrow) or mark.action == "move":
         y[where], c[where] = mark.by[which], mark.confidence

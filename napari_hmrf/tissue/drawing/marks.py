@@ -21,6 +21,8 @@ from napari_hmrf.errors import ProblemError
 Point = tuple[float, ...]
 #: Which components of a displacement a mark speaks of; of a volume "both" is all three.
 Components = Literal["both", "row", "col"]
+#: Where these are among the axes, counted from the last, as a volume has one before them.
+COMPONENTS = {"both": slice(None), "row": slice(-2, -1), "col": slice(-1, None)}
 #: What the tissue under a brush does, or is.
 Action = Literal["pin", "free", "move", "expand", "confidence", "tissue"]
 

@@ -12,7 +12,7 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.compat import text_of
 from napari_hmrf.layers.edit_history import DRAWING, Place, Slot, ViewerSteps
 from napari_hmrf.layers.paint_layer import tissue_colours
-from napari_hmrf.study.study import Grid, Study
+from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_model import History, Step
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
@@ -337,8 +337,8 @@ class Pointer:
     def _open_hand(self) -> None:
         """Hold the tool, with nothing selected."""
         moved = self.display.moved
-        grid = Grid((1, 1), (1.0, 1.0)) if moved is None else moved.study.grid
-        self.hand: Hand = self.tool.hand(self.history, grid.spacing, grid.shape)
+        grid = () if moved is None else (moved.study.grid.spacing, moved.study.grid.shape)
+        self.hand: Hand = self.tool.hand(self.history, *grid)
 
     def _show_how(self) -> None:
         mark = self.hand.mark
@@ -370,10 +370,7 @@ class Pointer:
         # A tissue is chosen for what is painted next; of the others the last is adjusted, too.
         if self.tool.name == "tissue" and not self._picked:
             return
-        try:
-            self.hand.change(how)
-        except HmrfError as error:
-            self.refused.emit(in_short(error))
+        self.hand.change(how)
 
     def _show_error(self, seen: Seen) -> None:
         error, hand = seen.moved.error, self.hand

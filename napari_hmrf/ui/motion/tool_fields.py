@@ -8,7 +8,7 @@ from magicgui.widgets import ComboBox, Container
 
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.tissue.boundary_rules import Material, stiffness_in_words
-from napari_hmrf.tissue.drawing import Arrow, Mark, Stroke
+from napari_hmrf.tissue.drawing import Arrow, Landmark, Mark, Stroke
 from napari_hmrf.tissue.drawing.marks import Action
 from napari_hmrf.tissue.material_presets import PRESETS, Palette
 from napari_hmrf.ui.forms import length, narrow, share
@@ -103,7 +103,7 @@ class ToolFields(Container):
         self.show_place("px", self._ways)
 
     @property
-    def how(self) -> Arrow | Stroke:
+    def how(self) -> Mark:
         """A mark as the tool that is shown makes it; where it lies does not count."""
         tool, somewhere = self._tool, (0.0,) * len(self._ways.order)
         values = {_SAYS.get(name, name): getattr(self, name).value for name in tool.fields}
@@ -112,9 +112,9 @@ class ToolFields(Container):
         if "by_row" in values:
             del values["by_row"], values["by_col"]
             values["by"] = self._by
-        if not tool.is_brush:
-            return Arrow(somewhere, somewhere, **values)
-        return Stroke(cast(Action, tool.name), ((somewhere,),), **values)
+        if tool.is_brush:
+            return Stroke(cast(Action, tool.name), ((somewhere,),), **values)
+        return (Landmark if tool.name == "landmark" else Arrow)(somewhere, somewhere, **values)
 
     @property
     def _by(self) -> tuple[float, ...]:

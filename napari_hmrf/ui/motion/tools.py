@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from napari_hmrf.tissue.drawing import Arrow, Mark, Stroke
 from napari_hmrf.ui.motion.brush import Brush
-from napari_hmrf.ui.motion.hands import Hand, LandmarkPull, Pull
+from napari_hmrf.ui.motion.hands import Hand, Pull
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ TOOLS: tuple[Tool, ...] = (
         "L",
         ("radius", "confidence"),
         "Drag from where something is to where it should be.",
-        hand=LandmarkPull,
+        hand=Pull,
     ),
     Tool("pin", "Hold", "P", _HELD, "Paint what does not move."),
     Tool("free", "Free", "F", ("radius",), "Paint what nothing holds, whatever else says so."),
