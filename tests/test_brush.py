@@ -118,7 +118,7 @@ def test_an_open_line_cannot_expand_and_leaves_nothing(brush, history):
         brush.move((row, 5))
     with pytest.raises(ProblemError, match="no outside"):
         brush.release()
-    assert (history.drawing, history.undo_word) == (Drawing(), "")
+    assert (history.drawing, history.edits.next_undo) == (Drawing(), None)
     assert not brush.holding
 
 
@@ -142,7 +142,7 @@ def test_the_stroke_painted_last_is_changed_but_not_its_size(brush, history):
     assert history.drawing.marks == (
         Stroke("move", (((20, 20),),), 4.0, by=(3, 0), confidence=0.5),
     )
-    assert history.undo_word == "changed a stroke"
+    assert history.edits.next_undo.word == "changed a stroke"
     assert brush.remove()
     assert history.edits.undo().word == "removed a stroke"
     assert brush.selected is None
@@ -218,7 +218,7 @@ def test_escape_gives_a_landmark_up(landmark, history):
     landmark.move((14, 12))
     assert landmark.cancel()
     assert not landmark.cancel()
-    assert (history.drawing, history.undo_word) == (Drawing(), "")
+    assert (history.drawing, history.edits.next_undo) == (Drawing(), None)
 
 
 def test_landmarks_are_taken_up_again_by_either_end(landmark, history):

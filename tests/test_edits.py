@@ -189,7 +189,11 @@ def test_a_drawing_whose_image_is_gone_holds_nothing_and_may_begin_again():
     history.begin("drew")
     history.update(Drawing((Arrow((1, 1), (1, 0), 1.0),)))
     edits.drop(lambda slot: slot == "gone")
-    assert (history.drawing, history.in_progress, history.undo_word) == (Drawing(), False, "")
+    assert (history.drawing, history.in_progress, history.edits.next_undo) == (
+        Drawing(),
+        False,
+        None,
+    )
     history.cancel()
     history.do(Drawing((Arrow((2, 1), (1, 0), 1.0),)), "drew again")
     assert history.edits.undo().word == "drew again"

@@ -253,12 +253,6 @@ class History:
         """Whether an edit of this drawing was begun and not ended."""
         return self.edits.in_progress == self.slot
 
-    @property
-    def undo_word(self) -> str:
-        """What `undo` would take back, such as "moved an arrow"; empty if nothing."""
-        step = self.edits.next_undo
-        return step.word if step is not None else ""
-
     def do(self, drawing: Drawing, word: str) -> None:
         """Make one step; an edit in progress ends before it.
 
