@@ -290,19 +290,17 @@ class Deformation:
 
     def came_from(self, point: Point) -> Point | None:
         """Where the tissue seen at a point, in pixels, was before it moved; None if none is."""
-        before: Point | None = point
         if self.solution is not None:
-            solution = self.solution
+            solution, site = self.solution, self.grid.down(point)
             field = (solution.displacement, solution.spacing, solution.tissue, self._farthest)
-            site = self.grid.down(point)
             before = inverse_point(site, *field)
-            # What nobody held anywhere stayed out of it, and where it was.
             if before is not None:
-                before = self.grid.up(before)
-            elif not self._holds(site, solution.tissue):
-                before = point
+                point = self.grid.up(before)
+            elif self._holds(site, solution.tissue):
+                return None
+            # Else nobody held it anywhere: it stayed out of it, and where it was.
         body = None if self.ground is None else self.ground.body
-        return before if before is not None and self._holds(before, body) else None
+        return point if self._holds(point, body) else None
 
     def goes_to(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Where tissue that was at points, (N, n) in pixels, is seen."""
