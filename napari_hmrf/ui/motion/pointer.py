@@ -20,8 +20,9 @@ from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.follower import Seen
 from napari_hmrf.ui.messages import in_short
 from napari_hmrf.ui.motion import motion_messages
+from napari_hmrf.ui.motion.brush import Brush
 from napari_hmrf.ui.motion.display import Display
-from napari_hmrf.ui.motion.hands import Hand
+from napari_hmrf.ui.motion.hands import Hand, Pull
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS, Tool, tool_of
 
@@ -85,9 +86,7 @@ class Pointer:
         self.tissue: Any = None
         self._in_error = False
         steps.said.connect(self._on_step)
-        for field in fields:
-            if field is not fields.preset:
-                field.changed.connect(self._on_field)
+        fields.changed.connect(self._on_field)
 
     # What there is
 
@@ -338,7 +337,7 @@ class Pointer:
         """Hold the tool, with nothing selected."""
         moved = self.display.moved
         grid = () if moved is None else (moved.study.grid.spacing, moved.study.grid.shape)
-        self.hand: Hand = self.tool.hand(self.history, *grid)
+        self.hand: Hand = (Brush if self.tool.is_brush else Pull)(self.history, *grid)
 
     def _show_how(self) -> None:
         mark = self.hand.mark
