@@ -92,9 +92,8 @@ class Canvas:
 
 def box_of(mark: Mark, spacing: Sequence[float], whole: Box) -> Box:
     """The pixels of an image a mark may change; empty where it lies outside."""
-    lines, radius = _brush(mark)
-    reach = [brush_reach(radius, spacing) / size for size in spacing]
-    points = np.array([point for line in lines for point in line])
+    reach = [brush_reach(mark.radius, spacing) / size for size in spacing]
+    points = np.array([point for line in mark.lines for point in line])
     low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
     sides = []
     for first, last, side in zip(low, high, whole, strict=True):
@@ -121,9 +120,8 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
         return
     if isinstance(mark, Landmark):
         mark = mark.arrow(canvas.spacing)
-    lines, radius = _brush(mark)
-    distance = distance_to(lines, radius, canvas.spacing, box)
-    reach = brush_reach(radius, canvas.spacing)
+    distance = distance_to(mark.lines, mark.radius, canvas.spacing, box)
+    reach = brush_reach(mark.radius, canvas.spacing)
     where = distance <= reach
     which = COMPONENTS[mark.components]
     y, c = canvas.observed[box][..., which], canvas.confidence[box][..., which]
@@ -228,15 +226,6 @@ def distance_to(
             part = nearest[tuple(slice(*span) for span in spans)]
             np.minimum(part, far, out=part, casting="same_kind")
     return nearest
-
-
-def _brush(mark: Mark) -> tuple[tuple[tuple[Point, ...], ...], float]:
-    """The lines along which a mark lies, and its radius."""
-    if isinstance(mark, Arrow):
-        return ((mark.at,),), mark.radius
-    if isinstance(mark, Landmark):
-        return ((mark.source,),), mark.radius
-    return mark.lines, mark.radius
 
 
 def brush_reach(radius: float, spacing: Sequence[float]) -> float:

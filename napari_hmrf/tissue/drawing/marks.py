@@ -142,6 +142,11 @@ class Arrow(_Checked):
     confidence: float = 1.0
     components: Components = "both"
 
+    @property
+    def lines(self) -> tuple[tuple[Point, ...], ...]:
+        """Where it lies, as a stroke that touched in one place."""
+        return ((self.at,),)
+
     def head(self, spacing: Iterable[float]) -> Point:
         """Where the middle of the patch goes, in pixels."""
         steps = zip(self.at, self.by, spacing, strict=True)
@@ -169,6 +174,11 @@ class Landmark(_Checked):
     target: Point
     radius: float
     confidence: float = 1.0
+
+    @property
+    def lines(self) -> tuple[tuple[Point, ...], ...]:
+        """Where it lies, as a stroke that touched in one place."""
+        return ((self.source,),)
 
     def arrow(self, spacing: Iterable[float]) -> Arrow:
         """The same as an arrow, whose length depends on the size of a pixel."""
