@@ -87,16 +87,13 @@ class Drawing:
             an earlier one.
         """
         spacing = (1.0,) * len(point) if spacing is None else spacing
-        found: list[tuple[float, int, int]] = []
-        for number, mark in enumerate(self.marks):
-            for order, end in enumerate(ends_of(mark, spacing)):
-                away = math.hypot(*between(point, end, spacing))
-                if away <= reach:
-                    found.append((away, order, -number))
-        if not found:
-            return None
-        _, order, number = min(found)
-        return Hit(-number, "base" if order else "head")
+        ends = (
+            (math.hypot(*between(point, end, spacing)), order, -number)
+            for number, mark in enumerate(self.marks)
+            for order, end in enumerate(ends_of(mark, spacing))
+        )
+        away, order, number = min(ends, default=(math.inf, 0, 0))
+        return Hit(-number, "base" if order else "head") if away <= reach else None
 
     def painted_at(self, point: Point, spacing: Sequence[float] | None = None) -> int | None:
         """Find the stroke that lies uppermost at a place; None if none does.

@@ -374,13 +374,10 @@ class Pointer:
     def _show_error(self, seen: Seen) -> None:
         error, hand = seen.moved.error, self.hand
         assert error is not None
-        self._in_error = self.active
-        if hand.holding and isinstance(hand.mark, Stroke):
-            # A ring that is being painted is an open line until it is closed.
-            self.said.emit(
-                motion_messages.OPEN if hand.mark.action == "expand" else in_short(error)
-            )
-            return
-        self.display.show_painted(seen, hand)
+        self._in_error, words = self.active, in_short(error)
+        if not (hand.holding and isinstance(hand.mark, Stroke)):
+            self.display.show_painted(seen, hand)
+        elif hand.mark.action == "expand":  # a ring is an open line until it is closed
+            words = motion_messages.OPEN
         if self.active:
-            self.said.emit(in_short(error))
+            self.said.emit(words)
