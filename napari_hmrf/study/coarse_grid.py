@@ -29,10 +29,10 @@ class CoarseGrid:
     @classmethod
     def of_at_most(cls, sites: int, shape: tuple[int, ...]) -> CoarseGrid:
         """The finest grid of at most so many sites."""
-        step = math.ceil((math.prod(shape) / sites) ** (1 / len(shape)))
+        step = 1
         while math.prod(-(-size // step) for size in shape) > sites:
             step += 1
-        return cls(max(step, 1))
+        return cls(step)
 
     def down(self, point: Point) -> Point:
         """A place in pixels of this grid."""

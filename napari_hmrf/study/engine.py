@@ -226,15 +226,14 @@ class Engine:
         """A slice of a volume where a solution on its coarse grid takes it."""
         if solution is None or asked.ground is None:
             return np.asarray(image.take(plane.number, plane.axis))
-        order, spacing = plane.order, asked.study.grid.spacing
+        axis, order, spacing = plane.axis, plane.order, asked.study.grid.spacing
         known = self._slicer
-        if known is None or known[0] != plane.axis or known[1] is not image:
-            turned = image.transpose(*order, *range(3, image.ndim))
-            picture = Picture(turned, fill=emptiness(image, 3))
-            warper = Warper(picture, spacing=[spacing[axis] for axis in order])
-            known = self._slicer = (plane.axis, image, warper)
-        d = solution.displacement.transpose(*order, 3)[..., list(order)]
-        tissue = (asked.ground.stiffness > 0).transpose(order)
+        if known is None or known[0] != axis or known[1] is not image:
+            picture = Picture(np.moveaxis(image, axis, 0), fill=emptiness(image, 3))
+            warper = Warper(picture, spacing=[spacing[each] for each in order])
+            known = self._slicer = (axis, image, warper)
+        d = np.moveaxis(solution.displacement[..., order], axis, 0)
+        tissue = np.moveaxis(asked.ground.stiffness > 0, axis, 0)
         return known[2].slice(plane.number, d, tissue, every=plane.grid.step)[0]
 
 

@@ -145,7 +145,7 @@ class StiffnessCurve:
     def _at(self, image: npt.NDArray[Any]) -> FloatArray:
         heights = np.interp(image.astype(np.float64, copy=False), *self._nodes)
         values = np.asarray(np.exp(heights) if self.logarithmic else heights, dtype=np.float32)
-        void = np.isnan(image) if image.dtype.kind == "f" else np.zeros(image.shape, dtype=bool)
+        void = np.isnan(image)
         if self.void_below is not None:
             void |= image < self.void_below
         return np.where(void, np.float32(0), values)
