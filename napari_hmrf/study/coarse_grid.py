@@ -104,13 +104,3 @@ class Plane:
     axis: int
     number: int
     grid: CoarseGrid
-
-    @property
-    def pixels(self) -> tuple[int | slice, ...]:
-        """What picks it out of the volume."""
-        return (*(slice(None) for _ in range(self.axis)), self.number)
-
-    @property
-    def order(self) -> tuple[int, ...]:
-        """The axes of the volume, with that across the plane first."""
-        return self.axis, *(axis for axis in range(3) if axis != self.axis)

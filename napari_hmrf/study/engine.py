@@ -226,7 +226,8 @@ class Engine:
         """A slice of a volume where a solution on its coarse grid takes it."""
         if solution is None or asked.ground is None:
             return np.asarray(image.take(plane.number, plane.axis))
-        axis, order, spacing = plane.axis, plane.order, asked.study.grid.spacing
+        axis, spacing = plane.axis, asked.study.grid.spacing
+        order = (axis, *(each for each in range(3) if each != axis))
         known = self._slicer
         if known is None or known[0] != axis or known[1] is not image:
             picture = Picture(np.moveaxis(image, axis, 0), fill=emptiness(image, 3))

@@ -139,7 +139,7 @@ class Display:
         elif moved.image is not None:
             if not self._pieced:
                 self._whole, self._pieced = np.array(self._whole), True
-            self._whole[moved.plane.pixels] = moved.image
+            np.moveaxis(self._whole, moved.plane.axis, 0)[moved.plane.number] = moved.image
         return self._whole
 
     def finish(self, done: Done) -> None:
