@@ -47,8 +47,8 @@ _FEW = 1024
 _MOST_HINGES = 40
 # A correction by factors must be smaller than the one before it by this factor.
 _FALL = 0.25
-# A correction of this many pixels, where tissue moves by one, need not be; and one of so many is
-# as small as they get, if it is not.
+# One of this many pixels, where tissue moves by one, need only be smaller at all; and one of so
+# many is as small as they get, if it is not.
 _ROUNDING, _STALLED = 1e-15, 1e-7
 
 
@@ -307,7 +307,7 @@ class Refinement:
             far = float(np.abs(correction).max())
             self._report(Monitor(f"solution {self.cycles} by factors, {far:.2g} px to go", 1.0))
             scale = max(1.0, float(np.abs(d).max()))
-            stays = not far <= max(_FALL * before, _ROUNDING * scale)
+            stays = not far < (1.0 if far <= _ROUNDING * scale else _FALL) * before
             if ways is not None:
                 stays = stays and ways.exhausted
                 correction = ways.next(correction, rest)
