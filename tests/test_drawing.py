@@ -288,7 +288,7 @@ def test_undo_gives_back_exactly_what_was_there_and_redo_what_came(sequence):
     """Against two plain lists, as a person would keep them; a drag counts once."""
     base, history = canvas(), History()
     said = []
-    history.changed.connect(said.append)
+    history.edits.changed.connect(lambda _, value: said.append(value))
     past, now, future = [], Drawing(), []
 
     def step(new, first):

@@ -227,20 +227,12 @@ class History:
         The steps of all that is edited; by default the drawing is all.
     slot : hashable
         The drawing's own, among them.
-
-    Attributes
-    ----------
-    changed : Signal(Drawing)
-        Emitted with the drawing whenever it is another.
     """
-
-    changed = Signal(Drawing)
 
     def __init__(self, edits: StudyModel | None = None, slot: Hashable = "drawing") -> None:
         self.edits = StudyModel() if edits is None else edits
         self.slot = slot
         self.edits.open(slot, Drawing())
-        self.edits.changed.connect(self._on_changed)
 
     @property
     def drawing(self) -> Drawing:
@@ -291,7 +283,3 @@ class History:
         """Drop the edit in progress: the drawing is as before it, and nothing is to be undone."""
         if self.in_progress:
             self.edits.cancel()
-
-    def _on_changed(self, slot: Hashable, value: Any) -> None:
-        if slot == self.slot:
-            self.changed.emit(value)

@@ -113,8 +113,7 @@ class Hand:
         held, number = self.holding, self._selected
         if held:
             self._history.cancel()
-            there = number is not None and number < len(self._history.drawing.marks)
-            self.select(number if there else None)
+            self.select(number if number in range(len(self._history.drawing.marks)) else None)
         return held
 
     def select(self, number: int | None) -> None:

@@ -86,6 +86,7 @@ class Pointer:
         self.tissue: Any = None
         self._in_error = False
         steps.said.connect(self._on_step)
+        steps.edits.changed.connect(self._on_drawn)
         fields.changed.connect(self._on_field)
 
     # What there is
@@ -125,7 +126,6 @@ class Pointer:
             What is drawn on.
         """
         self.release()
-        self.history.changed.disconnect(self._on_drawn, missing_ok=True)
         if study is None:
             self.history = History()
         else:
@@ -133,7 +133,6 @@ class Pointer:
             self.history = History(edits=self._steps.edits, slot=slot)
         self.display.stand_on(study, image)
         self._open_hand()
-        self.history.changed.connect(self._on_drawn)
         self.draw()
 
     def take_up(self, name: str) -> None:
@@ -228,6 +227,7 @@ class Pointer:
         """Feel nothing any more."""
         self.display.arrows.end_drag()
         self._steps.said.disconnect(self._on_step)
+        self._steps.edits.changed.disconnect(self._on_drawn)
 
     # What the mouse and the keys do on the canvas
 
@@ -292,8 +292,6 @@ class Pointer:
         except HmrfError:
             self._in_error = False
             self.refused.emit(motion_messages.NO_OUTSIDE)
-            self.draw()
-            return
         if held:
             mark = self.hand.mark
             self._show_how()
@@ -344,7 +342,9 @@ class Pointer:
         if mark is not None:
             self._fields.show_how(mark)
 
-    def _on_drawn(self, _: Drawing) -> None:
+    def _on_drawn(self, slot: Any) -> None:
+        if slot != self.history.slot:
+            return
         self.drawn.emit()
         if not self.hand.holding:
             self.draw()
