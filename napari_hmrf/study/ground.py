@@ -13,7 +13,7 @@ import scipy
 from napari_hmrf.solver.caveats import caveats
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
-from napari_hmrf.solver.problem import Problem, as_stiffness
+from napari_hmrf.solver.problem import FloatArray, Problem, as_stiffness
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
@@ -31,8 +31,6 @@ from napari_hmrf.tissue.drawing import Canvas
 from napari_hmrf.tissue.material_presets import OTHER, Palette
 from napari_hmrf.tissue.normals import outer_rim
 from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
-
-FloatArray = npt.NDArray[np.float32]
 
 #: Stiffness of what is in the picture and of its dark surroundings, where nothing is painted: soft
 #: enough to hinder nothing, and still tissue, so that there always is something that holds.

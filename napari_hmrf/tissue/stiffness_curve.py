@@ -19,11 +19,10 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import is_one_of, real, reals, shown
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.solver.problem import FloatArray, as_numbers
 from napari_hmrf.tissue.boundary_rules import LARGEST_STIFFNESS
 from napari_hmrf.tissue.surroundings import void_threshold
 
-FloatArray = npt.NDArray[np.float32]
 Between = Literal["straight", "smooth"]
 Point = tuple[float, float]
 
