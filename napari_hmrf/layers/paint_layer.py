@@ -79,7 +79,7 @@ def show_painted(
         How sure is what is held or moved; the larger of its components.
     """
     kinds = canvas.kinds[window]
-    shown = np.where(kinds == KINDS["confidence"], np.uint8(0), kinds)
+    shown = kinds.copy()
     if confidence is not None:
         confidence[window] = canvas.confidence[window].max(axis=-1)
     width = max(1, min(canvas.shape) // 90)

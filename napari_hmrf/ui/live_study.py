@@ -23,7 +23,7 @@ from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.study.coarse_grid import CoarseGrid, Plane
-from napari_hmrf.study.refusals import refuse_rigid
+from napari_hmrf.study.ground import refuse_rigid
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, first_curve

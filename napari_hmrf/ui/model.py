@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -29,11 +29,11 @@ class DetailsForm(Container):
     """A field for each of `SolverDetails`; those are seen that a model asks for."""
 
     def __init__(self) -> None:
-        hints = get_type_hints(SolverDetails, include_extras=True)
+        hints = get_type_hints(SolverDetails)
         super().__init__(
             widgets=[
-                create_widget(value, annotation=hints[name], name=name)
-                for name, value in asdict(SolverDetails()).items()
+                create_widget(each.default, hints[each.name], each.name, **each.metadata)
+                for each in fields(SolverDetails)
             ]
         )
         align_labels(self)
