@@ -699,9 +699,13 @@ def test_how_far_a_solve_is_is_said_in_per_cent_and_the_rest_where_the_mouse_res
     docked.settings = replace(docked.settings, sweeps=100_000)
     docked.deform()
     labels = docked.native.findChildren(QLabel)
-    sweep = re.compile(r"level \d+ \(.*\), sweep \d+")
-    wait_for(lambda: any(sweep.match(label.toolTip()) for label in labels))
-    assert re.fullmatch(r"Deforming: \d+ %", docked.status)
+    percent, sweep = re.compile(r"Deforming: \d+ %"), re.compile(r"level \d+ \(.*\), sweep \d+")
+    wait_for(
+        lambda: (
+            bool(percent.fullmatch(docked.status))
+            and any(sweep.match(label.toolTip()) for label in labels)
+        )
+    )
     docked.cancel()
 
 
