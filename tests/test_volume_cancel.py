@@ -7,6 +7,7 @@ import threading
 import numba
 import numpy as np
 import pytest
+from patience import LONG
 
 from napari_hmrf import (
     Arrow,
@@ -116,13 +117,13 @@ def test_a_warp_that_ctrl_c_leaves_stops(thin, counted):
 
     def interrupt():
         signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
-        assert left.wait(60)
+        assert left.wait(LONG)
 
     done = counted("rasterise", interrupt)
     with pytest.raises(KeyboardInterrupt):
         answers()
     left.set()
-    compute_thread.submit(lambda: None).result(60)
+    compute_thread.submit(lambda: None).result(LONG)
     assert len(done) == 1
 
 
@@ -143,7 +144,7 @@ def test_a_study_that_is_dropped_while_its_image_moves_is_not_answered(thin, cou
     try:
         done = counted("rasterise", engine.forget)
         engine.submit(a_study(), settle=True)
-        compute_thread.submit(lambda: None).result(60)
+        compute_thread.submit(lambda: None).result(LONG)
         assert (len(done), found) == (1, [])
     finally:
         engine.close()
@@ -156,14 +157,14 @@ def test_an_errand_that_is_forgotten_stops(thin, counted, qtbot):
 
     def wait():
         begun.set()
-        assert forgotten.wait(60)
+        assert forgotten.wait(LONG)
 
     done = counted("rasterise", wait)
     errands.send("a warp", answers, found.append)
-    assert begun.wait(60)
+    assert begun.wait(LONG)
     errands.forget("a warp")
     forgotten.set()
-    compute_thread.submit(lambda: None).result(60)
+    compute_thread.submit(lambda: None).result(LONG)
     assert len(done) == 1
     assert not errands.busy()
     assert (found, refused) == ([], [])
