@@ -248,21 +248,45 @@ def without_controls(monkeypatch):
 
 
 @pytest.fixture
-def open_window(unstyled, make_napari_viewer, qtbot, at_rest):
+def open_window(unstyled, make_napari_viewer, chequered, qtbot, at_rest):
     """Open a window with the dock beside an image."""
     from person import Person
 
     def opened(data=None, **place):
         viewer = make_napari_viewer(show=True)
-        if data is None:
-            rows, cols = np.indices((64, 64))
-            data = (120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8)
-        viewer.add_image(data, name="MR", **place)
+        viewer.add_image(chequered if data is None else data, name="MR", **place)
         widget = dock_in(viewer)
         at_rest(thread=False)
         return Person(viewer, qtbot), widget
 
     return opened
+
+
+@pytest.fixture
+def frame(qtbot):
+    """A viewer without a canvas, and a frame for docks beside it."""
+    from hand import Frame
+
+    return Frame(qtbot)
+
+
+@pytest.fixture
+def in_hand(frame, chequered, settle):
+    """A hand with *Pull*, at an image in a viewer without a canvas."""
+    from hand import Hand
+
+    frame.viewer.add_image(chequered, name="MR")
+    widget = frame.open()
+    settle(widget)
+    assert widget.active, "the first image is pulled at once"
+    return Hand(frame.viewer), widget
+
+
+@pytest.fixture
+def chequered():
+    """An image of squares."""
+    rows, cols = np.indices((64, 64))
+    return (120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8)
 
 
 @pytest.fixture
