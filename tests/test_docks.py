@@ -138,7 +138,9 @@ def corners_seen(viewer):
     return top, bottom, left, right
 
 
-def test_an_image_that_was_seen_whole_is_seen_whole_beside_a_dock(make_napari_viewer, at_rest):
+def test_an_image_that_was_seen_whole_is_seen_whole_beside_a_dock(
+    unstyled, make_napari_viewer, at_rest
+):
     viewer = make_napari_viewer(show=True)
     viewer.window.resize(*ROOM)
     at_rest()
@@ -228,7 +230,7 @@ def test_a_closed_dock_can_be_opened_again(window, choose, at_rest):
     assert inner.image.name == "MR"
 
 
-def test_each_viewer_has_a_dock_of_its_own(make_napari_viewer):
+def test_each_viewer_has_a_dock_of_its_own(unstyled, without_controls, make_napari_viewer):
     one, other = make_napari_viewer(), make_napari_viewer()
     assert dock(one) is dock(one)
     assert dock(other) is not dock(one)
