@@ -201,12 +201,7 @@ class Follower:
             raise Cancelled
 
     def _overlay(
-        self,
-        ground: Ground,
-        drawing: Drawing,
-        canvas: Canvas,
-        window: Box | None,
-        over: Pictures,
+        self, ground: Ground, drawing: Drawing, canvas: Canvas, window: Box | None, over: Pictures
     ) -> Pictures:
         """Keep what was painted where, at rest; it moves with the picture once there is any."""
         self._canvas = canvas
