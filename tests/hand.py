@@ -11,7 +11,7 @@ from napari.utils.interactions import (
 from napari.utils.key_bindings import KeymapHandler
 from person import PLAIN
 from qtpy.QtGui import QKeySequence
-from qtpy.QtWidgets import QWidget
+from qtpy.QtWidgets import QVBoxLayout, QWidget
 
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
@@ -87,14 +87,21 @@ class Frame:
 
     def __init__(self, qtbot):
         self.viewer = ViewerModel()
+        self._qtbot = qtbot
         self._around = QWidget()
+        self._around.setLayout(QVBoxLayout())
         qtbot.addWidget(self._around)
 
     def open(self):
         """Put a new dock into the frame."""
         dock = SoftTissue(self.viewer)
-        dock.native.setParent(self._around)
+        self._around.layout().addWidget(dock.native)
         return dock
+
+    def show(self):
+        """Have what is in the frame be seen, and pressed by a mouse where it is seen."""
+        with self._qtbot.waitExposed(self._around):
+            self._around.show()
 
     def close(self, dock):
         """Take a dock out, as napari does with one that is closed."""
