@@ -839,6 +839,7 @@ def test_nothing_stays_of_the_circle_around_the_cursor(
 
 def test_the_user_picks_where_and_a_new_folder_is_made(look, tmp_path, wait_for, monkeypatch):
     monkeypatch.setattr("qtpy.QtWidgets.QFileDialog.getExistingDirectory", lambda *_: str(tmp_path))
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda *_, **__: None)
     got = []
     look.saved.connect(got.append)
     for _ in range(2):
