@@ -662,24 +662,23 @@ def test_a_failure_while_computing_is_told_and_changes_nothing(
     assert state(viewer) == before
 
 
-def test_nothing_moves_under_the_mouse(frame, small_sample, busy_thread, wait_for):
-    small_sample(frame.viewer)
-    widget = quick(frame.open())
-    frame.show()
+def test_nothing_moves_under_the_mouse(docked, small_sample, busy_thread, wait_for):
+    small_sample(viewer_of(docked))
+    docked.native.show()
 
     def places():
         QApplication.processEvents()
-        button = widget._form.footer.deform.native
-        return [button.mapTo(widget.native, button.rect().topLeft()), button.size()]
+        button = docked._form.footer.deform.native
+        return [button.mapTo(docked.native, button.rect().topLeft()), button.size()]
 
     before = places()
-    widget.deform()
-    assert not widget.idle
+    docked.deform()
+    assert not docked.idle
     assert places() == before
     busy_thread.set()
-    wait_for(lambda: widget.idle)
+    wait_for(lambda: docked.idle)
     assert places() == before
-    widget.say("word " * 300)
+    docked.say("word " * 300)
     assert places() == before
 
 
