@@ -184,8 +184,14 @@ def result_layers(
     solution = replace(solution, frame={**(solution.frame or {}), **frame.as_dict()})
     field = (solution.displacement, solution.spacing, solution.tissue)
     checkpoint()
-    folds = int((smallest_determinant(*field) <= 0).sum())
+    nearest = smallest_determinant(*field)
+    checkpoint()
+    folds = int((nearest <= 0).sum())
     shown = pictures or Pictures()
+    digests = solution.provenance.inputs
+    for name in digests:
+        checkpoint()
+        digests[name]  # made when it is looked at first
     answer = Answer(solution, frame, replace(shown, image=None, look={}), problem)
     layers: dict[Kind, LayerData] = {}
     overlaps = 0

@@ -192,6 +192,8 @@ class Engine:
                 self.latest = answer
                 self._tell(answer)
                 return
+            except Cancelled:
+                raise
             except Exception as failure:  # noqa: BLE001 - an answer is waited for, whatever it is
                 _log.exception("the image could not be moved")
                 error = failure
