@@ -123,7 +123,9 @@ def test_letters_follow_the_view_and_in_3_d_there_are_none(window, at_rest):
 
 def test_where_nothing_is_known_and_without_a_dock_there_are_none(window, at_rest):
     viewer, dock, image = window
-    image.visible = False
+    at_rest.until(lambda: not dock.busy)  # or else a picture of the image may come
+    for layer in viewer.layers:
+        layer.visible = False
     assert dock.sides == Sides()
     viewer.add_image(np.zeros((24, 24)), name="photo")
     assert dock.sides == Sides()
