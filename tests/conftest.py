@@ -8,13 +8,14 @@ import sys
 import threading
 from concurrent.futures import Future
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 import pytest
 from at_rest import AtRest
 from compiling import compile_most, compile_once
 from hypothesis import settings
-from once import draw_letters_once, read_manifests_once
+from once import check_widgets_once, draw_letters_once, read_manifests_once
 from patience import LONG, LONG_MS
 from screen import Screen
 
@@ -80,16 +81,24 @@ def pytest_runtest_setup(item):
     if _WINDOWS & set(item.fixturenames):
         read_manifests_once()
         draw_letters_once()
+        check_widgets_once()
         gc.collect()
         gc.freeze()
 
 
+@pytest.fixture(scope="session")
+def settings_folders(tmp_path_factory):
+    """Folders that are not there: to make each, and to look for a name for it, takes long."""
+    folder = tmp_path_factory.mktemp("settings")
+    return (folder / str(number) for number in count())
+
+
 @pytest.fixture(autouse=True)
-def _no_memory(tmp_path_factory):
+def _no_memory(settings_folders):
     """Nothing is remembered from the person at this machine, from test to test, or for either."""
     from qtpy.QtCore import QSettings
 
-    folder = tmp_path_factory.mktemp("settings")
+    folder = next(settings_folders)
     QSettings.setPath(QSettings.Format.IniFormat, QSettings.Scope.UserScope, str(folder))
 
 
@@ -100,6 +109,7 @@ def widget(qtbot):
 
     from napari_hmrf.ui.soft_tissue import SoftTissue
 
+    check_widgets_once()
     found = SoftTissue(ViewerModel())
     qtbot.addWidget(found.native)
     return quick(found)
@@ -248,21 +258,46 @@ def without_controls(monkeypatch):
 
 
 @pytest.fixture
-def open_window(unstyled, make_napari_viewer, qtbot, at_rest):
+def open_window(unstyled, make_napari_viewer, chequered, qtbot, at_rest):
     """Open a window with the dock beside an image."""
     from person import Person
 
     def opened(data=None, **place):
         viewer = make_napari_viewer(show=True)
-        if data is None:
-            rows, cols = np.indices((64, 64))
-            data = (120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8)
-        viewer.add_image(data, name="MR", **place)
+        viewer.add_image(chequered if data is None else data, name="MR", **place)
         widget = dock_in(viewer)
         at_rest(thread=False)
         return Person(viewer, qtbot), widget
 
     return opened
+
+
+@pytest.fixture
+def frame(qtbot):
+    """A viewer without a canvas, and a frame for docks beside it."""
+    from hand import Frame
+
+    check_widgets_once()
+    return Frame(qtbot)
+
+
+@pytest.fixture
+def in_hand(frame, chequered, settle):
+    """A hand with *Pull*, at an image in a viewer without a canvas."""
+    from hand import Hand
+
+    frame.viewer.add_image(chequered, name="MR")
+    widget = frame.open()
+    settle(widget)
+    assert widget.active, "the first image is pulled at once"
+    return Hand(frame.viewer), widget
+
+
+@pytest.fixture
+def chequered():
+    """An image of squares."""
+    rows, cols = np.indices((64, 64))
+    return (120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8)
 
 
 @pytest.fixture

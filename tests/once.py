@@ -15,6 +15,14 @@ def read_manifests_once():
 
 
 @cache
+def check_widgets_once():
+    """Have magicgui look once whether a kind of widget has all that it needs."""
+    from magicgui.widgets import protocols
+
+    protocols.assert_protocol = cache(protocols.assert_protocol)
+
+
+@cache
 def draw_letters_once():
     """Have each window write with the letters that an earlier one has drawn."""
     from vispy.visuals.text.text import SDFRendererCPU

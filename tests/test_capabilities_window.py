@@ -92,7 +92,9 @@ def layer(viewer, beginning):
 # The dock
 
 
-def test_one_dock_has_the_tissue_its_motion_and_what_comes_of_it(make_napari_viewer, qtbot):
+def test_one_dock_has_the_tissue_its_motion_and_what_comes_of_it(
+    unstyled, without_controls, make_napari_viewer, qtbot
+):
     viewer = make_napari_viewer(show=True)
     _, dock = viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
     qtbot.waitUntil(dock.native.isVisible, timeout=LONG_MS)
@@ -306,7 +308,9 @@ def test_a_large_image_is_not_followed_unasked(viewer, qtbot, wait_for):
 # Pulling
 
 
-def test_a_click_holds_tissue_and_while_space_is_held_the_view_moves(pulling, settle):
+def test_a_click_holds_tissue_and_while_space_is_held_the_view_moves(
+    without_controls, pulling, settle
+):
     person, widget = pulling
     seen = person.where(0, 0)
     person.drag((30, 30), (30, 30))
@@ -462,10 +466,11 @@ def test_what_was_given_is_seen_as_layers(look, viewer, wait_for):
     wait_for(lambda: not any("MR confidence" in layer.name for layer in viewer.layers))
 
 
-def test_the_first_image_is_pulled_without_a_press(make_napari_viewer, qtbot, at_rest):
+def test_the_first_image_is_pulled_without_a_press(
+    unstyled, without_controls, make_napari_viewer, chequered, qtbot, at_rest
+):
     viewer = make_napari_viewer(show=True)
-    rows, cols = np.indices((64, 64))
-    viewer.add_image((120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8), name="MR")
+    viewer.add_image(chequered, name="MR")
     dock = dock_in(viewer)
     at_rest.until(lambda: dock.active and not dock.busy)
     person = Person(viewer, qtbot)
@@ -475,7 +480,9 @@ def test_the_first_image_is_pulled_without_a_press(make_napari_viewer, qtbot, at
     assert not dock.solution.displacement[0].any(), "the edge is held"
 
 
-def test_what_was_painted_is_pushed_by_a_drag(make_napari_viewer, qtbot, at_rest):
+def test_what_was_painted_is_pushed_by_a_drag(
+    unstyled, without_controls, make_napari_viewer, qtbot, at_rest
+):
     viewer = make_napari_viewer(show=True)
     viewer.add_image(np.full((64, 64), 100, np.uint8), name="MR")
     dock, person = dock_in(viewer), Person(viewer, qtbot)

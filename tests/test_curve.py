@@ -5,7 +5,7 @@ from dataclasses import replace
 import dask.array as da
 import numpy as np
 import pytest
-from conftest import dock_in
+from conftest import quick
 from matplotlib.backends.backend_qtagg import FigureCanvasQTAgg
 from qtpy.QtCore import QPoint, QPointF, Qt
 from qtpy.QtGui import QMouseEvent, QShowEvent
@@ -363,13 +363,13 @@ def test_each_image_has_a_curve_of_its_own(widget, wait_for):
     assert widget.curve == CURVE
 
 
-def test_nothing_is_shown_of_a_dock_that_is_closed(docked, wait_for):
-    viewer, _, _ = made(docked)
-    curve = docked.curve
-    dock = docked.native.parent()
-    viewer.window.remove_dock_widget(dock)
+def test_nothing_is_shown_of_a_dock_that_is_closed(frame, wait_for):
+    closed = quick(frame.open())
+    viewer, _, _ = made(closed)
+    curve = closed.curve
+    frame.close(closed)
     assert shown(viewer) is None
-    again = dock_in(viewer)
+    again = frame.open()
     assert again._viewer is viewer
     assert again.tissue_from_intensity() == curve, "it is the image's"
     wait_for(lambda: shown(viewer) is not None)

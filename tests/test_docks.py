@@ -39,8 +39,14 @@ def choose(at_rest):
 
 
 @pytest.fixture
-def window(make_napari_viewer, at_rest):
-    """A window on a small screen, with an image."""
+def window(unstyled, without_controls, styled_window):
+    """The same without what is not ours, for claims that are not about looks."""
+    return styled_window
+
+
+@pytest.fixture
+def styled_window(make_napari_viewer, at_rest):
+    """A window on a small screen, with an image, as people see it."""
     viewer = make_napari_viewer(show=True)
     viewer.window.resize(*ROOM)
     viewer.add_image(np.full((40, 40), 100, np.uint8), name="MR")
@@ -63,14 +69,16 @@ def frame_of(inner):
     return frame
 
 
-def test_the_dock_fits_on_a_small_screen(window, at_rest):
+def test_the_dock_fits_on_a_small_screen(styled_window, at_rest):
     dock()
     at_rest()
-    assert window._qt_window.minimumSizeHint().height() <= ROOM[1]
-    assert (window._qt_window.width(), window._qt_window.height()) == ROOM
+    assert styled_window._qt_window.minimumSizeHint().height() <= ROOM[1]
+    assert (styled_window._qt_window.width(), styled_window._qt_window.height()) == ROOM
 
 
-def test_words_take_no_more_room_than_they_need_and_move_no_button(window, at_rest, wait_for):
+def test_words_take_no_more_room_than_they_need_and_move_no_button(
+    styled_window, at_rest, wait_for
+):
     found = dock()
     wait_for(lambda: not found.busy)
     at_rest()
@@ -78,18 +86,20 @@ def test_words_take_no_more_room_than_they_need_and_move_no_button(window, at_re
     found.say("One line.")
     wait_for(lambda: footer.height() == footer.sizeHint().height())
     deform, least = footer.deform.native, footer.height()
-    place = deform.mapTo(window._qt_window, deform.rect().topLeft())
+    place = deform.mapTo(styled_window._qt_window, deform.rect().topLeft())
     found.say("So much has to be said that it takes many lines. " * 20)
     footer.warn("It folds.", "Folds at 300 pixels")
     wait_for(lambda: footer.height() == footer.sizeHint().height() > least)
-    assert deform.mapTo(window._qt_window, deform.rect().topLeft()) == place
+    assert deform.mapTo(styled_window._qt_window, deform.rect().topLeft()) == place
     assert footer.height() < 250, "however much there is to say"
     found.say("One line.")
     footer.warn("")
     wait_for(lambda: footer.height() == least)
 
 
-def test_no_word_of_the_curve_or_of_the_paper_s_tissues_is_cut_off(window, at_rest, wait_for):
+def test_no_word_of_the_curve_or_of_the_paper_s_tissues_is_cut_off(
+    styled_window, at_rest, wait_for
+):
     found = dock()
     found._viewer.layers["MR"].data = np.arange(1600, dtype=np.float32).reshape(40, 40)
     Screen(found).press("Tissue from brightness")
@@ -128,7 +138,9 @@ def corners_seen(viewer):
     return top, bottom, left, right
 
 
-def test_an_image_that_was_seen_whole_is_seen_whole_beside_a_dock(make_napari_viewer, at_rest):
+def test_an_image_that_was_seen_whole_is_seen_whole_beside_a_dock(
+    unstyled, make_napari_viewer, at_rest
+):
     viewer = make_napari_viewer(show=True)
     viewer.window.resize(*ROOM)
     at_rest()
@@ -218,7 +230,7 @@ def test_a_closed_dock_can_be_opened_again(window, choose, at_rest):
     assert inner.image.name == "MR"
 
 
-def test_each_viewer_has_a_dock_of_its_own(make_napari_viewer):
+def test_each_viewer_has_a_dock_of_its_own(unstyled, without_controls, make_napari_viewer):
     one, other = make_napari_viewer(), make_napari_viewer()
     assert dock(one) is dock(one)
     assert dock(other) is not dock(one)
@@ -226,13 +238,16 @@ def test_each_viewer_has_a_dock_of_its_own(make_napari_viewer):
 
 def test_each_command_runs_in_a_window(window, choose, qtbot):
     samples = {"sample_mass_effect": "mass-effect"}
-    names = [each.id for each in COMMANDS if each.id not in WITH_A_FILE]
-    for name in sorted(names, key=lambda name: "sample" in name):  # which bring large images
-        word = name.removeprefix("napari-hmrf.")
+    words = [
+        each.id.removeprefix("napari-hmrf.") for each in COMMANDS if each.id not in WITH_A_FILE
+    ]
+    for word in sorted(words, key=lambda word: "sample" in word):
+        if "sample" in word:  # which brings large images
+            for inner in docks_of(window):
+                window.remove_dock_widget(inner.native)
         choose(samples.get(word, word.removeprefix("sample_")))
         for inner in docks_of(window):
             qtbot.waitUntil(lambda inner=inner: not inner.busy, timeout=LONG_MS)
-            window.remove_dock_widget(inner.native)
 
 
 def test_commands_do_what_they_say(window, choose, qtbot):

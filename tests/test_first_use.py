@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import dock_in, quick
+from conftest import quick
 from napari.components import ViewerModel
 from patience import LONG_MS
 from qtpy.QtCore import QPoint, QPointF, Qt
@@ -31,14 +31,14 @@ def click(at_rest):
 
 
 @pytest.fixture
-def deformed(unstyled, make_napari_viewer, small_sample, run, settle):
-    """A window with the dock and a result: gel, held left, pushed 3 px right at the right."""
-    viewer = make_napari_viewer(show=True)
-    small_sample(viewer)
-    widget = quick(dock_in(viewer))
+def deformed(frame, small_sample, run, settle):
+    """The dock, seen, and a result: gel, held left, pushed 3 px right at the right."""
+    small_sample(frame.viewer)
+    widget = quick(frame.open())
+    frame.show()
     run(widget)
     settle(widget)
-    return viewer, widget
+    return frame.viewer, widget
 
 
 def groove(widget, part):
@@ -53,20 +53,17 @@ def slide(widget, part):
 
 
 def test_pull_stays_in_the_hand_of_who_presses_it_after_it_was_taken_up_by_itself(
-    open_window, settle, click
+    in_hand, settle, click
 ):
-    widget = open_window()[1]
-    settle(widget)
-    assert widget.active
+    _, widget = in_hand
     click(widget, "Pull")
     assert widget.active, "the message said to press it"
     click(widget, "Pull")
     assert not widget.active, "and once more puts it down"
 
 
-def test_pull_that_was_used_is_put_down_by_the_first_press(open_window, settle, click):
-    person, widget = open_window()
-    settle(widget)
+def test_pull_that_was_used_is_put_down_by_the_first_press(in_hand, settle, click):
+    person, widget = in_hand
     person.drag((30, 30), (30, 36))
     click(widget, "Pull")
     assert not widget.active
@@ -223,9 +220,8 @@ def test_the_edge_of_a_new_image_is_held_whatever_was_chosen_for_those_that_are_
     assert widget.hold_edge
 
 
-def test_a_ratio_beyond_a_half_is_refused_in_words_and_not_turned_into_another(open_window, settle):
-    _, widget = open_window()
-    settle(widget)
+def test_a_ratio_beyond_a_half_is_refused_in_words_and_not_turned_into_another(in_hand, settle):
+    _, widget = in_hand
     widget.drawing = Drawing((Arrow((20, 20), (2, 0), 4.0),))
     settle(widget)
     before = widget.solution
@@ -240,10 +236,10 @@ def test_a_ratio_beyond_a_half_is_refused_in_words_and_not_turned_into_another(o
 
 
 def test_the_wheel_scrolls_the_dock_and_changes_nothing_that_was_not_clicked(
-    open_window, settle, at_rest
+    in_hand, frame, at_rest
 ):
-    _, widget = open_window()
-    settle(widget)
+    _, widget = in_hand
+    frame.show()
     model = widget._form.model.model.native
     before = widget.model, widget.fields.radius.value, widget.percent
     sliders = Screen(widget).slider
@@ -281,8 +277,8 @@ def test_layers_that_come_or_are_made_leave_nothing_to_take_back(widget, small_s
     assert widget.status == "There is nothing to take back."
 
 
-def test_landmarks_that_are_taken_are_seen_at_once(open_window, settle, click):
-    person, widget = open_window()
+def test_landmarks_that_are_taken_are_seen_at_once(in_hand, settle, click):
+    person, widget = in_hand
     widget.stop()
     person.viewer.layers.remove("Motion")
     settle(widget)

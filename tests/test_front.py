@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import dock_in, quick
+from conftest import quick
 from napari.components import ViewerModel
 
 from napari_hmrf.tissue.drawing import Arrow, Drawing
@@ -69,16 +69,13 @@ def test_a_dock_goes_on_with_the_image_that_is_drawn_on(opened, two):
     assert opened(viewer).image is lower
 
 
-def test_a_dock_goes_on_with_the_image_that_was_deformed(
-    make_napari_viewer, small_sample, run, settle
-):
-    viewer = make_napari_viewer()
-    lower, *_ = small_sample(viewer)
-    first = quick(dock_in(viewer))
+def test_a_dock_goes_on_with_the_image_that_was_deformed(frame, small_sample, run, settle):
+    lower, *_ = small_sample(frame.viewer)
+    first = quick(frame.open())
     run(first)
-    viewer.window.remove_dock_widget(first.native)
-    viewer.add_image(LARGER, name="astronaut", rgb=True)
-    second = dock_in(viewer)
+    frame.close(first)
+    frame.viewer.add_image(LARGER, name="astronaut", rgb=True)
+    second = frame.open()
     assert second.image is lower
     settle(second)
     assert second.solution is not None
@@ -136,10 +133,8 @@ def test_what_is_said_of_a_cover_follows_the_eye(opened, two):
     assert dock.status.startswith("The image is covered by 'new'")
 
 
-def test_where_another_image_lies_on_top_nothing_is_taken_hold_of(open_window, settle):
-    person, widget = open_window()
-    assert widget.start()
-    settle(widget)
+def test_where_another_image_lies_on_top_nothing_is_taken_hold_of(in_hand):
+    person, widget = in_hand
     patch = np.full((20, 64), 200, np.uint8)
     person.viewer.add_image(patch, name="strip", translate=(40, 0))
     person.viewer.layers.selection.active = person.viewer.layers["Motion"]

@@ -355,7 +355,9 @@ def test_a_press_of_the_button_in_mid_edit_does_not_bring_an_older_result_back(
     assert_newest(widget)
 
 
-def test_two_viewers_follow_their_own(make_napari_viewer, small_sample, settle, run):
+def test_two_viewers_follow_their_own(
+    unstyled, without_controls, make_napari_viewer, small_sample, settle, run
+):
     docks = []
     for _ in range(2):
         viewer = make_napari_viewer()
@@ -374,16 +376,16 @@ def test_two_viewers_follow_their_own(make_napari_viewer, small_sample, settle, 
     assert other.solution is untouched
 
 
-def test_a_closed_dock_follows_nothing(docked, small_sample, run, settle, at_rest):
-    viewer = viewer_of(docked)
-    _, _, boundary = small_sample(viewer)
-    run(docked)
-    docked.live = True
-    settle(docked)
+def test_a_closed_dock_follows_nothing(frame, small_sample, run, settle, at_rest):
+    _, _, boundary = small_sample(frame.viewer)
+    dock = quick(frame.open())
+    run(dock)
+    dock.live = True
+    settle(dock)
     seen = []
-    docked.seen.connect(seen.append)
+    dock.seen.connect(seen.append)
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
-    viewer.window.remove_dock_widget(docked.native)
+    frame.close(dock)
     paint(boundary, [(row, 15) for row in range(6, 14)], 1)
     at_rest()
     assert not seen
@@ -393,7 +395,7 @@ def test_a_closed_dock_follows_nothing(docked, small_sample, run, settle, at_res
 
 
 @pytest.fixture
-def at_work(unstyled, make_napari_viewer, small_sample, run, qtbot, at_rest):
+def at_work(unstyled, without_controls, make_napari_viewer, small_sample, run, qtbot, at_rest):
     """A person with a brush before a real window, and a result that follows."""
     viewer = make_napari_viewer(show=True)
     small_sample(viewer, (48, 64))
@@ -552,8 +554,8 @@ def test_what_is_looked_at_is_the_result_that_has_followed(living, settle):
     assert_newest(widget)
 
 
-def test_what_came_of_deform_is_said_though_a_tool_is_in_the_hand(pulling, settle, run):
-    person, widget = pulling
+def test_what_came_of_deform_is_said_though_a_tool_is_in_the_hand(in_hand, settle, run):
+    person, widget = in_hand
     person.drag((30, 30), (34, 32), (34, 34))
     settle(widget)
     assert widget.status == widget.invitation, "while the mouse pulls, how it does is said"
@@ -563,8 +565,8 @@ def test_what_came_of_deform_is_said_though_a_tool_is_in_the_hand(pulling, settl
         assert widget.status.startswith("Tissue moved up to")
 
 
-def test_with_a_tool_in_the_hand_what_was_wrong_is_said_as_long_as_it_is(pulling, settle):
-    _, widget = pulling
+def test_with_a_tool_in_the_hand_what_was_wrong_is_said_as_long_as_it_is(in_hand, settle):
+    _, widget = in_hand
     viewer = viewer_of(widget)
     how = widget.status
     widget.make_layers()

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import dock_in
+from hand import Hand
 from person import CTRL, Person
 from qtpy.QtCore import Qt
 from screen import Screen
@@ -14,28 +15,35 @@ from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.motion.motion_messages import START
 from napari_hmrf.ui.motion.tools import TOOLS
-from napari_hmrf.ui.soft_tissue import SoftTissue
 
 #: What napari shows of each layer beside the canvas is seen in the tests of single tools.
 pytestmark = pytest.mark.usefixtures("unstyled", "without_controls")
 
 
-def opened(viewer):
+def told_when(dock):
     """The dock, elastic, which computes when it is told to."""
-    dock = dock_in(viewer)
     dock.settings = replace(dock.settings, device="cpu")
     dock.live = False
     return dock
 
 
 @pytest.fixture
-def at_hand(make_napari_viewer, small_sample, qtbot, at_rest):
-    """A person before a small sample, and the dock."""
+def in_window(make_napari_viewer, small_sample, qtbot, at_rest):
+    """A person before a window with a small sample, and the dock."""
     viewer = make_napari_viewer(show=True)
     small_sample(viewer, (48, 64))
-    dock = opened(viewer)
+    dock = told_when(dock_in(viewer))
     at_rest()
     return Person(viewer, qtbot), dock
+
+
+@pytest.fixture
+def at_hand(frame, small_sample, at_rest):
+    """A hand at a small sample, and the dock."""
+    small_sample(frame.viewer, (48, 64))
+    dock = told_when(frame.open())
+    at_rest()
+    return Hand(frame.viewer), dock
 
 
 def grab(dock):
@@ -83,8 +91,8 @@ def test_what_is_pulled_goes_on_from_what_was_deformed(at_hand, run, settle):
     assert seen(viewer) == {*DEFORMED, "Motion"}
 
 
-def test_of_a_pull_and_a_deformation_of_an_image_the_one_made_last_is_seen(at_hand, run, settle):
-    person, dock = at_hand
+def test_of_a_pull_and_a_deformation_of_an_image_the_one_made_last_is_seen(in_window, run, settle):
+    person, dock = in_window
     viewer = person.viewer
     drag_a_patch(person, dock, settle)
     picture = viewer.layers["MR deformed, elastic"]
@@ -254,7 +262,7 @@ def test_all_layers_can_be_deleted_at_once(two_images, settle, wait_for):
     assert dock.result is None
 
 
-def test_a_part_that_is_looked_at_makes_way_for_the_next_pull(at_hand, settle, wait_for):
+def test_a_part_that_is_looked_at_makes_way_for_the_next_pull(at_hand, frame, settle, wait_for):
     person, dock = at_hand
     viewer = person.viewer
     drag_a_patch(person, dock, settle)
@@ -272,7 +280,7 @@ def test_a_part_that_is_looked_at_makes_way_for_the_next_pull(at_hand, settle, w
     whole = picture.data.copy()
     dock.percent = 40
     wait_for(lambda: not dock.busy and known_of(picture).get("percent") == 40)
-    viewer.window.remove_dock_widget(dock.native)
+    frame.close(dock)
     assert np.array_equal(picture.data, whole), "put back"
 
 
@@ -287,12 +295,10 @@ def test_what_was_hidden_by_hand_stays_hidden(at_hand, run, settle):
     assert seen(viewer) == {"MR deformed, elastic", "Motion"}
 
 
-def test_results_of_another_slice_stay_as_they_are(
-    make_napari_viewer, small_sample, run, settle, qtbot
-):
-    viewer = make_napari_viewer()
+def test_results_of_another_slice_stay_as_they_are(frame, small_sample, run, settle):
+    viewer = frame.viewer
     small_sample(viewer, (3, 20, 24))
-    dock = opened(viewer)
+    dock = told_when(frame.open())
     viewer.dims.set_current_step(0, 0)
     run(dock)
     before = seen(viewer) - {"Boundary", "Tissue"}
@@ -306,24 +312,24 @@ def test_results_of_another_slice_stay_as_they_are(
     assert seen(viewer) >= before
 
 
-def test_a_reopened_dock_goes_on_with_the_result_that_is_there(at_hand, run):
-    person, first = at_hand
+def test_a_reopened_dock_goes_on_with_the_result_that_is_there(in_window, run):
+    person, first = in_window
     viewer = person.viewer
     run(first)
     viewer.window.remove_dock_widget(first.native)
     for _ in range(2):
-        dock = opened(viewer)
+        dock = told_when(dock_in(viewer))
         run(dock)
         assert pictures(viewer) == ["MR deformed, elastic"]
         viewer.window.remove_dock_widget(dock.native)
 
 
-def test_a_reopened_dock_has_tissue_follow_edits_as_the_closed_one_did(at_hand, run, settle):
-    person, first = at_hand
-    viewer = person.viewer
+def test_a_reopened_dock_has_tissue_follow_edits_as_the_closed_one_did(at_hand, frame, run, settle):
+    _, first = at_hand
+    viewer = frame.viewer
     run(first)
-    viewer.window.remove_dock_widget(first.native)
-    second = dock_in(viewer)
+    frame.close(first)
+    second = frame.open()
     assert second.live
     settle(second)
     before = viewer.layers["MR deformed, elastic"].data.copy()
@@ -333,26 +339,27 @@ def test_a_reopened_dock_has_tissue_follow_edits_as_the_closed_one_did(at_hand, 
     assert pictures(viewer) == ["MR deformed, elastic"]
 
 
-def test_what_was_edited_while_no_dock_was_open_counts_when_one_is_opened(at_hand, run, settle):
-    person, first = at_hand
-    viewer = person.viewer
+def test_what_was_edited_while_no_dock_was_open_counts_when_one_is_opened(
+    at_hand, frame, run, settle
+):
+    _, first = at_hand
     run(first)
     assert first.solution.tissue[35, 30]
-    viewer.window.remove_dock_widget(first.native)
-    viewer.layers["Tissue"].data[30:40] = 0
-    second = dock_in(viewer)
+    frame.close(first)
+    frame.viewer.layers["Tissue"].data[30:40] = 0
+    second = frame.open()
     settle(second)
     assert not second.solution.tissue[35, 30]
 
 
-def test_a_closed_dock_pulls_nothing_and_the_next_goes_on_with_its_layers(at_hand, settle):
-    person, first = at_hand
+def test_a_closed_dock_pulls_nothing_and_the_next_goes_on_with_its_layers(in_window, settle):
+    person, first = in_window
     viewer = person.viewer
     drag_a_patch(person, first, settle)
     told = []
     first.seen.connect(told.append)
     viewer.window.remove_dock_widget(first.native)
-    second = opened(viewer)
+    second = told_when(dock_in(viewer))
     grab(second)
     settle(second)
     assert len(second.drawing.marks) == 1
@@ -369,15 +376,15 @@ def test_a_closed_dock_pulls_nothing_and_the_next_goes_on_with_its_layers(at_han
     assert not told
 
 
-def test_a_closed_dock_leaves_no_second_colours(at_hand, run, settle):
-    person, dock = at_hand
-    viewer = person.viewer
+def test_a_closed_dock_leaves_no_second_colours(at_hand, frame, run, settle):
+    _, dock = at_hand
+    viewer = frame.viewer
     run(dock)
     for _ in range(2):
         dock.overlay = "magnitude"
         settle(dock)
-        viewer.window.remove_dock_widget(dock.native)
-        dock = opened(viewer)
+        frame.close(dock)
+        dock = told_when(frame.open())
         run(dock)
         settle(dock)
         assert dock.overlay == "magnitude", "the next dock goes on with it"
@@ -386,21 +393,24 @@ def test_a_closed_dock_leaves_no_second_colours(at_hand, run, settle):
     assert not any("[1]" in layer.name for layer in viewer.layers)
 
 
-def test_the_tables_of_a_closed_dock_are_no_longer_those_of_the_layers(at_hand, qtbot, at_rest):
-    person, first = at_hand
+def test_the_tables_of_a_closed_dock_are_no_longer_those_of_the_layers(
+    at_hand, frame, qtbot, at_rest
+):
+    _, first = at_hand
+    boundary = frame.viewer.layers["Boundary"]
     old = first.rules
-    person.viewer.window.remove_dock_widget(first.native)
-    second = opened(person.viewer)
+    frame.close(first)
+    second = told_when(frame.open())
     second.rules = (second.rules[0],)
-    person.viewer.layers["Boundary"].data[20:24, 30:34] = 5
-    person.viewer.layers["Boundary"].refresh()
+    boundary.data[20:24, 30:34] = 5
+    boundary.refresh()
     qtbot.waitUntil(lambda: len(second.rules) > 1)
     at_rest()
     assert first.rules == old
-    assert rows_of(person.viewer.layers["Boundary"], BOUNDARY) == second.rules
+    assert rows_of(boundary, BOUNDARY) == second.rules
     rules = second.rules
-    person.viewer.window.remove_dock_widget(second.native)
-    assert opened(person.viewer).rules == rules
+    frame.close(second)
+    assert told_when(frame.open()).rules == rules
 
 
 # What an earlier result leaves behind
@@ -464,9 +474,9 @@ def test_what_is_no_longer_chosen_shows_no_earlier_result(folding, run, settle):
 
 
 @pytest.fixture
-def folded(pulling, settle):
+def folded(in_hand, settle):
     """Somebody who has pushed tissue through itself."""
-    person, widget = pulling
+    person, widget = in_hand
     widget.drawing = Drawing().with_mark(Arrow((30, 20), (0, 30), 4))
     settle(widget)
     assert "folds" in widget.warning
@@ -487,14 +497,12 @@ def test_a_warning_of_folds_stays_as_long_as_they_are_seen_and_no_longer(folded,
     assert not widget.warning
 
 
-def test_a_dock_that_is_opened_again_says_nothing_of_what_was(folded, settle):
-    person, widget = folded
+def test_a_dock_that_is_opened_again_says_nothing_of_what_was(folded, frame, settle):
+    _, widget = folded
     widget.tool = "pin"
-    window = person.viewer.window
-    window.remove_dock_widget(widget.native)
+    frame.close(widget)
     assert not widget.warning
-    again = SoftTissue(person.viewer)
-    window.add_dock_widget(again.native, name="Soft tissue")
+    again = frame.open()
     assert again.status == START
     screen = Screen(again)
     assert not any(screen.button(tool.title).isChecked() for tool in TOOLS)
@@ -514,8 +522,8 @@ def test_beside_a_warning_it_is_said_what_was_done(folded, settle):
     assert "folds" in widget.warning
 
 
-def test_what_was_said_is_over_when_the_next_thing_is_done(pulling, settle):
-    person, widget = pulling
+def test_what_was_said_is_over_when_the_next_thing_is_done(in_hand, settle):
+    person, widget = in_hand
     person.drag((30, 30), (33, 30))
     person.key(Qt.Key.Key_Z, CTRL)
     settle(widget)
@@ -534,9 +542,8 @@ def test_what_was_said_is_over_when_the_next_thing_is_done(pulling, settle):
     assert widget.status.startswith("Drag tissue")
 
 
-def test_pulling_begins_when_it_is_asked_for_on_an_image(make_napari_viewer, small_sample, at_rest):
-    viewer = make_napari_viewer(show=True)
-    widget = opened(viewer)
+def test_pulling_begins_when_it_is_asked_for_on_an_image(frame, small_sample, at_rest):
+    viewer, widget = frame.viewer, told_when(frame.open())
     Screen(widget).press("Pull")
     assert "image" in widget.status
     small_sample(viewer)
@@ -634,10 +641,8 @@ def test_undo_in_the_dock_takes_back_paint_that_came_last_as_the_keys_do(at_hand
     assert not dock.drawing.marks
 
 
-def test_layers_made_to_paint_on_do_not_change_what_is_drawn_on(open_window, settle):
-    person, dock = open_window()
-    grab(dock)
-    settle(dock)
+def test_layers_made_to_paint_on_do_not_change_what_is_drawn_on(in_hand, settle):
+    person, dock = in_hand
     person.drag((24, 30), (28, 36))
     settle(dock)
     before = dock.solution

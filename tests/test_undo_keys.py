@@ -2,6 +2,7 @@
 
 import pytest
 from conftest import dock_in, quick
+from hand import Hand
 from napari.components import ViewerModel
 from person import CTRL, SHIFT, Person
 from qtpy.QtCore import Qt
@@ -14,7 +15,16 @@ Z, Y = Qt.Key.Key_Z, Qt.Key.Key_Y
 
 
 @pytest.fixture
-def seated(unstyled, make_napari_viewer, small_sample, qtbot, at_rest):
+def at_hand(frame, small_sample, at_rest):
+    """A hand at a small sample in a viewer without a canvas, and its dock."""
+    small_sample(frame.viewer)
+    dock = quick(frame.open())
+    at_rest()
+    return Hand(frame.viewer), dock
+
+
+@pytest.fixture
+def seated(unstyled, without_controls, make_napari_viewer, small_sample, qtbot, at_rest):
     """Somebody before a window with a small sample, and its dock."""
     viewer = make_napari_viewer(show=True)
     small_sample(viewer)
@@ -62,8 +72,8 @@ def test_paint_and_numbers_are_taken_back_from_the_last_to_the_first(seated):
     assert (tissue.data != painted).any()
 
 
-def test_the_buttons_take_back_what_napari_painted_in_its_turn_and_say_so(seated):
-    person, dock = seated
+def test_the_buttons_take_back_what_napari_painted_in_its_turn_and_say_so(at_hand):
+    person, dock = at_hand
     tissue, screen = dock.tissue, Screen(dock)
     clean = tissue.data.copy()
     screen.click_row("gel")
@@ -88,13 +98,13 @@ def test_the_buttons_take_back_what_napari_painted_in_its_turn_and_say_so(seated
 
 
 def test_paint_that_was_there_before_the_dock_is_taken_back_after_all_else(
-    make_napari_viewer, small_sample, qtbot, at_rest
+    frame, small_sample, at_rest
 ):
-    viewer = make_napari_viewer(show=True)
+    viewer = frame.viewer
     _, tissue, _ = small_sample(viewer)
     clean = tissue.data.copy()
     tissue.paint((5, 5), 3)
-    dock = quick(dock_in(viewer))
+    dock = quick(frame.open())
     at_rest()
     viewer.layers.selection.active = tissue
     tissue.paint((12, 12), 3)
@@ -104,18 +114,19 @@ def test_paint_that_was_there_before_the_dock_is_taken_back_after_all_else(
     assert (tissue.data == clean).all()
 
 
-def test_a_closed_dock_leaves_the_keys_to_napari(seated):
-    person, dock = seated
+def test_a_closed_dock_leaves_the_keys_to_napari(at_hand, frame):
+    _, dock = at_hand
+    viewer = frame.viewer
     tissue = dock.tissue
     Screen(dock).click_row("gel")
     assert tissue.keymap
-    person.viewer.layers.selection.active = dock.boundary
+    viewer.layers.selection.active = dock.boundary
     assert not tissue.keymap
     assert dock.boundary.keymap
     boundary = dock.boundary
-    person.viewer.window.remove_dock_widget(dock.native)
+    frame.close(dock)
     assert not boundary.keymap
-    assert not person.viewer.keymap
+    assert not viewer.keymap
 
 
 def test_the_keys_of_who_is_gone_without_a_word_are_not_bound_twice():
@@ -132,8 +143,8 @@ def test_the_keys_of_who_is_gone_without_a_word_are_not_bound_twice():
     assert not viewer.keymap
 
 
-def test_arrows_and_numbers_are_taken_back_from_the_last_to_the_first(seated, at_rest):
-    person, dock = seated
+def test_arrows_and_numbers_are_taken_back_from_the_last_to_the_first(at_hand, at_rest):
+    person, dock = at_hand
     materials = dock.materials
     dock.start()
     at_rest.until(lambda: not dock.busy)

@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import dock_in, quick
+from hand import Frame
 from napari.components import ViewerModel
 from napari.layers import Image, Vectors
 from napari.utils.notifications import notification_manager
+from npe2 import PluginManager
 from patience import LONG
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
@@ -60,26 +62,26 @@ def popped_up():
 
 
 @pytest.mark.parametrize("name", ["expansion", "mass-effect", "bar"])
-def test_opening_a_sample_leaves_one_button_to_press(docked, run, at_rest, name):
-    viewer = viewer_of(docked)
+def test_opening_a_sample_leaves_one_button_to_press(widget, run, at_rest, name):
+    PluginManager.instance().discover()  # as a window does
+    viewer = viewer_of(widget)
     viewer.open_sample("napari-hmrf", name)
     at_rest()
-    assert docked.status == "Press Deform."
-    assert [material.stiffness for material in docked.materials if material.label] != []
-    docked.settings = replace(docked.settings, sweeps=1)
-    outputs = run(docked)
+    assert widget.status == "Press Deform."
+    assert [material.stiffness for material in widget.materials if material.label] != []
+    widget.settings = replace(widget.settings, sweeps=1)
+    outputs = run(widget)
     assert outputs is not None
     added = set(names(viewer)) - {"Tissue", "Boundary"}
     assert any(layer.endswith("arrows") for layer in added)
     assert any(layer.endswith("deformed") for layer in added)
-    assert docked.status.startswith("Tissue moved up to ")
-    assert "iterations in" in docked.details
+    assert widget.status.startswith("Tissue moved up to ")
+    assert "iterations in" in widget.details
 
 
-def test_the_widget_opens_on_a_sample_that_is_already_there(make_napari_viewer, small_sample):
-    viewer = make_napari_viewer()
-    image, tissue, boundary = small_sample(viewer)
-    widget = dock_in(viewer)
+def test_the_widget_opens_on_a_sample_that_is_already_there(frame, small_sample):
+    image, tissue, boundary = small_sample(frame.viewer)
+    widget = frame.open()
     assert (widget.image, widget.tissue, widget.boundary) == (image, tissue, boundary)
     assert widget.rules[1].vector == (0.0, 3.0)
     assert widget.status == widget.invitation
@@ -644,9 +646,9 @@ def test_bad_input_is_one_error_and_changes_nothing(
 
 
 def test_a_failure_while_computing_is_told_and_changes_nothing(
-    docked, small_sample, run, monkeypatch, popped_up
+    widget, small_sample, run, monkeypatch, popped_up
 ):
-    viewer = viewer_of(docked)
+    viewer = viewer_of(widget)
     small_sample(viewer)
     before = state(viewer)
 
@@ -654,8 +656,8 @@ def test_a_failure_while_computing_is_told_and_changes_nothing(
         raise MemoryError("no room")
 
     monkeypatch.setattr("napari_hmrf.solver.live_solver.run_here", fail)
-    assert run(docked) is None
-    assert "MemoryError: no room" in docked.status
+    assert run(widget) is None
+    assert "MemoryError: no room" in widget.status
     assert [each.severity for each in popped_up] == ["error"], "it stays"
     assert state(viewer) == before
 
@@ -693,20 +695,20 @@ def test_how_far_work_is_and_that_it_waits_for_the_compiler_is_said():
 
 
 def test_how_far_a_solve_is_is_said_in_per_cent_and_the_rest_where_the_mouse_rests(
-    docked, small_sample, wait_for
+    widget, small_sample, wait_for
 ):
-    small_sample(viewer_of(docked))
-    docked.settings = replace(docked.settings, sweeps=100_000)
-    docked.deform()
-    labels = docked.native.findChildren(QLabel)
+    small_sample(viewer_of(widget))
+    widget.settings = replace(widget.settings, sweeps=100_000)
+    widget.deform()
+    labels = widget.native.findChildren(QLabel)
     percent, sweep = re.compile(r"Deforming: \d+ %"), re.compile(r"level \d+ \(.*\), sweep \d+")
     wait_for(
         lambda: (
-            bool(percent.fullmatch(docked.status))
+            bool(percent.fullmatch(widget.status))
             and any(sweep.match(label.toolTip()) for label in labels)
         )
     )
-    docked.cancel()
+    widget.cancel()
 
 
 def test_the_window_does_not_wait_for_what_is_painted_to_be_understood(
@@ -747,7 +749,7 @@ def test_cancel_is_immediate_even_when_the_thread_is_not(
 
 
 def test_cancel_stops_a_long_solve_long_before_its_end(
-    docked, small_sample, run, wait_for, monkeypatch
+    widget, small_sample, run, wait_for, monkeypatch
 ):
     from napari_hmrf.solver.backends.cpu import kernels
 
@@ -758,15 +760,15 @@ def test_cancel_stops_a_long_solve_long_before_its_end(
         swept.append(len(arguments[-1]))
 
     monkeypatch.setattr(kernels, "sweeps", counted)
-    viewer = viewer_of(docked)
+    viewer = viewer_of(widget)
     small_sample(viewer)
-    run(docked)
+    run(widget)
     before = state(viewer)
-    docked.settings = replace(docked.settings, sweeps=100_000)
+    widget.settings = replace(widget.settings, sweeps=100_000)
     swept.clear()
-    docked.deform()
+    widget.deform()
     wait_for(lambda: bool(swept))
-    docked.cancel()
+    widget.cancel()
     compute_thread.submit(lambda: None).result(timeout=LONG)
     assert sum(swept) < 100_000, "of as many on each level"
     assert state(viewer) == before
@@ -796,7 +798,7 @@ def test_a_layer_removed_while_working_ends_the_work(widget, small_sample, busy_
 
 
 def test_closing_the_viewer_while_working_is_quick_and_quiet(
-    make_napari_viewer, small_sample, busy_thread, at_rest
+    unstyled, without_controls, make_napari_viewer, small_sample, busy_thread, at_rest
 ):
     viewer = make_napari_viewer()
     widget = dock_in(viewer)
@@ -812,7 +814,7 @@ def test_closing_the_viewer_while_working_is_quick_and_quiet(
 
 
 def test_closing_the_dock_while_working_leaves_the_viewer_alone(
-    make_napari_viewer, small_sample, busy_thread, at_rest
+    unstyled, without_controls, make_napari_viewer, small_sample, busy_thread, at_rest
 ):
     viewer = make_napari_viewer()
     dock, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
@@ -829,18 +831,18 @@ def test_closing_the_dock_while_working_leaves_the_viewer_alone(
     assert not any("arrows" in name for name in names(viewer))
 
 
-def test_two_widgets_queue_and_both_finish(make_napari_viewer, small_sample, wait_for):
-    viewers = [make_napari_viewer(), make_napari_viewer()]
+def test_two_widgets_queue_and_both_finish(qtbot, small_sample, wait_for):
+    frames = [Frame(qtbot), Frame(qtbot)]
     widgets = []
-    for viewer in viewers:
-        widget = dock_in(viewer)
-        small_sample(viewer)
+    for frame in frames:
+        widget = frame.open()
+        small_sample(frame.viewer)
         widgets.append(quick(widget))
     for widget in widgets:
         widget.deform()
     wait_for(lambda: all(widget.idle for widget in widgets))
-    for viewer in viewers:
-        assert "MR arrows" in names(viewer)
+    for frame in frames:
+        assert "MR arrows" in names(frame.viewer)
 
 
 def test_the_kinds_of_result_layers(widget, small_sample, run, at_rest):

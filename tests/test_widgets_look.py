@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from conftest import dock_in, quick
+from hand import Hand
 from napari.layers import Image, Labels, Vectors
 from person import SHIFT, Person
 from qtpy.QtCore import Qt
@@ -713,19 +714,17 @@ def test_a_folder_that_is_missing_is_named(look, tmp_path, wait_for):
 # Layers and windows that go
 
 
-def test_where_there_is_no_result_nothing_is_seen_as_it_was(make_napari_viewer, qtbot):
-    viewer = make_napari_viewer()
-    look = quick(dock_in(viewer))
+def test_where_there_is_no_result_nothing_is_seen_as_it_was(frame):
+    viewer, look = frame.viewer, quick(frame.open())
     image = viewer.add_image(np.zeros((8, 9)), visible=False)
-    person = Person(viewer, qtbot)
-    person.key(Qt.Key.Key_B, SHIFT)
+    Hand(viewer).key(Qt.Key.Key_B, SHIFT)
     look.before = True
     assert not look.before
     assert not image.visible
 
 
-def test_a_result_that_is_not_looked_at_is_not_hidden(window, qtbot):
-    viewer, _, look = window
+def test_a_result_that_is_not_looked_at_is_not_hidden(look):
+    viewer = viewer_of(look)
     look.result = None
     seen = [layer.visible for layer in viewer.layers]
     look.before = True
@@ -761,24 +760,23 @@ def test_whoever_deletes_the_arrows_is_told_that_the_result_was_in_them(look, ru
 
 
 @pytest.fixture
-def window(make_napari_viewer, small_sample, run, wait_for):
-    """A real window with the dock and a result."""
-    viewer = make_napari_viewer()
-    dock, look = viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
-    small_sample(viewer)
-    run(quick(look))
+def framed(frame, small_sample, run, wait_for):
+    """A dock that can be closed, with a result."""
+    look = quick(frame.open())
+    small_sample(frame.viewer)
+    run(look)
     wait_for(lambda: not look.busy)
-    return viewer, dock, look
+    return frame.viewer, look
 
 
-def test_closing_the_dock_leaves_the_whole_deformation_behind(window, set_to, at_rest):
-    viewer, dock, look = window
+def test_closing_the_dock_leaves_the_whole_deformation_behind(framed, frame, set_to, at_rest):
+    viewer, look = framed
     moved = viewer.layers["MR deformed"]
     whole = moved.data.copy()
     set_to(look, percent=20)
     assert not np.array_equal(moved.data, whole)
     look.play()
-    viewer.window.remove_dock_widget(dock)
+    frame.close(look)
     at_rest()
     np.testing.assert_array_equal(moved.data, whole)
     assert known_of(moved)["percent"] == 100
@@ -786,16 +784,18 @@ def test_closing_the_dock_leaves_the_whole_deformation_behind(window, set_to, at
     at_rest()
 
 
-def test_a_dock_that_was_closed_says_nothing_and_can_be_opened_again(window, wait_for, at_rest):
-    viewer, dock, _ = window
-    viewer.window.remove_dock_widget(dock)
+def test_a_dock_that_was_closed_says_nothing_and_can_be_opened_again(
+    framed, frame, wait_for, at_rest
+):
+    viewer, closed = framed
+    frame.close(closed)
     at_rest()
     assert "Shift+B" not in [str(key) for key in viewer.keymap]
     viewer.status = "Ready"
     viewer.mouse_over_canvas = True
     viewer.cursor.position = (10, 12)
     assert "Jacobian" not in str(viewer.status)
-    again = quick(dock_in(viewer))
+    again = quick(frame.open())
     wait_for(lambda: not again.busy)
     assert again.result is viewer.layers["MR arrows"]
     assert "Shift+B" in [str(key) for key in viewer.keymap]
@@ -813,7 +813,9 @@ def test_what_others_drew_since_is_not_put_back(look, set_to):
     assert moved.data is newer
 
 
-def test_nothing_stays_of_the_circle_around_the_cursor(make_napari_viewer, qtbot, at_rest):
+def test_nothing_stays_of_the_circle_around_the_cursor(
+    unstyled, without_controls, make_napari_viewer, qtbot, at_rest
+):
     viewer = make_napari_viewer(show=True)
     viewer.add_image(np.ones((40, 60)), contrast_limits=(0, 1))
     dock_in(viewer)
@@ -835,9 +837,9 @@ def test_nothing_stays_of_the_circle_around_the_cursor(make_napari_viewer, qtbot
     assert white_at_the_cursor(), "napari's own square stayed there"
 
 
-def test_the_user_picks_where_and_a_new_folder_is_made(window, tmp_path, wait_for, monkeypatch):
-    _, _, look = window
+def test_the_user_picks_where_and_a_new_folder_is_made(look, tmp_path, wait_for, monkeypatch):
     monkeypatch.setattr("qtpy.QtWidgets.QFileDialog.getExistingDirectory", lambda *_: str(tmp_path))
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda *_, **__: None)
     got = []
     look.saved.connect(got.append)
     for _ in range(2):
@@ -847,9 +849,12 @@ def test_the_user_picks_where_and_a_new_folder_is_made(window, tmp_path, wait_fo
     assert sorted(path.name for path in tmp_path.iterdir()) == ["MR pictures", "MR pictures 2"]
 
 
-def test_closing_the_window_while_playing_is_quiet(window, at_rest):
-    viewer, _, look = window
-    look.play()
+def test_closing_the_window_while_playing_is_quiet(docked, small_sample, run, wait_for, at_rest):
+    viewer = viewer_of(docked)
+    small_sample(viewer)
+    run(docked)
+    wait_for(lambda: not docked.busy)
+    docked.play()
     viewer.close()
     at_rest()
 

@@ -23,7 +23,9 @@ def update_layer(layer: Any, made: LayerData) -> None:
     """Give a layer other data and place; how the user had it drawn stays."""
     layer.data = made.data
     for name in PLACE:
-        setattr(layer, name, made.attributes[name])
+        # napari measures and draws all anew for each that is set, be it what it was.
+        if not np.array_equal(getattr(layer, name), made.attributes[name]):
+            setattr(layer, name, made.attributes[name])
     layer.metadata = made.attributes["metadata"]
 
 
