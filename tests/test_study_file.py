@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from damaged import MOST_BYTES, damaged, look, plain
 from damaged import STUDIES as KEPT
-from opengl_here import require_opengl
+from opengl_here import has_opengl
 
 from napari_hmrf import (
     ICM,
@@ -150,8 +150,8 @@ def test_a_study_needs_no_field(study, tmp_path):
 SOLVE = """
 import sys
 from napari_hmrf import load_study, save_study, solve_study
-backend, *paths = sys.argv[1:]
-for path in paths:
+for path in sys.argv[1:]:
+    backend = path.rpartition("-")[2].removesuffix(".study")
     study = load_study(path).study
     save_study(path, study, solve_study(study, backend=backend))
 """
@@ -165,29 +165,34 @@ for path in sys.argv[1:]:
 """
 
 
-@pytest.mark.parametrize("backend", ["cpu", "opengl"])
-def test_the_field_is_made_again_bit_by_bit_in_a_fresh_process(tmp_path, backend):
-    if backend == "opengl":
-        require_opengl()
-    paths, solutions = [], []
-    for make in STUDIES:
-        study = make()
-        solutions.append(solve_study(study, backend=backend))
-        paths.append(save_study(tmp_path / make.__name__, study))
+def test_the_field_is_made_again_bit_by_bit_in_a_fresh_process(tmp_path):
+    paths = {"cpu": [], "opengl": []}
+    if not has_opengl():
+        del paths["opengl"]
+    solutions = {}
+    for backend, here in paths.items():
+        for make in STUDIES:
+            study = make()
+            here.append(save_study(tmp_path / f"{make.__name__}-{backend}", study))
+            solutions[here[-1]] = solve_study(study, backend=backend)
     # Who compiles a loop, as this process may have, rounds otherwise than who finds it on disk.
-    subprocess.run([sys.executable, "-c", SOLVE, backend, *paths], check=True)
-    for path, solution in zip(paths, solutions, strict=True):
+    subprocess.run([sys.executable, "-c", SOLVE, *solutions], check=True)
+    for path, solution in solutions.items():
         found = load_study(path).solution.displacement
         np.testing.assert_allclose(found, solution.displacement, atol=1e-5)
-    command = [sys.executable, "-c", REPLAY, *paths]
-    one = [{"NUMBA_NUM_THREADS": "1"}] if backend == "cpu" else []
-    for threads in ({}, *one):  # as many threads as here, and any other number
+    # As many threads as here, and any other number.
+    for files, threads in ((solutions, {}), (paths["cpu"], {"NUMBA_NUM_THREADS": "1"})):
         done = subprocess.run(
-            command, capture_output=True, text=True, check=True, env={**os.environ, **threads}
+            [sys.executable, "-c", REPLAY, *files],
+            capture_output=True,
+            text=True,
+            check=True,
+            env={**os.environ, **threads},
         )
         same, renderers = done.stdout.split()[::2], done.stdout.split()[1::2]
-        assert same == ["True"] * len(STUDIES)
-        assert {each.partition(":")[0] for each in renderers} == {backend}
+        assert same == ["True"] * len(files)
+        for path, renderer in zip(files, renderers, strict=True):
+            assert path in paths[renderer.partition(":")[0]]
 
 
 KILLED = Path(__file__).parents[1] / "benchmarks" / "killed.py"
