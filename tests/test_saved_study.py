@@ -251,6 +251,7 @@ def test_a_study_that_lies_nowhere_adds_no_layer(made, tmp_path):
     assert not dock._viewer.layers
 
 
+@pytest.mark.usefixtures("unstyled", "without_controls")
 def test_file_open_has_it_all_in_the_dock(make_napari_viewer, at_rest, tmp_path):
     study = Study(
         Grid(SHAPE, (1.0, 1.0)),
@@ -258,7 +259,7 @@ def test_file_open_has_it_all_in_the_dock(make_napari_viewer, at_rest, tmp_path)
         pictures=Pictures(np.full(SHAPE, 100, np.uint8), name="photo"),
     )
     path = save_study(tmp_path / "case", study)
-    viewer = make_napari_viewer(show=True)
+    viewer = make_napari_viewer()
     viewer.open(str(path), plugin="napari-hmrf")
     dock = dock_in(viewer)
     at_rest()
