@@ -13,7 +13,9 @@ from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
-pytest_plugins = ["touch"]
+pytest_plugins = ["beside"]
+#: What napari shows of each layer beside the canvas has no part in what is claimed.
+bare = pytest.mark.usefixtures("without_controls")
 
 
 def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):
@@ -68,6 +70,7 @@ def test_tissue_that_has_moved_is_taken_hold_of_where_it_is_seen(pulling_beside,
     assert widget.history.undo_word == "drew an arrow"
 
 
+@bare
 def test_keys_remove_undo_and_redo(pulling, settle):
     person, widget = pulling
     person.drag((30, 30), (34, 34))
@@ -100,6 +103,7 @@ def test_escape_gives_a_drag_up(pulling_beside):
     assert widget.status == "Cancelled; everything is as before."
 
 
+@bare
 def test_the_view_stays_while_tissue_is_pulled_and_moves_while_space_is_held(pulling):
     person, widget = pulling
     before = person.where(0, 0)
@@ -132,6 +136,7 @@ def test_another_active_layer_pauses_the_tool(pulling_beside):
     assert not widget.active
 
 
+@bare
 def test_labels_keep_their_own_undo(pulling):
     person, widget = pulling
     person.drag((30, 30), (34, 34))
@@ -183,6 +188,7 @@ def test_arrows_deleted_in_mid_drag_come_back(pulling, settle):
     assert not widget.drawing.marks
 
 
+@bare
 def test_the_image_deleted_in_mid_drag_ends_it(pulling, at_rest):
     person, widget = pulling
     person.press(30, 30)
@@ -213,6 +219,7 @@ def test_layers_renamed_or_deleted_in_mid_drag_do_not_matter(pulling, settle):
     assert by_name(person.viewer, "mine") is person.viewer.layers.selection.active
 
 
+@bare
 def test_another_image_on_the_same_pixels_is_shown_as_itself(pulling, settle):
     person, widget = pulling
     person.drag((30, 30), (33, 33))
@@ -249,6 +256,7 @@ def test_a_slice_that_was_only_visited_leaves_no_layers(open_beside, settle):
     assert made == ["MR deformed, elastic (slice 0)"]
 
 
+@bare
 def test_each_slice_has_its_own_drawing(open_window, settle, at_rest):
     stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
     person, widget = open_window(stack, scale=(5, 1, 1))
@@ -307,6 +315,7 @@ def test_void_cannot_be_taken_hold_of(open_beside, settle):
     assert only(widget).by[0] == pytest.approx(3, abs=0.6)
 
 
+@bare
 def test_two_viewers_pull_their_own_tissue(open_window, settle):
     one, mine = open_window()
     other, its = open_window()
@@ -324,6 +333,7 @@ def test_two_viewers_pull_their_own_tissue(open_window, settle):
     assert its.drawing.marks
 
 
+@bare
 def test_a_window_closed_in_mid_drag_ends_everything(pulling, at_rest):
     person, _ = pulling
     person.press(30, 30)
@@ -332,6 +342,7 @@ def test_a_window_closed_in_mid_drag_ends_everything(pulling, at_rest):
     at_rest()
 
 
+@bare
 def test_a_closed_dock_leaves_no_arrows_that_nobody_answers(pulling, settle):
     person, widget = pulling
     person.drag((30, 30), (34, 34))
@@ -435,6 +446,7 @@ def test_an_edit_of_another_slice_is_taken_back_there(open_beside, settle):
     assert only(widget).by == pytest.approx((0, 4), abs=0.6)
 
 
+@bare
 def test_keys_work_wherever_the_keyboard_is_in_the_dock(pulling):
     person, widget = pulling
     labels = person.viewer.add_labels(np.zeros((64, 64), np.uint8), name="paint")

@@ -20,7 +20,7 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.follower import Follower
 
-pytest_plugins = ["touch"]
+pytest_plugins = ["beside"]
 
 
 def pulled(by):

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import dock_in
 from napari.layers import Image
 from patience import LONG_MS
-from person import CTRL, SHIFT, by_name, only
+from person import CTRL, SHIFT, Touch, by_name, only
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 from screen import Screen
@@ -22,7 +23,7 @@ from napari_hmrf.ui.soft_tissue import SoftTissue
 PIN, FREE, MOVE, EXPAND = Qt.Key.Key_P, Qt.Key.Key_F, Qt.Key.Key_M, Qt.Key.Key_E
 CONFIDENCE, MATERIAL, LANDMARK = Qt.Key.Key_C, Qt.Key.Key_T, Qt.Key.Key_L
 
-pytest_plugins = ["touch"]
+pytest_plugins = ["beside"]
 #: What napari shows of each layer beside the canvas is seen where tissue is pulled, in test_grab.
 pytestmark = pytest.mark.usefixtures("without_controls")
 
@@ -715,8 +716,13 @@ def test_two_viewers_have_tools_of_their_own(open_beside, settle):
     assert "Motion, painted" not in other.viewer.layers
 
 
-def test_a_closed_dock_takes_its_paint_and_its_words_along(brushing, settle):
-    person, widget = brushing
+def test_a_closed_dock_takes_its_paint_and_its_words_along(unstyled, make_napari_viewer, settle):
+    viewer = make_napari_viewer()
+    viewer.add_image(np.full((64, 64), 100, np.uint8), name="MR")
+    person, widget = Touch(viewer), dock_in(viewer)
+    assert widget.start()
+    settle(widget)
+    widget.drawing = Drawing((Arrow((44, 40), (0, 5), 6.0),))
     person.key(PIN)
     person.paint((20, 20), (20, 30))
     settle(widget)

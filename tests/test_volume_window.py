@@ -15,7 +15,7 @@ SHAPE, SCALE = (24, 32, 32), (1.5, 1.0, 1.0)
 pytestmark = pytest.mark.usefixtures("without_controls")
 
 
-pytest_plugins = ["touch"]
+pytest_plugins = ["beside"]
 
 
 def blocks():
