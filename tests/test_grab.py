@@ -464,10 +464,9 @@ def test_keys_work_wherever_the_keyboard_is_in_the_dock(pulling):
     assert widget.drawing == drawn
 
 
-def test_undo_keys_work_in_a_field_whose_number_is_taken_and_leave_what_is_being_typed(
-    pulling_beside,
-):
-    person, widget = pulling_beside
+@bare
+def test_undo_keys_work_in_a_field_whose_number_is_taken_and_leave_what_is_being_typed(pulling):
+    person, widget = pulling
     person.drag((30, 30), (34, 34))
     drawn, field = widget.drawing, widget.fields.radius.native
     field.setFocus()
