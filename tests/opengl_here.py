@@ -47,6 +47,15 @@ def require_opengl(stage: str | None = None) -> None:
     pytest.skip(reason)
 
 
+def has_opengl() -> bool:
+    """Whether this machine can run the shaders, which it is to where OpenGL is supposed to be."""
+    try:
+        require_opengl()
+    except pytest.skip.Exception:
+        return False
+    return True
+
+
 def left(objects) -> int:
     """How many objects OpenGL still has."""
     return sum(type(each.mglo).__name__ != "InvalidObject" for each in objects)

@@ -2,7 +2,7 @@
 
 import os
 import re
-import subprocess
+import runpy
 import sys
 
 import numpy as np
@@ -12,6 +12,7 @@ from patience import LONG_MS
 import napari_hmrf
 from napari_hmrf import SeilerPrior, Solution, cli, solve
 from napari_hmrf.field.frame import PATIENT_AXES
+from napari_hmrf.io import figures
 from napari_hmrf.io.study_file import load_study
 from napari_hmrf.samples import selftest
 from napari_hmrf.samples.demo import demonstrate
@@ -25,6 +26,18 @@ FEM, OTHER = "RMSD to FEM of nu 0.3", "as another material"
 @pytest.fixture(autouse=True)
 def _no_window(monkeypatch):
     monkeypatch.setenv("CI", "true")
+
+
+@pytest.fixture
+def pictures():
+    """Have the demo draw its pictures, which takes it longer than all the rest."""
+
+
+@pytest.fixture(autouse=True)
+def _no_pictures(request, monkeypatch):
+    if "pictures" not in request.fixturenames:
+        monkeypatch.setattr(figures, "save_pictures", lambda *_, **__: [])
+        monkeypatch.setattr(figures, "save_volume_pictures", lambda *_, **__: [])
 
 
 def demo(tmp_path, *more):
@@ -114,14 +127,14 @@ def test_a_poisson_ratio_that_is_none_is_refused_before_any_work(tmp_path, capsy
     assert "is not a number from 0 to 0.499" in capsys.readouterr().err
 
 
-def test_the_demo_writes_pictures_and_a_result_that_opens_again(tmp_path, capsys):
+def test_the_demo_writes_pictures_and_a_result_that_opens_again(tmp_path, capsys, pictures):
     from PIL import Image
 
     assert demo(tmp_path, "--size", "48", "--phantom", "bar") == 0
     written = {path.name for path in (tmp_path / "out").iterdir()}
-    pictures = {f"{name}.png" for name in ("input", "displacement", "warped", "grid", "energy")}
-    assert written == {"solution.npz", *pictures}
-    for name in pictures:
+    drawn = {f"{name}.png" for name in ("input", "displacement", "warped", "grid", "energy")}
+    assert written == {"solution.npz", *drawn}
+    for name in drawn:
         with Image.open(tmp_path / "out" / name) as picture:
             assert min(picture.size) > 300
             assert len(set(picture.convert("L").resize((64, 64)).tobytes())) > 3, "an empty page"
@@ -133,7 +146,6 @@ def test_the_demo_writes_pictures_and_a_result_that_opens_again(tmp_path, capsys
 
 def test_what_is_drawn_of_non_square_pixels_keeps_their_proportions():
     from napari_hmrf import Problem
-    from napari_hmrf.io import figures
 
     m = np.ones((20, 30))
     y = np.zeros((20, 30, 2))
@@ -151,7 +163,6 @@ def test_arrows_in_pictures_point_where_the_tissue_goes():
     from matplotlib.quiver import Quiver
 
     from napari_hmrf import phantom
-    from napari_hmrf.io import figures
 
     bar = phantom("bar", 48)
     solution = solve(bar.problem, SeilerPrior(), backend="cpu")
@@ -167,7 +178,6 @@ def test_arrows_in_pictures_point_where_the_tissue_goes():
 @pytest.mark.parametrize("kind", ["magnitude", "jacobian", "strain"])
 def test_pictures_of_quantities_let_the_image_through_and_say_when_it_was_so(kind):
     from napari_hmrf import phantom
-    from napari_hmrf.io import figures
 
     bar = phantom("bar", 48)
     solution = solve(bar.problem, SeilerPrior(), backend="cpu")
@@ -272,20 +282,17 @@ def test_an_affine_motion_of_the_border_is_an_affine_motion_inside():
         assert np.allclose(np.diff(field, 2, axis=axis), 0)
 
 
-def test_the_self_test_passes_here_and_names_nobody():
-    command = [sys.executable, "-m", "napari_hmrf", "selftest"]
+def test_the_self_test_passes_here_and_names_nobody(capsys):
     home = os.path.expanduser("~")
-    done = subprocess.run(command, capture_output=True, text=True, timeout=200)
-    assert done.returncode == 0, done.stdout + done.stderr
-    lines = done.stdout.splitlines()
-    assert lines[-1] == "PASS"
-    assert f"napari-hmrf  {napari_hmrf.__version__}" in done.stdout
-    assert home not in done.stdout
-    assert done.stdout.count("PASS affine motion") >= 2
-    assert ("stages           fragment, compute" in done.stdout) <= (
-        "elastic volume" in done.stdout
-    )
-    assert "FAIL" not in done.stdout
+    passed = cli.main(["selftest"]) == 0
+    said = capsys.readouterr().out
+    assert passed, said
+    assert said.splitlines()[-1] == "PASS"
+    assert f"napari-hmrf  {napari_hmrf.__version__}" in said
+    assert home not in said
+    assert said.count("PASS affine motion") >= 2
+    assert ("stages           fragment, compute" in said) <= ("elastic volume" in said)
+    assert "FAIL" not in said
 
 
 def test_the_self_test_fails_when_a_backend_computes_something_else(monkeypatch):
@@ -303,16 +310,19 @@ def test_the_self_test_leaves_folders_out():
     assert home not in selftest._anonymous(f"libGL.so from {home}/lib")
 
 
-def test_the_commands_say_what_they_are(capsys):
-    with pytest.raises(SystemExit) as asked:
-        cli.main(["--version"])
-    assert asked.value.code == 0
-    assert capsys.readouterr().out.strip() == f"napari-hmrf {napari_hmrf.__version__}"
+def test_the_commands_say_what_they_are(capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["napari-hmrf", "--version"])
+    for command in (cli.main, lambda: runpy.run_module("napari_hmrf", run_name="__main__")):
+        with pytest.raises(SystemExit) as asked:
+            command()
+        assert asked.value.code == 0
+        assert capsys.readouterr().out.strip() == f"napari-hmrf {napari_hmrf.__version__}"
     with pytest.raises(SystemExit) as nothing:
         cli.main([])
     assert nothing.value.code == 2
 
 
+@pytest.mark.usefixtures("unstyled", "without_controls")
 def test_where_there_is_a_display_the_demo_ends_in_napari_with_its_result(
     tmp_path, make_napari_viewer, qtbot, monkeypatch
 ):
@@ -332,7 +342,7 @@ def test_where_there_is_a_display_the_demo_ends_in_napari_with_its_result(
     assert {"Image", "Labels", "Vectors"} <= {type(layer).__name__ for layer in viewer.layers}
 
 
-def test_the_demo_of_a_volume_grows_a_tumour_and_says_by_how_much(tmp_path, capsys):
+def test_the_demo_of_a_volume_grows_a_tumour_and_says_by_how_much(tmp_path, capsys, pictures):
     assert demo(tmp_path, "--volume", "--size", "48") == 0
     measured = table(capsys.readouterr().out)
     assert list(measured) == [
@@ -360,8 +370,9 @@ def test_the_demo_of_a_volume_takes_the_paper_s_model_too(tmp_path, capsys):
     assert table(capsys.readouterr().out)["model"] == "the paper's prior (centred), converged"
 
 
-def test_slices_of_a_volume_are_drawn_where_they_meet_with_the_head_up(tmp_path, monkeypatch):
-    from napari_hmrf.io import figures
+def test_slices_of_a_volume_are_drawn_where_they_meet_with_the_head_up(
+    tmp_path, monkeypatch, pictures
+):
     from napari_hmrf.samples.volume_demo import demonstrate_volume, write_volume_results
 
     drawn = {}
@@ -399,6 +410,7 @@ def test_what_no_volume_has_is_refused_before_any_work(tmp_path, capsys, option,
     assert not printed.out
 
 
+@pytest.mark.usefixtures("unstyled", "without_controls")
 def test_the_demo_of_a_volume_ends_in_napari_with_all_of_it_deformed(
     tmp_path, make_napari_viewer, qtbot, monkeypatch
 ):

@@ -13,6 +13,8 @@ from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
+pytest_plugins = ["beside"]
+
 TURNED = {"affine": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]}  # rows to the left, columns down
 
 
@@ -94,8 +96,8 @@ def test_the_table_says_which_way_its_arrows_will_point(widget, run):
     assert layer.metadata == {**layer.metadata, **described(BOUNDARY, (rule,))}, "saved as it was"
 
 
-def test_the_brush_that_moves_tissue_says_which_way_that_is_seen(open_window, settle):
-    _, widget = open_window(scale=(-1, -1))
+def test_the_brush_that_moves_tissue_says_which_way_that_is_seen(open_beside, settle):
+    _, widget = open_beside(scale=(-1, -1))
     widget.tool = "move"
     widget.start()
     assert widget.fields.by_col.label.startswith("left")
@@ -106,8 +108,8 @@ def test_the_brush_that_moves_tissue_says_which_way_that_is_seen(open_window, se
 
 
 @pytest.mark.parametrize("place", [{"rotate": 30}, {"rotate": 30, "scale": (-1, -1)}])
-def test_a_turned_layer_s_tissue_goes_where_the_fields_and_heads_say(open_window, settle, place):
-    _, widget = open_window(**place)
+def test_a_turned_layer_s_tissue_goes_where_the_fields_and_heads_say(open_beside, settle, place):
+    _, widget = open_beside(**place)
     widget.tool = "move"
     widget.start()
     settle(widget)
@@ -136,8 +138,8 @@ def test_a_turned_layer_s_tissue_goes_where_the_fields_and_heads_say(open_window
     np.testing.assert_allclose(goes(table.rows[0].vector), to, atol=1e-6)
 
 
-def test_what_is_said_of_one_direction_of_a_turned_layer_is_of_the_image_s(open_window, settle):
-    _, widget = open_window(rotate=30)
+def test_what_is_said_of_one_direction_of_a_turned_layer_is_of_the_image_s(open_beside, settle):
+    _, widget = open_beside(rotate=30)
     widget.tool = "move"
     widget.start()
     settle(widget)

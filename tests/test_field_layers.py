@@ -196,10 +196,10 @@ def pulled(dock_beside, wait_for, small_sample, run):
 
     def make(*layers, **place):
         dock, viewer = dock_beside()
+        dock.model, dock.live = "elastic", False
         small_sample(viewer, units=("mm", "mm"), scale=(0.5, 0.5), **place)
         for layer in layers:
             viewer.add_layer(layer)
-        dock.model, dock.live = "elastic", False
         run(dock)
         wait_for(lambda: not dock.busy)
         return dock, viewer

@@ -1,4 +1,4 @@
-"""Tissue that is pulled in a real window, with real events of the mouse and the keyboard."""
+"""Tissue that is pulled: in a real window, with real mouse and key events, and without one."""
 
 import numpy as np
 import pytest
@@ -12,6 +12,10 @@ from napari_hmrf.layers.metadata import METADATA, TISSUE, described
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.soft_tissue import SoftTissue
+
+pytest_plugins = ["beside"]
+#: What napari shows of each layer beside the canvas has no part in what is claimed.
+bare = pytest.mark.usefixtures("without_controls")
 
 
 def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):
@@ -43,8 +47,8 @@ def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):
     assert widget.history.edits.next_undo.word == "drew an arrow"
 
 
-def test_an_arrow_is_picked_up_again_by_its_head_and_by_its_base(pulling, settle):
-    person, widget = pulling
+def test_an_arrow_is_picked_up_again_by_its_head_and_by_its_base(pulling_beside, settle):
+    person, widget = pulling_beside
     person.drag((30, 30), (34, 34), (36, 36))
     settle(widget)
     person.drag((36, 36), (36, 40))
@@ -54,8 +58,8 @@ def test_an_arrow_is_picked_up_again_by_its_head_and_by_its_base(pulling, settle
     assert only(widget).by == pytest.approx((8, 10), abs=0.8)
 
 
-def test_tissue_that_has_moved_is_taken_hold_of_where_it_is_seen(pulling, settle):
-    person, widget = pulling
+def test_tissue_that_has_moved_is_taken_hold_of_where_it_is_seen(pulling_beside, settle):
+    person, widget = pulling_beside
     person.drag((30, 30), (36, 36))
     settle(widget)
     person.drag((40, 44), (40, 44))
@@ -66,6 +70,7 @@ def test_tissue_that_has_moved_is_taken_hold_of_where_it_is_seen(pulling, settle
     assert widget.history.edits.next_undo.word == "drew an arrow"
 
 
+@bare
 def test_keys_remove_undo_and_redo(pulling, settle):
     person, widget = pulling
     person.drag((30, 30), (34, 34))
@@ -86,8 +91,8 @@ def test_keys_remove_undo_and_redo(pulling, settle):
     assert np.array_equal(by_name(person.viewer, "MR deformed, elastic").data, image)
 
 
-def test_escape_gives_a_drag_up(pulling):
-    person, widget = pulling
+def test_escape_gives_a_drag_up(pulling_beside):
+    person, widget = pulling_beside
     person.press(30, 30)
     person.move(35, 35)
     assert widget.drawing.marks
@@ -98,6 +103,7 @@ def test_escape_gives_a_drag_up(pulling):
     assert widget.status == "Cancelled; everything is as before."
 
 
+@bare
 def test_the_view_stays_while_tissue_is_pulled_and_moves_while_space_is_held(pulling):
     person, widget = pulling
     before = person.where(0, 0)
@@ -116,8 +122,8 @@ def test_the_view_stays_while_tissue_is_pulled_and_moves_while_space_is_held(pul
     assert layer.cursor_size == pytest.approx(2 * widget.fields.radius.value)
 
 
-def test_another_active_layer_pauses_the_tool(pulling):
-    person, widget = pulling
+def test_another_active_layer_pauses_the_tool(pulling_beside):
+    person, widget = pulling_beside
     person.viewer.layers.selection.active = by_name(person.viewer, "MR")
     assert not widget.active
     assert not Screen(widget).button("Pull").isChecked()
@@ -130,6 +136,7 @@ def test_another_active_layer_pauses_the_tool(pulling):
     assert not widget.active
 
 
+@bare
 def test_labels_keep_their_own_undo(pulling):
     person, widget = pulling
     person.drag((30, 30), (34, 34))
@@ -144,8 +151,8 @@ def test_labels_keep_their_own_undo(pulling):
     assert not widget.drawing.marks, "an image has no undo of its own"
 
 
-def test_fields_change_the_selected_arrow_and_the_next_ones(pulling, settle):
-    person, widget = pulling
+def test_fields_change_the_selected_arrow_and_the_next_ones(pulling_beside, settle):
+    person, widget = pulling_beside
     fields, screen = widget.fields, Screen(widget)
     fields.components.value = "row"
     person.drag((30, 30), (34, 36))
@@ -181,6 +188,7 @@ def test_arrows_deleted_in_mid_drag_come_back(pulling, settle):
     assert not widget.drawing.marks
 
 
+@bare
 def test_the_image_deleted_in_mid_drag_ends_it(pulling, at_rest):
     person, widget = pulling
     person.press(30, 30)
@@ -211,6 +219,7 @@ def test_layers_renamed_or_deleted_in_mid_drag_do_not_matter(pulling, settle):
     assert by_name(person.viewer, "mine") is person.viewer.layers.selection.active
 
 
+@bare
 def test_another_image_on_the_same_pixels_is_shown_as_itself(pulling, settle):
     person, widget = pulling
     person.drag((30, 30), (33, 33))
@@ -234,9 +243,9 @@ def test_another_image_on_the_same_pixels_is_shown_as_itself(pulling, settle):
     assert np.array_equal(moved.data, before), "the other's result stays"
 
 
-def test_a_slice_that_was_only_visited_leaves_no_layers(open_window, settle):
+def test_a_slice_that_was_only_visited_leaves_no_layers(open_beside, settle):
     stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
-    person, widget = open_window(stack, scale=(5, 1, 1))
+    person, widget = open_beside(stack, scale=(5, 1, 1))
     viewer = person.viewer
     widget.start()
     settle(widget)
@@ -247,6 +256,7 @@ def test_a_slice_that_was_only_visited_leaves_no_layers(open_window, settle):
     assert made == ["MR deformed, elastic (slice 0)"]
 
 
+@bare
 def test_each_slice_has_its_own_drawing(open_window, settle, at_rest):
     stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
     person, widget = open_window(stack, scale=(5, 1, 1))
@@ -279,8 +289,8 @@ def test_each_slice_has_its_own_drawing(open_window, settle, at_rest):
     assert (widget.status, len(widget.drawing.marks)) == (how, 1)
 
 
-def test_a_window_with_nothing_drawn_yet_can_show_three_dimensions(pulling, qtbot, at_rest):
-    person, widget = pulling
+def test_a_viewer_with_nothing_drawn_yet_can_show_three_dimensions(pulling_beside, qtbot, at_rest):
+    person, widget = pulling_beside
     person.viewer.dims.ndisplay = 3
     at_rest()
     assert "two dimensions" in widget.status
@@ -288,8 +298,8 @@ def test_a_window_with_nothing_drawn_yet_can_show_three_dimensions(pulling, qtbo
     qtbot.waitUntil(lambda: widget.active, timeout=LONG_MS)
 
 
-def test_void_cannot_be_taken_hold_of(open_window, settle):
-    person, widget = open_window()
+def test_void_cannot_be_taken_hold_of(open_beside, settle):
+    person, widget = open_beside()
     labels = np.zeros((64, 64), np.uint8)
     labels[10:50, 10:50] = 1
     materials = (Material(0, "air", 0.0), Material(1, "gel", 20.0))
@@ -305,6 +315,7 @@ def test_void_cannot_be_taken_hold_of(open_window, settle):
     assert only(widget).by[0] == pytest.approx(3, abs=0.6)
 
 
+@bare
 def test_two_viewers_pull_their_own_tissue(open_window, settle):
     one, mine = open_window()
     other, its = open_window()
@@ -322,6 +333,7 @@ def test_two_viewers_pull_their_own_tissue(open_window, settle):
     assert its.drawing.marks
 
 
+@bare
 def test_a_window_closed_in_mid_drag_ends_everything(pulling, at_rest):
     person, _ = pulling
     person.press(30, 30)
@@ -330,6 +342,7 @@ def test_a_window_closed_in_mid_drag_ends_everything(pulling, at_rest):
     at_rest()
 
 
+@bare
 def test_a_closed_dock_leaves_no_arrows_that_nobody_answers(pulling, settle):
     person, widget = pulling
     person.drag((30, 30), (34, 34))
@@ -348,8 +361,8 @@ def test_a_closed_dock_leaves_no_arrows_that_nobody_answers(pulling, settle):
     assert not again.drawing.marks
 
 
-def test_scripts_draw_without_a_mouse(open_window, settle):
-    person, widget = open_window()
+def test_scripts_draw_without_a_mouse(open_beside, settle):
+    person, widget = open_beside()
     seen = []
     widget.seen.connect(seen.append)
     assert widget.start()
@@ -362,8 +375,8 @@ def test_scripts_draw_without_a_mouse(open_window, settle):
     assert Drawing.from_dict(solution.frame["drawing"]) == widget.drawing
 
 
-def test_a_sample_brings_its_tissue_and_hides_the_paint(open_window, settle):
-    person, widget = open_window()
+def test_a_sample_brings_its_tissue_and_hides_the_paint(open_beside, settle):
+    person, widget = open_beside()
     person.viewer.layers.clear()
     person.viewer.open_sample("napari-hmrf", "mass-effect")
     layers = person.viewer.layers
@@ -384,8 +397,8 @@ def test_a_sample_brings_its_tissue_and_hides_the_paint(open_window, settle):
     assert np.linalg.norm(field[painted], axis=-1).min() > 1, "the boundary moves, too"
 
 
-def test_each_tool_has_a_button_a_key_and_its_name_on_the_canvas(pulling, settle):
-    person, widget = pulling
+def test_each_tool_has_a_button_a_key_and_its_name_on_the_canvas(pulling_beside, settle):
+    person, widget = pulling_beside
     screen, badge = Screen(widget), person.viewer.canvas.overlays.text
     assert (widget.tool, badge.text, badge.visible) == ("pull", "Pull", True)
     screen.press("Hold")
@@ -395,8 +408,8 @@ def test_each_tool_has_a_button_a_key_and_its_name_on_the_canvas(pulling, settle
     person.key(Qt.Key.Key_L)
     assert (widget.tool, badge.text) == ("landmark", "Landmark")
     person.key(Qt.Key.Key_M)
-    assert widget.fields.by_row.native.isVisible()
-    assert not widget.fields.amount.native.isVisible()
+    assert widget.fields.by_row.native.isVisibleTo(widget.native)
+    assert not widget.fields.amount.native.isVisibleTo(widget.native)
     screen.press("Push")
     assert not widget.active, "its button puts it down"
     assert not badge.visible
@@ -404,9 +417,9 @@ def test_each_tool_has_a_button_a_key_and_its_name_on_the_canvas(pulling, settle
         widget.tool = "saw"
 
 
-def test_an_edit_of_another_slice_is_taken_back_there(open_window, settle):
+def test_an_edit_of_another_slice_is_taken_back_there(open_beside, settle):
     stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
-    person, widget = open_window(stack, scale=(5, 1, 1))
+    person, widget = open_beside(stack, scale=(5, 1, 1))
     viewer = person.viewer
     viewer.dims.set_current_step(0, 1)
     widget.start()
@@ -433,6 +446,7 @@ def test_an_edit_of_another_slice_is_taken_back_there(open_window, settle):
     assert only(widget).by == pytest.approx((0, 4), abs=0.6)
 
 
+@bare
 def test_keys_work_wherever_the_keyboard_is_in_the_dock(pulling):
     person, widget = pulling
     labels = person.viewer.add_labels(np.zeros((64, 64), np.uint8), name="paint")
@@ -450,6 +464,7 @@ def test_keys_work_wherever_the_keyboard_is_in_the_dock(pulling):
     assert widget.drawing == drawn
 
 
+@bare
 def test_undo_keys_work_in_a_field_whose_number_is_taken_and_leave_what_is_being_typed(pulling):
     person, widget = pulling
     person.drag((30, 30), (34, 34))
@@ -464,8 +479,8 @@ def test_undo_keys_work_in_a_field_whose_number_is_taken_and_leave_what_is_being
     assert widget.drawing != before
 
 
-def test_an_image_that_is_removed_takes_its_steps_along(pulling, at_rest):
-    person, widget = pulling
+def test_an_image_that_is_removed_takes_its_steps_along(pulling_beside, at_rest):
+    person, widget = pulling_beside
     person.drag((30, 30), (34, 34))
     assert Screen(widget).button("Undo").isEnabled()
     person.viewer.layers.remove("MR")
@@ -475,8 +490,8 @@ def test_an_image_that_is_removed_takes_its_steps_along(pulling, at_rest):
     assert widget.status == "There is nothing to take back."
 
 
-def test_a_table_that_is_edited_is_followed_and_a_step_among_the_others(open_window, settle):
-    person, widget = open_window()
+def test_a_table_that_is_edited_is_followed_and_a_step_among_the_others(open_beside, settle):
+    person, widget = open_beside()
     viewer = person.viewer
     viewer.layers.clear()
     viewer.open_sample("napari-hmrf", "mass-effect")
@@ -497,8 +512,8 @@ def test_a_table_that_is_edited_is_followed_and_a_step_among_the_others(open_win
     assert seen[-1].ground.stiffness.max() == before
 
 
-def test_what_is_drawn_goes_along_when_the_image_gets_another_unit(pulling, settle):
-    person, widget = pulling
+def test_what_is_drawn_goes_along_when_the_image_gets_another_unit(pulling_beside, settle):
+    person, widget = pulling_beside
     person.drag((30, 30), (34, 34))
     settle(widget)
     image = widget.image
@@ -512,8 +527,8 @@ def test_what_is_drawn_goes_along_when_the_image_gets_another_unit(pulling, sett
     assert "mm" in widget.fields.radius.label
 
 
-def test_a_drag_may_begin_at_any_edge_of_the_image(pulling, settle):
-    person, widget = pulling
+def test_a_drag_may_begin_at_any_edge_of_the_image(pulling_beside, settle):
+    person, widget = pulling_beside
     widget.hold_edge = False
     widget.fields.radius.value = 12.0
     rows, cols = widget.image.data.shape
@@ -523,18 +538,18 @@ def test_a_drag_may_begin_at_any_edge_of_the_image(pulling, settle):
         person.press(*place)
         for step in (2, 4, 6):
             person.move(place[0] + step / 2, place[1] + step)
-            settle_moves(person, widget)
+            settle(widget)
         person.release(place[0] + 3, place[1] + 6)
         assert len(widget.drawing.marks) == before + 1
         assert widget.drawing.marks[-1].by == pytest.approx((3, 6), abs=0.8)
         widget.clear()
 
 
-def test_air_cannot_be_taken_hold_of_and_does_not_fold(open_window, settle):
+def test_air_cannot_be_taken_hold_of_and_does_not_fold(open_beside, settle):
     rows, cols = np.indices((96, 96))
     noise = np.random.default_rng(0).integers(0, 6, (96, 96))
     disc = np.hypot(rows - 48, cols - 48) < 26
-    person, widget = open_window((noise + 150 * disc).astype(np.uint8))
+    person, widget = open_beside((noise + 150 * disc).astype(np.uint8))
     assert widget.start()
     settle(widget)
     person.drag((10, 48), (20, 48))
@@ -550,8 +565,8 @@ def test_air_cannot_be_taken_hold_of_and_does_not_fold(open_window, settle):
     assert not solution.displacement[~disc].any()
 
 
-def test_three_dimensions_are_spoken_of_until_there_are_two_again(open_window, at_rest, settle):
-    person, widget = open_window()
+def test_three_dimensions_are_spoken_of_until_there_are_two_again(open_beside, at_rest, settle):
+    person, widget = open_beside()
     settle(widget)
     person.viewer.dims.ndisplay = 3
     assert not widget.start()
@@ -562,8 +577,8 @@ def test_three_dimensions_are_spoken_of_until_there_are_two_again(open_window, a
     assert "rag tissue" in widget.status
 
 
-def test_what_is_said_and_whether_the_mouse_pulls_agree(pulling, settle):
-    person, widget = pulling
+def test_what_is_said_and_whether_the_mouse_pulls_agree(pulling_beside, settle):
+    person, widget = pulling_beside
     how = widget.status
     person.drag((30, 30), (34, 34))
     settle(widget)
@@ -579,10 +594,10 @@ def test_what_is_said_and_whether_the_mouse_pulls_agree(pulling, settle):
     assert (widget.active, widget.status) == (True, how)
 
 
-def test_air_that_a_tissue_layer_calls_tissue_is_spoken_of(open_window, settle):
+def test_air_that_a_tissue_layer_calls_tissue_is_spoken_of(open_beside, settle):
     rows, cols = np.indices((64, 64))
     disc = np.hypot(rows - 32, cols - 32) < 18
-    person, widget = open_window((150 * disc).astype(np.uint8))
+    person, widget = open_beside((150 * disc).astype(np.uint8))
     widget.without_border = False
     labels = person.viewer.add_labels(np.zeros((64, 64), np.uint8), name="T")
     labels.metadata.update(described(TISSUE, (Material(0, "unpainted", 1.0),), "kPa"))

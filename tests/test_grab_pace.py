@@ -20,6 +20,8 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.follower import Follower
 
+pytest_plugins = ["beside"]
+
 
 def pulled(by):
     return Drawing((Arrow((20, 20), (0, by), 4),))
@@ -201,8 +203,8 @@ def test_data_somebody_gave_the_layer_are_not_written_to(pulling, qtbot):
     person.release(34, 34)
 
 
-def test_the_pointer_is_quiet_in_a_drag_and_itself_again_after_it(pulling):
-    person, _ = pulling
+def test_the_pointer_is_quiet_in_a_drag_and_itself_again_after_it(pulling_beside):
+    person, _ = pulling_beside
     layer, positions = by_name(person.viewer, "Motion"), []
     person.viewer.cursor.events.position.connect(lambda event: positions.append(event.value))
     for end in (lambda: person.release(34, 34), lambda: person.key(Qt.Key.Key_Escape)):
@@ -216,8 +218,8 @@ def test_the_pointer_is_quiet_in_a_drag_and_itself_again_after_it(pulling):
         assert positions, "the status bar is told where the pointer is now"
 
 
-def test_nothing_is_computed_when_nothing_is_done(pulling, settle, at_rest):
-    person, widget = pulling
+def test_nothing_is_computed_when_nothing_is_done(pulling_beside, settle, at_rest):
+    person, widget = pulling_beside
     person.drag((30, 30), (32, 32), (34, 34))
     settle(widget)
     seen = []
@@ -262,9 +264,9 @@ def test_the_first_drag_finds_everything_compiled(rest, following, confidence):
 
 
 def test_whoever_waits_is_told_for_what_and_how_to_stop_it(
-    open_window, settle, qtbot, solver_at_work
+    open_beside, settle, qtbot, solver_at_work
 ):
-    _, widget = open_window()
+    _, widget = open_beside()
     compute_thread.stage = "cycle 16, 1.7e-11 px to go"
     widget.start()
     qtbot.waitUntil(lambda: "waiting for a computation" in widget.status, timeout=LONG_MS)

@@ -1,4 +1,4 @@
-"""Brushes and landmarks in a real window, with real mouse and key events."""
+"""Brushes and landmarks: in a real window, with real mouse and key events, and beside a viewer."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 from conftest import dock_in
 from napari.layers import Image
 from patience import LONG_MS
-from person import CTRL, SHIFT, by_name, only
+from person import CTRL, SHIFT, Touch, by_name, only
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 from screen import Screen
@@ -23,6 +23,7 @@ from napari_hmrf.ui.soft_tissue import SoftTissue
 PIN, FREE, MOVE, EXPAND = Qt.Key.Key_P, Qt.Key.Key_F, Qt.Key.Key_M, Qt.Key.Key_E
 CONFIDENCE, MATERIAL, LANDMARK = Qt.Key.Key_C, Qt.Key.Key_T, Qt.Key.Key_L
 
+pytest_plugins = ["beside"]
 #: What napari shows of each layer beside the canvas is seen where tissue is pulled, in test_grab.
 pytestmark = pytest.mark.usefixtures("without_controls")
 
@@ -53,13 +54,28 @@ def outward(widget):
 
 
 @pytest.fixture
-def brushing(pulling, settle):
-    """Somebody who has pulled a wide patch to the right, and has a narrow brush."""
-    person, widget = pulling
-    widget.drawing = Drawing((Arrow((44, 40), (0, 5), 6.0),))
-    widget.fields.radius.value = 3.0
-    settle(widget)
-    return person, widget
+def narrow(settle):
+    """Give somebody a narrow brush, and have a wide patch pulled to the right before."""
+
+    def given(person, widget):
+        widget.drawing = Drawing((Arrow((44, 40), (0, 5), 6.0),))
+        widget.fields.radius.value = 3.0
+        settle(widget)
+        return person, widget
+
+    return given
+
+
+@pytest.fixture
+def brushing(pulling, narrow):
+    """Somebody before a window, with a narrow brush."""
+    return narrow(*pulling)
+
+
+@pytest.fixture
+def brushing_beside(pulling_beside, narrow):
+    """The same without a window."""
+    return narrow(*pulling_beside)
 
 
 def test_what_is_painted_is_seen_before_anything_is_solved(brushing, busy_thread, qtbot):
@@ -73,8 +89,8 @@ def test_what_is_painted_is_seen_before_anything_is_solved(brushing, busy_thread
     person.release(20, 36)
 
 
-def test_what_is_pinned_stays(brushing, settle):
-    person, widget = brushing
+def test_what_is_pinned_stays(brushing_beside, settle):
+    person, widget = brushing_beside
     before = displacement(widget)[20, 30]
     assert np.linalg.norm(before) > 0.3
     person.key(PIN)
@@ -88,8 +104,8 @@ def test_what_is_pinned_stays(brushing, settle):
     assert widget.history.edits.next_undo.word == "held tissue"
 
 
-def test_what_is_freed_is_held_by_nothing(brushing, settle):
-    person, widget = brushing
+def test_what_is_freed_is_held_by_nothing(brushing_beside, settle):
+    person, widget = brushing_beside
     person.key(FREE)
     widget.fields.radius.value = 9.0
     person.paint((44, 40), (44, 46))
@@ -98,8 +114,8 @@ def test_what_is_freed_is_held_by_nothing(brushing, settle):
     assert set(np.unique(seen_paint(person))) == {0, number_of("free")}, "stripes"
 
 
-def test_what_is_moved_moves_and_its_paint_goes_along(brushing, settle):
-    person, widget = brushing
+def test_what_is_moved_moves_and_its_paint_goes_along(brushing_beside, settle):
+    person, widget = brushing_beside
     person.key(MOVE)
     widget.fields.by_row.value = -4.0
     person.paint((20, 20), (20, 26))
@@ -112,8 +128,8 @@ def test_what_is_moved_moves_and_its_paint_goes_along(brushing, settle):
     assert displacement(widget)[20, 22] == pytest.approx((2, 0), abs=0.02), "of the stroke painted"
 
 
-def test_a_ring_expands_or_shrinks(brushing, settle):
-    person, widget = brushing
+def test_a_ring_expands_or_shrinks(brushing_beside, settle):
+    person, widget = brushing_beside
     widget.drawing = Drawing()
     person.key(EXPAND)
     widget.fields.amount.value = 2.0
@@ -126,8 +142,8 @@ def test_a_ring_expands_or_shrinks(brushing, settle):
 
 
 @pytest.mark.parametrize("amount", [2.0, -2.0])
-def test_a_patch_grows_without_a_tear(pulling, settle, amount):
-    person, widget = pulling
+def test_a_patch_grows_without_a_tear(pulling_beside, settle, amount):
+    person, widget = pulling_beside
     widget.fields.radius.value = 10.0
     person.key(EXPAND)
     widget.fields.amount.value = amount
@@ -139,8 +155,10 @@ def test_a_patch_grows_without_a_tear(pulling, settle, amount):
     assert seen_paint(person)[32, 32], "all that was painted is seen"
 
 
-def test_what_is_taken_back_and_done_again_is_selected_and_its_fields_say_so(pulling, settle):
-    person, widget = pulling
+def test_what_is_taken_back_and_done_again_is_selected_and_its_fields_say_so(
+    pulling_beside, settle
+):
+    person, widget = pulling_beside
     person.key(EXPAND)
     amount = widget.fields.amount
     amount.value = 2.0
@@ -164,8 +182,8 @@ def test_what_is_taken_back_and_done_again_is_selected_and_its_fields_say_so(pul
     settle(widget)
 
 
-def test_an_open_line_cannot_expand_and_says_so(pulling, settle):
-    person, widget = pulling
+def test_an_open_line_cannot_expand_and_says_so(pulling_beside, settle):
+    person, widget = pulling_beside
     person.key(EXPAND)
     widget.fields.radius.value = 1.0
     widget.fields.amount.value = 2.0
@@ -176,8 +194,8 @@ def test_an_open_line_cannot_expand_and_says_so(pulling, settle):
     assert not seen_paint(person).any()
 
 
-def test_a_ring_that_is_removed_before_it_is_closed_leaves_nothing(pulling, settle):
-    person, widget = pulling
+def test_a_ring_that_is_removed_before_it_is_closed_leaves_nothing(pulling_beside, settle):
+    person, widget = pulling_beside
     person.key(EXPAND)
     widget.fields.radius.value = 1.0
     person.press(10, 30)
@@ -191,8 +209,8 @@ def test_a_ring_that_is_removed_before_it_is_closed_leaves_nothing(pulling, sett
     assert not seen_paint(person).any()
 
 
-def test_confidence_is_painted_softly_over_what_moves(brushing, settle):
-    person, widget = brushing
+def test_confidence_is_painted_softly_over_what_moves(brushing_beside, settle):
+    person, widget = brushing_beside
     person.key(CONFIDENCE)
     fields = widget.fields
     fields.sure.value, fields.softness.value, fields.radius.value = 0.0, 1.0, 5.0
@@ -209,8 +227,10 @@ def test_confidence_is_painted_softly_over_what_moves(brushing, settle):
     assert not seen_paint(person).any()
 
 
-def test_with_the_last_stroke_the_layer_of_what_is_painted_goes_and_comes_again(pulling, settle):
-    person, widget = pulling
+def test_with_the_last_stroke_the_layer_of_what_is_painted_goes_and_comes_again(
+    pulling_beside, settle
+):
+    person, widget = pulling_beside
     layers = person.viewer.layers
     person.key(PIN)
     person.paint((20, 20), (20, 26))
@@ -272,8 +292,10 @@ def test_stiffness_motion_and_confidence_are_each_painted_and_seen_as_a_layer(pu
         assert confidence.name_overlay.position == confidence.colorbar.position
 
 
-def test_what_speaks_of_one_direction_says_so_on_the_canvas_and_where_it_is_drawn(pulling, settle):
-    person, widget = pulling
+def test_what_speaks_of_one_direction_says_so_on_the_canvas_and_where_it_is_drawn(
+    pulling_beside, settle
+):
+    person, widget = pulling_beside
     text, fields = person.viewer.canvas.overlays.text, widget.fields
     fields.components.value = "row"
     assert text.text == "Pull, up and down only"
@@ -301,8 +323,8 @@ def test_what_speaks_of_one_direction_says_so_on_the_canvas_and_where_it_is_draw
     assert by_name(person.viewer, "Motion").data[:, 1].all(), "crosses"
 
 
-def test_painted_confidence_is_undone_and_redone_with_its_layer(brushing, settle):
-    person, widget = brushing
+def test_painted_confidence_is_undone_and_redone_with_its_layer(brushing_beside, settle):
+    person, widget = brushing_beside
     layers = person.viewer.layers
     person.key(CONFIDENCE)
     widget.fields.sure.value = 0.4
@@ -323,8 +345,8 @@ def test_painted_confidence_is_undone_and_redone_with_its_layer(brushing, settle
     assert "Confidence" not in layers
 
 
-def test_the_layer_of_confidence_moves_on_with_the_tissue(brushing, settle):
-    person, widget = brushing
+def test_the_layer_of_confidence_moves_on_with_the_tissue(brushing_beside, settle):
+    person, widget = brushing_beside
     person.key(CONFIDENCE)
     widget.fields.sure.value, widget.fields.softness.value = 0.6, 0.0
     person.paint((44, 45), (44, 46))
@@ -339,8 +361,10 @@ def test_the_layer_of_confidence_moves_on_with_the_tissue(brushing, settle):
     assert set(np.unique(layer.data)) == {0, np.float32(0.6), 1}, "nothing in between is made up"
 
 
-def test_paint_is_seen_where_all_of_the_motion_has_led_it_and_hidden_with_less(brushing, settle):
-    person, widget = brushing
+def test_paint_is_seen_where_all_of_the_motion_has_led_it_and_hidden_with_less(
+    brushing_beside, settle
+):
+    person, widget = brushing_beside
     layers = person.viewer.layers
     person.key(PIN)
     person.paint((20, 20), (20, 26))
@@ -363,9 +387,9 @@ def test_paint_is_seen_where_all_of_the_motion_has_led_it_and_hidden_with_less(b
     assert [each.visible for each in paint] == [True, False], "as somebody wants it"
 
 
-def test_confidence_is_of_its_slice_and_goes_with_its_image_and_its_dock(open_window, settle):
+def test_confidence_is_of_its_slice_and_goes_with_its_image_and_its_dock(open_beside, settle):
     stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
-    person, widget = open_window(stack)
+    person, widget = open_beside(stack)
     viewer = person.viewer
     viewer.dims.set_current_step(0, 1)
     widget.start()
@@ -388,8 +412,10 @@ def test_confidence_is_of_its_slice_and_goes_with_its_image_and_its_dock(open_wi
     assert "Confidence" not in viewer.layers
 
 
-def test_confidence_is_no_input_and_is_hidden_while_the_image_is_seen_as_it_was(brushing, settle):
-    person, widget = brushing
+def test_confidence_is_no_input_and_is_hidden_while_the_image_is_seen_as_it_was(
+    brushing_beside, settle
+):
+    person, widget = brushing_beside
     person.key(CONFIDENCE)
     widget.fields.sure.value = 0.4
     person.paint((44, 45), (44, 46))
@@ -410,8 +436,8 @@ def test_confidence_is_no_input_and_is_hidden_while_the_image_is_seen_as_it_was(
     assert by_name(person.viewer, "Confidence").visible
 
 
-def test_tissue_is_painted_from_the_presets_where_there_is_no_table(brushing, settle):
-    person, widget = brushing
+def test_tissue_is_painted_from_the_presets_where_there_is_no_table(brushing_beside, settle):
+    person, widget = brushing_beside
     before = displacement(widget)[44, 14, 1]
     person.key(MATERIAL)
     assert 0 in widget.fields.material.choices, "what is cut away is no tissue"
@@ -431,8 +457,8 @@ def test_tissue_is_painted_from_the_presets_where_there_is_no_table(brushing, se
     assert displacement(widget)[44, 14, 1] == pytest.approx(before, abs=0.02)
 
 
-def test_tissue_is_painted_from_the_table_of_its_layer(open_window, settle):
-    person, widget = open_window()
+def test_tissue_is_painted_from_the_table_of_its_layer(open_beside, settle):
+    person, widget = open_beside()
     labels = np.ones((64, 64), np.uint8)
     materials = (Material(1, "gel", 1.0), Material(7, "bone", 1000.0))
     person.viewer.add_labels(labels, name="T", metadata=described(TISSUE, materials, "kPa"))
@@ -477,8 +503,8 @@ def test_a_drag_is_a_landmark_and_escape_gives_one_up(pulling, settle):
     assert not widget.drawing.marks
 
 
-def test_points_are_landmarks_beside_those_that_are_drawn(pulling, settle):
-    person, widget = pulling
+def test_points_are_landmarks_beside_those_that_are_drawn(pulling_beside, settle):
+    person, widget = pulling_beside
     viewer = person.viewer
     person.key(LANDMARK)
     person.drag((50, 50), (50, 52))
@@ -500,8 +526,8 @@ def test_points_are_landmarks_beside_those_that_are_drawn(pulling, settle):
     assert len(widget.drawing.marks) == 3, "those that were taken before are replaced"
 
 
-def test_brushes_do_something_from_the_first_stroke_or_say_why_not(pulling, settle):
-    person, widget = pulling
+def test_brushes_do_something_from_the_first_stroke_or_say_why_not(pulling_beside, settle):
+    person, widget = pulling_beside
     fields = widget.fields
     person.key(EXPAND)
     assert fields.amount.value == 1
@@ -515,11 +541,10 @@ def test_brushes_do_something_from_the_first_stroke_or_say_why_not(pulling, sett
 
 
 def test_the_stiffness_that_is_read_is_that_of_the_tissue_that_was_brushed(
-    make_napari_viewer, small_sample, settle
+    widget, small_sample, settle
 ):
-    viewer = make_napari_viewer(show=True)
-    small_sample(viewer, (48, 64))
-    widget = dock_in(viewer)
+    small_sample(widget._viewer, (48, 64))
+    widget.model, widget.live = "elastic", True
     settle(widget)
     stiff = replace(widget.materials[1], label=9, name="lump", stiffness=77.0)
     widget.materials = (*widget.materials, stiff)
@@ -568,8 +593,8 @@ def test_undo_and_redo_go_through_all_tools(pulling, settle):
     assert not by_name(person.viewer, "Motion").data.any()
 
 
-def test_what_was_painted_is_picked_up_again_changed_and_removed(brushing, settle):
-    person, widget = brushing
+def test_what_was_painted_is_picked_up_again_changed_and_removed(brushing_beside, settle):
+    person, widget = brushing_beside
     person.key(MOVE)
     widget.fields.by_row.value = -4.0
     person.paint((20, 20), (20, 26))
@@ -586,8 +611,8 @@ def test_what_was_painted_is_picked_up_again_changed_and_removed(brushing, settl
     assert "Nothing is drawn there" in widget.status
 
 
-def test_keys_change_the_size_of_the_brush(pulling):
-    person, widget = pulling
+def test_keys_change_the_size_of_the_brush(pulling_beside):
+    person, widget = pulling_beside
     person.key(PIN)
     widget.fields.radius.value = 4.0
     person.key(Qt.Key.Key_BracketRight)
@@ -597,8 +622,8 @@ def test_keys_change_the_size_of_the_brush(pulling):
     assert widget.fields.radius.value == 4.0
 
 
-def test_escape_gives_a_stroke_up(brushing, settle):
-    person, widget = brushing
+def test_escape_gives_a_stroke_up(brushing_beside, settle):
+    person, widget = brushing_beside
     before = widget.drawing
     person.key(PIN)
     person.press(20, 20)
@@ -611,9 +636,9 @@ def test_escape_gives_a_stroke_up(brushing, settle):
     assert not seen_paint(person).any()
 
 
-def test_another_slice_in_mid_stroke_ends_it_there(open_window, settle):
+def test_another_slice_in_mid_stroke_ends_it_there(open_beside, settle):
     stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
-    person, widget = open_window(stack)
+    person, widget = open_beside(stack)
     viewer = person.viewer
     viewer.dims.set_current_step(0, 1)
     widget.start()
@@ -657,8 +682,10 @@ def test_layers_deleted_or_renamed_in_mid_stroke_do_not_matter(brushing, settle)
 @pytest.mark.parametrize(
     ("gone", "said"), [("Motion", "The layer 'Motion' is gone"), ("MR", "Open an image first")]
 )
-def test_layers_that_are_needed_and_deleted_in_mid_stroke_end_it(brushing, at_rest, gone, said):
-    person, widget = brushing
+def test_layers_that_are_needed_and_deleted_in_mid_stroke_end_it(
+    brushing_beside, at_rest, gone, said
+):
+    person, widget = brushing_beside
     person.key(PIN)
     person.press(20, 20)
     person.move(20, 24)
@@ -671,9 +698,9 @@ def test_layers_that_are_needed_and_deleted_in_mid_stroke_end_it(brushing, at_re
     assert not person.viewer.canvas.overlays.text.visible
 
 
-def test_two_viewers_have_tools_of_their_own(open_window, settle):
-    one, mine = open_window()
-    other, its = open_window()
+def test_two_viewers_have_tools_of_their_own(open_beside, settle):
+    one, mine = open_beside()
+    other, its = open_beside()
     for widget in (mine, its):
         assert widget.start()
         settle(widget)
@@ -689,8 +716,13 @@ def test_two_viewers_have_tools_of_their_own(open_window, settle):
     assert "Motion, painted" not in other.viewer.layers
 
 
-def test_a_closed_dock_takes_its_paint_and_its_words_along(brushing, settle):
-    person, widget = brushing
+def test_a_closed_dock_takes_its_paint_and_its_words_along(unstyled, make_napari_viewer, settle):
+    viewer = make_napari_viewer()
+    viewer.add_image(np.full((64, 64), 100, np.uint8), name="MR")
+    person, widget = Touch(viewer), dock_in(viewer)
+    assert widget.start()
+    settle(widget)
+    widget.drawing = Drawing((Arrow((44, 40), (0, 5), 6.0),))
     person.key(PIN)
     person.paint((20, 20), (20, 30))
     settle(widget)
@@ -704,8 +736,8 @@ def test_a_closed_dock_takes_its_paint_and_its_words_along(brushing, settle):
     assert len(again.drawing.marks) == 2, "what was drawn stays"
 
 
-def test_text_of_others_on_the_canvas_stays(open_window):
-    person, widget = open_window()
+def test_text_of_others_on_the_canvas_stays(open_beside):
+    person, widget = open_beside()
     text = person.viewer.canvas.overlays.text
     text.text, text.visible = "patient 7", True
     widget.start()
@@ -714,8 +746,8 @@ def test_text_of_others_on_the_canvas_stays(open_window):
     assert text.visible
 
 
-def test_scripts_paint_without_a_mouse(open_window, settle):
-    person, widget = open_window()
+def test_scripts_paint_without_a_mouse(open_beside, settle):
+    person, widget = open_beside()
     assert widget.start()
     widget.tool = "pin"
     strokes = (
@@ -731,11 +763,13 @@ def test_scripts_paint_without_a_mouse(open_window, settle):
     assert Drawing.from_dict(kept) == widget.drawing
 
 
-def test_the_presets_offer_their_tissues_and_the_first_is_what_is_not_painted(brushing, settle):
-    person, widget = brushing
+def test_the_presets_offer_their_tissues_and_the_first_is_what_is_not_painted(
+    brushing_beside, settle
+):
+    person, widget = brushing_beside
     person.key(MATERIAL)
     fields = widget.fields
-    assert fields.preset.native.isVisible()
+    assert fields.preset.native.isVisibleTo(widget.native)
     fields.preset.value = next(each for each in fields.preset.choices if each.unit == "kPa")
     settle(widget)
     before = displacement(widget)
@@ -749,8 +783,8 @@ def test_the_presets_offer_their_tissues_and_the_first_is_what_is_not_painted(br
     assert displacement(widget) == pytest.approx(before, abs=0.02), "it was that already"
 
 
-def test_a_radius_that_is_typed_is_one_step(pulling, settle):
-    person, widget = pulling
+def test_a_radius_that_is_typed_is_one_step(pulling_beside, settle):
+    person, widget = pulling_beside
     person.drag((30, 30), (34, 34))
     settle(widget)
     field = widget.fields.radius.native
@@ -765,8 +799,8 @@ def test_a_radius_that_is_typed_is_one_step(pulling, settle):
     assert widget.history.edits.next_undo.word == "drew an arrow"
 
 
-def test_the_brush_of_tissue_begins_with_one_that_is_tissue(open_window, settle):
-    person, widget = open_window()
+def test_the_brush_of_tissue_begins_with_one_that_is_tissue(open_beside, settle):
+    person, widget = open_beside()
     labels = person.viewer.add_labels(np.ones((64, 64), np.uint8), name="T")
     rows = (Material(0, "x", 1.0), Material(1, "gel", 2.0), Material(2, "air", 0.0))
     labels.metadata.update(described(TISSUE, rows, "kPa"))

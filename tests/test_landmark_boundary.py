@@ -159,13 +159,10 @@ def test_the_menus_appear_with_points_and_know_the_other_layer(chosen):
     assert "'is' says where things are: choose another Points layer" in widget.status
 
 
-def test_without_points_there_are_no_menus_for_them(make_napari_viewer, wait_for):
-    viewer = make_napari_viewer(show=True)
-    widget = dock_in(viewer)
-    wait_for(widget.native.isVisible)
-    assert not menus(widget).native.isVisible()
-    viewer.add_points([[1.0, 2.0]])
-    wait_for(menus(widget).native.isVisible)
+def test_without_points_there_are_no_menus_for_them(widget):
+    assert not menus(widget).native.isVisibleTo(widget.native)
+    widget._viewer.add_points([[1.0, 2.0]])
+    assert menus(widget).native.isVisibleTo(widget.native)
     assert not menus(widget).take.enabled, "nothing is chosen yet"
 
 
@@ -208,12 +205,12 @@ def test_landmarks_that_are_taken_are_undone_changed_and_taken_again(chosen, set
     assert widget.status == "Took back: took landmarks from 'is'."
 
 
+@pytest.mark.usefixtures("unstyled", "without_controls")
 def test_landmarks_are_taken_in_a_window_and_dragged_there(
     make_napari_viewer, small_sample, settle, qtbot, at_rest
 ):
     viewer = make_napari_viewer(show=True)
-    widget = dock_in(viewer)
-    quick(widget)
+    widget = quick(dock_in(viewer))
     small_sample(viewer)
     viewer.add_points([[8.0, 8.0]], name="is", size=1)
     viewer.add_points([[10.0, 8.0]], name="ought", size=1)
@@ -274,13 +271,13 @@ def test_shapes_that_lead_nowhere_are_refused_by_layer_and_number(shapes, words)
         read_layers(of_lines(lines(*shapes)))
 
 
-def test_lines_are_taken_alone(docked, small_sample, run):
-    viewer = docked._viewer
+def test_lines_are_taken_alone(widget, small_sample, run):
+    viewer = widget._viewer
     small_sample(viewer)
     drawn = viewer.add_layer(lines(("line", [(8, 8), (10, 8)])))
-    docked.model = "elastic"
-    menus(docked).where.value = drawn
-    assert not menus(docked).should.visible
-    menus(docked).take.changed.emit(True)
-    assert run(docked) is not None, docked.status
-    np.testing.assert_allclose(docked.solution.displacement[8, 8], (2, 0), atol=0.1)
+    widget.model = "elastic"
+    menus(widget).where.value = drawn
+    assert not menus(widget).should.visible
+    menus(widget).take.changed.emit(True)
+    assert run(widget) is not None, widget.status
+    np.testing.assert_allclose(widget.solution.displacement[8, 8], (2, 0), atol=0.1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -12,6 +13,12 @@ from opengl_here import on_compute_thread, require_opengl
 from napari_hmrf.solver.backends.opengl import describe
 
 _OPEN = """
+import json
+import os
+import sys
+
+import numba  # which all children would import
+
 from napari_hmrf import BackendError
 from napari_hmrf.solver.backends import compute_thread, open_backend
 
@@ -24,7 +31,15 @@ def job():
     except BackendError as error:
         print("opengl:", error)
 
-compute_thread.submit(job).result()
+for name, variables in json.loads(sys.argv[1]).items():
+    child = os.fork()
+    if not child:
+        os.environ.update(variables)
+        print("case:", name)
+        compute_thread.submit(job).result()
+        sys.stdout.flush()
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0, name
 """
 
 _SOLVE = """
@@ -64,11 +79,11 @@ def mesa() -> None:
         pytest.skip("the variables that break OpenGL are Mesa's")
 
 
-def run(script: str, **variables: str) -> str:
-    """What a process with these environment variables prints."""
+def run(script: str, *arguments: str, **variables: str) -> str:
+    """What a process with these arguments and environment variables prints."""
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     done = subprocess.run(
-        [sys.executable, "-c", script],
+        [sys.executable, "-c", script, *arguments],
         env=environment | variables,
         capture_output=True,
         text=True,
@@ -79,35 +94,40 @@ def run(script: str, **variables: str) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize(
-    ("variables", "words"),
-    [
-        (
-            {"__EGL_VENDOR_LIBRARY_FILENAMES": "/dev/null"},
-            ["no driver offers OpenGL through EGL", "libegl1", "NVIDIA_DRIVER_CAPABILITIES"],
-        ),
-        (
-            {"LIBGL_DRIVERS_PATH": "/nonexistent"},
-            ["does not load", "LIBGL_DRIVERS_PATH", "/dev/dri", "0x3001"],
-        ),
-        (
-            {"MESA_GL_VERSION_OVERRIDE": "3.2"},
-            ["no OpenGL 3.3", "MESA_GL_VERSION_OVERRIDE", "0x3009"],
-        ),
-        (
-            {"GLCONTEXT_DEVICE_INDEX": "7"},
-            ["GLCONTEXT_DEVICE_INDEX", "does not exist", "EGL device 7"],
-        ),
-        ({"GLCONTEXT_LINUX_LIBEGL": "libnone.so"}, ["libraries are missing", "libegl1"]),
-    ],
-    ids=["no vendor", "no driver", "too old", "no such device", "no library"],
-)
-def test_what_is_missing_is_said_with_the_cure(variables, words):
-    said = run(_OPEN, **variables)
-    assert "auto: cpu no usable OpenGL" in said
-    message = said.split("opengl: ")[1]
-    for word in (*words, 'backend="cpu"'):
-        assert word in message
+#: What is in the way of OpenGL, as variables of the environment, and what is to be said of it.
+_MISSING = {
+    "no vendor": (
+        {"__EGL_VENDOR_LIBRARY_FILENAMES": "/dev/null"},
+        ["no driver offers OpenGL through EGL", "libegl1", "NVIDIA_DRIVER_CAPABILITIES"],
+    ),
+    "no driver": (
+        {"LIBGL_DRIVERS_PATH": "/nonexistent"},
+        ["does not load", "LIBGL_DRIVERS_PATH", "/dev/dri", "0x3001"],
+    ),
+    "too old": (
+        {"MESA_GL_VERSION_OVERRIDE": "3.2"},
+        ["no OpenGL 3.3", "MESA_GL_VERSION_OVERRIDE", "0x3009"],
+    ),
+    "no such device": (
+        {"GLCONTEXT_DEVICE_INDEX": "7"},
+        ["GLCONTEXT_DEVICE_INDEX", "does not exist", "EGL device 7"],
+    ),
+    "no library": (
+        {"GLCONTEXT_LINUX_LIBEGL": "libnone.so"},
+        ["libraries are missing", "libegl1"],
+    ),
+}
+
+
+def test_what_is_missing_is_said_with_the_cure():
+    said = run(_OPEN, json.dumps({name: variables for name, (variables, _) in _MISSING.items()}))
+    parts = dict(part.split("\n", 1) for part in said.split("case: ")[1:])
+    assert parts.keys() == _MISSING.keys()
+    for name, (_, words) in _MISSING.items():
+        assert "auto: cpu no usable OpenGL" in parts[name], name
+        message = parts[name].split("opengl: ")[1]
+        for word in (*words, 'backend="cpu"'):
+            assert word in message, name
 
 
 def test_nothing_above_opengl_3_3_is_needed():

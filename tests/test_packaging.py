@@ -116,7 +116,7 @@ def test_an_installed_wheel_solves_from_another_folder(elsewhere, tmp_path):
 def test_the_installed_command_runs_from_another_folder(elsewhere, tmp_path):
     command = elsewhere.parent / ("napari-hmrf.exe" if os.name == "nt" else "napari-hmrf")
     printed = run(
-        [str(command), "demo", "--size", "32", "--no-window", "--out", "here"],
+        [str(command), "demo", "--size", "16", "--backend", "cpu", "--no-window", "--out", "here"],
         cwd=tmp_path,
     )
     assert "mean energy" in printed

@@ -26,17 +26,19 @@ from napari_hmrf import ElasticPrior, SeilerPrior, phantom, solve
 
 
 def displacement(prior):
-    return solve(phantom("expansion", size=40).problem, prior, backend=sys.argv[2]).displacement
+    return solve(phantom("expansion", size=40).problem, prior, backend="cpu").displacement
 
 
 if __name__ == "__main__":
     priors = [ElasticPrior(), SeilerPrior()] * 2
     expected = [displacement(prior) for prior in priors]
-    with multiprocessing.get_context(sys.argv[1]).Pool(2) as pool:
-        found = pool.map_async(displacement, priors, 1).get(240)
-    for one, other in zip(found, expected, strict=True):
-        assert np.array_equal(one, other)
-    assert np.array_equal(displacement(priors[0]), expected[0]), "the parent goes on"
+    for method in sys.argv[1:]:
+        # A child that begins anew loads all that the parent has, which takes a second.
+        with multiprocessing.get_context(method).Pool(1 if method == "spawn" else 2) as pool:
+            found = pool.map_async(displacement, priors, 1).get(240)
+        for one, other in zip(found, expected, strict=True):
+            assert np.array_equal(one, other), method
+        assert np.array_equal(displacement(priors[0]), expected[0]), "the parent goes on"
 """
 
 
@@ -53,9 +55,8 @@ def run_script(tmp_path, script, *arguments):
     return done.stdout
 
 
-@pytest.mark.parametrize("method", multiprocessing.get_all_start_methods())
-def test_children_of_a_process_that_has_solved_find_the_same(tmp_path, method):
-    run_script(tmp_path, CHILDREN, method, "cpu")
+def test_children_of_a_process_that_has_solved_find_the_same(tmp_path):
+    run_script(tmp_path, CHILDREN, *multiprocessing.get_all_start_methods())
 
 
 AFTER_OPENGL = """

@@ -113,7 +113,7 @@ def test_a_displacement_table_is_read(tmp_path):
 
 
 def test_more_levels_take_fewer_iterations():
-    problem = phantom("mass-effect", 96).problem
+    problem = phantom("mass-effect", 64).problem
     one, deepest = levels.multigrid_cycles(problem, 1)
     assert levels.multigrid_cycles(problem, deepest)[0] < one
     truth = levels.solve_exactly(problem, "centred")

@@ -28,9 +28,9 @@ def result(qtbot, small_sample, run, wait_for):
         viewer = ViewerModel()
         dock = SoftTissue(viewer)
         qtbot.addWidget(dock.native)
+        dock.model, dock.live = "elastic", False
         shape = (*place.pop("more", ()), 20, 24)
         small_sample(viewer, shape, **place)
-        dock.model, dock.live = "elastic", False
         run(dock)
         wait_for(lambda: not dock.busy)
         return dock, viewer

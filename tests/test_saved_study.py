@@ -193,15 +193,17 @@ def test_a_field_from_nothing_is_replayed_bit_by_bit(made, run, wait_for, tmp_pa
 
 
 @pytest.mark.parametrize(
-    "tissue",
+    ("tissue", "model"),
     [
-        Tissue(curve=StiffnessCurve(((0.0, 1.0), (255.0, 9.0)), unit="kPa")),
-        Tissue(stiffness=np.linspace(1, 2, 36 * 44).reshape(SHAPE).astype(np.float32)),
-        Tissue(),
+        (Tissue(curve=StiffnessCurve(((0.0, 1.0), (255.0, 9.0)), unit="kPa")), "paper"),
+        (
+            Tissue(stiffness=np.linspace(1, 2, 36 * 44).reshape(SHAPE).astype(np.float32)),
+            "elastic",
+        ),
+        (Tissue(), "paper, converged"),
     ],
     ids=["curve", "stiffness", "image"],
 )
-@pytest.mark.parametrize("model", ["elastic", "paper", "paper, converged"])
 def test_a_study_of_python_opens_in_the_window(made, wait_for, tmp_path, tissue, model):
     image = np.random.default_rng(0).integers(50, 200, SHAPE, dtype=np.uint8)
     motion = Motion(hold_edge=True, drawing=Drawing(DRAWING.marks[:1]))
@@ -251,6 +253,7 @@ def test_a_study_that_lies_nowhere_adds_no_layer(made, tmp_path):
     assert not dock._viewer.layers
 
 
+@pytest.mark.usefixtures("unstyled", "without_controls")
 def test_file_open_has_it_all_in_the_dock(make_napari_viewer, at_rest, tmp_path):
     study = Study(
         Grid(SHAPE, (1.0, 1.0)),
@@ -258,7 +261,7 @@ def test_file_open_has_it_all_in_the_dock(make_napari_viewer, at_rest, tmp_path)
         pictures=Pictures(np.full(SHAPE, 100, np.uint8), name="photo"),
     )
     path = save_study(tmp_path / "case", study)
-    viewer = make_napari_viewer(show=True)
+    viewer = make_napari_viewer()
     viewer.open(str(path), plugin="napari-hmrf")
     dock = dock_in(viewer)
     at_rest()

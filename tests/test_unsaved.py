@@ -18,7 +18,8 @@ from qtpy.QtCore import QEvent, QFile, QObject, QSettings, Qt
 from qtpy.QtWidgets import QFileDialog, QMessageBox
 from screen import Screen
 
-from napari_hmrf import Arrow, Drawing, load_study
+from napari_hmrf import Arrow, Drawing, Grid, Motion, Study, load_study, save_study
+from napari_hmrf.io import recovery
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 DRAWING = Drawing((Arrow(at=(30, 30), by=(2.0, 5.0), radius=4.0),))
@@ -68,11 +69,14 @@ class Door(QObject):
 
 @pytest.fixture
 def window(unstyled, without_controls, make_napari_viewer, at_rest):
-    """A window with the dock beside an image of several slices, and the door it has to go by."""
+    """A window with the dock beside an image of several slices, and the door it has to go by.
+
+    One that is not `shown` is closed as any other, but nothing of it is drawn.
+    """
     doors = []
 
-    def opened(name="MR", slices=3):
-        viewer = make_napari_viewer(show=True)
+    def opened(name="MR", slices=3, shown=False):
+        viewer = make_napari_viewer(show=shown)
         doors.append(Door(viewer.window._qt_window))
         rows, cols = np.indices((64, 64))
         data = (120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8)
@@ -94,7 +98,8 @@ def close(at_rest):
 
     def pressed(dock):
         before = dock.door.passed
-        dock.native.window().windowHandle().close()
+        window = dock.native.window()
+        (window.windowHandle() if window.isVisible() else window).close()
         at_rest()
         return dock.door.passed > before
 
@@ -121,9 +126,9 @@ def settings():
     return Path(QSettings(*kind, "napari-hmrf", "napari-hmrf").fileName()).parent
 
 
-def kept():
-    """The files that work is kept in against a crash."""
-    return sorted((settings() / "unsaved").glob("*.study"))
+def kept(place=None):
+    """The files that work is kept in against a crash, beside what is remembered for good."""
+    return sorted(((place or settings()) / "unsaved").glob("*.study"))
 
 
 def test_nobody_is_asked_where_nothing_was_done(window, close):
@@ -135,7 +140,7 @@ def test_nobody_is_asked_where_nothing_was_done(window, close):
 
 
 def test_cancel_keeps_the_window_with_all_that_was_done(window, close, at_rest):
-    _, dock = window()
+    _, dock = window(shown=True)
     dock.drawing = DRAWING
     at_rest()
     asked = Asked(dock, "cancel", "cancel", "discard")
@@ -246,7 +251,7 @@ def test_slices_of_two_orientations_are_saved_by_one_answer(
 def test_of_two_windows_the_one_with_work_asks_and_quitting_asks_before_either_goes(
     window, close, at_rest
 ):
-    (_, first), (_, second) = window("one"), window("two")
+    (_, first), (_, second) = window("one", shown=True), window("two", shown=True)
     first.drawing = DRAWING
     mine, other = Asked(first, "cancel", "discard"), Asked(second)
     second.native.window().close(quit_app=True)
@@ -316,7 +321,7 @@ def test_opening_a_study_loses_nothing_of_the_one_before(beside, wait_for, tmp_p
 
 
 def test_work_is_kept_at_rest_and_never_while_a_button_is_down(window, at_rest, wait_for):
-    viewer, dock = window(slices=0)
+    viewer, dock = window(slices=0, shown=True)
     person = Person(viewer, None)
     dock.start()
     at_rest()
@@ -340,7 +345,7 @@ def test_work_is_kept_at_rest_and_never_while_a_button_is_down(window, at_rest, 
 CRASHED = """
 import sys
 import numpy as np
-from qtpy.QtCore import QSettings
+from qtpy.QtCore import QEventLoop, QSettings
 from qtpy.QtWidgets import QApplication
 from napari.components import ViewerModel
 from napari_hmrf import Arrow, Drawing
@@ -348,11 +353,11 @@ from napari_hmrf.ui.soft_tissue import SoftTissue
 QSettings.setPath(QSettings.Format.IniFormat, QSettings.Scope.UserScope, sys.argv[1])
 app = QApplication([])
 viewer = ViewerModel()
-viewer.add_image(np.full((64, 64), 100, np.uint8), name="photo")
 dock = SoftTissue(viewer)
 dock.live = False
+viewer.add_image(np.full((64, 64), 100, np.uint8), name="photo")
 while dock.busy:
-    app.processEvents()
+    app.processEvents(QEventLoop.ProcessEventsFlag.WaitForMoreEvents)
 dock.drawing = Drawing((Arrow(at=(30, 30), by=(2.0, 5.0), radius=4.0),))
 app.exec()
 """
@@ -364,10 +369,11 @@ def killed(wait_for):
 
     @contextmanager
     def living():
-        command = [sys.executable, "-c", CRASHED, str(settings().parent)]
+        place = settings()
+        command = [sys.executable, "-c", CRASHED, str(place.parent)]
         process = subprocess.Popen(command, env={**os.environ, "QT_QPA_PLATFORM": "offscreen"})
         try:
-            wait_for(lambda: bool(kept()) or process.poll() is not None)
+            wait_for(lambda: bool(kept(place)) or process.poll() is not None)
             assert process.poll() is None
             yield
         finally:
@@ -403,13 +409,14 @@ def test_what_a_killed_process_left_is_opened_and_kept_until_it_is_saved(
     assert not kept()
 
 
-def test_what_a_killed_process_left_is_thrown_away_also_if_it_cannot_be_read(
-    killed, beside, monkeypatch
-):
-    with killed():
-        pass
-    (file,) = kept()
-    file.write_bytes(file.read_bytes()[:200])
+def test_what_a_killed_process_left_is_thrown_away_also_if_it_cannot_be_read(beside, monkeypatch):
+    over = subprocess.Popen([sys.executable, "-I", "-S", "-c", ""])
+    over.wait(LONG)
+    with monkeypatch.context() as its:
+        its.setattr(os, "getpid", lambda: over.pid)
+        file = recovery.new_file(settings() / "unsaved")
+    study = Study(Grid((20, 24), (1.0, 1.0)), motion=Motion(drawing=DRAWING))
+    file.write_bytes(save_study(file, study).read_bytes()[:200])
     dock = beside(ViewerModel())
     thrown = []
     monkeypatch.setattr(QFile, "moveToTrash", lambda each: bool(thrown.append(each.fileName())))

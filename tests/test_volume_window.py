@@ -1,4 +1,4 @@
-"""A volume in a real window: pulled in a slice with the mouse, and all of it follows."""
+"""A volume is pulled in a slice with the mouse, in a real window and without one, and follows."""
 
 import numpy as np
 import pytest
@@ -15,27 +15,49 @@ SHAPE, SCALE = (24, 32, 32), (1.5, 1.0, 1.0)
 pytestmark = pytest.mark.usefixtures("without_controls")
 
 
-@pytest.fixture
-def volume(open_window, settle):
-    """Somebody who looks at the middle slice of a volume and has *Pull* in the hand."""
+pytest_plugins = ["beside"]
+
+
+def blocks():
+    """A volume of bright and dark blocks."""
     planes, rows, cols = np.indices(SHAPE)
-    data = (120 + 60 * ((planes // 4 + rows // 4 + cols // 4) % 2)).astype(np.uint8)
-    person, widget = open_window(data, scale=SCALE)
-    person.viewer.dims.set_point(0, 12 * SCALE[0])
-    Screen(widget).choose("the whole volume")
-    settle(widget)
-    if not widget.active:
-        Screen(widget).press("Pull")
-    settle(widget)
-    return person, widget
+    return (120 + 60 * ((planes // 4 + rows // 4 + cols // 4) % 2)).astype(np.uint8)
+
+
+@pytest.fixture
+def in_the_middle(settle):
+    """Have somebody look at the middle slice of a volume, with *Pull* in the hand."""
+
+    def looking(person, widget):
+        person.viewer.dims.set_point(0, 12 * SCALE[0])
+        Screen(widget).choose("the whole volume")
+        settle(widget)
+        if not widget.active:
+            Screen(widget).press("Pull")
+        settle(widget)
+        return person, widget
+
+    return looking
+
+
+@pytest.fixture
+def volume(open_window, in_the_middle):
+    """Somebody before a window that shows a slice of a volume."""
+    return in_the_middle(*open_window(blocks(), scale=SCALE))
+
+
+@pytest.fixture
+def volume_beside(open_beside, in_the_middle):
+    """The same without a window."""
+    return in_the_middle(*open_beside(blocks(), scale=SCALE))
 
 
 def go_to(person, number):
     person.viewer.dims.set_point(0, number * SCALE[0])
 
 
-def test_a_slice_is_deformed_until_the_whole_volume_is_chosen(volume, settle):
-    _, widget = volume
+def test_a_slice_is_deformed_until_the_whole_volume_is_chosen(volume_beside, settle):
+    _, widget = volume_beside
     assert widget.study.grid.shape == SHAPE
     widget.undo()
     settle(widget)
@@ -43,8 +65,8 @@ def test_a_slice_is_deformed_until_the_whole_volume_is_chosen(volume, settle):
     assert widget.study.grid.shape == SHAPE[1:]
 
 
-def test_an_image_without_slices_offers_no_volume(open_window):
-    _, widget = open_window()
+def test_an_image_without_slices_offers_no_volume(open_beside):
+    _, widget = open_beside()
     assert not widget._form.extent.visible
 
 
@@ -97,8 +119,8 @@ def test_while_a_hand_pulls_the_slice_that_is_seen_follows(volume, settle, qtbot
     assert not np.array_equal(picture.data[11], still[11])
 
 
-def test_what_is_held_goes_along_to_another_slice(volume, settle):
-    person, widget = volume
+def test_what_is_held_goes_along_to_another_slice(volume_beside, settle):
+    person, widget = volume_beside
     person.press(16, 16)
     person.move(17, 17)
     go_to(person, 14)
@@ -109,8 +131,8 @@ def test_what_is_held_goes_along_to_another_slice(volume, settle):
     assert widget.solution.displacement[12, 16, 16, 0] == pytest.approx(3, abs=0.05)
 
 
-def test_a_pull_in_a_slice_across_another_axis(volume, settle):
-    person, widget = volume
+def test_a_pull_in_a_slice_across_another_axis(volume_beside, settle):
+    person, widget = volume_beside
     person.viewer.dims.order = (1, 0, 2)
     person.viewer.dims.set_point(1, 16)
     person.viewer.reset_view()
@@ -123,8 +145,8 @@ def test_a_pull_in_a_slice_across_another_axis(volume, settle):
     assert widget.solution.displacement[12, 16, 16] == pytest.approx(arrow.by, abs=0.1)
 
 
-def test_pulls_of_a_slice_and_of_the_volume_are_two_drawings(volume, settle):
-    person, widget = volume
+def test_pulls_of_a_slice_and_of_the_volume_are_two_drawings(volume_beside, settle):
+    person, widget = volume_beside
     person.drag((16, 16), (18, 18))
     settle(widget)
     Screen(widget).choose("this slice")
@@ -135,8 +157,8 @@ def test_pulls_of_a_slice_and_of_the_volume_are_two_drawings(volume, settle):
     assert only(widget).by == pytest.approx((0, 2, 2), abs=0.6)
 
 
-def test_undo_takes_a_pull_of_a_volume_back(volume, settle):
-    person, widget = volume
+def test_undo_takes_a_pull_of_a_volume_back(volume_beside, settle):
+    person, widget = volume_beside
     person.drag((16, 16), (18, 18))
     settle(widget)
     person.key(Qt.Key.Key_Z, CTRL)
@@ -164,8 +186,8 @@ def test_a_brush_paints_a_ball(volume, settle):
     assert widget.solution.displacement[12, 16, 18] == pytest.approx((0, 0, 0), abs=1e-3)
 
 
-def test_tissue_painted_in_a_volume_says_how_stiff_it_is(volume, settle):
-    person, widget = volume
+def test_tissue_painted_in_a_volume_says_how_stiff_it_is(volume_beside, settle):
+    person, widget = volume_beside
     labels = np.ones(SHAPE, int)
     labels[10:15, 12:20, 20:28] = 2
     rows = (Material(1, "soft", 1.0), Material(2, "stiff", 1000.0))
@@ -181,8 +203,8 @@ def test_tissue_painted_in_a_volume_says_how_stiff_it_is(volume, settle):
     assert np.ptp(field[..., 2]) < 0.1, "what is stiff keeps its shape"
 
 
-def test_the_slider_shows_a_volume_on_its_way(volume, settle):
-    person, widget = volume
+def test_the_slider_shows_a_volume_on_its_way(volume_beside, settle):
+    person, widget = volume_beside
     person.drag((16, 16), (16, 22))
     settle(widget)
     whole = by_name(person.viewer, "MR deformed, elastic").data.copy()
@@ -211,8 +233,8 @@ def test_what_lies_over_a_volume_is_a_volume(volume, settle):
     widget.overlay = "nothing"
 
 
-def test_the_readout_in_a_volume_names_all_three_ways(volume, settle):
-    person, widget = volume
+def test_the_readout_in_a_volume_names_all_three_ways(volume_beside, settle):
+    person, widget = volume_beside
     person.drag((16, 16), (16, 22))
     settle(widget)
     probe = widget.at((12 * SCALE[0], 16, 21))
@@ -220,8 +242,8 @@ def test_the_readout_in_a_volume_names_all_three_ways(volume, settle):
     assert len(probe.displacement) == 3
 
 
-def test_a_volume_is_saved_and_opened_again(volume, settle, tmp_path):
-    person, widget = volume
+def test_a_volume_is_saved_and_opened_again(volume_beside, settle, tmp_path):
+    person, widget = volume_beside
     person.drag((16, 16), (16, 20))
     settle(widget)
     drawing = widget.drawing
@@ -233,8 +255,8 @@ def test_a_volume_is_saved_and_opened_again(volume, settle, tmp_path):
     assert widget.study.grid.shape == SHAPE
 
 
-def test_deform_solves_a_volume_from_nothing(volume, settle):
-    person, widget = volume
+def test_deform_solves_a_volume_from_nothing(volume_beside, settle):
+    person, widget = volume_beside
     person.drag((16, 16), (16, 20))
     settle(widget)
     before = widget.solution.displacement
@@ -245,8 +267,8 @@ def test_deform_solves_a_volume_from_nothing(volume, settle):
     assert known["slice"] == ""
 
 
-def test_a_hand_that_pulls_again_waits_for_no_volume(volume, settle, qtbot):
-    person, widget = volume
+def test_a_hand_that_pulls_again_waits_for_no_volume(volume_beside, settle, qtbot):
+    person, widget = volume_beside
     person.drag((16, 16), (18, 18))
     settle(widget)
     widget.deform()
