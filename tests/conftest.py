@@ -274,23 +274,28 @@ def open_window(unstyled, make_napari_viewer, chequered, qtbot, at_rest):
 
 @pytest.fixture
 def frame(qtbot):
-    """A viewer without a canvas, and a frame for docks beside it."""
-    from hand import Frame
+    """A viewer without a window, and a frame for docks beside it."""
+    from beside import Frame
 
     check_widgets_once()
     return Frame(qtbot)
 
 
 @pytest.fixture
-def in_hand(frame, chequered, settle):
-    """A hand with *Pull*, at an image in a viewer without a canvas."""
-    from hand import Hand
+def open_beside(qtbot, chequered, at_rest):
+    """Open the dock beside an image in a viewer without a window."""
+    from beside import Frame, Touch
 
-    frame.viewer.add_image(chequered, name="MR")
-    widget = frame.open()
-    settle(widget)
-    assert widget.active, "the first image is pulled at once"
-    return Hand(frame.viewer), widget
+    check_widgets_once()
+
+    def opened(data=None, **place):
+        frame = Frame(qtbot)
+        frame.viewer.add_image(chequered if data is None else data, name="MR", **place)
+        widget = frame.open()
+        at_rest(thread=False)
+        return Touch(frame.viewer), widget
+
+    return opened
 
 
 @pytest.fixture
@@ -304,11 +309,23 @@ def chequered():
 def pulling(open_window, settle):
     """Somebody with *Pull* in the hand."""
     person, widget = open_window()
+    return person, pull(widget, settle)
+
+
+@pytest.fixture
+def pulling_beside(open_beside, settle):
+    """Somebody with *Pull* in the hand, and no window."""
+    touch, widget = open_beside()
+    return touch, pull(widget, settle)
+
+
+def pull(widget, settle):
+    """Have *Pull* be in the hand, and wait until the tissue is known."""
     if not widget.active:
         Screen(widget).press("Pull")
     assert widget.active
     settle(widget)
-    return person, widget
+    return widget
 
 
 @pytest.fixture

@@ -13,8 +13,6 @@ from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
-pytest_plugins = ["beside"]
-
 TURNED = {"affine": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]}  # rows to the left, columns down
 
 

@@ -53,17 +53,17 @@ def slide(widget, part):
 
 
 def test_pull_stays_in_the_hand_of_who_presses_it_after_it_was_taken_up_by_itself(
-    in_hand, settle, click
+    pulling_beside, settle, click
 ):
-    _, widget = in_hand
+    _, widget = pulling_beside
     click(widget, "Pull")
     assert widget.active, "the message said to press it"
     click(widget, "Pull")
     assert not widget.active, "and once more puts it down"
 
 
-def test_pull_that_was_used_is_put_down_by_the_first_press(in_hand, settle, click):
-    person, widget = in_hand
+def test_pull_that_was_used_is_put_down_by_the_first_press(pulling_beside, settle, click):
+    person, widget = pulling_beside
     person.drag((30, 30), (30, 36))
     click(widget, "Pull")
     assert not widget.active
@@ -220,8 +220,10 @@ def test_the_edge_of_a_new_image_is_held_whatever_was_chosen_for_those_that_are_
     assert widget.hold_edge
 
 
-def test_a_ratio_beyond_a_half_is_refused_in_words_and_not_turned_into_another(in_hand, settle):
-    _, widget = in_hand
+def test_a_ratio_beyond_a_half_is_refused_in_words_and_not_turned_into_another(
+    pulling_beside, settle
+):
+    _, widget = pulling_beside
     widget.drawing = Drawing((Arrow((20, 20), (2, 0), 4.0),))
     settle(widget)
     before = widget.solution
@@ -236,9 +238,11 @@ def test_a_ratio_beyond_a_half_is_refused_in_words_and_not_turned_into_another(i
 
 
 def test_the_wheel_scrolls_the_dock_and_changes_nothing_that_was_not_clicked(
-    in_hand, frame, at_rest
+    frame, chequered, settle, at_rest
 ):
-    _, widget = in_hand
+    frame.viewer.add_image(chequered, name="MR")
+    widget = frame.open()
+    settle(widget)
     frame.show()
     model = widget._form.model.model.native
     before = widget.model, widget.fields.radius.value, widget.percent
@@ -277,8 +281,8 @@ def test_layers_that_come_or_are_made_leave_nothing_to_take_back(widget, small_s
     assert widget.status == "There is nothing to take back."
 
 
-def test_landmarks_that_are_taken_are_seen_at_once(in_hand, settle, click):
-    person, widget = in_hand
+def test_landmarks_that_are_taken_are_seen_at_once(pulling_beside, settle, click):
+    person, widget = pulling_beside
     widget.stop()
     person.viewer.layers.remove("Motion")
     settle(widget)

@@ -133,8 +133,8 @@ def test_what_is_said_of_a_cover_follows_the_eye(opened, two):
     assert dock.status.startswith("The image is covered by 'new'")
 
 
-def test_where_another_image_lies_on_top_nothing_is_taken_hold_of(in_hand):
-    person, widget = in_hand
+def test_where_another_image_lies_on_top_nothing_is_taken_hold_of(pulling_beside):
+    person, widget = pulling_beside
     patch = np.full((20, 64), 200, np.uint8)
     person.viewer.add_image(patch, name="strip", translate=(40, 0))
     person.viewer.layers.selection.active = person.viewer.layers["Motion"]

@@ -13,7 +13,6 @@ from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
-pytest_plugins = ["beside"]
 #: What napari shows of each layer beside the canvas has no part in what is claimed.
 bare = pytest.mark.usefixtures("without_controls")
 

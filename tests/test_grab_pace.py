@@ -20,8 +20,6 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.follower import Follower
 
-pytest_plugins = ["beside"]
-
 
 def pulled(by):
     return Drawing((Arrow((20, 20), (0, by), 4),))

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from beside import Touch
 from conftest import dock_in
 from napari.layers import Image
 from patience import LONG_MS
-from person import CTRL, SHIFT, Touch, by_name, only
+from person import CTRL, SHIFT, by_name, only
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 from screen import Screen
@@ -23,7 +24,6 @@ from napari_hmrf.ui.soft_tissue import SoftTissue
 PIN, FREE, MOVE, EXPAND = Qt.Key.Key_P, Qt.Key.Key_F, Qt.Key.Key_M, Qt.Key.Key_E
 CONFIDENCE, MATERIAL, LANDMARK = Qt.Key.Key_C, Qt.Key.Key_T, Qt.Key.Key_L
 
-pytest_plugins = ["beside"]
 #: What napari shows of each layer beside the canvas is seen where tissue is pulled, in test_grab.
 pytestmark = pytest.mark.usefixtures("without_controls")
 

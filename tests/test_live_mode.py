@@ -554,8 +554,8 @@ def test_what_is_looked_at_is_the_result_that_has_followed(living, settle):
     assert_newest(widget)
 
 
-def test_what_came_of_deform_is_said_though_a_tool_is_in_the_hand(in_hand, settle, run):
-    person, widget = in_hand
+def test_what_came_of_deform_is_said_though_a_tool_is_in_the_hand(pulling_beside, settle, run):
+    person, widget = pulling_beside
     person.drag((30, 30), (34, 32), (34, 34))
     settle(widget)
     assert widget.status == widget.invitation, "while the mouse pulls, how it does is said"
@@ -565,8 +565,8 @@ def test_what_came_of_deform_is_said_though_a_tool_is_in_the_hand(in_hand, settl
         assert widget.status.startswith("Tissue moved up to")
 
 
-def test_with_a_tool_in_the_hand_what_was_wrong_is_said_as_long_as_it_is(in_hand, settle):
-    _, widget = in_hand
+def test_with_a_tool_in_the_hand_what_was_wrong_is_said_as_long_as_it_is(pulling_beside, settle):
+    _, widget = pulling_beside
     viewer = viewer_of(widget)
     how = widget.status
     widget.make_layers()

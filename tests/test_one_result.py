@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from beside import Touch
 from conftest import dock_in
-from hand import Hand
 from person import CTRL, Person
 from qtpy.QtCore import Qt
 from screen import Screen
@@ -43,7 +43,7 @@ def at_hand(frame, small_sample, at_rest):
     small_sample(frame.viewer, (48, 64))
     dock = told_when(frame.open())
     at_rest()
-    return Hand(frame.viewer), dock
+    return Touch(frame.viewer), dock
 
 
 def grab(dock):
@@ -474,9 +474,9 @@ def test_what_is_no_longer_chosen_shows_no_earlier_result(folding, run, settle):
 
 
 @pytest.fixture
-def folded(in_hand, settle):
+def folded(pulling_beside, settle):
     """Somebody who has pushed tissue through itself."""
-    person, widget = in_hand
+    person, widget = pulling_beside
     widget.drawing = Drawing().with_mark(Arrow((30, 20), (0, 30), 4))
     settle(widget)
     assert "folds" in widget.warning
@@ -522,8 +522,8 @@ def test_beside_a_warning_it_is_said_what_was_done(folded, settle):
     assert "folds" in widget.warning
 
 
-def test_what_was_said_is_over_when_the_next_thing_is_done(in_hand, settle):
-    person, widget = in_hand
+def test_what_was_said_is_over_when_the_next_thing_is_done(pulling_beside, settle):
+    person, widget = pulling_beside
     person.drag((30, 30), (33, 30))
     person.key(Qt.Key.Key_Z, CTRL)
     settle(widget)
@@ -641,8 +641,8 @@ def test_undo_in_the_dock_takes_back_paint_that_came_last_as_the_keys_do(at_hand
     assert not dock.drawing.marks
 
 
-def test_layers_made_to_paint_on_do_not_change_what_is_drawn_on(in_hand, settle):
-    person, dock = in_hand
+def test_layers_made_to_paint_on_do_not_change_what_is_drawn_on(pulling_beside, settle):
+    person, dock = pulling_beside
     person.drag((24, 30), (28, 36))
     settle(dock)
     before = dock.solution

@@ -1,8 +1,8 @@
 """One key takes back what was done last, whether it was painted, drawn or typed."""
 
 import pytest
+from beside import Touch
 from conftest import dock_in, quick
-from hand import Hand
 from napari.components import ViewerModel
 from person import CTRL, SHIFT, Person
 from qtpy.QtCore import Qt
@@ -20,7 +20,7 @@ def at_hand(frame, small_sample, at_rest):
     small_sample(frame.viewer)
     dock = quick(frame.open())
     at_rest()
-    return Hand(frame.viewer), dock
+    return Touch(frame.viewer), dock
 
 
 @pytest.fixture

@@ -15,9 +15,6 @@ SHAPE, SCALE = (24, 32, 32), (1.5, 1.0, 1.0)
 pytestmark = pytest.mark.usefixtures("without_controls")
 
 
-pytest_plugins = ["beside"]
-
-
 def blocks():
     """A volume of bright and dark blocks."""
     planes, rows, cols = np.indices(SHAPE)

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from beside import Frame
 from conftest import dock_in, quick
-from hand import Frame
 from napari.components import ViewerModel
 from napari.layers import Image, Vectors
 from napari.utils.notifications import notification_manager

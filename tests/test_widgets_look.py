@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from beside import Touch
 from conftest import dock_in, quick
-from hand import Hand
 from napari.layers import Image, Labels, Vectors
 from person import SHIFT, Person
 from qtpy.QtCore import Qt
@@ -717,7 +717,7 @@ def test_a_folder_that_is_missing_is_named(look, tmp_path, wait_for):
 def test_where_there_is_no_result_nothing_is_seen_as_it_was(frame):
     viewer, look = frame.viewer, quick(frame.open())
     image = viewer.add_image(np.zeros((8, 9)), visible=False)
-    Hand(viewer).key(Qt.Key.Key_B, SHIFT)
+    Touch(viewer).key(Qt.Key.Key_B, SHIFT)
     look.before = True
     assert not look.before
     assert not image.visible
