@@ -287,9 +287,11 @@ def open_beside(qtbot, chequered, at_rest):
     from beside import Frame, Touch
 
     check_widgets_once()
+    frames = []  # which live as long as the test
 
     def opened(data=None, **place):
         frame = Frame(qtbot)
+        frames.append(frame)
         frame.viewer.add_image(chequered if data is None else data, name="MR", **place)
         widget = frame.open()
         at_rest(thread=False)
