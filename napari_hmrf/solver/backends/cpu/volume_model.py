@@ -76,6 +76,7 @@ class CpuVolumeLevel(CpuLevel):
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on the finest level."""
         volume.diagonal(self.lame, self.share, self.shape, self.inverse)
+        self.checkpoint()
         vectors.hold(rows(self.inverse), rows(held), rows(self.pins), self.spans)
 
     def hold_as(self, finer: CpuVolumeLevel) -> None:
