@@ -280,7 +280,7 @@ def _measure(options: argparse.Namespace) -> int:
     table = DataFrame(found.rows, columns=measurement_titles(volume=found.of_volume))
     print(table.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
     if options.out is not None:
-        path = save_measurements(options.out, found.rows, volume=found.of_volume)
+        path = save_measurements(options.out, found.rows, found.unit, volume=found.of_volume)
         print(f"written: {path}")
     return 0
 

@@ -35,8 +35,8 @@ class Touch:
     canvas and the screen have a part in takes a `Person`.
     """
 
-    def __init__(self, viewer):
-        self.viewer = viewer
+    def __init__(self, viewer, frame=None):
+        self.viewer, self.frame = viewer, frame
         self._keys = KeymapHandler()
 
     def press(self, row, col, modifiers=()):

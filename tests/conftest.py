@@ -295,7 +295,7 @@ def open_beside(qtbot, chequered, at_rest):
         frame.viewer.add_image(chequered if data is None else data, name="MR", **place)
         widget = frame.open()
         at_rest(thread=False)
-        return Touch(frame.viewer), widget
+        return Touch(frame.viewer, frame), widget
 
     return opened
 

@@ -301,10 +301,10 @@ def test_the_marks_of_folds_are_taken_away_by_a_second_click(deformed, run, sett
     run(widget)
     click(widget, "\u26a0")
     settle(widget)
-    assert viewer.layers["MR folds where tissue was"].visible
+    assert viewer.layers["MR folds"].visible
     click(widget, "\u26a0")
     settle(widget)
-    assert "MR folds where tissue was" not in viewer.layers
+    assert "MR folds" not in viewer.layers
     assert widget.overlay == "nothing"
 
 
@@ -325,3 +325,18 @@ def test_a_refusal_is_read_until_something_else_is_done(small_sample, settle, bu
     Screen(widget).cell("gel", "Stiffness").write("40")
     settle(widget)
     assert widget.status.startswith("Tissue moved")
+
+
+def test_what_goes_with_a_layer_that_is_deleted_is_said(widget, small_sample, settle):
+    viewer = widget._viewer
+    image, tissue, boundary = small_sample(viewer)
+    widget.drawing = Drawing((Arrow((10, 10), (1, 0), 3.0),))
+    settle(widget)
+    for layer, words in (
+        (tissue, "'Tissue' is gone: all tissue is equally stiff now."),
+        (boundary, "'Boundary' is gone: it holds and moves nothing any more."),
+        (image, "'MR' is gone, and what was drawn on it"),
+    ):
+        viewer.layers.remove(layer)
+        settle(widget)
+        assert widget.status.startswith(words)

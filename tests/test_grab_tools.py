@@ -680,7 +680,7 @@ def test_layers_deleted_or_renamed_in_mid_stroke_do_not_matter(brushing, settle)
 
 
 @pytest.mark.parametrize(
-    ("gone", "said"), [("Motion", "The layer 'Motion' is gone"), ("MR", "Open an image first")]
+    ("gone", "said"), [("Motion", "The layer 'Motion' is gone"), ("MR", "'MR' is gone")]
 )
 def test_layers_that_are_needed_and_deleted_in_mid_stroke_end_it(
     brushing_beside, at_rest, gone, said

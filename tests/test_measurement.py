@@ -82,7 +82,10 @@ def test_the_shell_prints_and_writes_the_table(solved, tmp_path, capsys):
     names = {row.label: row.name for row in study.tissue.materials}
     found = measure(solution, study.tissue.labels, names=names)
     lines = (tmp_path / "table.csv").read_text().splitlines()
-    assert lines[0].split(",") == list(found[0]._fields)
+    titles = lines[0].split(",")
+    assert [each.removesuffix("_percent") for each in titles] == [*found[0]._fields, "unit"]
+    per_cent = [each.removesuffix("_percent") for each in titles if each.endswith("_percent")]
+    assert per_cent == ["area_change", "mean_strain", "largest_strain"]
     assert [line.split(",")[1] for line in lines[1:]] == ["skin", "lump"]
     assert float(lines[2].split(",")[6]) == pytest.approx(found[1].largest_displacement)
 

@@ -112,7 +112,10 @@ def test_a_volume_that_moves_stops_at_the_slab_at_which_nobody_wants_it(thin, co
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there no thread is sent a signal")
-def test_a_warp_that_ctrl_c_leaves_stops(thin, counted):
+def test_a_warp_that_ctrl_c_leaves_stops(thin, counted, request):
+    # A process that was started in the background may ignore it.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     left = threading.Event()
 
     def interrupt():

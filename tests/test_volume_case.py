@@ -100,7 +100,7 @@ def test_what_comes_of_a_volume_is_replayed_exported_applied_and_measured(grown,
     assert main(["measure", study, "-o", str(table)]) == 0
     assert "volume_change" in capsys.readouterr().out
     titles, *rows = table.read_text().splitlines()
-    assert titles.split(",")[2:5] == ["voxels", "volume", "volume_change"]
+    assert titles.split(",")[2:5] == ["voxels", "volume", "volume_change_percent"]
     assert [row.split(",")[1] for row in rows] == ["brain", "ventricles", "tumour"]
     assert float(rows[2].split(",")[4]) > 20
     assert solution.tissue.any()

@@ -258,7 +258,7 @@ def test_measurements_of_a_volume_are_called_so(solution, tmp_path):
     rows = measured(tmp_path / "result.npz", tmp_path / "labels.tif").rows
     path = save_measurements(tmp_path / "rows.csv", rows, "mm", volume=True)
     first, line = path.read_text().splitlines()
-    assert first.startswith("label,name,voxels,volume,volume_change,mean_displacement")
+    assert first.startswith("label,name,voxels,volume,volume_change_percent,mean_displacement")
     voxels = solution.tissue.sum()
     assert line.startswith(f"1,,{voxels},{float(voxels * np.prod(SIZE))}"[:12])
     assert line.endswith(",mm")

@@ -57,6 +57,9 @@ class Motion:
         Before it moves: labels, or a quantity of the tissue, NaN where there is none.
     grid : bool
         Whether the deformation grid moves, too; of a slice only.
+    marks : ndarray, shape ([D,] H, W), bool, optional
+        Sites to be marked where they are: `overlay` of a moment. A picture has no such sites left
+        where tissue folds.
     quantity : Quantity, optional
         Of which `overlay` holds the values at 1; on the way they are those of the tissue there.
     """
@@ -66,6 +69,7 @@ class Motion:
     overlay: npt.NDArray[Any] | None = None
     grid: bool = False
     quantity: Quantity | None = None
+    marks: npt.NDArray[np.bool_] | None = None
 
     def at(self, fraction: float) -> Moment:
         """Move everything by a part of the displacement; on the compute thread only.
@@ -88,6 +92,8 @@ class Motion:
                 self._warper.replace(len(self._pictures) - 1, _overlaid(values))
             moved = self._warper(solution.displacement, solution.tissue, fraction)
             parts = dict(zip(self._pictures, moved, strict=True))
+        if self.marks is not None:
+            parts["overlay"] = moved_marks(solution, self.marks, fraction)
         moment = Moment(**parts, grid=moved_grid(solution, fraction) if self.grid else None)
         while self._kept and (len(self._kept) + 1) * moment.nbytes > _KEPT:
             del self._kept[next(iter(self._kept))]
@@ -132,6 +138,18 @@ class Motion:
 
 def _overlaid(values: npt.NDArray[Any]) -> Picture:
     return Picture(values, order=0, fill=np.nan if values.dtype.kind == "f" else 0)
+
+
+def moved_marks(
+    solution: Solution, marks: npt.NDArray[np.bool_], fraction: float = 1.0
+) -> npt.NDArray[np.uint8]:
+    """Mark the pixels nearest to where some sites are after a part of the deformation."""
+    step = fraction * solution.displacement[marks] / solution.spacing
+    places = np.rint(np.argwhere(marks) + step).astype(int)
+    inside = ((places >= 0) & (places < marks.shape)).all(axis=1)
+    moved = np.zeros(marks.shape, np.uint8)
+    moved[tuple(places[inside].T)] = 1
+    return moved
 
 
 def moved_grid(solution: Solution, fraction: float = 1.0) -> npt.NDArray[np.float32]:

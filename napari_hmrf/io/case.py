@@ -11,8 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import HmrfError, ProblemError
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.measurement import Measurement, measure
 from napari_hmrf.field.observation import PixelField
+from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.apply import load_field, place_for
 from napari_hmrf.io.fields import Place, place_of
@@ -132,9 +134,10 @@ def solve_case(case: Case, folder: Path, *, backend: str = "auto") -> Saved:
 
 
 class Measured(NamedTuple):
-    """What happened to each tissue, and whether lengths to the third are meant by its area."""
+    """What happened to each tissue, in which unit, and whether it has a volume for an area."""
 
     rows: tuple[Measurement, ...]
+    unit: str
     of_volume: bool
 
 
@@ -160,7 +163,8 @@ def measured(path: Path, labels: Path | None = None) -> Measured:
         image = _on_grid(labels, solution)
     if image is None:
         raise HmrfError(f"{path.name}: the file holds no tissue labels. Give --labels.")
-    return Measured(measure(solution, image, names=names), solution.tissue.ndim == 3)
+    unit = unit_symbol(Frame.of_solution(solution).unit)
+    return Measured(measure(solution, image, names=names), unit, solution.tissue.ndim == 3)
 
 
 def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArray[Any]]:

@@ -28,6 +28,8 @@ T = TypeVar("T")
 _LARGEST = 2**20
 #: What the measurements of a volume are called, of which these differ.
 _OF_VOLUMES = {"pixels": "voxels", "area": "volume", "area_change": "volume_change"}
+#: Of measurements, those in per cent: their columns say so.
+_PER_CENT = ("area_change", "mean_strain", "largest_strain")
 _MATERIALS = TypeAdapter(tuple[Material, ...])
 _RULES = TypeAdapter(tuple[BoundaryRule, ...])
 
@@ -70,7 +72,10 @@ def read_rules(path: str | os.PathLike[str]) -> tuple[BoundaryRule, ...]:
 
 def measurement_titles(*, volume: bool) -> list[str]:
     """What the columns of measurements are called, of a slice or of a volume."""
-    return [_OF_VOLUMES.get(name, name) if volume else name for name in Measurement._fields]
+    words = _OF_VOLUMES if volume else {}
+    return [
+        f"{words.get(name, name)}{'_percent' * (name in _PER_CENT)}" for name in Measurement._fields
+    ]
 
 
 def save_measurements(

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.field.animation import Motion, moved_grid
+from napari_hmrf.field.animation import Motion, moved_grid, moved_marks
 from napari_hmrf.field.colormaps import reach_of
 from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.field.deformation import (
@@ -52,7 +52,6 @@ Name = (
 #: Arrows of what is given that fit beside each other across the image.
 _ACROSS = 40
 #: Of what does not move with the tissue.
-_BEFORE = "{} where tissue was"
 
 
 class LayerData(NamedTuple):
@@ -300,8 +299,8 @@ class Overlay(NamedTuple):
 def overlay_of(answer: Answer, name: Name, compared: Comparison | None = None) -> Overlay | None:
     """Make what is to lie over the image of a result; on the compute thread only.
 
-    All moves with the tissue, the difference to what it was `compared` with, too. Folds, and arrows
-    of the motion that was given, begin where tissue was, as their names say.
+    All moves with the tissue, the difference to what it was `compared` with, too. Arrows of the
+    motion that was given begin where tissue was, as their name says.
 
     What has two directions is drawn from purple (less) to orange (more), the rest from dark to
     light, and where hardly anything happens the image is seen. Folds are yellow, which is the
@@ -317,8 +316,10 @@ def overlay_of(answer: Answer, name: Name, compared: Comparison | None = None) -
         look = {"vector_style": "line", "edge_color": "cyan", "edge_width": max(answer.shape) / 500}
         grid = moved_grid(answer.solution)
         return Overlay(name, answer.layer(name, grid, name, look, "vectors"))
-    if name in ("folds", "observed"):
-        made = _fold_layer(answer) if name == "folds" else _motion_layer(answer)
+    if name == "folds":
+        return _folds_over(answer)
+    if name == "observed":
+        made = _motion_layer(answer)
         return None if made is None else Overlay(name, made)
     if (pixels := _pixels_of(answer, name, compared)) is None:
         return None
@@ -365,14 +366,15 @@ def _colours(shown: Coloured) -> dict[str, Any]:
     return {"colormap": scale, "contrast_limits": shown.limits, **label_colours.OVER}
 
 
-def _fold_layer(answer: Answer) -> LayerData | None:
-    """Where the tissue folds over itself, before it moved; None if it does not."""
+def _folds_over(answer: Answer) -> Overlay | None:
+    """Where the tissue folds over itself; None if it does not."""
     solution = answer.solution
     folded = folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
     if not folded.any():
         return None
     look = {"colormap": label_colours.fold_colours(), "opacity": 1.0}
-    return answer.layer("folds", folded.astype(np.uint8), _BEFORE.format("folds"), look, "labels")
+    moved = moved_marks(solution, folded)
+    return Overlay("folds", answer.layer("folds", moved, "folds", look, "labels"), folded)
 
 
 def _motion_layer(answer: Answer) -> LayerData | None:
@@ -387,4 +389,4 @@ def _motion_layer(answer: Answer) -> LayerData | None:
     arrows = np.stack([starts, steps], axis=1).astype(np.float32)
     width = max(answer.shape) / 300
     look = {"vector_style": "arrow", "edge_color": label_colours.OBSERVED, "edge_width": width}
-    return answer.layer("observed", arrows, _BEFORE.format("motion given"), look, "vectors")
+    return answer.layer("observed", arrows, "motion given where tissue was", look, "vectors")

@@ -23,6 +23,10 @@ MEANWHILE = "What was deformed is hidden while you paint."
 CHANGED = "Changed since the last result: press Deform."
 CANCELLED = "Cancelled; nothing was changed."
 STAYS = "The last result stays."
+#: What goes with a layer that was deleted.
+DRAWING_GONE = "'{name}' is gone, and what was drawn on it: napari brings no layer back."
+TISSUE_GONE = "'{name}' is gone: all tissue is equally stiff now. napari brings no layer back."
+BOUNDARY_GONE = "'{name}' is gone: it holds and moves nothing any more. napari brings none back."
 
 MODELS: dict[ModelName, str] = {
     "elastic": "elastic: as finite elements",
@@ -80,16 +84,17 @@ def report(done: Done) -> str:
 def warnings_of(done: Done) -> tuple[str, str]:
     """What to beware of, in sentences and in a few words; "" if nothing."""
     outputs, parts, short = done.outputs, list[str](), ""
+    sites = "voxels" if len(done.moved.study.grid.shape) == 3 else "pixels"
     if outputs.folds > HANDFUL:
-        short = f"Folds at {outputs.folds} pixels: show where"
+        short = f"Folds at {outputs.folds} {sites}: show where"
         parts.append(
-            f"Warning: at {outputs.folds} pixels the tissue is pushed through itself (it folds), "
+            f"Warning: at {outputs.folds} {sites} the tissue is pushed through itself (it folds), "
             "which no tissue does. Move it less; far from all that is held also by a wider patch "
             "or boundary."
         )
     if outputs.overlaps > HANDFUL:
         parts.append(
-            f"Warning: at {outputs.overlaps} pixels one part of the tissue has moved onto another "
+            f"Warning: at {outputs.overlaps} {sites} one part of the tissue has moved onto another "
             "and hides it; parts do not feel each other across a gap."
         )
     parts += (f"{note[0].upper()}{note[1:]}." for note in done.notes)

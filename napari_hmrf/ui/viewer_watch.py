@@ -15,6 +15,7 @@ from napari_hmrf.layers.pixel_copy import CHANGES
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
+from napari_hmrf.ui import messages
 from napari_hmrf.ui.events import Listening, single_shot
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.live_study import LiveStudy
@@ -51,6 +52,8 @@ class ViewerWatch:
         # napari may be in the middle of removing more layers than the one.
         self._leaving = single_shot(native, 0, self._on_left)
         self._begun = self._was_active = False
+        # What is to be said of a layer that is gone.
+        self._gone = ""
         live.moved_on.connect(self._on_other)
         self._slice = self._slice_shown
         self._form.edited.connect(self._on_choice)
@@ -151,6 +154,7 @@ class ViewerWatch:
     def _on_removed(self, event: Any) -> None:
         layer, live, display = event.value, self._live, self._pointer.display
         was_read = self._reads(layer)
+        self._gone = self._gone_with(layer) or self._gone
         self._choices.look()
         if layer is display.arrows.former and not display.quiet:
             self._guide.say(ARROWS_GONE, why="step")
@@ -163,12 +167,24 @@ class ViewerWatch:
         self._leaving.start()
         self._on_choice()
 
+    def _gone_with(self, layer: Any) -> str:
+        """Say what goes with a layer, as napari brings none back; "" if nothing does."""
+        tissue, boundary = self._painted
+        study, is_source = self._live.study, layer is self._live.source
+        if is_source and study is not None and study.motion.drawing.marks:
+            return messages.DRAWING_GONE.format(name=layer.name)
+        words = {id(tissue): messages.TISSUE_GONE, id(boundary): messages.BOUNDARY_GONE}
+        return "" if is_source else words.get(id(layer), "").format(name=layer.name)
+
     def _on_left(self) -> None:
         """Take away the results of images that are gone, and the tools if there is none left."""
         self._results.remove_orphans()
         if self._form.image.value is None and self._live.study is None:
             self._pointer.leave()
             self.look_at_mouse()
+        if self._gone:
+            self._guide.say(self._gone, why="step")
+            self._gone = ""
 
     # Who feels the mouse
 

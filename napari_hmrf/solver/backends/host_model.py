@@ -71,18 +71,15 @@ class HostModel:
         self.found = Found()
         self._rest.fill(0)
         compute_thread.look()
-        if len(held) == 3:
-            # Fresh memory takes longer to get than to fill, and a kernel would get it all at once.
-            self.levels[0].clear()
-            self.levels[0].inverse.fill(0)
-            compute_thread.look()
         self.levels[0].hold(held)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             compute_thread.look()
             coarse.hold_as(fine)
-        if len(held) == 3:
-            self.clear()
+        self._begin()
         self._held = held.copy() if len(held) == 2 else held  # of a volume nobody changes it
+
+    def _begin(self) -> None:
+        """Other components are held: forget what was found before, if it is kept."""
 
     def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:
         """What a displacement leaves of a load."""

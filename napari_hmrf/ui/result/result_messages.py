@@ -53,7 +53,7 @@ OVERLAY_TIP = (
     "Jacobian: by which factor its area changes; purple shrinks, orange grows, yellow folds.\n"
     "Strain: Green-Lagrange's, in per cent, squeeze below 0; equivalent: von Mises's, no strain\n"
     "across the slice assumed.\n"
-    "Folds and given motion lie where tissue was before it moved; a dot: where it is held."
+    "Given motion begins where tissue was before it moved; a dot: where it is held."
 )
 
 

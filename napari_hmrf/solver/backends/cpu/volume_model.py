@@ -75,6 +75,10 @@ class CpuVolumeLevel(CpuLevel):
 
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on the finest level."""
+        # Fresh memory takes longer to get than to fill, and a loop would get it all at once.
+        self.clear()
+        self.inverse.fill(0)
+        self.checkpoint()
         volume.diagonal(self.lame, self.share, self.shape, self.inverse)
         self.checkpoint()
         vectors.hold(rows(self.inverse), rows(held), rows(self.pins), self.spans)
@@ -186,9 +190,9 @@ class CpuVolumeModel(HostModel):
             self.bodies = self.levels[0].bodies = Bodies(self._sites, self.material, held)
         self.levels[0].checkpoint()
         super().hold(held)
-        self.levels[0].checkpoint()
-        if self._held is not before:
-            self.clear()
+
+    def _begin(self) -> None:
+        self.clear()
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
         finest, (share, shape) = self.levels[0], self._exact
