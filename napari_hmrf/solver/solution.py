@@ -41,7 +41,8 @@ class Provenance:
     model : str
         Its name: "elastic", "paper" or "paper, converged"; of these parameters, if not given.
     inputs : mapping
-        SHA-256 of the bytes of observed, confidence and stiffness.
+        SHA-256 of the bytes of observed, confidence and stiffness, and of growth and force if
+        there are loads.
     """
 
     backend: str
@@ -70,8 +71,8 @@ class Solution:
         so far that float32 does not carry the tolerance; files keep float32.
     energy : ndarray, shape (iterations,), float64
         Mean total energy per site of tissue after each iteration, coarse to fine, in pixels
-        squared; one value where none was needed. Of multigrid for the centred update, which no
-        energy leads, the last throughout.
+        squared, less the work of loads; one value where none was needed. Of multigrid for the
+        centred update, which no energy leads, the last throughout.
     levels : tuple of LevelRun
         The levels in the order they were run, with their iterations: the boundaries in `energy`.
     tissue : ndarray, shape (H, W), bool

@@ -327,6 +327,7 @@ def _versions() -> dict[str, str]:
 
 
 def _is_plain(problem: Problem, prior: Prior) -> bool:
-    """Whether tissue is elastic, and nothing of it rigid or may slip."""
+    """Whether tissue is elastic and without loads, and nothing of it rigid or may slip."""
     firm = isinstance(prior, ElasticPrior) and prior.penalty == math.inf
-    return firm and not bool(np.isinf(problem.stiffness).any())
+    plain = firm and problem.loads is None
+    return plain and not bool(np.isinf(problem.stiffness).any())

@@ -16,6 +16,7 @@ import numpy.typing as npt
 if TYPE_CHECKING:
     from napari_hmrf.solver.backends.entrained import Entrained
     from napari_hmrf.solver.backends.factors import Factors
+    from napari_hmrf.solver.loads import Loads
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -93,16 +94,19 @@ class Found:
         self.care = 0
         self.factors: Factors | None = None
         self.entrained: Entrained | None = None
-        self._known: list[tuple[weakref.ref[Any], Quality]] = []
+        self._known: list[_Known] = []
 
-    def add(self, displacement: FloatArray, quality: Quality) -> None:
-        """Remember a displacement, itself and no copy of it."""
-        self._known = [each for each in self._known if each[0]() is not None]
-        self._known.append((weakref.ref(displacement), quality))
+    def add(self, displacement: FloatArray, quality: Quality, loads: Loads | None = None) -> None:
+        """Remember a displacement, itself and no copy of it, and what pulled at it."""
+        self._known = [each for each in self._known if each.displacement() is not None]
+        self._known.append(_Known(weakref.ref(displacement), quality, loads))
 
-    def quality(self, start: Beginning) -> Quality | None:
-        """How good a sum is where it is what is observed; None if a part of it is not known."""
-        parts = [self._of(each) for each in start.displacements]
+    def quality(self, start: Beginning, loads: Loads | None = None) -> Quality | None:
+        """How good a sum is where it is what is observed; None if a part of it is not known.
+
+        Shares add up to one: what pulled at all parts pulls at their sum.
+        """
+        parts = [self._of(each, loads) for each in start.displacements]
         error = residual = 0.0
         for share, part in zip(start.shares, parts, strict=True):
             if part is None:
@@ -111,6 +115,17 @@ class Found:
             residual += abs(share) * part.residual
         return Quality(error, residual)
 
-    def _of(self, displacement: FloatArray) -> Quality | None:
-        found = (quality for known, quality in self._known if known() is displacement)
-        return next(found, None)
+    def _of(self, displacement: FloatArray, loads: Loads | None) -> Quality | None:
+        for known in self._known:
+            if known.displacement() is displacement:
+                same = loads is known.loads or (loads is not None and loads.same_as(known.loads))
+                return known.quality if same else None
+        return None
+
+
+class _Known(NamedTuple):
+    """A displacement, and how good it is for these loads."""
+
+    displacement: weakref.ref[Any]
+    quality: Quality
+    loads: Loads | None

@@ -22,6 +22,7 @@ from napari_hmrf.solver.bending_modes import check_bent
 from napari_hmrf.solver.optimizers import centred
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Report
 from napari_hmrf.solver.optimizers.cycle import BENDING, smoothing_of
+from napari_hmrf.solver.optimizers.loading import check_balanced, check_reach, work_of
 from napari_hmrf.solver.optimizers.refinement import Refinement
 from napari_hmrf.solver.optimizers.slip import Slip
 from napari_hmrf.solver.optimizers.slip_states import ActiveSet
@@ -92,6 +93,10 @@ class Multigrid:
                 self.tolerance, self.max_iterations, problem, prior, backend, report, start
             )
         limit = prior.limit(problem)
+        load = prior.load(problem) if isinstance(prior, ElasticPrior) else None
+        pulls = None if load is None else host.planes(load.forces)
+        stored = 0.0 if load is None else load.energy
+        del load  # of a volume its forces are large
         d, observed = host.prescribed(problem, start if limit is None else None)
         if isinstance(prior, ElasticPrior):
             material = prior.material(problem)
@@ -106,29 +111,36 @@ class Multigrid:
                 model.hold(observed)
                 if model.bodies is not None:
                     model.bodies.settle(d)
-                refinement.run(d, None, self.tolerance, self._known(start, model))
+                known = self._known(start, model, problem)
+                refinement.run(d, pulls, self.tolerance, known)
                 energy, forces = model.work(d)
-                refinement.settle(energy)
+                refinement.settle(energy + stored - work_of(pulls, d))
             else:
                 y, d = d, d.copy()
                 moves = model.steepness > 0
                 if start is not None:
                     np.copyto(d, host.combined(start), where=moves)
-                states = ActiveSet(observed & moves, y, host.planes(limit), d)
+                states = ActiveSet(observed & moves, y, host.planes(limit), d, pulls, stored)
+                check_balanced(problem, states.at, states.limit, pulls)
                 slip = Slip(problem, prior, model, states, refinement, report)
                 forces = slip.run(d, self.tolerance)
         except ConvergenceError:
             model.forget()
+            if pulls is not None:
+                check_reach(d, problem)
             raise
         finally:
             model.close()
+        if pulls is not None:
+            check_reach(d, problem)
         energies = np.array(refinement.energies) / max(1, np.count_nonzero(problem.tissue))
         displacement, rounding = host.gathered(d, self.tolerance)
         if problem.is_volume:
             rounding *= 3  # so is what its model knows of tissue
         host.reuse(d, observed)
         if limit is None:
-            model.found.add(displacement, Quality(refinement.estimate, refinement.residual))
+            quality = Quality(refinement.estimate, refinement.residual)
+            model.found.add(displacement, quality, problem.loads)
         return Outcome(
             displacement=displacement,
             energy=energies,
@@ -140,8 +152,10 @@ class Multigrid:
             ),
         )
 
-    def _known(self, start: Beginning | None, model: LinearModel) -> Quality | None:
+    def _known(
+        self, start: Beginning | None, model: LinearModel, problem: Problem
+    ) -> Quality | None:
         """How good what a solve begins with is, if it is all that is observed."""
         if start is None or start.missing > _NOTHING * self.tolerance:
             return None
-        return model.found.quality(start)
+        return model.found.quality(start, problem.loads)
