@@ -7,6 +7,7 @@ import pytest
 import scipy.sparse.linalg as spl
 from elastic_oracle import stiffness_matrix
 from opengl_here import require_opengl
+from report import calculix, load_cases
 
 from napari_hmrf import (
     ArgumentError,
@@ -410,6 +411,15 @@ def test_the_unit_of_stiffness_and_of_length_is_that_of_forces():
     np.testing.assert_allclose(
         reactions(one, first), reactions(other, second), atol=1e-4 * np.abs(one.loads.force).max()
     )
+
+
+@pytest.mark.skipif(not calculix.is_there(), reason="CalculiX is not installed")
+@pytest.mark.parametrize(("axes", "plane", "nu"), [(2, "stress", 0.3), (3, "strain", 0.0)])
+def test_what_grows_is_heavy_and_is_pressed_is_where_calculix_has_it(axes, plane, nu):
+    case = load_cases.tissue((16, 8)[axes - 2], axes)
+    off, most, unbalanced = load_cases.to_calculix(case, plane, nu)
+    assert off < 1e-5 * most
+    assert unbalanced < 1e-6
 
 
 def test_shaders_bear_loads_too():
