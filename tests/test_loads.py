@@ -19,6 +19,7 @@ from napari_hmrf import (
     Problem,
     ProblemError,
     SeilerPrior,
+    Solution,
     growth,
     pressure,
     reactions,
@@ -127,7 +128,7 @@ def test_a_bar_that_hangs_gets_longer_by_its_weight(axes):
 
 @pytest.mark.parametrize("axes", [2, 3])
 @pytest.mark.parametrize("by", ["pressure", "traction"])
-def test_a_bar_that_is_pulled_by_its_end_is_strained_evenly(axes, by):
+def test_a_bar_that_is_pulled_by_its_end_is_strained_evenly(axes, by, tmp_path):
     shape, spacing, young, nu = (5, 6, 9)[-axes:], OBLONG[axes], 30.0, 0.3
     m, end = np.full(shape, young), np.zeros(shape, bool)
     end[..., -1] = True
@@ -144,6 +145,8 @@ def test_a_bar_that_is_pulled_by_its_end_is_strained_evenly(axes, by):
     np.testing.assert_allclose(moved.displacement, exact, atol=1e-5)
     pulls = reactions(problem, moved, ElasticPrior(nu))
     area = np.prod((np.array(shape) - 1) * spacing) / ((shape[-1] - 1) * spacing[-1])
+    again = Solution.load(moved.save(tmp_path / "field.npz"))
+    np.testing.assert_array_equal(reactions(problem, again, ElasticPrior(nu)), pulls)
     np.testing.assert_allclose(pulls[..., 0, :].sum(axis=tuple(range(axes - 1)))[-1], -1.5 * area)
 
 
@@ -290,6 +293,23 @@ def test_loads_that_are_the_same_take_no_cycle_and_others_begin_with_the_last_fi
     warm, cold = (found(heavier, prior, Multigrid(), initial=each) for each in (first, None))
     assert 0 < warm.iterations < cold.iterations
     assert np.abs(warm.displacement - cold.displacement).max() < 2e-3
+
+
+def test_loads_between_two_that_were_solved_take_no_cycle():
+    problem, prior = large(), ElasticPrior(0.4)
+    grows, pulls = problem.loads.growth, problem.loads.force
+
+    def at(one, two):
+        loads = Loads(growth=one * grows, force=two * pulls)
+        return held(problem.stiffness, 0, loads, (1.0, 1.0))
+
+    known = [found(at(*shares), prior, Multigrid()) for shares in ((1, 1), (0.5, 1), (1, 0.6))]
+    between = found(at(0.8, 0.9), prior, Multigrid(), initial=known)
+    assert between.iterations == 0
+    exact = exact_field(at(0.8, 0.9), prior)
+    assert np.abs(between.displacement - exact).max() <= between.convergence.error <= 1e-3
+    of_other_kind = held(problem.stiffness, 0, growth(0.1 * grows, along=(1, 0)), (1.0, 1.0))
+    assert found(of_other_kind, prior, Multigrid(), initial=known).iterations > 0
 
 
 def test_a_patch_that_is_dragged_under_weight_takes_no_cycle_once_its_directions_are_known():

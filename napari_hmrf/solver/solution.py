@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf import array_file
+from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun
 from napari_hmrf.solver.problem import grid_in_words
@@ -85,6 +86,8 @@ class Solution:
     frame : mapping, optional
         Where the field lies in the world, for whoever made the problem from layers; JSON types
         only. The solver neither reads nor writes it.
+    loads : Loads, optional
+        What pulled at it, for solves that begin with it. Files keep its digest only.
     """
 
     displacement: npt.NDArray[np.floating]
@@ -95,6 +98,7 @@ class Solution:
     provenance: Provenance
     convergence: Convergence | None = None
     frame: Mapping[str, Any] | None = None
+    loads: Loads | None = None
 
     def __repr__(self) -> str:
         farthest = float(np.linalg.norm(self.displacement, axis=-1).max(initial=0.0))
@@ -146,7 +150,8 @@ class Solution:
         Returns
         -------
         Solution
-            Exactly what was saved (sequences in parameters and frame come back as lists).
+            Exactly what was saved, but for loads (sequences in parameters and frame come back as
+            lists).
 
         Raises
         ------

@@ -85,10 +85,10 @@ def solve(
     initial : Solution or sequence of Solution, optional
         Begin with the displacement of an earlier solution of the same grid: after a small edit of
         the problem multigrid then has less to do. Of several, with the combination that comes
-        closest to what is observed: how far tissue moves is proportional to how far it is pushed,
-        so that a patch moved once more takes a cycle, or none if what each solution is wrong by is
-        within the tolerance altogether. The result is the same to that tolerance. The paper's
-        schedule begins with zero on its coarsest level, and takes none.
+        closest to what is observed and to what pulls: how far tissue moves is proportional to how
+        far it is pushed, so that a patch moved once more takes a cycle, or none if what each
+        solution is wrong by is within the tolerance altogether. The result is the same to that
+        tolerance. The paper's schedule begins with zero on its coarsest level, and takes none.
 
     Returns
     -------
@@ -292,6 +292,7 @@ def run_here(
             versions=_versions(),
             inputs=problem.digests,
         ),
+        loads=problem.loads,
     )
 
 

@@ -1,7 +1,7 @@
 """What a solve begins with, and how good that is known to be.
 
-A system is linear: a sum of its solutions solves it for the same sum of observations, and is wrong
-by no more than the sum of what each is wrong by.
+A system is linear: a sum of its solutions solves it for the same sum of observations and loads, and
+is wrong by no more than the sum of what each is wrong by.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import numpy.typing as npt
 if TYPE_CHECKING:
     from napari_hmrf.solver.backends.entrained import Entrained
     from napari_hmrf.solver.backends.factors import Factors
-    from napari_hmrf.solver.loads import Loads
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -37,7 +36,8 @@ class Beginning:
     unit : float
         The length of a pixel in their unit.
     missing : float
-        How far the sum is from what is observed, at most, in pixels.
+        How far the sum is from what is observed, at most, in pixels; or what pulls from the same
+        sum of loads, as a part of the largest motion.
     """
 
     displacements: tuple[FloatArray, ...]
@@ -94,19 +94,16 @@ class Found:
         self.care = 0
         self.factors: Factors | None = None
         self.entrained: Entrained | None = None
-        self._known: list[_Known] = []
+        self._known: list[tuple[weakref.ref[Any], Quality]] = []
 
-    def add(self, displacement: FloatArray, quality: Quality, loads: Loads | None = None) -> None:
-        """Remember a displacement, itself and no copy of it, and what pulled at it."""
-        self._known = [each for each in self._known if each.displacement() is not None]
-        self._known.append(_Known(weakref.ref(displacement), quality, loads))
+    def add(self, displacement: FloatArray, quality: Quality) -> None:
+        """Remember a displacement, itself and no copy of it."""
+        self._known = [each for each in self._known if each[0]() is not None]
+        self._known.append((weakref.ref(displacement), quality))
 
-    def quality(self, start: Beginning, loads: Loads | None = None) -> Quality | None:
-        """How good a sum is where it is what is observed; None if a part of it is not known.
-
-        Shares add up to one: what pulled at all parts pulls at their sum.
-        """
-        parts = [self._of(each, loads) for each in start.displacements]
+    def quality(self, start: Beginning) -> Quality | None:
+        """How good a sum is where it is what is observed; None if a part of it is not known."""
+        parts = [self._of(each) for each in start.displacements]
         error = residual = 0.0
         for share, part in zip(start.shares, parts, strict=True):
             if part is None:
@@ -115,17 +112,6 @@ class Found:
             residual += abs(share) * part.residual
         return Quality(error, residual)
 
-    def _of(self, displacement: FloatArray, loads: Loads | None) -> Quality | None:
-        for known in self._known:
-            if known.displacement() is displacement:
-                same = loads is known.loads or (loads is not None and loads.same_as(known.loads))
-                return known.quality if same else None
-        return None
-
-
-class _Known(NamedTuple):
-    """A displacement, and how good it is for these loads."""
-
-    displacement: weakref.ref[Any]
-    quality: Quality
-    loads: Loads | None
+    def _of(self, displacement: FloatArray) -> Quality | None:
+        found = (quality for known, quality in self._known if known() is displacement)
+        return next(found, None)

@@ -111,8 +111,7 @@ class Multigrid:
                 model.hold(observed)
                 if model.bodies is not None:
                     model.bodies.settle(d)
-                known = self._known(start, model, problem)
-                refinement.run(d, pulls, self.tolerance, known)
+                refinement.run(d, pulls, self.tolerance, self._known(start, model))
                 energy, forces = model.work(d)
                 refinement.settle(energy + stored - work_of(pulls, d))
             else:
@@ -140,7 +139,7 @@ class Multigrid:
         host.reuse(d, observed)
         if limit is None:
             quality = Quality(refinement.estimate, refinement.residual)
-            model.found.add(displacement, quality, problem.loads)
+            model.found.add(displacement, quality)
         return Outcome(
             displacement=displacement,
             energy=energies,
@@ -152,10 +151,8 @@ class Multigrid:
             ),
         )
 
-    def _known(
-        self, start: Beginning | None, model: LinearModel, problem: Problem
-    ) -> Quality | None:
+    def _known(self, start: Beginning | None, model: LinearModel) -> Quality | None:
         """How good what a solve begins with is, if it is all that is observed."""
         if start is None or start.missing > _NOTHING * self.tolerance:
             return None
-        return model.found.quality(start, problem.loads)
+        return model.found.quality(start)
