@@ -14,7 +14,8 @@ import numpy.typing as npt
 from napari_hmrf.arguments import reals, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.loads import Loads
-from napari_hmrf.solver.real_arrays import FloatArray, as_float32, first_index, how_many
+from napari_hmrf.solver.real_arrays import FloatArray as FloatArray
+from napari_hmrf.solver.real_arrays import as_float32, first_index, how_many
 from napari_hmrf.solver.real_arrays import as_numbers as as_numbers
 
 #: The largest ratio between two stiffnesses that single precision is trusted with.

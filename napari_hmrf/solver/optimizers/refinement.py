@@ -20,6 +20,7 @@ from napari_hmrf.solver.backends.dissection import Singular
 from napari_hmrf.solver.backends.factors import Factors
 from napari_hmrf.solver.backends.found import Quality
 from napari_hmrf.solver.backends.linear import Balance, LinearModel, Planes
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
@@ -254,7 +255,9 @@ class Refinement:
     def _rehearse(self, shape: tuple[int, ...]) -> float:
         """How far off a known answer is, over how far off it is said to be."""
         error = host.noise(shape)
+        compute_thread.look()
         error[~self._model.moves] = 0
+        compute_thread.look()
         self._project(error)
         most = float(np.abs(error).max())
         doubt, cycles, rounds, left = math.inf, 0, 0, most

@@ -15,12 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.neighbours import pairs
 from napari_hmrf.solver.priors.elements import Float64Array, Lame, of_elements
 from napari_hmrf.solver.real_arrays import FloatArray
 
 # Elements that are looked at at once: all of a volume's would take more memory than its solve.
-_AT_ONCE = 1 << 19
+_AT_ONCE = 1 << 17
 
 
 class Load(NamedTuple):
@@ -82,6 +83,7 @@ def slabs(grid: tuple[int, ...]) -> Iterator[slice]:
     length, *others = grid
     step = max(1, _AT_ONCE // math.prod(others))
     for begin in range(0, length - 1, step):
+        compute_thread.look()
         yield slice(begin, min(begin + step, length - 1) + 1)
 
 
@@ -108,6 +110,8 @@ def _pulls(stresses: Float64Array, sides: tuple[float, ...]) -> Float64Array:
     total = np.zeros((*(size + 1 for size in stresses.shape[2:]), axes))
     for component in range(axes):
         for along, side in enumerate(sides):
+            if not stresses[component, along].any():  # most growth is the same in all directions
+                continue
             values = np.pad(stresses[component, along], 1)
             for axis, (first, last) in enumerate(pairs(axes)):
                 behind, ahead = values[first], values[last]
