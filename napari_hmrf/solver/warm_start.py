@@ -69,7 +69,7 @@ def beginning(initial: Initial, problem: Problem) -> Beginning:
 class _Blocks:
     """What is asked of a problem, and what was asked for each solution: observations, and loads."""
 
-    # Loads are told as the motion that they cause, roughly, and in parts: of a volume they are large.
+    # Loads are told as the motion that they cause, roughly, and in parts: a volume's are large.
 
     def __init__(self, problem: Problem, solutions: tuple[Solution, ...]) -> None:
         self._problem, self._solutions = problem, solutions
