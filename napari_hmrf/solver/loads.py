@@ -81,8 +81,8 @@ class Loads:
         """Whether the other's values are equal."""
         return self is other or (
             other is not None
-            and _equal(self.growth, other.growth)
-            and _equal(self.force, other.force)
+            and is_equal(self.growth, other.growth)
+            and is_equal(self.force, other.force)
         )
 
     def check(self, stiffness: FloatArray) -> None:
@@ -228,7 +228,8 @@ def _pulled(one: FloatArray | None, other: FloatArray | None) -> npt.NDArray[np.
     return np.asarray(one + other)
 
 
-def _equal(one: FloatArray | None, other: FloatArray | None) -> bool:
+def is_equal(one: FloatArray | None, other: FloatArray | None) -> bool:
+    """Whether two parts of loads have the same values, or neither is there."""
     if one is None or other is None:
         return one is other
     return one is other or np.array_equal(one, other)

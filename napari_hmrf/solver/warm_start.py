@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.solver.backends.found import Beginning
+from napari_hmrf.solver.loads import is_equal
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.real_arrays import FloatArray
 from napari_hmrf.solver.solution import Solution
@@ -78,7 +79,7 @@ class _Blocks:
         for name in ("growth", "force"):
             arrays = [None if each is None else getattr(each, name) for each in given]
             wanted = None if problem.loads is None else getattr(problem.loads, name)
-            if any(each is not wanted for each in arrays):
+            if not all(is_equal(each, wanted) for each in arrays):
                 self._loads.append((wanted, *arrays))
         shapes = [{each.shape for each in some if each is not None} for some in self._loads]
         #: Whether all loads are told in the same way.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +12,7 @@ import scipy
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.linear import Planes
+from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import MAX_REACH, Problem
 from napari_hmrf.solver.rigid_modes import free_motions
 
@@ -21,9 +23,52 @@ _NOTHING = 1e-9
 _AT_LIMIT = 1e-6
 
 
+class Given(NamedTuple):
+    """What loads pull with, and the energy of tissue that grows and does not move."""
+
+    pulls: Planes | None
+    energy: float
+
+
+class _Known(NamedTuple):
+    problem: Problem
+    prior: ElasticPrior
+    given: Given
+
+    def serves(self, problem: Problem, prior: ElasticPrior) -> bool:
+        """Whether tissue and loads are the same again, whatever is observed."""
+        mine, loads = self.problem, problem.loads
+        return (
+            prior == self.prior
+            and mine.spacing == problem.spacing
+            and (mine.loads is loads or (loads is not None and loads.same_as(mine.loads)))
+            and np.array_equal(mine.stiffness, problem.stiffness)
+        )
+
+
+# The last of an image: as tissue is dragged, they stay the same.
+_last: list[_Known] = []
+
+
+def given(problem: Problem, prior: Prior) -> Given:
+    """What the loads of a problem are for multigrid; not to be written to."""
+    if not isinstance(prior, ElasticPrior) or problem.loads is None:
+        return Given(None, 0.0)
+    if _last and _last[0].serves(problem, prior):
+        return _last[0].given
+    load = prior.load(problem)
+    if load is None:
+        return Given(None, 0.0)
+    made = Given(host.planes(load.forces), load.energy)
+    _last[:] = [] if problem.is_volume else [_Known(problem, prior, made)]
+    return made
+
+
 def work_of(load: Planes | None, d: Planes) -> float:
     """The work that forces do on a displacement."""
-    return 0.0 if load is None else float(np.vdot(load, d))
+    # `einsum`, as the threads that a larger product wakes in BLAS would go on to wait for more, on
+    # the cores that the solve needs.
+    return 0.0 if load is None else float(np.einsum("i,i->", load.ravel(), d.ravel()))
 
 
 def check_reach(d: Planes, problem: Problem) -> None:

@@ -23,7 +23,7 @@ from napari_hmrf.solver.bending_modes import check_bent
 from napari_hmrf.solver.optimizers import centred
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Report
 from napari_hmrf.solver.optimizers.cycle import BENDING, smoothing_of
-from napari_hmrf.solver.optimizers.loading import check_balanced, check_reach, work_of
+from napari_hmrf.solver.optimizers.loading import check_balanced, check_reach, given, work_of
 from napari_hmrf.solver.optimizers.refinement import Refinement
 from napari_hmrf.solver.optimizers.slip import Slip
 from napari_hmrf.solver.optimizers.slip_states import ActiveSet
@@ -94,10 +94,7 @@ class Multigrid:
                 self.tolerance, self.max_iterations, problem, prior, backend, report, start
             )
         limit = prior.limit(problem)
-        load = prior.load(problem) if isinstance(prior, ElasticPrior) else None
-        pulls = None if load is None else host.planes(load.forces)
-        stored = 0.0 if load is None else load.energy
-        del load  # of a volume its forces are large
+        pulls, stored = given(problem, prior)
         d, observed = host.prescribed(problem, start if limit is None else None)
         if isinstance(prior, ElasticPrior):
             material = prior.material(problem)
