@@ -15,7 +15,17 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from report import analytic, bricks, finite_elements, levels, metropolis, paper, registration, speed
+from report import (
+    analytic,
+    bricks,
+    finite_elements,
+    levels,
+    load_cases,
+    metropolis,
+    paper,
+    registration,
+    speed,
+)
 from report.page import Section, Settings, write_page
 
 OUT = Path(__file__).resolve().parent.parent / "docs" / "validation"
@@ -29,6 +39,7 @@ SECTIONS: dict[str, Callable[[Settings], Section]] = {
     "registration": registration.section,
     "analytic": analytic.section,
     "volumes": bricks.section,
+    "loads": load_cases.section,
 }
 ORDER = (
     "paper",
@@ -38,6 +49,7 @@ ORDER = (
     "registration",
     "analytic",
     "volumes",
+    "loads",
     "speed",
 )
 

@@ -51,10 +51,13 @@ from napari_hmrf.samples.phantoms import (
     reference_displacement,
     sample,
 )
+from napari_hmrf.solver.body_forces import pressure, traction, weight
 from napari_hmrf.solver.live_solver import LiveSolver
+from napari_hmrf.solver.loads import Loads, growth
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.reactions import reactions
 from napari_hmrf.solver.solution import Provenance, Solution, is_solution_file
 from napari_hmrf.solver.solve import solve
 from napari_hmrf.study.ground import solve_study, statement_of
@@ -93,6 +96,7 @@ __all__ = [
     "Landmark",
     "LandmarkFile",
     "LiveSolver",
+    "Loads",
     "Material",
     "Measurement",
     "Monitor",
@@ -122,6 +126,7 @@ __all__ = [
     "export_field",
     "folds",
     "green_lagrange_strain",
+    "growth",
     "head_phantom",
     "inverse_map",
     "is_solution_file",
@@ -134,7 +139,9 @@ __all__ = [
     "measure",
     "phantom",
     "poisson_image",
+    "pressure",
     "principal_strains",
+    "reactions",
     "read_field",
     "reference_displacement",
     "replay",
@@ -149,6 +156,8 @@ __all__ = [
     "statement_of",
     "stiffness_image",
     "strain_through_slice",
+    "traction",
     "warp",
+    "weight",
     "write_field",
 ]

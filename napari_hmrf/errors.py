@@ -17,8 +17,9 @@ class ProblemError(HmrfError, ValueError):
     Parameters
     ----------
     field : str
-        The input at fault: ``"observed"``, ``"confidence"``, ``"stiffness"``, ``"spacing"`` or
-        ``"poisson"``; the widget replaces it by the name of the layer the input came from.
+        The input at fault: ``"observed"``, ``"confidence"``, ``"stiffness"``, ``"spacing"``,
+        ``"poisson"``, ``"loads"``, ``"growth"`` or ``"force"``; the widget replaces it by the name
+        of the layer the input came from.
     message : str
         What is wrong and what to do, without the field's name.
     """

@@ -13,7 +13,7 @@ KEPT = 4
 
 
 class Earlier:
-    """The newest solutions of one grid, for different observations.
+    """The newest solutions of one grid, for different observations and loads.
 
     How far tissue moves is proportional to how far it is pushed: between them, a patch that was
     moved before is moved on by hardly a cycle.
@@ -37,7 +37,7 @@ class Earlier:
             self.solutions, self._newest = [], None
 
     def add(self, problem: Problem, solution: Solution) -> None:
-        """Keep this; instead of the newest one, if the same was observed there."""
+        """Keep this; instead of the newest one, if the same was asked there."""
         before, self._newest = self._newest, problem
         if before is not None and _same_observations(before, problem):
             del self.solutions[0]
@@ -46,6 +46,7 @@ class Earlier:
 
 def _same_observations(one: Problem, other: Problem) -> bool:
     return one is other or (
-        np.array_equal(one.observed, other.observed)
+        (one.loads is other.loads or (one.loads is not None and one.loads.same_as(other.loads)))
+        and np.array_equal(one.observed, other.observed)
         and np.array_equal(one.confidence, other.confidence)
     )

@@ -7,15 +7,16 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.arguments import reals, shown
 from napari_hmrf.errors import ProblemError
-
-FloatArray = npt.NDArray[np.float32]
+from napari_hmrf.solver.loads import Loads
+from napari_hmrf.solver.real_arrays import FloatArray as FloatArray
+from napari_hmrf.solver.real_arrays import as_float32, first_index, how_many
+from napari_hmrf.solver.real_arrays import as_numbers as as_numbers
 
 #: The largest ratio between two stiffnesses that single precision is trusted with.
 MAX_STIFFNESS_RATIO = 1e7
@@ -25,7 +26,6 @@ _SMALLEST_STIFFNESS = 1e-30
 _EVEN = (1.0, 1.0)
 #: The longest displacement that can be meant, in diagonals of the image.
 MAX_REACH = 2.0
-_LARGEST = float(np.finfo(np.float32).max)
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -44,12 +44,16 @@ class Problem:
         Confidence in each component of `observed`, c in the equations: from 0 (none) to 1
         (complete).
     stiffness : array_like, shape (H, W) or (D, H, W)
-        Young's modulus, m in the equations, in any unit: only ratios matter. ``0`` means no tissue
-        (void): no clique touches such a site and it has no displacement. ``inf`` means rigid
-        tissue, for `ElasticPrior`: what touches of it moves as one body.
+        Young's modulus, m in the equations, in any unit: only ratios matter, unless a force pulls
+        (see `loads`). ``0`` means no tissue (void): no clique touches such a site and it has no
+        displacement. ``inf`` means rigid tissue, for `ElasticPrior`: what touches of it moves as
+        one body.
     spacing : sequence of float, shape (2,) or (3,)
         Size of a pixel in (row, col) direction, or of a voxel in (plane, row, col) direction, in
         any unit of length; by default 1 along each axis.
+    loads : Loads, optional
+        Growth, and forces, for `ElasticPrior`. Forces are in the unit of stiffness times a length
+        in the unit of `spacing` (per thickness, in an image), or times its square (in a volume).
 
     Raises
     ------
@@ -61,6 +65,7 @@ class Problem:
     confidence: FloatArray
     stiffness: FloatArray
     spacing: tuple[float, ...]
+    loads: Loads | None
 
     def __init__(
         self,
@@ -69,14 +74,15 @@ class Problem:
         stiffness: npt.ArrayLike,
         *,
         spacing: Sequence[float] = _EVEN,
+        loads: Loads | None = None,
     ) -> None:
         # With one value for each pixel as what is observed, stiffness is no volume.
         image = isinstance(observed, np.ndarray) and observed.ndim == 2
         m = _as_image(stiffness, (2,) if image else (2, 3))
-        pixel = _checked_spacing((1.0,) * m.ndim if spacing is _EVEN else spacing, m.ndim)
+        pixel = checked_spacing((1.0,) * m.ndim if spacing is _EVEN else spacing, m.ndim)
         _check_grid(m)
-        c = _as_float32("confidence", confidence)
-        y = _as_float32("observed", observed)
+        c = as_float32("confidence", confidence)
+        y = as_float32("observed", observed)
         for field, array in (("confidence", c), ("observed", y)):
             expected = (*m.shape, m.ndim)
             if array.shape != expected:
@@ -96,15 +102,18 @@ class Problem:
             object.__setattr__(self, field, array)
         object.__setattr__(self, "spacing", pixel)
         _check_known(self.known)
+        object.__setattr__(self, "loads", loads)
+        _check_loads(loads, m)
 
     def __repr__(self) -> str:
         size, pixel = grid_in_words(self.shape), grid_in_words(self.spacing)
         tissue = int(np.count_nonzero(self.tissue))
         void = "" if tissue == self.tissue.size else f", {tissue:,} of tissue"
         seen = int(np.count_nonzero(self.known.any(axis=-1)))
+        loads = "" if self.loads is None else f", {self.loads}"
         return (
             f"Problem({size} sites of {pixel}{void}, {seen:,} observed, "
-            f"stiffness {_range_in_words(self.stiffness)})"
+            f"stiffness {_range_in_words(self.stiffness)}{loads})"
         )
 
     @property
@@ -142,7 +151,11 @@ class Problem:
     def digests(self) -> Mapping[str, str]:
         """SHA-256 of each image's bytes: equal for equal inputs. Made when first looked at."""
         names = ("observed", "confidence", "stiffness")
-        return _Digests({name: getattr(self, name) for name in names})
+        arrays = {name: getattr(self, name) for name in names}
+        if self.loads is not None:
+            loads = {"growth": self.loads.growth, "force": self.loads.force}
+            arrays |= {name: array for name, array in loads.items() if array is not None}
+        return _Digests(arrays)
 
     @property
     def unit(self) -> float:
@@ -180,22 +193,6 @@ def grid_in_words(sizes: Iterable[float]) -> str:
     return " x ".join(f"{size:g}" for size in sizes)
 
 
-def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
-    """Take an array of real numbers as it is, or raise `ProblemError` naming it."""
-    try:
-        array = np.asarray(value)
-    except ValueError as error:  # rows of different length
-        raise ProblemError(field, f"is not an array of numbers ({error}).") from None
-    if array.dtype.kind not in "biuf" and not array.ndim:
-        kind = type(value).__name__
-        raise ProblemError(field, f"is {shown(value)}, of type {kind}. Give real numbers.")
-    if array.dtype.kind not in "biuf":
-        raise ProblemError(
-            field, f"has values of type {array.dtype}. Give real numbers (integer or float)."
-        )
-    return array
-
-
 def as_stiffness(stiffness: npt.ArrayLike) -> FloatArray:
     """Copy a stiffness image to float32, as a `Problem` has it.
 
@@ -213,7 +210,7 @@ def as_stiffness(stiffness: npt.ArrayLike) -> FloatArray:
 
 
 def _as_image(stiffness: npt.ArrayLike, axes: tuple[int, ...] = (2, 3)) -> FloatArray:
-    image = _as_float32("stiffness", stiffness)
+    image = as_float32("stiffness", stiffness)
     if image.ndim not in axes:
         swapped = image.ndim == 3 and image.shape[-1] == 2  # one value for each component
         hint = "Give observed, confidence and stiffness in this order." if swapped else ""
@@ -225,23 +222,8 @@ def _as_image(stiffness: npt.ArrayLike, axes: tuple[int, ...] = (2, 3)) -> Float
     return image
 
 
-def _as_float32(field: str, value: npt.ArrayLike) -> FloatArray:
-    """Copy `value` to a C-contiguous native float32 array, or say why that would lose something."""
-    if isinstance(value, np.ma.MaskedArray):
-        raise ProblemError(field, "is a masked array, whose mask would be lost. Fill it first.")
-    array = as_numbers(field, value)
-    if array.dtype.kind == "f" and array.dtype.itemsize > 4 and array.size:
-        with np.errstate(invalid="ignore"):
-            largest = float(np.max(np.abs(array), initial=0, where=np.isfinite(array)))
-        if largest > _LARGEST:
-            raise ProblemError(
-                field,
-                f"reaches {largest:.3g}, beyond single precision ({_LARGEST:.3g}). Rescale it.",
-            )
-    return np.array(array, dtype=np.float32, order="C", copy=True)
-
-
-def _checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
+def checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
+    """Sizes of a pixel along so many axes, or raise `ProblemError`."""
     values = reals(spacing, ndim)
     if not all(0 < size < math.inf for size in values):
         raise ProblemError(
@@ -265,15 +247,6 @@ def _check_grid(m: FloatArray) -> None:
         )
 
 
-def _how_many(bad: npt.NDArray[np.bool_]) -> str:
-    count = int(bad.sum())
-    return f"values at {count} pixel{'s' if count > 1 else ''}"
-
-
-def _first_index(bad: npt.NDArray[np.bool_]) -> tuple[int, ...]:
-    return tuple(int(i) for i in np.unravel_index(int(np.argmax(bad)), bad.shape))
-
-
 def _check_finite(
     field: str, array: FloatArray, where: str = "", but: npt.NDArray[np.bool_] | bool = False
 ) -> None:
@@ -283,8 +256,8 @@ def _check_finite(
             bad = np.asarray(bad.any(axis=-1))
         raise ProblemError(
             field,
-            f"has {_how_many(bad)} that are NaN or infinite {where}".rstrip()
-            + f", the first at {_first_index(bad)}. Replace them by numbers.",
+            f"has {how_many(bad)} that are NaN or infinite {where}".rstrip()
+            + f", the first at {first_index(bad)}. Replace them by numbers.",
         )
 
 
@@ -303,7 +276,7 @@ def _check_reach(y: FloatArray, spacing: tuple[float, ...]) -> None:
         pixel = " x ".join(f"{step:.3g}" for step in spacing)
         raise ProblemError(
             "observed",
-            f"moves tissue by up to {_shown(float(length.max()))} (first at {_first_index(far)}), "
+            f"moves tissue by up to {_shown(float(length.max()))} (first at {first_index(far)}), "
             f"but the image is only {size}. Give lengths in the unit in which a pixel is {pixel}.",
         )
 
@@ -319,7 +292,7 @@ def _check_stiffness(m: FloatArray) -> None:
     if negative.any():
         raise ProblemError(
             "stiffness",
-            f"has {int(negative.sum())} negative values, the first at {_first_index(negative)}. "
+            f"has {int(negative.sum())} negative values, the first at {first_index(negative)}. "
             "Give stiffnesses above 0, or 0 where there is no tissue.",
         )
     tissue = m > 0
@@ -346,7 +319,7 @@ def _check_stiffness_unit(given: npt.ArrayLike, m: FloatArray) -> None:
     extreme &= array != np.inf
     if extreme.any():
         _check_finite("stiffness", m, but=array == np.inf)
-        first = _first_index(extreme)
+        first = first_index(extreme)
         raise ProblemError(
             "stiffness",
             f"is {array[first]:.3g} at {first}. Only ratios matter: choose a unit in which "
@@ -361,8 +334,8 @@ def _check_confidence(c: FloatArray) -> None:
         outside = np.asarray(((c < 0) | (c > 1)).any(axis=-1))
         raise ProblemError(
             "confidence",
-            f"has {_how_many(outside)} outside 0 to 1, the first at "
-            f"{_first_index(outside)}. Scale the confidence to 0 (none) .. 1 (complete).",
+            f"has {how_many(outside)} outside 0 to 1, the first at "
+            f"{first_index(outside)}. Scale the confidence to 0 (none) .. 1 (complete).",
         )
     if not c.any():
         raise ProblemError(
@@ -379,6 +352,17 @@ def _range_in_words(m: FloatArray) -> str:
         return rigid
     low, high = f"{soft.min():.3g}", f"{soft.max():.3g}"
     return (low if low == high else f"{low} to {high}") + (rigid and f" and {rigid}")
+
+
+def _check_loads(loads: object, m: FloatArray) -> None:
+    if loads is None:
+        return
+    if not isinstance(loads, Loads):
+        kind = type(loads).__name__
+        raise ProblemError(
+            "loads", f"is {shown(loads)}, of type {kind}. Give Loads, such as growth(strain)."
+        )
+    loads.check(m)
 
 
 def _check_known(known: npt.NDArray[np.bool_]) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf import array_file
+from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun
 from napari_hmrf.solver.problem import grid_in_words
@@ -41,7 +42,8 @@ class Provenance:
     model : str
         Its name: "elastic", "paper" or "paper, converged"; of these parameters, if not given.
     inputs : mapping
-        SHA-256 of the bytes of observed, confidence and stiffness.
+        SHA-256 of the bytes of observed, confidence and stiffness, and of growth and force if
+        there are loads.
     """
 
     backend: str
@@ -70,8 +72,8 @@ class Solution:
         so far that float32 does not carry the tolerance; files keep float32.
     energy : ndarray, shape (iterations,), float64
         Mean total energy per site of tissue after each iteration, coarse to fine, in pixels
-        squared; one value where none was needed. Of multigrid for the centred update, which no
-        energy leads, the last throughout.
+        squared, less the work of loads; one value where none was needed. Of multigrid for the
+        centred update, which no energy leads, the last throughout.
     levels : tuple of LevelRun
         The levels in the order they were run, with their iterations: the boundaries in `energy`.
     tissue : ndarray, shape (H, W), bool
@@ -84,6 +86,8 @@ class Solution:
     frame : mapping, optional
         Where the field lies in the world, for whoever made the problem from layers; JSON types
         only. The solver neither reads nor writes it.
+    loads : Loads, optional
+        What pulled at it, for solves that begin with it. Files keep its digest only.
     """
 
     displacement: npt.NDArray[np.floating]
@@ -94,6 +98,7 @@ class Solution:
     provenance: Provenance
     convergence: Convergence | None = None
     frame: Mapping[str, Any] | None = None
+    loads: Loads | None = None
 
     def __repr__(self) -> str:
         farthest = float(np.linalg.norm(self.displacement, axis=-1).max(initial=0.0))
@@ -145,7 +150,8 @@ class Solution:
         Returns
         -------
         Solution
-            Exactly what was saved (sequences in parameters and frame come back as lists).
+            Exactly what was saved, but for loads (sequences in parameters and frame come back as
+            lists).
 
         Raises
         ------

@@ -86,10 +86,10 @@ def solve(
     initial : Solution or sequence of Solution, optional
         Begin with the displacement of an earlier solution of the same grid: after a small edit of
         the problem multigrid then has less to do. Of several, with the combination that comes
-        closest to what is observed: how far tissue moves is proportional to how far it is pushed,
-        so that a patch moved once more takes a cycle, or none if what each solution is wrong by is
-        within the tolerance altogether. The result is the same to that tolerance. The paper's
-        schedule begins with zero on its coarsest level, and takes none.
+        closest to what is observed and to what pulls: how far tissue moves is proportional to how
+        far it is pushed, so that a patch moved once more takes a cycle, or none if what each
+        solution is wrong by is within the tolerance altogether. The result is the same to that
+        tolerance. The paper's schedule begins with zero on its coarsest level, and takes none.
 
     Returns
     -------
@@ -303,6 +303,7 @@ def _solution_of(
             versions=_versions(),
             inputs=problem.digests,
         ),
+        loads=problem.loads,
     )
 
 
@@ -338,6 +339,7 @@ def _versions() -> dict[str, str]:
 
 
 def _is_plain(problem: Problem, prior: Prior) -> bool:
-    """Whether tissue is elastic, and nothing of it rigid or may slip."""
+    """Whether tissue is elastic and without loads, and nothing of it rigid or may slip."""
     firm = isinstance(prior, ElasticPrior) and prior.penalty == math.inf
-    return firm and not bool(np.isinf(problem.stiffness).any())
+    plain = firm and problem.loads is None
+    return plain and not bool(np.isinf(problem.stiffness).any())

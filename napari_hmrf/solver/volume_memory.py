@@ -12,6 +12,8 @@ from napari_hmrf.solver.problem import Problem, grid_in_words
 
 #: Bytes a voxel that a solve takes beside the problem; and where cycles go on in double precision.
 ORDINARY, IN_DOUBLE = 112, 256
+#: What loads take beside that: the forces at each voxel, while they are made.
+LOADED = 48
 # The part of the memory that is free now that a solve may take.
 _FREE = 0.9
 _GIB = 2.0**30
@@ -25,13 +27,14 @@ def check_memory(problem: Problem) -> None:
     ProblemError
         Saying what would fit, and what to do.
     """
-    if not problem.is_volume or fits(problem.shape, ORDINARY):
+    each = ORDINARY if problem.loads is None else ORDINARY + LOADED
+    if not problem.is_volume or fits(problem.shape, each):
         return
     kept_volumes.forget()
-    if fits(problem.shape, ORDINARY):
+    if fits(problem.shape, each):
         return
-    needed, free = ORDINARY * math.prod(problem.shape), _FREE * psutil.virtual_memory().available
-    side = int((free / ORDINARY) ** (1 / 3))
+    needed, free = each * math.prod(problem.shape), _FREE * psutil.virtual_memory().available
+    side = int((free / each) ** (1 / 3))
     raise ProblemError(
         "stiffness",
         f"is a volume, {grid_in_words(problem.shape)}, which takes {needed / _GIB:.2g} GiB of "

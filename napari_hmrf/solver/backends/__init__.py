@@ -57,8 +57,8 @@ def open_backend(
         The voxels (D, H, W) that it is for, if it is a volume. Shaders take it if there are compute
         shaders, and buffers that are large enough.
     plain : bool
-        Whether it is for the elastic prior, of tissue of which nothing is rigid and nothing may
-        slip: of volumes there are shaders for no other.
+        Whether it is for the elastic prior, of tissue without loads of which nothing is rigid and
+        nothing may slip: of volumes there are shaders for no other.
 
     Returns
     -------
@@ -79,8 +79,8 @@ def open_backend(
     if volume and not plain:
         if name != "auto":
             raise BackendError(
-                f"{name} solves volumes of elastic tissue only, of which nothing is rigid or may "
-                'slip; the compiled loops solve all. Take backend="cpu", or "auto"'
+                f"{name} solves volumes of elastic tissue without loads only, of which nothing is "
+                'rigid or may slip; the compiled loops solve all. Take backend="cpu", or "auto"'
             )
         provide_loops()
         return _compiled(checkpoint), FOR_VOLUMES

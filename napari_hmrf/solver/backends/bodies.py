@@ -164,6 +164,18 @@ class Bodies:
             free = body.free if vector.dtype == np.float64 else body.single
             flat[body.at] = free @ (free.T @ flat[body.at])
 
+    def carry(self, forces: Planes) -> None:
+        """Have what is held of each body carry all that the body needs, in place.
+
+        Within what is rigid nothing tells how it is shared out: as evenly as goes.
+        """
+        flat = forces.reshape(-1)
+        for body in self._bodies:
+            needed = body.motions.T @ flat[body.at]
+            flat[body.at] = 0
+            holds = body.motions[body.held].T
+            flat[body.at[body.held]] = np.linalg.lstsq(holds, needed, rcond=1e-9)[0]
+
 
 def bodies_of(m: npt.NDArray[np.float32]) -> list[BodySites]:
     """Find rigid bodies: indices of the sites of each, along each axis."""

@@ -1,7 +1,7 @@
 """What a solve begins with, and how good that is known to be.
 
-A system is linear: a sum of its solutions solves it for the same sum of observations, and is wrong
-by no more than the sum of what each is wrong by.
+A system is linear: a sum of its solutions solves it for the same sum of observations and loads, and
+is wrong by no more than the sum of what each is wrong by.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ class Beginning:
     unit : float
         The length of a pixel in their unit.
     missing : float
-        How far the sum is from what is observed, at most, in pixels.
+        How far the sum is from what is observed, at most, in pixels; or what pulls from the same
+        sum of loads, as a part of the largest motion.
     """
 
     displacements: tuple[FloatArray, ...]

@@ -23,6 +23,7 @@ from napari_hmrf.solver.bending_modes import check_bent
 from napari_hmrf.solver.optimizers import centred
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Report
 from napari_hmrf.solver.optimizers.cycle import BENDING, smoothing_of
+from napari_hmrf.solver.optimizers.loading import check_balanced, check_reach, given, work_of
 from napari_hmrf.solver.optimizers.refinement import Refinement
 from napari_hmrf.solver.optimizers.slip import Slip
 from napari_hmrf.solver.optimizers.slip_states import ActiveSet
@@ -93,6 +94,7 @@ class Multigrid:
                 self.tolerance, self.max_iterations, problem, prior, backend, report, start
             )
         limit = prior.limit(problem)
+        pulls, stored = given(problem, prior)
         d, observed = host.prescribed(problem, start if limit is None else None)
         if isinstance(prior, ElasticPrior):
             material = prior.material(problem)
@@ -107,23 +109,28 @@ class Multigrid:
                 model.hold(observed)
                 if model.bodies is not None:
                     model.bodies.settle(d)
-                refinement.run(d, None, self.tolerance, self._known(start, model))
+                refinement.run(d, pulls, self.tolerance, self._known(start, model))
                 compute_thread.look()
                 energy, forces = model.work(d)
-                refinement.settle(energy)
+                refinement.settle(energy + stored - work_of(pulls, d))
             else:
                 y, d = d, d.copy()
                 moves = model.steepness > 0
                 if start is not None:
                     np.copyto(d, host.combined(start), where=moves)
-                states = ActiveSet(observed & moves, y, host.planes(limit), d)
+                states = ActiveSet(observed & moves, y, host.planes(limit), d, pulls, stored)
+                check_balanced(problem, states.at, states.limit, pulls)
                 slip = Slip(problem, prior, model, states, refinement, report)
                 forces = slip.run(d, self.tolerance)
         except ConvergenceError:
             model.forget()
+            if pulls is not None:
+                check_reach(d, problem)
             raise
         finally:
             model.close()
+        if pulls is not None:
+            check_reach(d, problem)
         compute_thread.look()
         energies = np.array(refinement.energies) / max(1, np.count_nonzero(problem.tissue))
         displacement, rounding = host.gathered(d, self.tolerance)
@@ -131,7 +138,8 @@ class Multigrid:
             rounding *= 3  # so is what its model knows of tissue
         host.reuse(d, observed)
         if limit is None:
-            model.found.add(displacement, Quality(refinement.estimate, refinement.residual))
+            quality = Quality(refinement.estimate, refinement.residual)
+            model.found.add(displacement, quality)
         return Outcome(
             displacement=displacement,
             energy=energies,

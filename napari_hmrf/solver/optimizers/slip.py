@@ -81,7 +81,7 @@ class Slip:
             if not clear and factors_fit(self._model):
                 factorise(self._model, self._report)
                 self._refinement.run(d, self._states.load, exact)
-            pull = self._refinement.pull(d)
+            pull = self._pull(d)
             if self._states.contradicted(d, pull, self._steepness, _ABOVE * exact, _SHARE):
                 raise ConvergenceError("what is let go of would leave tissue free")
         except ConvergenceError:
@@ -94,6 +94,10 @@ class Slip:
             self._confirm(d, exact)
         return self._settle(d)
 
+    def _pull(self, d: Planes) -> Planes:
+        """What pulls at each component where the last run has left it, but for observations."""
+        return self._states.with_given(self._refinement.pull(d))
+
     def _free(self, held: HeldPlanes) -> Planes | None:
         """How tissue could move at no cost if only so much were held."""
         found = self._motion(self._problem, host.field(held))
@@ -102,6 +106,10 @@ class Slip:
     def _exchange(self, d: Planes, tolerance: float, near: float) -> None:
         """Solve in place for ever other states, until none is contradicted by more than `near`."""
         model, states, bound = self._model, self._states, self._model.bounds[1]
+
+        def pull(at: Planes) -> Planes:
+            return states.with_given(model.pull(at))
+
         before = None
         for _ in range(_MOST_EXCHANGES):
             states.place(d)
@@ -110,7 +118,7 @@ class Slip:
             arrived = True
             if before is not None:
                 way = d - before
-                far, pulls = float(np.abs(way).max()), model.pull(before).copy()
+                far, pulls = float(np.abs(way).max()), pull(before).copy()
                 # How a way within the tolerance goes on is left to chance.
                 arrived = states.step(d, before, way, pulls, model.pull(way)) or far <= near
             elif states.lost:
@@ -124,12 +132,12 @@ class Slip:
             energy, _ = model.work(d)
             self._refinement.settle(energy + states.cost(d))
             if states.lost:
-                if arrived and not states.contradicted(d, model.pull(d), self._steepness, near):
+                if arrived and not states.contradicted(d, pull(d), self._steepness, near):
                     return
-                if states.relax(d, model.pull, bound * self._steepness, self._free):
+                if states.relax(d, pull, bound * self._steepness, self._free):
                     before = d.copy()
                     continue
-            if not states.exchange(d, model.pull(d), self._steepness, near, self._free) and arrived:
+            if not states.exchange(d, pull(d), self._steepness, near, self._free) and arrived:
                 return
         raise ConvergenceError(f"which observations slip is open after {_MOST_EXCHANGES} attempts")
 
@@ -144,7 +152,7 @@ class Slip:
                 continue
             model.hold(states.held | play.pins)
             play.balance(model, refinement, d, states.load, exact)
-            pull = refinement.pull(d)
+            pull = states.with_given(refinement.pull(d))
             self._least(d, pull, play.free)
             sure = _PASSED * max(exact, refinement.estimate)
             if not states.correct(d, pull, sure, _SHARE, number >= _AT_ONCE):
@@ -160,7 +168,7 @@ class Slip:
     def _settle(self, d: Planes) -> float:
         """Of fields of the same energy take that of least motion, in place."""
         # Returns the norm of its forces.
-        states, pull = self._states, self._refinement.pull(d)
+        states, pull = self._states, self._pull(d)
         if not np.array_equal(states.certain(pull, _AT_LIMIT), states.held):
             known = self._refinement.estimate, self._refinement.residual
             self._least(d, pull, self._motions(states.certain(pull, _AT_LIMIT)))
@@ -171,7 +179,7 @@ class Slip:
     def _clear(self, d: Planes) -> HeldPlanes:
         """Which components are held whatever a closer look would say."""
         noise = _EXACT * max(1.0, float(np.abs(d).max())) * self._steepness
-        return self._states.certain(self._refinement.pull(d), _NEAR_LIMIT, noise)
+        return self._states.certain(self._pull(d), _NEAR_LIMIT, noise)
 
     def _motions(self, held: HeldPlanes) -> list[Float64Array]:
         """All ways in which tissue could move at no cost if only so much were held."""

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
+from napari_hmrf.solver.optimizers.loading import work_of
 
 #: Says how tissue could move at no cost if only so much were held: planes, or None.
 FreeMotion = Callable[[HeldPlanes], Planes | None]
@@ -98,11 +99,38 @@ class States:
 
 
 class ActiveSet(States):
-    """The states of observations of a model that has an energy: `limit` is p of each component."""
+    """The states of observations of a model that has an energy: `limit` is p of each component.
 
-    def __init__(self, observed: HeldPlanes, y: Planes, limit: Planes, d: Planes) -> None:
+    Parameters
+    ----------
+    given : ndarray, planes, optional
+        Forces that pull whatever is observed.
+    stored : float
+        The energy of tissue that does not move.
+    """
+
+    def __init__(
+        self,
+        observed: HeldPlanes,
+        y: Planes,
+        limit: Planes,
+        d: Planes,
+        given: Planes | None = None,
+        stored: float = 0.0,
+    ) -> None:
         super().__init__(observed, y, limit, d)
+        self.given, self._stored = given, stored
         self._barred = np.zeros(len(self.at), dtype=np.bool_)
+
+    @property
+    def load(self) -> Planes:
+        """The forces on those that slip, and all that are given."""
+        made = super().load
+        return made if self.given is None else made + self.given
+
+    def with_given(self, pull: Planes) -> Planes:
+        """What tissue pulls with, and what else does but observations."""
+        return pull if self.given is None else pull + self.given
 
     @property
     def lost(self) -> bool:
@@ -110,8 +138,9 @@ class ActiveSet(States):
         return self._patience == 0
 
     def cost(self, d: Planes) -> float:
-        """The energy of the observations: sum of p |y - d|."""
-        return float((self.limit * np.abs(self.y - d.ravel()[self.at])).sum())
+        """The energy of the observations, sum of p |y - d|, less the work of given forces."""
+        of_observations = float((self.limit * np.abs(self.y - d.ravel()[self.at])).sum())
+        return of_observations + self._stored - work_of(self.given, d)
 
     def exchange(
         self, d: Planes, pull: Planes, steepness: Planes, tolerance: float, free: FreeMotion
@@ -124,7 +153,7 @@ class ActiveSet(States):
             The displacement for the present states. Where tissue would be let go of altogether, it
             slides to where something holds it again, in place.
         pull : ndarray, planes
-            The force of the tissue on each component.
+            The force of the tissue on each component, with what is given.
         steepness : ndarray, planes
             The model's diagonal: a force over it is the motion it causes.
         tolerance : float
@@ -192,7 +221,7 @@ class ActiveSet(States):
         d : ndarray, planes
             The displacement.
         pull_at : callable
-            Gives the force of the tissue on each component for a displacement.
+            Gives the force of the tissue on each component for a displacement, with what is given.
         steepness : ndarray, planes
             The model's diagonal, times a bound of its spectrum over that.
         free : callable
@@ -275,7 +304,7 @@ class ActiveSet(States):
             The end of the way.
         before, way : ndarray, planes
         pull, change : ndarray, planes
-            The force of the tissue at `before`, and how it changes on the way.
+            The force of the tissue at `before`, with what is given, and how it changes on the way.
         """
         slope, bend = -float((pull * way).sum()), -float((change * way).sum())
         part = self._lowest(before, way, slope, bend)
@@ -299,7 +328,7 @@ class ActiveSet(States):
         Something holds it there again. Were there no such place, what was let go is held as before.
         """
         for way in (motion, -motion):
-            part = self._lowest(d, way, 0.0, 0.0)
+            part = self._lowest(d, way, -work_of(self.given, way), 0.0)
             if 0 < part < math.inf:
                 np.copyto(d, d + part * way)
                 self.follow(d)

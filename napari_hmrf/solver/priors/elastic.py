@@ -7,6 +7,9 @@ is bilinear. With the mean stiffness of its sites and Poisson's ratio it has the
 
 so that the most probable field is the finite-element solution, with the pixels as its mesh. In a
 volume elements are blocks of 2 x 2 x 2 sites (`priors.hexahedra`), and all six strains count.
+
+Where tissue grows, the strain that counts is what is left once that of growth (`priors.growth`) is
+taken from it; and forces do work, which is taken from the energy. Both are linear in displacement.
 """
 
 from __future__ import annotations
@@ -31,6 +34,7 @@ from napari_hmrf.solver.priors.elements import (
     of_elements,
     stiffest,
 )
+from napari_hmrf.solver.priors.growth import Load, growth_load, slabs
 from napari_hmrf.solver.priors.hexahedra import BrickShape, brick_shape
 from napari_hmrf.solver.problem import Problem, as_numbers
 from napari_hmrf.solver.rigid_modes import check_held
@@ -145,10 +149,14 @@ class ElasticPrior:
         """Whether tissue is free to bulge in no direction."""
         return self.plane == "strain" or problem.stiffness.ndim == 3
 
-    def lame(self, problem: Problem) -> Lame:
-        """Lame's parameters of each element, from the means of its sites; 0 if void or rigid."""
-        m = problem.stiffness / np.float64(stiffest(problem.stiffness))
-        first, shear = lame_parameters(m, self.poisson, self._strain(problem))
+    def lame(self, problem: Problem, sites: slice = slice(None)) -> Lame:
+        """Lame's parameters of each element, from the means of its sites; 0 if void or rigid.
+
+        Of all elements, or of those between the sites in a range of the first axis.
+        """
+        m = problem.stiffness[sites] / np.float64(stiffest(problem.stiffness))
+        nu = self.poisson if isinstance(self.poisson, float) else self.poisson[sites]
+        first, shear = lame_parameters(m, nu, self._strain(problem))
         if not problem.rigid.any():
             return Lame(first, shear)
         # Rigid tissue does not stretch: it has no energy.
@@ -165,9 +173,38 @@ class ElasticPrior:
             col / row / 4, row / col / 4, 0.25, col / row / 12, row / col / 12, volume
         )
 
+    def force_unit(self, problem: Problem) -> float:
+        """What a force of 1 is, in the unit of `Loads`: it strains a pixel of the stiffest by 1."""
+        return stiffest(problem.stiffness) * problem.unit ** (len(problem.shape) - 1)
+
+    def load(self, problem: Problem) -> Load | None:
+        """What the loads of a problem add to its energy; None if it has none."""
+        loads, grid = problem.loads, problem.shape
+        if loads is None or (loads.growth is None and loads.force is None):
+            return None
+        made = Load(np.zeros((*grid, len(grid))), 0.0)
+        if loads.growth is not None:
+            sides, across = self.shape(problem.spacing).sides, self.plane == "strain"
+
+            def lame_of(sites: slice) -> Lame:
+                return self.lame(problem, sites)
+
+            made = growth_load(loads.growth, grid, sides, lame_of, across and len(grid) == 2)
+        if loads.force is not None:
+            np.add(made.forces, loads.force / self.force_unit(problem), out=made.forces)
+        return made
+
     def energy(self, problem: Problem, displacement: npt.ArrayLike) -> float:
-        """U, in pixels squared, of a displacement (H, W, 2) in the unit of ``problem.spacing``."""
+        """U, in pixels squared, of a displacement (H, W, 2) in the unit of ``problem.spacing``.
+
+        What tissue stores, less the work of forces.
+        """
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
+        stored, load = self._stored(problem, d), self.load(problem)
+        return stored if load is None else stored + load.energy - float((load.forces * d).sum())
+
+    def _stored(self, problem: Problem, d: Float64Array) -> float:
+        """The energy of a displacement in pixels, without any load."""
         (first, shear), k = self.lame(problem), self.shape(problem.spacing)
         if isinstance(k, BrickShape):
             return k.energy(Lame(first, shear), d)
@@ -182,9 +219,15 @@ class ElasticPrior:
         return float((volume + strain + slide + twist).sum() / 2)
 
     def forces(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
-        """The derivative of the energy by each site's displacement (H, W, 2), in pixels."""
+        """The derivative of the energy by each site's displacement (H, W, 2), in pixels.
+
+        What tissue resists with, less what loads pull with.
+        """
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
-        return self.shape(problem.spacing).forces(self.lame(problem), d)
+        shape, load, forces = self.shape(problem.spacing), self.load(problem), np.zeros(d.shape)
+        for sites in slabs(problem.shape):
+            forces[sites] += shape.forces(self.lame(problem, sites), d[sites])
+        return forces if load is None else forces - load.forces
 
 
 def _checked_poisson(value: Any) -> float | npt.NDArray[np.float32]:

@@ -131,8 +131,14 @@ class SeilerPrior:
         Raises
         ------
         ProblemError
-            If there is rigid tissue, or a volume is to be read as blanket.
+            If there is rigid tissue, or a volume is to be read as blanket, or there are loads.
         """
+        if problem.loads is not None:
+            raise ProblemError(
+                "loads",
+                "are there, but the paper's prior knows ratios of stiffness only, and no forces. "
+                "Take ElasticPrior, or leave them out.",
+            )
         if problem.is_volume and self.conditional == "blanket":
             raise ProblemError(
                 "stiffness",

@@ -1,0 +1,332 @@
+"""Loads: against CalculiX with growth, weight and pressure of its own, and closed forms."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf import (
+    ElasticPrior,
+    Loads,
+    Multigrid,
+    Problem,
+    growth,
+    pressure,
+    reactions,
+    solve,
+    traction,
+    weight,
+)
+from report import calculix
+from report.page import Section, Settings, Target
+
+Float64Array = npt.NDArray[np.float64]
+POISSON = 0.3
+#: What is compared with CalculiX: axes, plane and Poisson's ratio.
+CALCULIX = (
+    ("plane stress, CPE4 with textbook constants", 2, "stress", POISSON),
+    ("plane strain, nu 0, CPE4", 2, "strain", 0.0),
+    ("plane strain, CPE4", 2, "strain", POISSON),
+    ("volume, nu 0, C3D8", 3, "strain", 0.0),
+    ("volume, C3D8", 3, "strain", POISSON),
+)
+# Corners of an element in CalculiX's order, and its faces as corners, by their number.
+_CORNERS = {
+    2: ((0, 0), (1, 0), (1, 1), (0, 1)),
+    3: tuple((*face, k) for k in (0, 1) for face in ((0, 0), (1, 0), (1, 1), (0, 1))),
+}
+_FACES = {
+    2: ((0, 1), (1, 2), (2, 3), (3, 0)),
+    3: ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 4, 5), (1, 2, 5, 6), (2, 3, 6, 7), (3, 0, 7, 4)),
+}
+
+
+class Case(NamedTuple):
+    """Tissue that is held at its first sites, with what grows, pulls and presses."""
+
+    stiffness: Float64Array
+    strain: Float64Array
+    pull: tuple[float, ...]
+    surface: npt.NDArray[np.bool_]
+    amount: float
+    spacing: tuple[float, ...]
+
+    @property
+    def problem(self) -> Problem:
+        """The same for us."""
+        m, c = self.stiffness, np.zeros((*self.stiffness.shape, self.stiffness.ndim))
+        c[0] = 1
+        loads = growth(self.strain) + weight(m, self.pull, spacing=self.spacing)
+        loads += pressure(m, self.surface, self.amount, spacing=self.spacing)
+        return Problem(0 * c, c, m, spacing=self.spacing, loads=loads)
+
+
+def tissue(size: int, axes: int) -> Case:
+    """Blocks of random stiffness around a hole under pressure; a disc or ball grows."""
+    rng, shape = np.random.default_rng(5), (size,) * axes
+    blocks = math.ceil(size / 8)
+    m = np.kron(10 ** rng.random((blocks,) * axes), np.ones((8,) * axes))
+    m = m[tuple(slice(size) for _ in shape)].copy()
+    places = np.stack(np.indices(shape), axis=-1)
+    hole = (np.abs(places - 0.6 * size) < size / 8).all(axis=-1)
+    ball = np.linalg.norm(places - 0.3 * size, axis=-1) < size / 6
+    m[hole] = 0
+    spacing = (1.0, 1.3, 0.8)[:axes]
+    pull = tuple(0.4 / size**2 * each for each in (1.0, -1.5, 0.5)[:axes])
+    return Case(m, 0.15 * ball, pull, np.ones(shape, bool), 0.1, spacing)
+
+
+def section(settings: Settings) -> Section:
+    """CalculiX, a bar, an annulus, a disc, and the balance of forces."""
+    page = Section("Loads")
+    _calculix(page, settings)
+    _closed_forms(page, settings)
+    return page
+
+
+def _calculix(page: Section, settings: Settings) -> None:
+    if not calculix.is_there():
+        page.missing("CalculiX", calculix.HOW)
+        return
+    rows = []
+    sizes = settings.choose(96, 24), settings.choose(24, 10)
+    for name, axes, plane, nu in CALCULIX:
+        size = sizes[axes - 2]
+        off, most, unbalanced = to_calculix(tissue(size, axes), plane, nu)
+        rows.append([name, f"{size}", f"{most:.2f} px", f"{off:.1e} px", f"{unbalanced:.1e}"])
+        if (plane, nu) != ("strain", POISSON):  # those have other elements
+            claim = f"loads to CalculiX, {name}: largest difference in px"
+            page.targets.append(Target(claim, off, 0.01))
+    page.say(
+        """**Asked.** Is tissue that grows, is heavy and is pressed where CalculiX has it? Blocks of
+        random stiffness, up to ten times as stiff, in oblong pixels, held along one edge: a disc (a
+        ball) grows by 15 %, all is heavy, and all of the surface, that of a square hole included,
+        is pressed. CalculiX takes growth as thermal expansion, weight as gravity, and pressure on
+        the faces of its elements: none of its loads are ours. The last column is what forces and
+        reactions miss of balance, over the forces."""
+    )
+    page.table(["case", "pixels along a side", "moves by", "largest difference", "balance"], rows)
+    page.say(
+        f"""**Reading.** In plane stress the elements are the same, and so is the field; so it is
+        without Poisson's ratio. With {POISSON} in plane strain and in volumes ours take changes of
+        volume at the middle of the element, which keeps nearly incompressible tissue from locking,
+        and CalculiX's do not: that is a choice of element, which matters at the corners where
+        stiffness jumps, and not how loads are taken."""
+    )
+
+
+def to_calculix(case: Case, plane: str, nu: float) -> tuple[float, float, float]:
+    """The largest difference and motion, in pixels, and what forces miss of balance."""
+    prior = ElasticPrior(nu, plane="stress" if plane == "stress" else "strain")
+    problem, axes = case.problem, case.stiffness.ndim
+    found = solve(problem, prior, optimizer=Multigrid(1e-5), backend="cpu")
+    theirs = by_calculix(case, nu, plane == "stress")
+    off = float(np.abs(found.displacement - theirs)[problem.tissue].max())
+    holds = reactions(problem, found, prior).reshape(-1, axes).sum(axis=0)
+    loads = problem.loads
+    given = np.zeros(axes)
+    if loads is not None and loads.force is not None:
+        given = loads.force.reshape(-1, axes).sum(axis=0, dtype=np.float64)
+    unbalanced = float(np.abs(holds + given).max() / np.abs(given).max())
+    return off / problem.unit, float(np.abs(theirs).max()) / problem.unit, unbalanced
+
+
+def by_calculix(case: Case, poisson: float, stress: bool) -> Float64Array:
+    """The field by CalculiX, in the unit of the spacing."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "job.inp").write_text(deck(case, poisson, stress), encoding="ascii")
+        threads = {"OMP_NUM_THREADS": str(os.cpu_count() or 1)}
+        done = subprocess.run(
+            ["ccx", "job"],
+            cwd=folder,
+            env={**os.environ, **threads},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode or "*ERROR" in done.stdout:
+            raise RuntimeError(f"CalculiX failed:\n{done.stdout[-800:]}")
+        numbers, values = calculix.read_displacements(Path(folder) / "job.dat")
+    axes = case.stiffness.ndim
+    field = np.zeros((*case.stiffness.shape, axes))
+    field.reshape(-1, axes)[numbers - 1] = values[:, :axes]
+    return field
+
+
+def deck(case: Case, poisson: float, stress: bool) -> str:
+    """The input file; plane stress is plane strain with other constants."""
+    axes, shape = case.stiffness.ndim, case.stiffness.shape
+    number = 1 + np.arange(case.stiffness.size).reshape(shape)
+    young, nu, expansion = 1.0, poisson, 1.0
+    if stress:
+        young = (1 + 2 * nu) / (1 + nu) ** 2
+        expansion, nu = (1 + nu) / (1 + 2 * nu), nu / (1 + nu)
+    elements: dict[tuple[int, ...], float] = {}
+    for first in np.ndindex(*(size - 1 for size in shape)):
+        corners = case.stiffness[tuple(slice(at, at + 2) for at in first)]
+        if corners.min() > 0:
+            elements[first] = float(corners.mean())
+    named = {first: 1 + n for n, first in enumerate(elements)}
+
+    def around(first: tuple[int, ...]) -> list[int]:
+        return [int(number[tuple(np.add(first, corner))]) for corner in _CORNERS[axes]]
+
+    nodes = sorted({node for first in elements for node in around(first)})
+    lines = ["*NODE, NSET=ALL"]
+    for node in nodes:
+        at = np.array(np.unravel_index(node - 1, shape)) * case.spacing
+        lines.append(f"{node}, {', '.join(f'{x:.12g}' for x in (*at, 0.0)[:3])}")
+    kind = "CPE4" if axes == 2 else "C3D8"
+    for first, modulus in elements.items():
+        n = named[first]
+        lines += [
+            f"*ELEMENT, TYPE={kind}, ELSET=E{n}",
+            f"{n}, {', '.join(map(str, around(first)))}",
+        ]
+        lines += [f"*MATERIAL, NAME=M{n}", "*ELASTIC", f"{young * modulus:.12g}, {nu:.12g}"]
+        lines += ["*EXPANSION, ZERO=0", f"{expansion:.12g}", "*DENSITY", "1."]
+        lines += [f"*SOLID SECTION, ELSET=E{n}, MATERIAL=M{n}", *(["1."] if axes == 2 else [])]
+    lines += ["*ELSET, ELSET=EVERY", *map(str, named.values())]
+    lines += ["*INITIAL CONDITIONS, TYPE=TEMPERATURE", "ALL, 0.", "*STEP", "*STATIC", "*BOUNDARY"]
+    lines += [f"{node}, 1, {axes}" for node in nodes if node in number[0]]
+    lines += ["*TEMPERATURE"]
+    lines += [f"{node}, {case.strain.flat[node - 1]:.12g}" for node in nodes]
+    size = math.hypot(*case.pull)
+    way = ", ".join(f"{each / size:.15g}" for each in (*case.pull, 0.0)[:3])
+    lines += ["*DLOAD", f"EVERY, GRAV, {size:.15g}, {way}"]
+    for first, (face, corners) in itertools.product(elements, enumerate(_FACES[axes], start=1)):
+        places = np.array([_CORNERS[axes][corner] for corner in corners])
+        (axis,) = np.flatnonzero(np.ptp(places, axis=0) == 0)
+        step = 2 * int(places[0, axis]) - 1
+        beyond = tuple(at + step * (along == axis) for along, at in enumerate(first))
+        painted = all(case.surface[tuple(place)] for place in places + first)
+        if beyond not in elements and painted:
+            lines.append(f"{named[first]}, P{face}, {case.amount:.12g}")
+    lines += ["*NODE PRINT, NSET=ALL", "U", "*END STEP", ""]
+    return "\n".join(lines)
+
+
+def _closed_forms(page: Section, settings: Settings) -> None:
+    sizes = settings.choose((16, 32, 64, 128), (16, 32))
+    rows, orders = [], []
+    for plane in ("stress", "strain"):
+        errors = [annulus(size, plane) for size in sizes]
+        order = math.log(errors[0] / errors[-1]) / math.log(sizes[-1] / sizes[0])
+        orders.append(order)
+        rows.append([f"annulus, plane {plane}", *(f"{e:.1e}" for e in errors), f"{order:.2f}"])
+    discs = []
+    for plane in ("stress", "strain"):
+        errors = [disc(size, plane) for size in sizes]
+        order = math.log(errors[0] / errors[-1]) / math.log(sizes[-1] / sizes[0])
+        discs.append(order)
+        rows.append([f"disc, plane {plane}", *(f"{e:.1e}" for e in errors), f"{order:.2f}"])
+    rings = [round_ring(size) for size in sizes]
+    order = math.log(rings[0] / rings[-1]) / math.log(sizes[-1] / sizes[0])
+    rows.append(["annulus of round edges", *(f"{e:.1e}" for e in rings), f"{order:.2f}"])
+    page.say(
+        """**Asked.** How fast does the error fall with the pixel? *Annulus*: Lame's field of a ring
+        under inner pressure, cut out along pixels, which bears the ring's stress on its edges.
+        *Disc*: Eshelby's field of a disc that grows in a matrix of its own kind, each pixel by the
+        part of it that lies in the disc; a tenth of the image around its edge is left out. *Of
+        round edges*: the ring itself, whose edges are staircases, under pressure, without the tenth
+        beside them. Errors are over the field's rms."""
+    )
+    page.table(["case", *(f"{size} px" for size in sizes), "observed order"], rows)
+    page.say(
+        """**Reading.** Second order, as bilinear elements should be; but where a round surface is a
+        staircase of pixels, first order, whatever pulls at it: that is the picture's error, and not
+        the solver's."""
+    )
+    page.targets.append(Target("annulus under pressure: order", min(orders), 1.9, at_least=True))
+    page.targets.append(Target("disc that grows: order", min(discs), 1.7, at_least=True))
+
+
+def lame(at: Float64Array, plane: str, inner: float, outer: float) -> tuple[Float64Array, ...]:
+    """Displacement and stress of a ring of modulus 1 under an inner pressure of 0.1."""
+    square = np.maximum((at**2).sum(axis=-1), inner**2 / 4)
+    even = 0.1 * inner**2 / (outer**2 - inner**2)
+    uneven = even * outer**2 / square
+    bulk = 1 - POISSON if plane == "stress" else (1 + POISSON) * (1 - 2 * POISSON)
+    out = at / np.sqrt(square)[..., None]
+    turned = np.eye(2) - 2 * out[..., :, None] * out[..., None, :]
+    stress = even * np.eye(2) + uneven[..., None, None] * turned
+    return at * (bulk * even + (1 + POISSON) * uneven)[..., None], stress
+
+
+def annulus(size: int, plane: str) -> float:
+    """Error of a square part of the ring, with a square hole."""
+    step = 1.4 / size
+    at = (np.moveaxis(np.indices((size + 1,) * 2), 0, -1) - size / 2) * step
+    exact, stress = lame(at, plane, 0.3, 1.0)
+    m = np.where((np.abs(at) < 0.35 - step / 2).all(axis=-1), 0.0, 1.0)
+    loads, low, high = Loads(), size // 4, 3 * size // 4
+    for axis, (edge, outward) in itertools.product(
+        (0, 1), ((0, -1), (size, 1), (low, 1), (high, -1))
+    ):
+        face = np.zeros(m.shape, bool)
+        along = slice(None) if edge in (0, size) else slice(low, high + 1)
+        np.moveaxis(face, axis, 0)[edge, along] = True
+        loads += traction(m, face, outward * stress[..., axis], spacing=(step, step))
+    return _error(exact, m, loads, plane, step, m > 0)
+
+
+def round_ring(size: int) -> float:
+    """Error of a ring of those elements whose middle is in it."""
+    step, inner, outer = 2 / size, 0.35, 0.9
+    at = (np.moveaxis(np.indices((size + 1,) * 2), 0, -1) - size / 2) * step
+    middle = np.hypot(*((np.indices((size, size)) - (size - 1) / 2) * step))
+    elements = np.pad((middle > inner) & (middle < outer), 1)
+    m = np.zeros(at.shape[:2])
+    for i, j in itertools.product((0, 1), repeat=2):
+        m[elements[i : i + size + 1, j : j + size + 1]] = 1
+    exact, _ = lame(at, "stress", inner, outer)
+    r = np.linalg.norm(at, axis=-1)
+    loads = pressure(m, r < (inner + outer) / 2, 0.1, spacing=(step, step))
+    inside = (m > 0) & (r > inner + 0.1) & (r < outer - 0.1)
+    return _error(exact, m, loads, "stress", step, inside)
+
+
+def _error(
+    exact: Float64Array,
+    m: Float64Array,
+    loads: Loads,
+    plane: str,
+    step: float,
+    inside: npt.NDArray[np.bool_],
+) -> float:
+    c, middle = np.zeros_like(exact), len(m) // 2
+    c[middle, :, 0] = c[:, middle, 1] = 1
+    problem = Problem(0 * c, c, m, spacing=(step, step), loads=loads)
+    return _apart(problem, exact, plane, inside)
+
+
+def disc(size: int, plane: str, radius: float = 0.4, strain: float = 0.1) -> float:
+    """Error of a disc that grows, whose surroundings are held where they belong."""
+    step, parts = 2 / size, 8
+    at = (np.moveaxis(np.indices((size + 1,) * 2), 0, -1) - size / 2) * step
+    fine = (np.arange((size + 1) * parts) + 0.5) / parts - 0.5 - size / 2
+    share = np.add.outer((fine * step) ** 2, (fine * step) ** 2) < radius**2
+    share = share.reshape(size + 1, parts, size + 1, parts).mean(axis=(1, 3))
+    r = np.linalg.norm(at, axis=-1)
+    rate = (1 + POISSON) / 2 / (1 if plane == "stress" else 1 - POISSON)
+    exact = at * (rate * strain * (radius / np.maximum(r, radius)) ** 2)[..., None]
+    c = np.repeat((r > 0.9)[..., None], 2, axis=-1)
+    loads = growth(strain * share)
+    problem = Problem(exact, c, np.ones(r.shape), spacing=(step, step), loads=loads)
+    return _apart(problem, exact, plane, (r < 0.9) & (np.abs(r - radius) > 0.1))
+
+
+def _apart(
+    problem: Problem, exact: Float64Array, plane: str, inside: npt.NDArray[np.bool_]
+) -> float:
+    prior = ElasticPrior(POISSON, plane="stress" if plane == "stress" else "strain")
+    found = solve(problem, prior, optimizer=Multigrid(1e-6), backend="cpu").displacement
+    return float(np.linalg.norm((found - exact)[inside]) / np.linalg.norm(exact[inside]))

@@ -1,0 +1,149 @@
+"""What loads do: their work, and whether what holds tissue can bear them."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.backends.linear import Planes
+from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.problem import MAX_REACH, Problem
+from napari_hmrf.solver.rigid_modes import free_motions
+
+# Forces that are this part of all of them, or less, are rounding.
+_NOTHING = 1e-9
+# How much more observations may be asked for than they bear: programs of linear inequalities are
+# solved to no less.
+_AT_LIMIT = 1e-6
+
+
+class Given(NamedTuple):
+    """What loads pull with, and the energy of tissue that grows and does not move."""
+
+    pulls: Planes | None
+    energy: float
+
+
+class _Known(NamedTuple):
+    problem: Problem
+    prior: ElasticPrior
+    given: Given
+
+    def serves(self, problem: Problem, prior: ElasticPrior) -> bool:
+        """Whether tissue and loads are the same again, whatever is observed."""
+        mine, loads = self.problem, problem.loads
+        return (
+            prior == self.prior
+            and mine.spacing == problem.spacing
+            and (mine.loads is loads or (loads is not None and loads.same_as(mine.loads)))
+            and np.array_equal(mine.stiffness, problem.stiffness)
+        )
+
+
+# The last of an image: as tissue is dragged, they stay the same.
+_last: list[_Known] = []
+
+
+def given(problem: Problem, prior: Prior) -> Given:
+    """What the loads of a problem are for multigrid; not to be written to."""
+    if not isinstance(prior, ElasticPrior) or problem.loads is None:
+        return Given(None, 0.0)
+    if _last and _last[0].serves(problem, prior):
+        return _last[0].given
+    load = prior.load(problem)
+    if load is None:
+        return Given(None, 0.0)
+    made = Given(host.planes(load.forces), load.energy)
+    _last[:] = [] if problem.is_volume else [_Known(problem, prior, made)]
+    return made
+
+
+def work_of(load: Planes | None, d: Planes) -> float:
+    """The work that forces do on a displacement."""
+    # `einsum`, as the threads that a larger product wakes in BLAS would go on to wait for more, on
+    # the cores that the solve needs.
+    return 0.0 if load is None else float(np.einsum("i,i->", load.ravel(), d.ravel()))
+
+
+def check_reach(d: Planes, problem: Problem) -> None:
+    """Refuse loads that move tissue far beyond the image, mostly of a wrong unit.
+
+    Raises
+    ------
+    ProblemError
+    """
+    sides = np.array(problem.spacing) / problem.unit
+    diagonal = float(np.linalg.norm(sides * problem.shape))
+    farthest = max(float(d.max()), -float(d.min()))
+    if farthest <= MAX_REACH * diagonal:
+        return
+    raise ProblemError(
+        "loads",
+        f"move tissue by {farthest / diagonal:.2g} times the diagonal of the image. Give forces "
+        "and stiffness in units that go together, such as kPa, and kPa times the unit of length "
+        "of the spacing; or hold more of the tissue.",
+    )
+
+
+def check_balanced(
+    problem: Problem, at: npt.NDArray[np.intp], limit: npt.NDArray[np.float64], load: Planes | None
+) -> None:
+    """Refuse loads that are more than observations that may slip can hold.
+
+    Parameters
+    ----------
+    problem : Problem
+    at : ndarray of int
+        Which components of flat planes are observed.
+    limit : ndarray
+        The greatest force of each.
+    load : ndarray, planes
+
+    Raises
+    ------
+    ProblemError
+    """
+    if load is None or problem.loads is None or problem.loads.force is None:
+        return  # growth pulls as much one way as the other
+    total = np.abs(load).sum()
+    for ways in free_motions(problem, np.zeros((*problem.shape, len(problem.shape)), bool)):
+        motions = [host.planes(way) for way in ways]
+        asked = np.array([work_of(load, motion) for motion in motions])
+        if np.abs(asked).max() <= _NOTHING * total:
+            continue
+        stops = np.stack([motion.ravel()[at] for motion in motions])
+        here = stops.any(axis=0)
+        if not _can_hold(stops[:, here] * limit[here], asked):
+            raise ProblemError(
+                "loads",
+                "pull more than what is observed can hold: its penalty times its confidence is "
+                "the greatest force of each site, and tissue would slip for ever. Raise the "
+                "penalty, hold more of the tissue, or lower the loads.",
+            )
+
+
+def _can_hold(stops: npt.NDArray[np.float64], asked: npt.NDArray[np.float64]) -> bool:
+    """Whether some parts of all limits, from -1 to 1, balance what is asked."""
+    size = np.abs(stops).sum(axis=1)
+    if (np.abs(asked) > size).any():
+        return False
+    # Mostly parts that are as small as can be, in their squares, are small enough.
+    square = np.einsum("an,bn->ab", stops, stops)
+    shares = np.linalg.lstsq(square, asked)[0]
+    apart = np.abs(square @ shares - asked).max()
+    if apart <= _NOTHING * np.abs(asked).max() and np.abs(shares @ stops).max() <= 1:
+        return True
+    # The greatest multiple of what is asked that can be had.
+    matrix = np.column_stack([stops / size[:, None], -asked / size])
+    cost = np.zeros(matrix.shape[1])
+    cost[-1] = -1.0
+    limits = [*[(-1.0, 1.0)] * stops.shape[1], (0.0, 2.0)]
+    found = scipy.optimize.linprog(cost, A_eq=matrix, b_eq=np.zeros(len(asked)), bounds=limits)
+    most = float(found.x[-1]) if found.success else math.nan
+    return most >= 1 - _AT_LIMIT

@@ -1,0 +1,63 @@
+"""The forces that hold tissue, and that it takes to pull it."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ArgumentError
+from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.backends.bodies import Bodies, bodies_of
+from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.solution import Solution
+
+
+def reactions(
+    problem: Problem, solution: Solution, prior: Prior | None = None
+) -> npt.NDArray[np.float64]:
+    """The force with which each site that is held or pulled acts on the tissue.
+
+    Altogether they balance the forces of the problem's loads; their sum over a mark is what it
+    takes to hold or to pull there: ``reactions(problem, solution)[mark].sum(axis=0)``. They are as
+    exact as the field: for forces, solve to a smaller tolerance than for motion.
+
+    Parameters
+    ----------
+    problem : Problem
+    solution : Solution
+        Of this problem.
+    prior : ElasticPrior, optional
+        By which it was solved; by default elastic tissue, as of `solve`.
+
+    Returns
+    -------
+    ndarray, shape (H, W, 2) or (D, H, W, 3)
+        Components in the order of the axes; 0 where nothing is observed. In the unit of stiffness
+        times length, a force per thickness, or of a volume in that of stiffness times length
+        squared, a force. What holds a rigid body shares out evenly what the body needs.
+
+    Raises
+    ------
+    ArgumentError
+        If the solution is of another problem or prior, or the prior is not elastic.
+    """
+    prior = ElasticPrior() if prior is None else prior
+    if not isinstance(prior, ElasticPrior):
+        raise ArgumentError("reactions are known of ElasticPrior only: the paper's has no forces")
+    given = dict(prior.parameters)
+    if problem.is_volume:
+        given.pop("plane", None)
+    used = solution.provenance.parameters.get("prior", given)
+    if used != given:
+        raise ArgumentError(f"the solution was made by {used}. Give that prior, not {given}")
+    inputs = solution.provenance.inputs
+    if inputs is not problem.digests and dict(inputs) != dict(problem.digests):
+        raise ArgumentError("the solution is of another problem. Give the one that was solved")
+    forces = prior.forces(problem, solution.displacement)
+    if problem.rigid.any():
+        planes, known = host.planes(forces), host.planes(problem.known).astype(np.bool_)
+        bodies = Bodies(bodies_of(problem.stiffness), prior.material(problem), known)
+        bodies.carry(planes)
+        forces = host.field(planes)
+    return np.where(problem.known, forces * prior.force_unit(problem), 0.0)

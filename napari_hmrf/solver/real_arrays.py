@@ -1,0 +1,58 @@
+"""Arrays of real numbers that somebody gave, taken as they are or refused by name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.arguments import shown
+from napari_hmrf.errors import ProblemError
+
+FloatArray = npt.NDArray[np.float32]
+
+_LARGEST = float(np.finfo(np.float32).max)
+
+
+def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
+    """Take an array of real numbers as it is, or raise `ProblemError` naming it."""
+    try:
+        array = np.asarray(value)
+    except ValueError as error:  # rows of different length
+        raise ProblemError(field, f"is not an array of numbers ({error}).") from None
+    if array.dtype.kind not in "biuf" and not array.ndim:
+        kind = type(value).__name__
+        raise ProblemError(field, f"is {shown(value)}, of type {kind}. Give real numbers.")
+    if array.dtype.kind not in "biuf":
+        raise ProblemError(
+            field, f"has values of type {array.dtype}. Give real numbers (integer or float)."
+        )
+    return array
+
+
+def as_float32(field: str, value: npt.ArrayLike) -> FloatArray:
+    """Copy `value` to a C-contiguous native float32 array, or say why that would lose something."""
+    if isinstance(value, np.ma.MaskedArray):
+        raise ProblemError(field, "is a masked array, whose mask would be lost. Fill it first.")
+    array = as_numbers(field, value)
+    if array.dtype.kind == "f" and array.dtype.itemsize > 4 and array.size:
+        with np.errstate(invalid="ignore"):
+            largest = float(np.max(np.abs(array), initial=0, where=np.isfinite(array)))
+        if largest > _LARGEST:
+            raise ProblemError(
+                field,
+                f"reaches {largest:.3g}, beyond single precision ({_LARGEST:.3g}). Rescale it.",
+            )
+    return np.array(array, dtype=np.float32, order="C", copy=True)
+
+
+def how_many(bad: npt.NDArray[np.bool_]) -> str:
+    """Say at how many pixels there are such values."""
+    count = int(bad.sum())
+    return f"values at {count} pixel{'s' if count > 1 else ''}"
+
+
+def first_index(bad: npt.NDArray[np.bool_]) -> tuple[int, ...]:
+    """The index of the first of them."""
+    return tuple(int(i) for i in np.unravel_index(int(np.argmax(bad)), bad.shape))
