@@ -53,7 +53,7 @@ from napari_hmrf.samples.phantoms import (
 )
 from napari_hmrf.solver.live_solver import LiveSolver
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid
-from napari_hmrf.solver.priors import ElasticPrior, SeilerPrior
+from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Provenance, Solution, is_solution_file
 from napari_hmrf.solver.solve import solve
@@ -98,6 +98,7 @@ __all__ = [
     "Monitor",
     "Motion",
     "Multigrid",
+    "NeoHookeanPrior",
     "Phantom",
     "Picture",
     "Pictures",

@@ -24,6 +24,7 @@ LOOPS = {
     "blanket-schedule": 3,
     "blanket-converged": 19,
     "exact-steps": 3,
+    "large-motion": 21,
     "volume": 20,
     "volume-schedule": 2,
     "volume-converged": 15,
