@@ -14,7 +14,7 @@ from napari_hmrf.solver.backends.found import Beginning
 from napari_hmrf.solver.backends.planes import Planes
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Reach, Report
 from napari_hmrf.solver.optimizers.cycle import smoothing_of
-from napari_hmrf.solver.optimizers.newton import Newton
+from napari_hmrf.solver.optimizers.newton import Newton, norm
 from napari_hmrf.solver.priors import NeoHookeanPrior
 from napari_hmrf.solver.problem import Problem
 
@@ -52,7 +52,7 @@ def converge(
         _, least = model.energy(d)
     missing = np.where(held, observed - d, 0.0)
     reach = _reach(host.field(missing), host.field(observed), problem, tolerance, least)
-    forces = float(np.linalg.norm(model.forces(d)))
+    forces = norm(model.forces(d))
     host.reuse(observed, held)
     return Outcome(
         displacement=displacement,

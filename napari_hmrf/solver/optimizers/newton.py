@@ -25,14 +25,14 @@ from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
 
 # What every corner keeps of its Jacobian in a step; of a pull that this cuts short, the part that
 # is gone; and the Jacobian below which nothing is pulled any further.
-_KEPT, _SHARE, _FLOOR = 0.25, 0.7, 0.01
+_KEPT, _SHARE, _FLOOR = 0.25, 0.85, 0.01
 # What is left of a linear system's error, as a part of it and of the tolerance, and the cycles
 # after which it is factorised.
 _INNER, _OF_TOLERANCE, _CYCLES = 0.03, 0.3, 40
 # Of the fall of energy that a step promises; what is rounding; and how often a step is halved.
 _ARMIJO, _ROUNDING, _HALVINGS = 1e-4, 1e-12, 12
 # Tissue is relaxed when it is this close to balance, in pixels, or after so many steps.
-_RELAXED, _RELAXATIONS = 0.1, 6
+_RELAXED, _RELAXATIONS = 0.3, 6
 # A pull is stuck that goes less than this part of its way, so often in a row; then what stands in
 # its way is what would stop this much more.
 _STUCK, _PATIENCE, _IN_THE_WAY = 0.05, 2, 0.3
@@ -109,7 +109,7 @@ class Newton:
                 taken = self._descend(d, step.way)
                 relaxations = max(relaxations - 1, 0)
             rest = np.where(self._model.moves, self._model.forces(d), 0.0)
-            self.residual = float(np.linalg.norm(rest))
+            self.residual = norm(rest)
             self.estimate = step.reach * self.residual
             self.energies.append(self._model.energy(d)[0])
             if taken == 1.0 and min(self.estimate, step.far) <= _RELAXED and not pulls:
@@ -186,7 +186,7 @@ class Newton:
         if not np.isfinite(way).all() or float((way * load).sum()) < 0:
             return None
         self.by_factors = True
-        far, most = float(np.abs(way).max()), float(np.linalg.norm(load))
+        far, most = float(np.abs(way).max()), norm(load)
         return _Linear(way, far / most if most > 0 else 0.0, far)
 
     def _descend(self, d: Planes, way: Planes) -> float:
@@ -221,3 +221,8 @@ class Newton:
         done = part_done(max(self._first, 1e-3), max(left, 1e-3), 1e-3) if self._first else 1.0
         what = f"{left:.2g} px to pull" if left else "relaxing"
         self._report(Monitor(f"step {number + 1}, {what}", done))
+
+
+def norm(values: Planes) -> float:
+    """The norm; without the threads of a larger product, which would go on to wait for more."""
+    return math.sqrt(float(np.square(values).sum()))

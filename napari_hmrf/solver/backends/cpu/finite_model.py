@@ -6,6 +6,7 @@ same model again, of tangents averaged. The levels' memory stays.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -25,7 +26,7 @@ from napari_hmrf.solver.priors.finite_strain import BARRIER, BARRIER_BEGIN, modu
 # A level of fewer sites is visited by one thread, with all below, but for the first two.
 _SMALL, _LARGE = 8000, 2
 # By how much the spectrum of strained tissue may exceed that of tissue at rest.
-_STRAINED = 1.15
+_STRAINED = 1.3
 _CYCLED, _ALL = 14, 21
 # How much of its spread counts, where an element shares its sites with others.
 _CALM = 0.75
@@ -224,7 +225,8 @@ class CpuFiniteModel:
         most = float(np.abs(rest).max())
         unit = most if most > 0 else 1.0
         scaled = (rest / unit).astype(np.float32)
-        return Balance(scaled, unit, most, unit * float(np.linalg.norm(scaled)))
+        square = float(np.square(scaled, dtype=np.float64).sum())
+        return Balance(scaled, unit, most, unit * math.sqrt(square))
 
     def image(self, way: Planes) -> Planes:
         """What the linear model pulls with along a way, where components move."""
