@@ -13,12 +13,14 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends.dissection import Singular
 from napari_hmrf.solver.backends.factors import Factors
 from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
+from napari_hmrf.solver.neighbours import around_sites
 from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
@@ -33,9 +35,11 @@ _INNER, _OF_TOLERANCE, _CYCLES = 0.03, 0.3, 40
 _ARMIJO, _ROUNDING, _HALVINGS = 1e-4, 1e-12, 12
 # Tissue is relaxed when it is this close to balance, in pixels, or after so many steps.
 _RELAXED, _RELAXATIONS = 0.3, 6
-# A pull is stuck that goes less than this part of its way, so often in a row; then what stands in
-# its way is what would stop this much more.
-_STUCK, _PATIENCE, _IN_THE_WAY = 0.05, 2, 0.3
+# A pull is stuck that goes less than this part of its way and so little, in pixels, so often in a
+# row; then what stands in its way is what would stop this much more.
+_STUCK, _STUCK_PIXELS, _PATIENCE, _IN_THE_WAY = 0.05, 0.1, 2, 0.3
+# How much the ways of what is pulled as one piece may differ, as a part of them.
+_AS_ONE = 0.2
 # Steps after which nothing is pulled any more, and after which it is given up.
 _MOST_PULLS, _MOST_STEPS = 120, 200
 
@@ -101,7 +105,8 @@ class Newton:
                     np.copyto(d, y, where=held)
                 else:
                     relaxations = _RELAXATIONS
-                    stuck = stuck + 1 if taken < _STUCK else 0
+                    stays = taken < _STUCK and taken * left < _STUCK_PIXELS
+                    stuck = stuck + 1 if stays else 0
                     if stuck == patience:
                         stuck, patience = 0, 1
                         self._let_be(d, y, held, step.way)
@@ -208,13 +213,24 @@ class Newton:
     def _let_be(self, d: Planes, y: Planes, held: HeldPlanes, way: Planes) -> None:
         """Leave what is held where it is if it stands in the way of the rest."""
         _, lengths = self._model.length(d, way, _KEPT, _FLOOR, each=True)
-        stops = np.pad(lengths < _IN_THE_WAY, 1)
-        sites = (stops[1:, 1:] | stops[1:, :-1]) | (stops[:-1, 1:] | stops[:-1, :-1])
-        stay = np.zeros_like(held)
-        stay[:, 2:-2, 2:-2] = sites & ((held & (y != d)).any(axis=0)[2:-2, 2:-2])
-        if not stay.any():
+        sites = around_sites(lengths < _IN_THE_WAY, np.logical_or)
+        pulled = (held & (y != d)).any(axis=0)[2:-2, 2:-2]
+        stops = sites & pulled
+        if not stops.any():
             # Free tissue is in the way of all: what is left of it cannot be met.
-            stay[:] = True
+            np.copyto(y, d)
+            return
+        # What is pulled as one piece stops as one, or it would be crushed in itself.
+        pieces, _ = scipy.ndimage.label(pulled, structure=np.ones((3, 3)))
+        gap = (y - d)[:, 2:-2, 2:-2]
+        for number in np.unique(pieces[stops]):
+            piece = pieces == number
+            ways = gap[:, piece]
+            mean = ways.mean(axis=1, keepdims=True)
+            if norm(ways - mean) <= _AS_ONE * norm(ways):
+                stops |= piece
+        stay = np.zeros_like(held)
+        stay[:, 2:-2, 2:-2] = stops
         np.copyto(y, d, where=stay)
 
     def _say(self, number: int, left: float) -> None:
