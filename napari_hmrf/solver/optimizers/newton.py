@@ -31,6 +31,8 @@ _KEPT, _SHARE, _FLOOR = 0.25, 0.85, 0.01
 # What is left of a linear system's error, as a part of it and of the tolerance, and the cycles
 # after which it is factorised.
 _INNER, _OF_TOLERANCE, _CYCLES = 0.03, 0.3, 40
+# A step that gets hardly further than this part of its way is tried without what buckles.
+_HARDLY = 0.1
 # Of the fall of energy that a step promises; what is rounding; and how often a step is halved.
 _ARMIJO, _ROUNDING, _HALVINGS = 1e-4, 1e-12, 12
 # Tissue is relaxed when it is this close to balance, in pixels, or after so many steps.
@@ -45,11 +47,15 @@ _MOST_PULLS, _MOST_STEPS = 120, 200
 
 
 class _Linear(NamedTuple):
-    """A step of the linear model: where to, how far for a unit of residual, and how far at most."""
+    """A step of the linear model: where to, how far for a unit of residual, and how far at most.
+
+    `positive` says that directions in which the tissue buckles were made stiff for it.
+    """
 
     way: Planes
     reach: float
     far: float
+    positive: bool = False
 
 
 class Newton:
@@ -78,6 +84,8 @@ class Newton:
         self.cycles = 0
         self.by_factors = False
         self._first = 0.0
+        # Whether cycles have met a direction in which the tissue buckles.
+        self._buckles = False
 
     def run(self, d: Planes, y: Planes, held: HeldPlanes) -> None:
         """Move `d`, which is not folded, to balance, with what is held as near `y` as may be.
@@ -112,6 +120,9 @@ class Newton:
                         self._let_be(d, y, held, step.way)
             else:
                 taken = self._descend(d, step.way)
+                if taken < _HARDLY and not step.positive:
+                    step = self._step(d, None, held, positive=True)
+                    taken = max(taken, self._descend(d, step.way))
                 relaxations = max(relaxations - 1, 0)
             rest = np.where(self._model.moves, self._model.forces(d), 0.0)
             self.residual = norm(rest)
@@ -130,19 +141,21 @@ class Newton:
                 "the softest and the stiffest tissue closer together"
             )
 
-    def _step(self, d: Planes, gap: Planes | None, held: HeldPlanes) -> _Linear:
+    def _step(
+        self, d: Planes, gap: Planes | None, held: HeldPlanes, positive: bool = False
+    ) -> _Linear:
         """Where the linear model would go from here, all of the gap closed."""
-        for positive in (False, True):
-            self._model.linearise(d, held, positive)
+        for stiff in (True,) if positive else (False, True):
+            self._model.linearise(d, held, stiff)
             rest = -self._model.forces(d)
             if gap is not None:
                 rest -= self._model.image(gap)
             found = None if self.by_factors else self._iterate(rest)
-            if found is None and Factors.fit(self._model.shape):
+            if found is None and (stiff or not self._buckles) and Factors.fit(self._model.shape):
                 found = self._solve(rest)
             if found is not None:
                 way = found.way if gap is None else found.way + gap
-                return found._replace(way=way)
+                return found._replace(way=way, positive=stiff)
         raise ConvergenceError(
             "cycles cannot be sure of this tissue. Crop the image, or bring the softest and the "
             "stiffest tissue closer together"
@@ -150,6 +163,7 @@ class Newton:
 
     def _iterate(self, load: Planes) -> _Linear | None:
         """A correction for a load by cycles; None if they did not get there."""
+        self._buckles = False
         balance, way = self._model.balance(load), np.zeros_like(load)
         if balance.most == 0:
             return _Linear(way, 0.0, 0.0)
@@ -172,8 +186,9 @@ class Newton:
         except FloatingPointError:
             self._model.clear()
             return None
-        # Without an end it has met a direction in which the tissue buckles: until there it is good.
-        if latest is None or (count >= _CYCLES and not done):
+        # Else it has met a direction in which the tissue buckles, or that it does not get out of.
+        self._buckles = not done and count < _CYCLES
+        if latest is None or not done:
             return None
         return _Linear(way, latest.reach, float(np.abs(way).max()))
 
