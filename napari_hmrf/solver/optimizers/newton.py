@@ -27,7 +27,7 @@ from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
 
 # What every corner keeps of its Jacobian in a step; of a pull that this cuts short, the part that
 # is gone; and the Jacobian below which nothing is pulled any further.
-_KEPT, _SHARE, _FLOOR = 0.25, 0.85, 0.01
+_KEPT, _SHARE, _FLOOR = 0.25, 0.85, 1e-4
 # What is left of a linear system's error, as a part of it and of the tolerance, and the cycles
 # after which it is factorised.
 _INNER, _OF_TOLERANCE, _CYCLES = 0.03, 0.3, 40
@@ -35,8 +35,10 @@ _INNER, _OF_TOLERANCE, _CYCLES = 0.03, 0.3, 40
 _HARDLY = 0.1
 # Of the fall of energy that a step promises; what is rounding; and how often a step is halved.
 _ARMIJO, _ROUNDING, _HALVINGS = 1e-4, 1e-12, 12
-# Tissue is relaxed when it is this close to balance, in pixels, or after so many steps.
+# Tissue is relaxed when it is this close to balance, in pixels, or after so many steps; and before
+# it is said that it cannot be pulled.
 _RELAXED, _RELAXATIONS = 0.3, 6
+_AT_EASE, _MORE_RELAXATIONS = 0.02, 25
 # A pull is stuck that goes less than this part of its way and so little, in pixels, so often in a
 # row; then what stands in its way is what would stop this much more.
 _STUCK, _STUCK_PIXELS, _PATIENCE, _IN_THE_WAY = 0.05, 0.1, 2, 0.3
@@ -95,7 +97,7 @@ class Newton:
         ConvergenceError
         """
         y = np.where(held, y, d)
-        relaxations, stuck, patience = 0, 0, _PATIENCE
+        relaxations, stuck, patience, near = 0, 0, _PATIENCE, _RELAXED
         self._first = float(np.abs(y - d).max())
         for number in range(_MOST_STEPS):
             if number == _MOST_PULLS:
@@ -112,9 +114,10 @@ class Newton:
                 if taken == 1.0:
                     np.copyto(d, y, where=held)
                 else:
-                    relaxations = _RELAXATIONS
                     stays = taken < _STUCK and taken * left < _STUCK_PIXELS
-                    stuck = stuck + 1 if stays else 0
+                    stuck = stuck + 1 if stays and near == _AT_EASE else 0
+                    near = _AT_EASE if stays else _RELAXED
+                    relaxations = _MORE_RELAXATIONS if stays else _RELAXATIONS
                     if stuck == patience:
                         stuck, patience = 0, 1
                         self._let_be(d, y, held, step.way)
@@ -128,9 +131,9 @@ class Newton:
             self.residual = norm(rest)
             self.estimate = step.reach * self.residual
             self.energies.append(self._model.energy(d)[0])
-            if taken == 1.0 and min(self.estimate, step.far) <= _RELAXED and not pulls:
+            if taken == 1.0 and min(self.estimate, step.far) <= near and not pulls:
                 relaxations = 0
-            if taken == 1.0 and left * (not pulls) == 0 and self.estimate <= self._tolerance:
+            if taken == 1.0 and (pulls or left == 0) and self.estimate <= self._tolerance:
                 return
             if taken == 0.0 and left == 0:
                 break
