@@ -76,7 +76,9 @@ def textbook(size: int = 48, stretch: float = 0.3) -> None:
         problem = bar(size, size, np.broadcast_to([0.0, stretch * (size - 1)], (size, 2)))
         found = solve(problem, NeoHookeanPrior(nu), backend="cpu").displacement
         off = np.abs(found - _gauss(problem, nu))[:, 4:-4].max()
-        print(f"textbook, pull 30 %, nu {nu}: {off:.4f} px off, four pixels from clamps", flush=True)
+        print(
+            f"textbook, pull 30 %, nu {nu}: {off:.4f} px off, four pixels from clamps", flush=True
+        )
 
 
 def _gauss(problem: Problem, nu: float) -> Any:
@@ -231,9 +233,7 @@ def _random(generator: np.random.Generator, known: bool) -> tuple[Problem, bool]
     return Problem(y, c, m), known
 
 
-def _smooth_map(
-    generator: np.random.Generator, row: Any, col: Any, size: int, bent: bool
-) -> Any:
+def _smooth_map(generator: np.random.Generator, row: Any, col: Any, size: int, bent: bool) -> Any:
     """A map whose corner Jacobians are at least 0.2, by waves that are made smaller until so."""
     waves = np.zeros((size, size, 2))
     for _ in range(4):

@@ -104,12 +104,12 @@ def test_the_compiled_loops_know_the_same_energy_forces_and_tangents() -> None:
         way, none = host.planes(random.normal(size=c.shape)), np.zeros((2, 44, 41), dtype=bool)
         model.linearise(planes, none)
         short = 1e-6
-        forces = [
-            prior.forces(problem, d + side * short * host.field(way)) for side in (-1, 1)
-        ]
+        forces = [prior.forces(problem, d + side * short * host.field(way)) for side in (-1, 1)]
         expected = (forces[1] - forces[0]) / (2 * short)
         scale = np.abs(expected).max()
-        np.testing.assert_allclose(host.field(model.image(way)) / scale, expected / scale, atol=1e-6)
+        np.testing.assert_allclose(
+            host.field(model.image(way)) / scale, expected / scale, atol=1e-6
+        )
 
 
 @pytest.mark.parametrize("plane", ["stress", "strain"])

@@ -86,7 +86,7 @@ def open_backend(
     if large_motion:
         if name != "auto":
             raise BackendError(
-                f'large motion is solved by the compiled loops only, not by {name}. Take '
+                f"large motion is solved by the compiled loops only, not by {name}. Take "
                 'backend="cpu", or "auto"'
             )
         provide_loops()

@@ -95,9 +95,7 @@ class Multigrid:
                 self.tolerance, self.max_iterations, problem, prior, backend, report, start
             )
         if isinstance(prior, NeoHookeanPrior):
-            return large_motion.converge(
-                self.tolerance, problem, prior, backend, report, start
-            )
+            return large_motion.converge(self.tolerance, problem, prior, backend, report, start)
         limit = prior.limit(problem)
         d, observed = host.prescribed(problem, start if limit is None else None)
         if isinstance(prior, ElasticPrior):

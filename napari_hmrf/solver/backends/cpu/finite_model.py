@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.cpu import vectors
+from napari_hmrf.solver.backends.cpu import finite_strain, tangents, vectors
 from napari_hmrf.solver.backends.cpu.forces import parts
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, paces_of
-from napari_hmrf.solver.backends.cpu import finite_strain, tangents
 from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
@@ -25,8 +24,8 @@ from napari_hmrf.solver.priors.finite_strain import BARRIER, BARRIER_BEGIN, modu
 
 # A level of fewer sites is visited by one thread, with all below, but for the first two.
 _SMALL, _LARGE = 8000, 2
-# By how much the spectrum of strained tissue may exceed that of tissue at rest.
-_STRAINED = 1.3
+# How far the spectrum of strained tissue exceeds that of tissue at rest: usually, and at most.
+_STRAINED, _WORST = 1.3, 2.0
 _CYCLED, _ALL = 14, 21
 # How much of its spread counts, where an element shares its sites with others.
 _CALM = 0.75
@@ -178,9 +177,9 @@ class CpuFiniteModel:
             plane[2:-3, 2:-3] = values
         rows, cols = np.sqrt(material.shape.rows), np.sqrt(material.shape.cols)
         self._about = float(rows), float(cols), bulges, BARRIER, BARRIER_BEGIN
-        usual, worst = smoother_bounds(material)
+        usual, _ = smoother_bounds(material)
         self._calm = _CALM * self._spread(material)
-        self.bounds = _STRAINED * usual, 2 * usual
+        self.bounds = _STRAINED * usual, _WORST * usual
         for level in self.levels:
             level.cycled.fill(0)
         self.levels[0].solved.fill(0)  # type: ignore[union-attr]

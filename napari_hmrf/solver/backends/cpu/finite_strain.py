@@ -2,8 +2,8 @@
 
 `solver.priors.finite_strain` has the equations and the names. Displacements are planes of pixels,
 and an element has the number of its first site. `mu` is 0 in elements that do not exist, `lam` is
-the volume's own parameter of Lame; `twist` holds what resists half the square of an element's twist.
-`about` is half of one over the sides of a pixel, whether tissue may bulge out of the plane, and the
+Lame's lambda as of a volume; `twist` is what resists half the square of an element's twist. `about`
+is half of one over the sides of a pixel, whether tissue may bulge out of the plane, and the
 strength and the beginning of the barrier.
 
 A tangent is that of the differences D_r, D_c, D_x of an element, two components each: the numbers
@@ -308,14 +308,14 @@ def _tangent_part(d, mu, lam, twist, about, positive, calm, out, cycled, first, 
                 way[2, 4], way[2, 5] = rows * b1, -rows * b0
                 for k in range(3):
                     for n in range(6):
-                        image[k, n] = (
-                            sums[k, 0] * way[0, n] + sums[k, 1] * way[1, n]
-                        ) + sums[k, 2] * way[2, n]
+                        image[k, n] = (sums[k, 0] * way[0, n] + sums[k, 1] * way[1, n]) + sums[
+                            k, 2
+                        ] * way[2, n]
                 for k in range(6):
                     for n in range(6):
-                        full[k, n] = (
-                            way[0, k] * image[0, n] + way[1, k] * image[1, n]
-                        ) + way[2, k] * image[2, n]
+                        full[k, n] = (way[0, k] * image[0, n] + way[1, k] * image[1, n]) + way[
+                            2, k
+                        ] * image[2, n]
             safe = _positive(a0, a1, b0, b1, shear, of_mean, bend)
             true = safe if positive else _exact(a0, a1, b0, b1, shear, of_mean, bend)
             resists = twist[i, j]
@@ -433,7 +433,7 @@ def _length_part(d, way, mu, about, part, floor, row_length, first, last, each):
 
 @parallel
 def length(d, way, mu, about, part, floor, row_length, each, count):
-    """How far along a way each row of elements keeps a part of every corner's Jacobian, and a floor.
+    """How far along a way each row of elements keeps a part of its corners' Jacobians, and a floor.
 
     Where there are elements in `each`, it gets that of each of them.
     """
