@@ -75,6 +75,8 @@ class Convergence:
 class Reach:
     """How far large motion got: nothing is folded, and what cannot be met is met as far as it goes.
 
+    Tissue that is crushed by that may creep on: `Convergence.error` says how far.
+
     Attributes
     ----------
     least_jacobian : float

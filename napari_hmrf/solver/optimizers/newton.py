@@ -49,14 +49,12 @@ _MOST_PULLS, _MOST_STEPS = 120, 200
 
 
 class _Linear(NamedTuple):
-    """A step of the linear model: where to, how far for a unit of residual, and how far at most.
-
-    `positive` says that directions in which the tissue buckles were made stiff for it.
-    """
+    """A step of the linear model: where to, how far for a unit of residual, and how far at most."""
 
     way: Planes
     reach: float
     far: float
+    #: Whether directions in which the tissue buckles were made stiff for it.
     positive: bool = False
 
 
@@ -86,6 +84,8 @@ class Newton:
         self.cycles = 0
         self.by_factors = False
         self._first = 0.0
+        # Whether all that is held can be met, as far as is known.
+        self._met = True
         # Whether cycles have met a direction in which the tissue buckles.
         self._buckles = False
 
@@ -100,8 +100,9 @@ class Newton:
         relaxations, stuck, patience, near = 0, 0, _PATIENCE, _RELAXED
         self._first = float(np.abs(y - d).max())
         for number in range(_MOST_STEPS):
-            if number == _MOST_PULLS:
+            if number == _MOST_PULLS and (held & (y != d)).any():
                 np.copyto(y, d)
+                self._met = False
             gap = np.where(held, y - d, 0.0)
             left = float(np.abs(gap).max())
             pulls = left > 0 and relaxations == 0
@@ -137,7 +138,8 @@ class Newton:
                 return
             if taken == 0.0 and left == 0:
                 break
-        if not self.estimate <= self._tolerance:
+        # Crushed by what cannot be met, tissue creeps: it is as far as it goes.
+        if self._met and not self.estimate <= self._tolerance:
             raise ConvergenceError(
                 f"the tissue is still {self.estimate:.2g} px from balance after "
                 f"{len(self.energies)} steps of large motion. Pull it less far at a time, or bring "
@@ -230,6 +232,7 @@ class Newton:
 
     def _let_be(self, d: Planes, y: Planes, held: HeldPlanes, way: Planes) -> None:
         """Leave what is held where it is if it stands in the way of the rest."""
+        self._met = False
         _, lengths = self._model.length(d, way, _KEPT, _FLOOR, each=True)
         sites = around_sites(lengths < _IN_THE_WAY, np.logical_or)
         pulled = (held & (y != d)).any(axis=0)[2:-2, 2:-2]

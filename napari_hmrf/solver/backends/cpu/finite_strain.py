@@ -184,11 +184,9 @@ def forces(d, mu, lam, twist, about, out, count):
 
 @inline
 def _positive(a0, a1, b0, b1, shear, of_mean, bend):
-    """The tangent of stretch and volume, with what is negative of it made small and positive.
-
-    Of a conformal part P and another one Q the Jacobian is (P^2 - Q^2) / 2: in their directions
-    and across them the tangent is one block of two by two and two numbers.
-    """
+    """The tangent of stretch and volume, with what is negative of it made small and positive."""
+    # Of a conformal part P and another one Q the Jacobian is (P^2 - Q^2) / 2: in their directions
+    # and across them the tangent is one block of two by two and two numbers.
     half = math.sqrt(0.5)
     p0, p1, q0, q1 = half * (a0 + b1), half * (a1 - b0), half * (a0 - b1), half * (a1 + b0)
     p, q = math.hypot(p0, p1), math.hypot(q0, q1)
@@ -377,10 +375,8 @@ def tangents(d, mu, lam, twist, about, positive, calm, out, cycled, count):
 
 @inline
 def _until(now, slope, bend, part, floor):
-    """How far along a way a corner keeps that part of its Jacobian, now + slope t + bend t^2.
-
-    Nor may it fall below a floor; where it is below already, no further.
-    """
+    """How far along a way a corner keeps that part of its Jacobian, now + slope t + bend t^2."""
+    # Nor may it fall below a floor; where it is below already, no further.
     c = now - max(part * now, min(now, floor))
     if c <= 0:
         return 0.0 if slope < 0 else np.inf
