@@ -55,7 +55,7 @@ demo: setup
 # The plugins are named: of those that pytest finds by itself it rewrites all modules, and all of
 # napari is one.
 test: setup-for-windows
-	@PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(HEADLESS) $(RUN) -m pytest $(PLUGINS) -n 3 --dist worksteal
+	@PYTHONDONTWRITEBYTECODE= PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(HEADLESS) $(RUN) -m pytest $(PLUGINS) -n 3 --dist worksteal
 
 # Warnings are errors, and all of them are shown. Nothing is fetched.
 docs: setup-for-docs

@@ -1,9 +1,9 @@
 """Save a study over an earlier one and be killed, at each step of writing: what is left is whole.
 
-    python benchmarks/killed.py [--packing 300] [--half 100] [--seed 0]
+    python benchmarks/killed.py [--packing 300] [--every 1] [--half 100] [--seed 0]
 
 A child saves the second study and kills itself (SIGKILL) before or after the n-th call into the
-system or a library, for each n from where the file is written, and for some while it is packed.
+system or a library, for every n from where the file is written, and for some while it is packed.
 Others save a large one and are killed by their parent as soon as so much of it is on the disk.
 After each the file is opened: it is the first study or the second. Only where there is a fork.
 Exits with 1 if it was anything else, or if more than a temporary file was left.
@@ -132,6 +132,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Kill at all steps and print what was left."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--packing", type=int, default=300, help="kills before it is written")
+    parser.add_argument("--every", type=int, default=1, help="one of so many steps of writing")
     parser.add_argument("--half", type=int, default=100, help="kills of a large file, half written")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
@@ -148,7 +149,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         save_study(path, first)
         start, count = steps_of(save)
         before = dice.sample(range(1, start), min(options.packing, start - 1))
-        for step in (*sorted(before), *range(start, count + 1)):
+        for step in (*sorted(before), *range(start, count + 1, options.every)):
             save_study(path, first)
             when = "packing" if step < start else "writing"
             came = killed_at(step, save)

@@ -51,11 +51,17 @@ def assembled(spacing, first, shear, locking=False):
     return sp.csr_matrix((matrix.data, places), shape=matrix.shape)
 
 
-def direct_solution(problem, poisson, locking=False, load=None, held=None):
+def by_superlu(matrix, right):
+    """Solve a symmetric system."""
+    return spl.spsolve(matrix, right, permc_spec="MMD_AT_PLUS_A")
+
+
+def direct_solution(problem, poisson, locking=False, load=None, held=None, solved=by_superlu):
     """The field of least energy, boundaries held exactly, in the unit of the problem.
 
     What is rigid moves as one. With a `load` on some components, in the unit of the energy's
-    derivative by voxels, and another mask of what is `held`, for observations that slip.
+    derivative by voxels, and another mask of what is `held`, for observations that slip. Whatever
+    `solved` is given is positive definite.
     """
     first, shear = parameters(problem, poisson)
     matrix = assembled(problem.spacing, first, shear, locking)
@@ -79,7 +85,7 @@ def direct_solution(problem, poisson, locking=False, load=None, held=None):
     if load is not None:
         right += load.ravel() * problem.unit**2
     reduced = (basis.T @ matrix @ basis).tocsc()
-    field += basis @ spl.spsolve(reduced, basis.T @ right, permc_spec="MMD_AT_PLUS_A")
+    field += basis @ solved(reduced, basis.T @ right)
     return field.reshape(*problem.shape, 3)
 
 

@@ -2,6 +2,8 @@
 
     python benchmarks/volumes.py [--sizes 64 128 192] [--memory 96] [--pyamg 48] [--paper 48]
     python benchmarks/volumes.py --shaders [--sizes 128 256] [--head 190]
+    python benchmarks/volumes.py --direct 48
+    python benchmarks/volumes.py --torch-fem 80
 
 Prints the CPU seconds of one thread, set-up included, until no voxel is further than 0.01 from the
 converged field. PyAMG (smoothed aggregation, rigid-body modes, conjugate gradients) takes as many
@@ -14,6 +16,11 @@ model `line_oracle`; exits with 1 if one is further from it than was reported.
 
 With --shaders it prints the seconds that compute shaders take for such volumes and for a head,
 which has voxels of 1 mm in 190 rows: of a cycle, and of a whole solve with all that the host does.
+
+With --direct it prints how far volumes of random stiffness are from those of a matrix that
+scikit-fem assembled and MKL's PARDISO solved; with --torch-fem how long a uniform cube takes beside
+torch-fem. What these two take is too heavy for any other extra: `pip install -e ".[rivals]"`. They
+run on all cores.
 """
 
 from __future__ import annotations
@@ -31,7 +38,8 @@ from functools import partial
 from multiprocessing import get_context
 from typing import Any
 
-os.environ.setdefault("NUMBA_NUM_THREADS", "1")
+if not {"--direct", "--torch-fem"} & {*sys.argv}:
+    os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 os.environ.setdefault("NAPARI_HMRF_COMPILE", "here")
 # Else glibc keeps what is freed of arrays up to 32 MiB; those of large volumes are larger.
 os.environ.setdefault("MALLOC_MMAP_THRESHOLD_", "1000000")
@@ -42,6 +50,7 @@ import psutil
 import scipy.sparse as sp
 from random_volumes import TOLERANCE, judge
 from volume_oracle import parameters
+from volume_rivals import print_direct, print_torch_fem
 
 from napari_hmrf import (
     ICM,
@@ -354,11 +363,19 @@ def main() -> int:
     parser.add_argument("--memory", type=int, default=96, metavar="SIZE", help="0: not at all")
     parser.add_argument("--pyamg", type=int, default=48, metavar="SIZE", help="0: not at all")
     parser.add_argument("--paper", type=int, default=48, metavar="SIZE", help="0: not at all")
+    parser.add_argument("--direct", type=int, metavar="SIZE", help="beside PARDISO, no more")
+    parser.add_argument("--torch-fem", type=int, metavar="NODES", help="beside torch-fem, no more")
     parser.add_argument("--random", type=int, default=300, metavar="COUNT")
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
     if asked.shaders:
         print_shaders([128, 256] if asked.sizes is None else asked.sizes, asked.head)
+        return 0
+    if asked.direct:
+        print_direct(asked.direct)
+    if asked.torch_fem:
+        print_torch_fem(asked.torch_fem)
+    if asked.direct or asked.torch_fem:
         return 0
     for prior in (ElasticPrior(0.3), SeilerPrior()):
         timed(growing(16), prior)  # loads the loops

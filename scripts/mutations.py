@@ -143,8 +143,8 @@ MUTATIONS = (
     ),
     Mutation(
         "ui/motion/brush.py",
-        "by[0] + down",
-        "by[0] - down",
+        "between(start, point, self._spacing)",
+        "between(point, start, self._spacing)",
         "test_brush.py",
     ),
     Mutation(

@@ -6,6 +6,7 @@ Another reader is tried by changing `read`; nothing else of those tests has to c
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from studies import Study
@@ -53,7 +54,7 @@ def read(study: Study) -> Read:
         drawing=drawing,
         curve=curve,
     )
-    stated = statement_of(read_study(request, prior, optimizer))
+    stated = statement_of(replace(read_study(request), prior=prior, optimizer=optimizer))
     return Read(stated.problem, stated.prior, stated.optimizer)
 
 
@@ -75,7 +76,8 @@ class Stated(NamedTuple):
 
 def read_layers(request: Request, prior: Any = None, optimizer: Any = None) -> Stated:
     """Read chosen layers to the end; by default for the paper's prior and schedule."""
-    study = read_study(request, prior or SeilerPrior(), optimizer or ICM())
+    model = {"prior": prior or SeilerPrior(), "optimizer": optimizer or ICM()}
+    study = replace(read_study(request), **model)
     ground = Ground.of(study)
     stated = ground.statement()
     return Stated(

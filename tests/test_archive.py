@@ -446,7 +446,7 @@ def test_whatever_happens_to_a_file_it_is_what_was_saved_or_refused_for_little_m
     original = Solution.load(path)
     outcomes = set()
     tracemalloc.start()
-    for version in damaged(content, 1000):
+    for version in damaged(content, 300):
         path.write_bytes(version.content)
         tracemalloc.reset_peak()
         before = tracemalloc.get_traced_memory()[0]

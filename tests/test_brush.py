@@ -11,7 +11,7 @@ from napari_hmrf.layers.paint_layer import COLOURS, number_of, painted_colours
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.drawing import Arrow, Canvas, Drawing, Landmark, Rendering, Stroke
 from napari_hmrf.ui.motion.brush import Brush
-from napari_hmrf.ui.motion.hands import LandmarkPull
+from napari_hmrf.ui.motion.hands import Pull
 
 SPACING = (1.0, 2.0)
 SHAPE = (60, 50)
@@ -23,8 +23,8 @@ def paint(action, radius, **how):
 
 
 def grip(radius, confidence=1.0):
-    """An arrow as new ones are to be."""
-    return Arrow((0, 0), (0, 0), radius, confidence)
+    """A landmark as new ones are to be."""
+    return Landmark((0, 0), (0, 0), radius, confidence)
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def brush(history):
 
 @pytest.fixture
 def landmark(history):
-    return LandmarkPull(history, SPACING)
+    return Pull(history, SPACING)
 
 
 def drag(hand, how, *points, reach=1.0, **options):
@@ -118,7 +118,7 @@ def test_an_open_line_cannot_expand_and_leaves_nothing(brush, history):
         brush.move((row, 5))
     with pytest.raises(ProblemError, match="no outside"):
         brush.release()
-    assert (history.drawing, history.undo_word) == (Drawing(), "")
+    assert (history.drawing, history.edits.next_undo) == (Drawing(), None)
     assert not brush.holding
 
 
@@ -142,10 +142,18 @@ def test_the_stroke_painted_last_is_changed_but_not_its_size(brush, history):
     assert history.drawing.marks == (
         Stroke("move", (((20, 20),),), 4.0, by=(3, 0), confidence=0.5),
     )
-    assert history.undo_word == "changed a stroke"
+    assert history.edits.next_undo.word == "changed a stroke"
     assert brush.remove()
     assert history.edits.undo().word == "removed a stroke"
     assert brush.selected is None
+
+
+def test_what_was_painted_in_a_volume_is_dragged_to_where_it_goes(history):
+    brush = Brush(history, (2.0, *SPACING), (9, *SHAPE))
+    how = Stroke("move", (((0, 0, 0),),), 4.0, by=(0, 0, 0))
+    drag(brush, how, (4, 20, 20))
+    assert drag(brush, how, (4, 20, 20), (5, 21, 23)) == "pushed what was painted"
+    assert history.drawing.marks[0].by == (2, SPACING[0], 3 * SPACING[1])
 
 
 def test_a_cancelled_stroke_leaves_nothing_and_what_was_selected(brush, history):
@@ -210,7 +218,7 @@ def test_escape_gives_a_landmark_up(landmark, history):
     landmark.move((14, 12))
     assert landmark.cancel()
     assert not landmark.cancel()
-    assert (history.drawing, history.undo_word) == (Drawing(), "")
+    assert (history.drawing, history.edits.next_undo) == (Drawing(), None)
 
 
 def test_landmarks_are_taken_up_again_by_either_end(landmark, history):
@@ -220,6 +228,13 @@ def test_landmarks_are_taken_up_again_by_either_end(landmark, history):
     assert history.drawing.marks == (Landmark((9, 10), (22, 20), 3.0),)
     assert landmark.remove()
     assert history.edits.undo().word == "removed a landmark"
+
+
+def test_an_arrow_in_the_hand_of_landmarks_speaks_of_the_directions_it_spoke_of(landmark, history):
+    history.do(Drawing((Arrow((10, 10), (4, 0), 3.0, components="row"),)), "opened")
+    drag(landmark, grip(3.0), (14, 10), (15, 11))
+    landmark.change(grip(2.0, 0.5))
+    assert history.drawing.marks == (Arrow((10, 10), (5, 0), 2.0, 0.5, "row"),)
 
 
 def test_a_landmark_begins_where_tissue_came_from_and_ends_where_it_is_seen(landmark, history):

@@ -336,11 +336,13 @@ def test_the_demo_of_a_volume_grows_a_tumour_and_says_by_how_much(tmp_path, caps
     assert demo(tmp_path, "--volume", "--size", "48") == 0
     measured = table(capsys.readouterr().out)
     assert list(measured) == [
-        *("sample", "model", "renderer", "iterations", "seconds", "estimated error", "folds"),
-        *("tumour before", "tumour after"),
+        *("sample", "growth", "model", "renderer", "iterations", "seconds", "estimated error"),
+        *("folds", "tumour before", "tumour after"),
     ]
     assert measured["sample"] == "Head with a growing tumour, 38 x 48 x 38 voxels of 3.96 mm"
     assert measured["model"] == "elastic (Poisson's ratio 0.45), converged"
+    assert measured["growth"] == "by 5 mm, all around"
+    assert measured["folds"].endswith(" voxels")
     before, after = (float(measured[f"tumour {when}"].split()[0]) for when in ("before", "after"))
     assert before == pytest.approx(4 / 3 * np.pi * 2**3, rel=0.03)
     assert 1.5 * before < after < 1.25**3 * before

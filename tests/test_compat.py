@@ -113,3 +113,36 @@ def test_the_window_does_not_offer_what_draws_a_layer(make_napari_viewer):
     layer.data = np.array([[[1.0, 1.0], [4.0, 4.0]]])
     assert not compat.compile_once(None)
     assert not compat.compile_once(object())
+
+
+def test_textures_of_a_layer_that_goes_are_deleted_where_they_are_drawn(
+    make_napari_viewer, monkeypatch, at_rest
+):
+    from qtpy.QtGui import QOpenGLContext
+    from vispy.gloo.glir import GlirTexture2D
+
+    viewer = make_napari_viewer(show=True)
+    canvas = viewer.window._qt_viewer.canvas.native
+    below, above = (viewer.add_image(np.eye(8) * number) for number in (1, 2))
+    at_rest()
+    contexts = []
+    delete = GlirTexture2D.delete
+    monkeypatch.setattr(
+        GlirTexture2D,
+        "delete",
+        lambda texture: contexts.append(QOpenGLContext.currentContext()) or delete(texture),
+    )
+
+    def remove(layer):
+        contexts.clear()
+        canvas.doneCurrent()  # as Qt leaves it, or with its own
+        viewer.layers.remove(layer)
+        at_rest()
+        return contexts
+
+    assert remove(above) != [canvas.context()] * 2, "if it is, CanvasContext can go"
+    viewer.add_image(np.eye(8))
+    at_rest()
+    context = compat.CanvasContext(viewer)
+    assert remove(below) == [canvas.context()] * 2
+    del context

@@ -288,7 +288,7 @@ def test_undo_gives_back_exactly_what_was_there_and_redo_what_came(sequence):
     """Against two plain lists, as a person would keep them; a drag counts once."""
     base, history = canvas(), History()
     said = []
-    history.changed.connect(said.append)
+    history.edits.changed.connect(lambda _, value: said.append(value))
     past, now, future = [], Drawing(), []
 
     def step(new, first):
@@ -342,9 +342,9 @@ def test_steps_have_words_and_an_empty_one_is_none():
     history.begin("moved an arrow")
     for by in (2, 3, 4):
         history.update(Drawing((Arrow((1, 1), (by, 0), 1),)))
-    assert (history.undo_word, history.in_progress) == ("moved an arrow", True)
+    assert (history.edits.next_undo.word, history.in_progress) == ("moved an arrow", True)
     assert history.edits.undo().word == "moved an arrow"
-    assert (history.drawing.marks, history.undo_word) == ((arrow,), "drew an arrow")
+    assert (history.drawing.marks, history.edits.next_undo.word) == ((arrow,), "drew an arrow")
     assert history.edits.next_redo.word == "moved an arrow"
     history.edits.redo()
     assert history.drawing.marks[0].by == (4, 0)

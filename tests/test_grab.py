@@ -40,7 +40,7 @@ def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):
     assert np.array_equal(drawn[-1].solution.displacement, field)
     assert person.viewer.layers.selection.active.name == "Motion"
     assert by_name(person.viewer, "MR arrows, elastic").metadata[METADATA]["solution"] is not None
-    assert widget.history.undo_word == "drew an arrow"
+    assert widget.history.edits.next_undo.word == "drew an arrow"
 
 
 def test_an_arrow_is_picked_up_again_by_its_head_and_by_its_base(pulling, settle):
@@ -63,7 +63,7 @@ def test_tissue_that_has_moved_is_taken_hold_of_where_it_is_seen(pulling, settle
     held = widget.drawing.marks[1]
     assert held.at[0] < 39.5, "it has come from further up"
     assert np.add(held.at, held.by) == pytest.approx((40, 44), abs=0.6)
-    assert widget.history.undo_word == "drew an arrow"
+    assert widget.history.edits.next_undo.word == "drew an arrow"
 
 
 def test_keys_remove_undo_and_redo(pulling, settle):
@@ -94,7 +94,7 @@ def test_escape_gives_a_drag_up(pulling):
     person.key(Qt.Key.Key_Escape)
     person.move(40, 40)
     person.release(40, 40)
-    assert (widget.drawing, widget.history.undo_word) == (Drawing(), "")
+    assert (widget.drawing, widget.history.edits.next_undo) == (Drawing(), None)
     assert widget.status == "Cancelled; everything is as before."
 
 

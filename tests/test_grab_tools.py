@@ -85,7 +85,7 @@ def test_what_is_pinned_stays(brushing, settle):
     assert displacement(widget)[20, 22:35] == pytest.approx(0, abs=0.02)
     assert seen_paint(person)[20, 28] == number_of("pin")
     assert seen_paint(person)[26, 28] == 0
-    assert widget.history.undo_word == "held tissue"
+    assert widget.history.edits.next_undo.word == "held tissue"
 
 
 def test_what_is_freed_is_held_by_nothing(brushing, settle):
@@ -309,7 +309,7 @@ def test_painted_confidence_is_undone_and_redone_with_its_layer(brushing, settle
     person.paint((40, 42), (40, 46))
     settle(widget)
     seen = by_name(person.viewer, "Confidence").data.copy()
-    assert widget.history.undo_word == "painted confidence"
+    assert widget.history.edits.next_undo.word == "painted confidence"
     person.key(Qt.Key.Key_Z, CTRL)
     settle(widget)
     assert "Confidence" not in layers
@@ -425,7 +425,7 @@ def test_tissue_is_painted_from_the_presets_where_there_is_no_table(brushing, se
     after = displacement(widget)
     assert after[44, 14, 1] < 0.8 * before, "a gap passes nothing on"
     assert not after[44, 22].any()
-    assert widget.history.undo_word == "painted tissue"
+    assert widget.history.edits.next_undo.word == "painted tissue"
     person.key(Qt.Key.Key_Z, CTRL)
     settle(widget)
     assert displacement(widget)[44, 14, 1] == pytest.approx(before, abs=0.02)
@@ -762,7 +762,7 @@ def test_a_radius_that_is_typed_is_one_step(pulling, settle):
     assert widget.drawing.marks[0].radius == 12.5
     widget.undo()
     assert widget.drawing.marks[0].radius != 12.5
-    assert widget.history.undo_word == "drew an arrow"
+    assert widget.history.edits.next_undo.word == "drew an arrow"
 
 
 def test_the_brush_of_tissue_begins_with_one_that_is_tissue(open_window, settle):

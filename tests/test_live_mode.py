@@ -483,8 +483,10 @@ def test_rows_that_come_with_the_paint_are_no_steps(living, settle):
     assert [row.label for row in widget.materials] == [0, 1, 5]
 
 
-def test_keys_take_back_from_within_the_dock_and_a_layer_takes_its_steps_along(living):
-    widget, (_, _, boundary) = living
+def test_keys_take_back_from_within_the_dock_and_a_layer_takes_its_steps_along(
+    docked, small_sample
+):
+    widget, (_, _, boundary) = docked, small_sample(viewer_of(docked))
     table = widget._form.motion.boundary.table
     before = widget.rules
     Cell(table, 1, 4).write("5")

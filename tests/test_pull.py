@@ -58,7 +58,7 @@ def test_a_click_holds_tissue_where_it_is_seen(pull, history):
 def test_what_is_no_tissue_is_not_taken_hold_of(pull, history):
     assert not pull.press((10, 10), 1, GRIP, lambda _: None)
     pull.move((12, 12))
-    assert (pull.release(), history.drawing.marks, history.undo_word) == ("", (), "")
+    assert (pull.release(), history.drawing.marks, history.edits.next_undo) == ("", (), None)
 
 
 def test_an_arrow_is_changed_by_its_head_or_its_base_wherever_it_was_taken(pull, history):
@@ -76,7 +76,7 @@ def test_taking_hold_of_an_arrow_without_moving_it_is_no_step(pull, history):
     drag(pull, (10, 10), (14, 12))
     assert drag(pull, (14, 12)) == ""
     assert pull.selected == 0
-    assert history.undo_word == "drew an arrow"
+    assert history.edits.next_undo.word == "drew an arrow"
 
 
 def test_an_arrow_of_one_component_stays_on_its_line(pull, history):
@@ -109,7 +109,7 @@ def test_a_cancelled_drag_leaves_nothing(pull, history):
     assert pull.cancel()
     pull.move((26, 26))
     pull.release()
-    assert (history.drawing, history.undo_word) == (before, "drew an arrow")
+    assert (history.drawing, history.edits.next_undo.word) == (before, "drew an arrow")
     assert not pull.cancel()
 
 

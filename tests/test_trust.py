@@ -9,7 +9,7 @@ from exact import exact_field
 from opengl_here import require_opengl
 from random_problems import random_problem
 
-from napari_hmrf import ConvergenceError, ElasticPrior, ProblemError, solve
+from napari_hmrf import ConvergenceError, ElasticPrior, Multigrid, ProblemError, solve
 
 
 def drawn(y=None, c=None, m=None, prior=None, **more):
@@ -197,6 +197,20 @@ def test_random_problems_are_answered_as_they_should_be():
 def test_what_is_hardest_is_answered_too(number):
     verdict = trust.judge(random_problem(0, number), "cpu")
     assert verdict.outcome == "answered", verdict
+
+
+def test_what_rounding_leaves_is_not_solved_for_again_and_again():
+    drawn = random_problem(0, 3527)
+    said = []
+    solve(
+        drawn.problem,
+        drawn.prior,
+        optimizer=Multigrid(drawn.tolerance),
+        backend="cpu",
+        progress=said.append,
+    )
+    solutions = [monitor for monitor in said if monitor.message.startswith("solution")]
+    assert 0 < len(solutions) < 30
 
 
 def test_so_they_are_by_shaders():

@@ -2,10 +2,11 @@
 
 from itertools import permutations
 
+import numba
 import numpy as np
 import pytest
 
-from napari_hmrf import ProblemError
+from napari_hmrf import ElasticPrior, Multigrid, Problem, ProblemError, solve
 from napari_hmrf.field.deformation import (
     determinant_or_fold,
     jacobian_determinant,
@@ -145,3 +146,23 @@ def test_a_place_that_is_no_number_is_told():
     source[1, 1, 1, 2] = np.inf
     with pytest.raises(ProblemError, match="are NaN or infinite at 1 pixels that are covered"):
         resample(np.zeros((3, 3, 3)), source, np.ones((3, 3, 3)))
+
+
+class Hard(Multigrid):
+    """An iteration that takes a loop nobody has compiled, as a volume in double precision does."""
+
+    def run(self, *arguments):
+        numba.njit(lambda number: number + 1)(1.0)
+        return super().run(*arguments)
+
+
+def test_loops_that_are_compiled_in_the_middle_of_a_solve_are_said():
+    c = np.zeros((6, 6, 6, 3))
+    c[0] = c[-1] = 1
+    problem, told = Problem(c, c, np.ones(c.shape[:3])), []
+    solve(problem, ElasticPrior(), optimizer=Multigrid(), backend="cpu")
+    how = {"backend": "cpu", "progress": lambda monitor: told.append(monitor.message)}
+    solve(problem, ElasticPrior(), optimizer=Hard(), **how)
+    said = [number for number, words in enumerate(told) if words.startswith("compiling loops")]
+    assert said
+    assert said[-1] < len(told) - 1

@@ -698,9 +698,14 @@ def test_how_far_a_solve_is_is_said_in_per_cent_and_the_rest_where_the_mouse_res
     small_sample(viewer_of(docked))
     docked.settings = replace(docked.settings, sweeps=100_000)
     docked.deform()
-    wait_for(lambda: bool(re.fullmatch(r"Deforming: \d+ %", docked.status)))
-    tips = [label.toolTip() for label in docked.native.findChildren(QLabel)]
-    assert any(re.match(r"level \d+ \(.*\), sweep \d+", tip) for tip in tips)
+    labels = docked.native.findChildren(QLabel)
+    percent, sweep = re.compile(r"Deforming: \d+ %"), re.compile(r"level \d+ \(.*\), sweep \d+")
+    wait_for(
+        lambda: (
+            bool(percent.fullmatch(docked.status))
+            and any(sweep.match(label.toolTip()) for label in labels)
+        )
+    )
     docked.cancel()
 
 

@@ -15,8 +15,10 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import is_whole, real, shown
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.slabs import slabs, with_neighbours
 from napari_hmrf.field.warp import BoolArray, Float64Array, as_field, checked_sizes, moved_sites
 from napari_hmrf.solver.backends import loader, loops
+from napari_hmrf.solver.backends.thread import compute_thread
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -288,8 +290,12 @@ def arrows_in_slices(
     sites = max(1, round(int(mask.sum(axis=(1, 2)).max()) / about))
     share = round(sites * 0.618)
     share = next((s for s in range(share, 2 * sites) if math.gcd(s, sites) == 1), 1)
-    deep, row, col = np.ogrid[tuple(map(slice, mask.shape))]
-    starts = np.argwhere(mask & ((col + share * row + share**2 * deep) % sites == 0))
+    row, col = np.ogrid[tuple(map(slice, mask.shape[1:]))]
+    chosen = np.empty_like(mask)
+    for deep in range(len(mask)):
+        compute_thread.look()
+        chosen[deep] = mask[deep] & ((col + share * row + share**2 * deep) % sites == 0)
+    starts = np.argwhere(chosen)
     steps = moved[tuple(starts.T)] - starts
     lengths = np.linalg.norm(steps * checked_sizes(spacing, 3), axis=1)
     far = lengths >= max(_LEAST * lengths.max(initial=0.0), 1e-6)
@@ -363,7 +369,10 @@ def _over_quadrants(kind: _Kind, moved: Float64Array, mask: BoolArray) -> FloatA
         loader.before_numba()
         from napari_hmrf.field.volume_loops import determinants
 
-        found: FloatArray = determinants(moved, loops.only_read(mask), _KINDS.index(kind))
+        found, which = np.empty(mask.shape, dtype=np.float32), _KINDS.index(kind)
+        for slab in slabs(mask.shape):
+            wide, inner = with_neighbours(slab, len(mask))
+            found[slab] = determinants(moved[wide], loops.only_read(mask[wide]), which)[inner]
         return found
     # Strip by strip, with a row of each neighbour: what lies between stays in the cache.
     made = np.full(mask.shape, np.nan, dtype=np.float32)

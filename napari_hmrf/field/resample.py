@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ import scipy
 
 from napari_hmrf.arguments import real, shown
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.slabs import slabs
 from napari_hmrf.solver.backends import loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import as_numbers
@@ -107,18 +107,16 @@ def _by_loop(
             smooth = np.stack([filled for filled, _ in channels], axis=-1)
     moved = np.empty_like(values)
     fill = background.view(np.float64) if bits else background.astype(taken)
-    looked_up = partial(
-        look_up,
-        loops.only_read(values),
-        loops.only_read(smooth),
-        gaps,
-        loops.only_read(np.ascontiguousarray(source)),
-        loops.only_read(np.ascontiguousarray(covered)),
-        nearest,
-        kind.kind != "f",
-        fill[()],
-        moved,
-    )
+    images = loops.only_read(values), loops.only_read(smooth), gaps
+    places = [loops.only_read(np.ascontiguousarray(each)) for each in (source, covered)]
+    how = nearest, kind.kind != "f", fill[()]
+
+    def looked_up() -> bool:
+        return all(
+            look_up(*images, *(each[slab] for each in places), *how, moved[slab])
+            for slab in slabs(covered.shape)
+        )
+
     if not compute_thread.result_of(looked_up, "a volume to be looked up"):
         return None
     found = moved.view(kind) if bits else moved.astype(kind, copy=False)

@@ -34,6 +34,7 @@ from napari_hmrf.field.deformation import (
 )
 from napari_hmrf.field.warp import BoolArray, Float64Array, as_field, checked_sizes, moved_sites
 from napari_hmrf.solver.backends import loader, loops
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import as_numbers
 
 __all__ = [
@@ -52,6 +53,8 @@ __all__ = [
 
 #: Planes of a volume whose strains are in memory at once.
 _SLAB = 8
+# Of how many sites numbers are made before anybody looks whether they are still wanted.
+_AT_ONCE = 2**17
 
 
 def deformation_gradient(
@@ -207,13 +210,20 @@ def strain_values(
     mask = np.ones(d.shape[:-1], bool)
     if tissue is not None:
         mask = as_numbers("tissue", tissue).astype(bool)
+
+    def valued(strains: FloatArray) -> FloatArray:
+        compute_thread.look()
+        return value(strains)
+
     slab = len(d) if d.ndim == 3 else _SLAB
     values = np.full(d.shape[:-1], np.nan, np.float32)
     for begin in range(0, len(d), slab):
         first, last = max(begin - 1, 0), begin + slab + 1
         strain = green_lagrange_strain(d[first:last], spacing=spacing, tissue=mask[first:last])
         there = mask[begin : begin + slab]
-        values[begin : begin + slab][there] = value(strain[begin - first :][:slab][there])
+        strains = strain[begin - first :][:slab][there]
+        parts = np.array_split(strains, max(1, len(strains) // _AT_ONCE))
+        values[begin : begin + slab][there] = np.concatenate([valued(part) for part in parts])
     return values
 
 

@@ -391,16 +391,8 @@ def _stay(tissue, source, state, first, past):
 
 
 @numba.njit(parallel=True, **_kept)
-def rasterise(moved, tissue, planes, longest, slabs):
-    """Invert the motion of the sites, linear on each tetrahedron of four neighbouring sites.
-
-    Each cell of 2 x 2 x 2 sites is six tetrahedra; of one that lacks corners those are drawn that
-    lack none. A voxel that no tetrahedron covers goes to the site, the line or the square between
-    outermost sites that has moved onto it, if any: tissue one voxel thin survives, and all tissue
-    reaches half a voxel beyond its outermost sites, as voxels do.
-
-    Each core fills planes of its own, and draws on them in the same order, however many there are:
-    the result is the same to the bit.
+def surface(moved, tissue):
+    """Find what `rasterise` needs to know of the tissue first.
 
     Parameters
     ----------
@@ -408,25 +400,15 @@ def rasterise(moved, tissue, planes, longest, slabs):
         Where each site has moved, in voxels along the axes.
     tissue : ndarray, shape (D, H, W), bool
         Which sites there are.
-    planes : int
-        So many planes of voxels are drawn on, P; D, but for a part of a volume.
-    longest : float
-        How many voxels the volume is long in all; of what is torn no more is drawn closely.
-    slabs : int
-        Into so many slabs these planes are cut, one or a few for each core.
 
     Returns
     -------
-    source : ndarray, shape (P, H, W, 3), float64
-        Where the tissue now on each voxel came from, in voxels; of a volume that is whole, its own
-        place where there is no tissue and none came.
-    state : ndarray, shape (P, H, W), uint8
-        0 nothing came, 1 by a tetrahedron turned over, 2 by one that was not, or by an outline, 3
-        by two that were not, from places more than a voxel apart.
+    outer : ndarray, shape (D, H, W), bool
+        Tissue that does not lie between tissue on all sides.
+    reach : ndarray, shape (D, 2), float64
+        The first and the last plane of voxels, as real numbers, that sites of a plane moved to.
     """
     depth, height, width = tissue.shape
-    source = np.zeros((planes, height, width, 3))
-    state = np.zeros((planes, height, width), np.uint8)
     outer = np.empty(tissue.shape, np.bool_)
     reach = np.empty((depth, 2))
     for number in numba.prange(depth):
@@ -441,12 +423,47 @@ def rasterise(moved, tissue, planes, longest, slabs):
                     high = max(high, moved[plane, row, col, 0])
         reach[plane, 0] = low
         reach[plane, 1] = high
+    return outer, reach
+
+
+@numba.njit(parallel=True, **_kept)
+def rasterise(moved, tissue, outer, reach, longest, begin, end, slabs, source, state):
+    """Invert the motion of the sites, linear on each tetrahedron of four neighbouring sites.
+
+    Each cell of 2 x 2 x 2 sites is six tetrahedra; of one that lacks corners those are drawn that
+    lack none. A voxel that no tetrahedron covers goes to the site, the line or the square between
+    outermost sites that has moved onto it, if any: tissue one voxel thin survives, and all tissue
+    reaches half a voxel beyond its outermost sites, as voxels do.
+
+    Each core fills planes of its own, and draws on them in the same order, however many there are:
+    the result is the same to the bit, and so it is if planes are drawn on by several calls.
+
+    Parameters
+    ----------
+    moved : ndarray, shape (D, H, W, 3), float64
+        Where each site has moved, in voxels along the axes.
+    tissue : ndarray, shape (D, H, W), bool
+        Which sites there are.
+    outer, reach
+        Of `surface`.
+    longest : float
+        How many voxels the volume is long in all; of what is torn no more is drawn closely.
+    begin, end : int
+        Only planes of voxels from `begin` to before `end` are drawn on.
+    slabs : int
+        Into so many slabs these are cut, one or a few for each core.
+    source : ndarray, shape (P, H, W, 3), float64
+        Zeros, overwritten by where the tissue now on each voxel came from, in voxels; if all planes
+        are here, P = D, by its own place where there is no tissue and none came.
+    state : ndarray, shape (P, H, W), uint8
+        Zeros, overwritten by 0 where nothing came, 1 by a tetrahedron turned over, 2 by one that
+        was not, or by an outline, 3 by two that were not, from places more than a voxel apart.
+    """
     for number in numba.prange(slabs):
         slab = np.int64(number)
-        first = slab * planes // slabs
-        past = (slab + 1) * planes // slabs
+        first = begin + slab * (end - begin) // slabs
+        past = begin + (slab + 1) * (end - begin) // slabs
         _tetrahedra(moved, tissue, source, state, reach, first, past)
         _outline(moved, tissue, outer, source, state, reach, longest, first, past)
-        if planes == depth:
+        if len(state) == len(tissue):
             _stay(tissue, source, state, first, past)
-    return source, state

@@ -28,16 +28,16 @@ def look_up(image, smooth, gaps, source, covered, nearest, whole, fill, moved):
         The image, finite everywhere: what is interpolated.
     gaps : bool
         Whether the two differ: a voxel that is not finite stays one such voxel.
-    source : ndarray, shape (D, H, W, 3), float64
-    covered : ndarray, shape (D, H, W), bool
-        Of `inverse_map`.
+    source : ndarray, shape (P, H, W, 3), float64
+    covered : ndarray, shape (P, H, W), bool
+        Of `inverse_map`, of some planes.
     nearest : bool
         Whether to take the nearest voxel; else the eight around the place.
     whole : bool
         Whether to round.
     fill
         What is seen where tissue has left, of the type of the image.
-    moved : ndarray, shape (D, H, W, channels)
+    moved : ndarray, shape (P, H, W, channels)
         Overwritten by the result.
 
     Returns
@@ -46,8 +46,8 @@ def look_up(image, smooth, gaps, source, covered, nearest, whole, fill, moved):
         Whether all places that are covered are finite; if not, there is no result.
     """
     depth, height, width, channels = image.shape
-    fine = np.ones(depth, np.bool_)
-    for plane in numba.prange(depth):
+    fine = np.ones(len(covered), np.bool_)
+    for plane in numba.prange(len(covered)):
         for row in range(height):
             for col in range(width):
                 if not covered[plane, row, col]:

@@ -20,6 +20,7 @@ from napari_hmrf.arguments import reals, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field import triangle_arrays
 from napari_hmrf.field.resample import as_image, resample
+from napari_hmrf.field.slabs import slabs
 from napari_hmrf.solver.backends import compiler, loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import as_numbers
@@ -163,18 +164,9 @@ def inverse_raster(
         0 where nothing came; `TWICE` where two parts of the tissue did.
     """
     if tissue.ndim == 3:
-        loader.before_numba()
-        from numba import get_num_threads
-
-        from napari_hmrf.field import tetrahedron_raster
-
-        mask, planes = loops.only_read(tissue), planes or len(tissue)
-        slabs = min(planes, 4 * get_num_threads())
-        longest = float(sum(shape or tissue.shape))
-        drawn = partial(tetrahedron_raster.rasterise, moved, mask, planes, longest, slabs)
-        # This loop uses numba's own threads, which must not be entered from two threads.
-        coordinates, state = compute_thread.result_of(drawn, "a volume to be warped")
-        return coordinates, state
+        # Its loops use numba's own threads, which must not be entered from two threads.
+        drawn = partial(_volume_raster, moved, tissue, shape or tissue.shape, planes or len(tissue))
+        return compute_thread.result_of(drawn, "a volume to be warped")
     if not loops.ready_for_pictures():
         compiler.compile_meanwhile()
         return triangle_arrays.rasterise(moved, tissue)
@@ -184,6 +176,28 @@ def inverse_raster(
 
     coordinates, state = rasterise(moved, loops.only_read(tissue))
     return coordinates, state
+
+
+def _volume_raster(
+    moved: Float64Array, tissue: BoolArray, shape: tuple[int, ...], planes: int
+) -> tuple[Float64Array, npt.NDArray[np.uint8]]:
+    """Invert the motion of a volume's sites onto so many planes; on the compute thread only."""
+    loader.before_numba()
+    from numba import get_num_threads
+
+    from napari_hmrf.field import tetrahedron_raster
+
+    cores, mask = get_num_threads(), loops.only_read(tissue)
+    source = np.zeros((planes, *moved.shape[1:]))
+    state = np.zeros(source.shape[:-1], np.uint8)
+    compute_thread.look()
+    about = tetrahedron_raster.surface(moved, mask)
+    longest = float(sum(shape))
+    for slab in slabs(state.shape, cores):
+        begin, end = slab.start, slab.stop
+        parts = min(cores, end - begin)
+        tetrahedron_raster.rasterise(moved, mask, *about, longest, begin, end, parts, source, state)
+    return source, state
 
 
 def moved_sites(
@@ -225,7 +239,7 @@ def moved_sites(
                 f"{d.shape[:-1]} is needed. Give both on the same pixel grid.",
             )
     moved = _added(d, sizes, mask, fraction)
-    if not np.isfinite(moved).all():
+    if not all(map(_is_finite, moved)):
         bad = ~np.isfinite(moved).all(axis=-1)
         at = tuple(int(i) for i in np.argwhere(bad)[0])
         raise ProblemError(
@@ -234,6 +248,11 @@ def moved_sites(
             "vectors, or leave the pixels out of `tissue`.",
         )
     return moved, mask
+
+
+def _is_finite(plane: Float64Array) -> bool:
+    compute_thread.look()
+    return bool(np.isfinite(plane).all())
 
 
 def _added(
@@ -247,6 +266,7 @@ def _added(
     own = np.zeros((height, width, n))
     own[..., n - 2], own[..., n - 1] = np.ogrid[:height, :width]
     for plane in np.ndindex(mask.shape[:-2]):
+        compute_thread.look()
         own[..., : n - 2] = plane
         there = np.repeat(mask[plane], n, axis=-1)
         line = moved[plane].reshape(there.shape)

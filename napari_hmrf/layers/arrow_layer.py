@@ -12,7 +12,7 @@ shaft of an arrow lies in the slices that are looked at.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,10 +39,7 @@ _BEYOND, _TIP = 1.4, 0.25
 
 
 def arrow_lines(
-    drawing: Drawing,
-    spacing: Sequence[float],
-    selected: int | None = None,
-    across: int = 0,
+    drawing: Drawing, spacing: Sequence[float], selected: int | None = None, across: int = 0
 ) -> Lines:
     """Lines that show a drawing's arrows and landmarks.
 
@@ -63,18 +60,12 @@ def arrow_lines(
     colours : ndarray, shape (N, 4), float32
         Red, green, blue and opacity of each, 0 to 1.
     """
-    marks = [
-        (mark, number == selected)
+    parts = [
+        (_lines_of(mark, spacing, across), SELECTED if number == selected else DRAWN)
         for number, mark in enumerate(drawing.marks)
         if not isinstance(mark, Stroke)
     ]
-    return coloured(
-        (
-            (_lines_of(mark, spacing, across), SELECTED if chosen else DRAWN)
-            for mark, chosen in marks
-        ),
-        len(spacing),
-    )
+    return coloured(parts, len(spacing))
 
 
 def coloured(parts: Iterable[tuple[npt.NDArray[Any], Sequence[float]]], axes: int = 2) -> Lines:
@@ -99,24 +90,23 @@ def arrow_layer(frame: Frame, shape: tuple[int, ...]) -> LayerData:
     return layer_on(frame, np.zeros((0, 2, len(frame.plane))), NAME, known, look, "vectors")
 
 
-def double_arrows(at: npt.NDArray[Any], axis: int, reach: float) -> npt.NDArray[np.float64]:
-    """Lines along one axis with two barbs at either end: what says nothing of the other axis.
+def double_arrows(
+    at: npt.NDArray[Any], along: npt.NDArray[Any], across: npt.NDArray[Any]
+) -> npt.NDArray[np.float64]:
+    """Lines one way with two barbs at either end: what says nothing of the other ways.
 
     Parameters
     ----------
-    at : ndarray, shape (N, 2)
+    at : ndarray, shape (N, n)
         Their middles, in the unit of the spacing.
-    axis : int
-        0 along the rows, 1 along the columns.
-    reach : float
-        Half their length, in the unit of the spacing.
+    along, across : ndarray, shape (n,)
+        Half of each, and as far to the side to which the barbs point.
 
     Returns
     -------
-    ndarray, shape (5 N, 2, 2), float64
+    ndarray, shape (5 N, 2, n), float64
         (start, step) of each line, in the unit of the spacing.
     """
-    along, across = reach * np.eye(2)[axis], reach * np.eye(2)[1 - axis]
     barbs = [
         (end * along, _TIP * (side * across - end * along)) for end in (-1, 1) for side in (-1, 1)
     ]
@@ -124,30 +114,38 @@ def double_arrows(at: npt.NDArray[Any], axis: int, reach: float) -> npt.NDArray[
 
 
 def barbed(
-    at: npt.NDArray[Any], by: npt.NDArray[Any], back: npt.NDArray[Any] | float
+    at: npt.NDArray[Any],
+    by: npt.NDArray[Any],
+    back: npt.NDArray[Any] | float,
+    plane: npt.NDArray[Any],
 ) -> npt.NDArray[np.float64]:
     """Arrows: shafts, and two barbs at the head of each.
 
     Parameters
     ----------
-    at, by : ndarray, shape (N, 2)
-        Where they begin, and how far they go, which is not nowhere; in the unit of the spacing.
+    at, by : ndarray, shape (N, n)
+        Where they begin, and how far they go, which is not straight out of the plane; in the unit
+        of the spacing.
     back : float or ndarray, shape (N, 1)
         How far the barbs go back along the shaft.
+    plane : ndarray, shape (2, n)
+        The two ways in which the barbs lie.
 
     Returns
     -------
-    ndarray, shape (3 N, 2, 2), float64
+    ndarray, shape (3 N, 2, n), float64
         (start, step) of each line, in the unit of the spacing.
     """
-    along = by / np.linalg.norm(by, axis=-1, keepdims=True)
+    along = by @ plane.T
+    along = along / np.linalg.norm(along, axis=-1, keepdims=True)
     across = np.stack([-along[:, 1], along[:, 0]], axis=-1)
-    barbs = [np.stack([at + by, -back * (along + side * 0.5 * across)], axis=1) for side in (-1, 1)]
+    tips = [-back * (along + side * 0.5 * across) @ plane for side in (-1, 1)]
+    barbs = [np.stack([at + by, tip], axis=1) for tip in tips]
     return np.concatenate([np.stack([at, by], axis=1), *barbs])
 
 
 def crosses(at: npt.NDArray[Any], arms: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-    """(start, step) of two lines through each of some places, (N, 2), along two `arms`, (2, 2)."""
+    """(start, step) of two lines through each of some places, (N, n), along two `arms`, (2, n)."""
     return _at_each(at, [(-arm, 2 * arm) for arm in arms])
 
 
@@ -158,78 +156,43 @@ def _at_each(at: npt.NDArray[Any], lines: Iterable[Any]) -> npt.NDArray[np.float
     )
 
 
-def deep(
-    lines: npt.NDArray[Any], across: int, depth: float | npt.NDArray[Any]
-) -> npt.NDArray[np.float64]:
-    """Lines of slices, (N, 2, 2), in their volume, where they lie so deep."""
-    found: npt.NDArray[np.float64] = np.insert(lines.astype(float), across, 0.0, axis=-1)
-    found[:, 0, across] = depth
-    return found
-
-
 def _lines_of(
     mark: Arrow | Landmark, spacing: Sequence[float], across: int
 ) -> npt.NDArray[np.float64]:
     """(start, step) of every line, in pixels."""
     arrow = mark.arrow(spacing) if isinstance(mark, Landmark) else mark
-    size = np.array(spacing)
-    base, by, radius = np.array(arrow.at) * size, np.array(arrow.by), arrow.radius
-    n = len(size)
+    size, n = np.array(spacing), len(spacing)
     flat = [axis for axis in range(n) if n == 2 or axis != across]
+    axes = np.eye(n)
+    plane = axes[flat]
+    base, by, radius = np.array([arrow.at]) * size, np.array([arrow.by]), arrow.radius
+    head, barb, length = base + by, _BARB * radius, math.hypot(*arrow.by)
+    circles = [(0.0, radius)] if n == 2 else _cuts(head[0, across], radius, size[across])
+    parts = []
+    for off, cut in circles:
+        outline = head + off * axes[across] + cut * TURN @ plane
+        parts.append(np.stack([outline[:-1], np.diff(outline, axis=0)], axis=1))
+    if length > 0.1 * radius and by[:, flat].any():
+        parts.append(barbed(base, by, min(barb, 0.5 * length), plane))
+    elif length > 0.1 * radius:  # straight out of the slice
+        parts.append(np.stack([base, by], axis=1))
+    elif arrow.components == "both":  # held in place
+        parts.append(crosses(head, barb * plane))
     only = {"row": n - 2, "col": n - 1}.get(arrow.components)
-    way = flat.index(only) if only in flat else None
-    there, held = _flat_lines(mark, arrow, base[flat], by[flat], way)
-    if n == 2:
-        return _lines([_circle(base + by, radius), there, held], size)
-    low, high = base[across], base[across] + by[across]
-    parts = [deep(there, across, low), deep(held, across, high)]
-    parts[0][:1, 1, across] = by[across]  # the shaft leads all the way
-    # Slices lie at whole pixels; the ball is as large in each as that cuts off it.
-    nearest = round(high / size[across])
-    reach = int(radius / size[across]) + 1
-    for number in range(nearest - reach, nearest + reach + 1):
-        left = radius**2 - (number * size[across] - high) ** 2
-        if left > 0 or number == nearest:
-            circle = _circle((base + by)[flat], math.sqrt(max(left, (radius / 4) ** 2)))
-            parts.append(deep(circle, across, number * size[across]))
-    return _lines(parts, size)
-
-
-def _lines(
-    parts: Sequence[npt.NDArray[np.float64]], size: npt.NDArray[Any]
-) -> npt.NDArray[np.float64]:
-    """Lines in lengths, as ones in pixels."""
+    if only in flat:
+        way = flat.index(only)
+        parts.append(double_arrows(head, *(_BEYOND * radius * plane[[way, 1 - way]])))
+    if isinstance(mark, Landmark):  # its base is a place, too
+        parts.append(crosses(base, 0.5 * barb * plane))
     lines: npt.NDArray[np.float64] = np.concatenate(parts) / size
     return lines
 
 
-def _circle(at: npt.NDArray[Any], radius: float) -> npt.NDArray[np.float64]:
-    """(start, step) around a place, in lengths."""
-    outline = at + radius * TURN
-    return np.stack([outline[:-1], np.diff(outline, axis=0)], axis=1)
-
-
-def _flat_lines(
-    mark: Arrow | Landmark,
-    arrow: Arrow,
-    at: npt.NDArray[Any],
-    step: npt.NDArray[Any],
-    way: int | None,
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """What lies where an arrow begins, shaft first, and at its head; `way`: all it speaks of."""
-    base, by, radius, length = at[None], step[None], arrow.radius, math.hypot(*arrow.by)
-    head, barb = base + by, _BARB * radius
-    there, held = [np.zeros((0, 2, 2))], [np.zeros((0, 2, 2))]
-    if length > 0.1 * radius and step.any():
-        shaft, *barbs = barbed(base, by, min(barb, 0.5 * length))[:, None]
-        there.append(shaft)
-        held += barbs
-    elif length > 0.1 * radius:  # straight out of the slice
-        there.append(np.stack([base, by], axis=1))
-    elif arrow.components == "both":  # held in place
-        held.append(crosses(head, barb * np.eye(2)))
-    if way is not None:
-        held.append(double_arrows(head, way, _BEYOND * radius))
-    if isinstance(mark, Landmark):  # its base is a place, too
-        there.append(crosses(base, 0.5 * barb * np.eye(2)))
-    return np.concatenate(there), np.concatenate(held)
+def _cuts(at: float, radius: float, step: float) -> Iterator[tuple[float, float]]:
+    """How far off each slice lies that cuts a ball, and the radius of what it cuts off."""
+    nearest, reach = round(at / step), int(radius / step) + 1
+    for number in range(nearest - reach, nearest + reach + 1):  # slices lie at whole pixels
+        off = number * step - at
+        left = radius**2 - off**2
+        if left > 0 or number == nearest:
+            yield off, math.sqrt(max(left, (radius / 4) ** 2))

@@ -5,7 +5,9 @@ Private names of others stand here and nowhere else; a test of each says when it
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Collection
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -64,6 +66,27 @@ def drawn_node(viewer: Any, layer: Any) -> Any:
         return viewer.window._qt_viewer.canvas.layer_to_visual[layer].node
     except (AttributeError, KeyError):
         return None
+
+
+class CanvasContext:
+    """Has the textures of a layer that goes be deleted where they are drawn.
+
+    Of a viewer there is one (`shared`). vispy deletes them in whichever OpenGL context is current,
+    which may be Qt's own, and Mesa's software rasteriser then crashes in what it draws next.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    """
+
+    def __init__(self, viewer: Any) -> None:
+        self._viewer = weakref.ref(viewer)
+        viewer.layers.events.removing.connect(self._make_current)
+
+    def _make_current(self, _: Any) -> None:
+        # Private: as for `drawn_node`.
+        with suppress(AttributeError, RuntimeError):  # there is no window, or no more
+            self._viewer().window._qt_viewer.canvas.native.makeCurrent()  # type: ignore[union-attr]
 
 
 def compile_once(mesh: Any) -> bool:

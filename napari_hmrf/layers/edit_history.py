@@ -1,4 +1,7 @@
-"""All edits of ours in a viewer, in the order they were made: undo, redo and their keys."""
+"""All edits of ours in a viewer, in the order they were made: undo, redo, their keys, and files.
+
+What was edited since it was saved last is known slice by slice, as a study is of a slice.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import weakref
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -92,30 +96,24 @@ class ViewerSteps:
         self._owner: Callable[[], Any] = lambda: None
         # What is done to leave the keys, of all layers and of the active one, as they were.
         self._keys, self._of_layer = ExitStack(), ExitStack()
-        # Whether napari paints, and not an undo or a redo.
-        self._painting = False
         self.edits.changed.connect(self._on_changed)
         viewer.layers.events.removed.connect(self._on_removed)
 
     def undo(self) -> None:
         """Take back what was done last, and go to where that was."""
         if not self._before_us("undo", self.edits.next_undo):
-            self._tell("Took back", self.edits.undo(), "There is nothing to take back.")
+            self._tell("undo", "Took back", self.edits.undo(), "There is nothing to take back.")
 
     def redo(self) -> None:
         """Do again what was taken back last, and go to where that is."""
         if not self._before_us("redo", self.edits.next_redo):
-            self._tell("Did again", self.edits.redo(), "There is nothing to do again.")
+            self._tell("redo", "Did again", self.edits.redo(), "There is nothing to do again.")
 
     @property
-    def undo_tooltip(self) -> str:
-        """What `undo` would do, for its button; it ends with the key."""
-        return f"{_tip('take back', self.edits.next_undo)} (Ctrl+Z)"
-
-    @property
-    def redo_tooltip(self) -> str:
-        """What `redo` would do, for its button; it ends with the key."""
-        return f"{_tip('do again', self.edits.next_redo)} (Ctrl+Shift+Z)"
+    def tooltips(self) -> tuple[str, str]:
+        """What `undo` and `redo` would do, for their buttons; each ends with its key."""
+        undo, redo = self.edits.next_undo, self.edits.next_redo
+        return f"{_tip('take back', undo)} (Ctrl+Z)", f"{_tip('do again', redo)} (Ctrl+Shift+Z)"
 
     def bind_keys(self, owner: Any) -> None:
         """Undo and redo by keys, wherever no layer has others for them.
@@ -128,23 +126,19 @@ class ViewerSteps:
         owner : object
             Who has the keys from now on, in place of who had them before.
         """
-        self._release_keys()
+        self._keys.close()
         self._owner = weakref.ref(owner)
         self._keys = self._bind(self._viewer)
         active = self._viewer.layers.selection.events.active
         active.connect(self._on_active)
         self._keys.callback(active.disconnect, self._on_active)
+        self._keys.callback(lambda: self._of_layer.close())
         self._on_active()
 
     def unbind_keys(self, owner: Any) -> None:
         """Leave the viewer's keys as they were, unless somebody else has them by now."""
         if self._owner() is owner:
-            self._release_keys()
-
-    def _release_keys(self) -> None:
-        self._owner = lambda: None
-        self._of_layer.close()
-        self._keys.close()
+            self._keys.close()
 
     def _bind(self, owner: Any) -> ExitStack:
         bound = ExitStack()
@@ -166,9 +160,8 @@ class ViewerSteps:
     def _on_paint(self, event: Any) -> None:
         """Have a stroke of napari's brush be a step among the others."""
         slot = Slot(PAINT, event.source)
-        strokes, self._painting = self.edits.open(slot, 0), True
+        strokes = self.edits.open(slot, 0)
         self.edits.do(slot, strokes + 1, f"painted in '{event.source.name}'")
-        self._painting = False
 
     def _before_us(self, name: str, step: Step | None) -> bool:
         """Take back, or do again, paint of the active layer that was there before anybody asked."""
@@ -178,9 +171,13 @@ class ViewerSteps:
             getattr(layer, name)()
         return known
 
-    def _tell(self, what: str, step: Step | None, nothing: str) -> None:
+    def _tell(self, name: str, what: str, step: Step | None, nothing: str) -> None:
+        """Show and say what was taken back or done again; paint napari has to."""
         if step is not None:
-            self.go_to(step.slot)
+            slot: Any = step.slot
+            if slot.what == PAINT and paint_steps(slot.layer, name):  # it keeps a hundred at most
+                getattr(slot.layer, name)()
+            self.go_to(slot)
         self.said.emit(nothing if step is None else f"{what}: {step.word}.", step)
 
     def go_to(self, slot: Any, turn: bool = False) -> None:
@@ -191,26 +188,21 @@ class ViewerSteps:
         dims, layer = self._viewer.dims, slot.layer
         missing = dims.ndim - layer.ndim
         axes = tuple(axis + missing for axis in plane)
-        if turn and (dims.ndisplay != 2 or axes != View.of(dims).displayed):
+        if dims.ndisplay != 2 or axes != View.of(dims).displayed:
+            if not turn:
+                return
             dims.ndisplay = 2
             dims.order = (*(axis for axis in range(dims.ndim) if axis not in axes), *axes)
         view = View.of(dims)
-        if dims.ndisplay != 2 or axes != view.displayed:
-            return
         there = np.asarray(layer.data_to_world(np.array(index, dtype=float)))
         there = there / view.factors(layer)
-        for axis in range(layer.ndim):
-            if axis not in plane:
-                dims.set_point(axis + missing, float(there[axis]))
+        others = [axis for axis in range(layer.ndim) if axis not in plane]
+        dims.set_point([axis + missing for axis in others], there[others].tolist())
 
-    def _on_changed(self, slot: Any, value: Any, before: Any) -> None:
-        """Have the layer carry its table, or its paint; whoever shows it listens for itself."""
+    def _on_changed(self, slot: Any, value: Any) -> None:
+        """Have the layer carry its table; whoever shows it listens for itself."""
         if slot.what in (TISSUE, BOUNDARY):
             value.give_to(slot.layer, slot.what)
-        elif slot.what == PAINT and not self._painting:
-            name = "undo" if value < before else "redo"
-            if paint_steps(slot.layer, name):  # napari keeps no more than a hundred
-                getattr(slot.layer, name)()
 
     def _on_removed(self, event: Any) -> None:
         gone = event.value
@@ -224,3 +216,54 @@ def _tip(what: str, step: Step | None) -> str:
 def steps_of(viewer: Any) -> ViewerSteps:
     """The steps of a viewer; the same ones for all that edit in it."""
     return shared(unwrapped(viewer), ViewerSteps)
+
+
+class UnsavedWork:
+    """Knows which slices no file holds as they are; of a viewer there is one (`shared`).
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+
+    Attributes
+    ----------
+    paths : dict of Slot to Path
+        The file that holds a slice as it was, of those that were saved or opened.
+    kept : dict of Slot to Path
+        The file that a slice is kept in against a crash.
+    """
+
+    def __init__(self, viewer: Any) -> None:
+        self._edits = steps_of(viewer).edits
+        self._before: dict[Slot, dict[Slot, Any]] = {}
+        self.paths: dict[Slot, Path] = {}
+        self.kept: dict[Slot, Path] = {}
+
+    @property
+    def slices(self) -> tuple[Slot, ...]:
+        """The drawings of the slices on which something is other than in any file."""
+        now = {slot: self._edits.get(slot) for slot in self._edits.slots}
+        return tuple(
+            here
+            for here, edited in self._before.items()
+            if here in now and any(slot in now and now[slot] != edited[slot] for slot in edited)
+        )
+
+    def note(self, here: Slot, slot: Slot | None = None, before: Any = None) -> None:
+        """Something is edited on a slice.
+
+        Parameters
+        ----------
+        here : Slot
+            The drawing of the slice.
+        slot : Slot, optional
+            What is edited; without, the slice is unsaved until it is saved, whatever is taken back.
+        before : object
+            What that held.
+        """
+        held = object() if slot is None else before
+        self._before.setdefault(here, {}).setdefault(slot or here, held)
+
+    def save(self, here: Slot) -> None:
+        """A slice is in a file as it is now, or is not wanted any more."""
+        self._before.pop(here, None)

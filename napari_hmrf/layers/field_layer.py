@@ -21,9 +21,8 @@ from napari_hmrf.field.observation import PixelField
 from napari_hmrf.field.other_grid import OtherGrid
 from napari_hmrf.layers.label_colours import OBSERVED
 from napari_hmrf.layers.metadata import IMAGE, METADATA, TISSUE, known_of, role_of, rows_of
-from napari_hmrf.layers.pixel_copy import copy_slice, plane_shape
 from napari_hmrf.layers.result_layers import ARROWS, Answer, LayerData
-from napari_hmrf.layers.slice_view import View, frame_of, layer_extents
+from napari_hmrf.layers.slice_view import View, copy_slice, frame_of, layer_extents, plane_shape
 from napari_hmrf.study.layer_names import full_resolution, naming
 
 Array = npt.NDArray[Any]
@@ -35,9 +34,8 @@ _PIECES, _ROUND = 8, 64
 
 def result_of(layer: Any) -> Answer | None:
     """The result that a layer of arrows holds; None if it holds none."""
-    known = known_of(layer)
-    answer = known.get("answer")
-    return answer if isinstance(answer, Answer) and known.get("kind") == "arrows" else None
+    answer = known_of(layer).get("answer")
+    return answer if isinstance(answer, Answer) else None
 
 
 def holds_field(layer: Any) -> bool:
@@ -86,10 +84,12 @@ def field_layer(
 
 def source_of(layers: Iterable[Any], result: Answer) -> Any:
     """Find the image that a result deforms: by its name, else one that lies where it does."""
-    images = [layer for layer in layers if can_be_source(layer, result)]
-    named = [layer for layer in images if layer.name == result.source]
-    meant = [layer for layer in images if role_of(layer) == IMAGE]
-    return next(iter([*named, *meant, *images]), None)
+    images = (layer for layer in layers if can_be_source(layer, result))
+
+    def likeness(image: Any) -> tuple[bool, bool]:
+        return image.name == result.pictures.name, role_of(image) == IMAGE
+
+    return max(images, key=likeness, default=None)
 
 
 def can_be_source(layer: Any, result: Answer) -> bool:
@@ -98,14 +98,10 @@ def can_be_source(layer: Any, result: Answer) -> bool:
     return own and frame_in(layer, result) is not None
 
 
-def tissue_of(layers: Iterable[Any], result: Answer) -> Any:
-    """Find the layer that says how stiff the tissue of a result is, or None.
-
-    That is one of labels with a table, or one of stiffness.
-    """
-    tissues = [layer for layer in layers if role_of(layer) == TISSUE]
-    described = [each for each in tissues if isinstance(each, Image) or rows_of(each, TISSUE)]
-    return next((each for each in reversed(described) if frame_in(each, result)), None)
+def tissue_labels(layers: Iterable[Any], result: Answer) -> Any:
+    """Find the topmost layer of labels that says what the tissue of a result is, or None."""
+    tissues = [layer for layer in layers if isinstance(layer, Labels) and rows_of(layer, TISSUE)]
+    return next((each for each in reversed(tissues) if frame_in(each, result)), None)
 
 
 def frame_in(layer: Any, result: Answer) -> Frame | None:

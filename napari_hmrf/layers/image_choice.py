@@ -10,8 +10,7 @@ import numpy as np
 from napari.layers import Image
 
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, role_of
-from napari_hmrf.layers.pixel_copy import fits
-from napari_hmrf.layers.slice_view import View
+from napari_hmrf.layers.slice_view import View, fits
 from napari_hmrf.study.layer_names import full_resolution
 
 #: Ways of drawing an image that leave nothing to be seen of what lies beneath.
@@ -34,15 +33,12 @@ def image_in_front(viewer: Any, images: Iterable[Any], worked_on: Iterable[Any] 
     napari.layers.Image or None
         The active one, or else the topmost that is selected, or visible, or there.
     """
-    there = list(images)
-    known = set(worked_on)
-    there = [image for image in there if image in known] or there
-    selection = viewer.layers.selection
-    if selection.active in there:
-        return selection.active
-    selected = [image for image in there if image in selection]
-    visible = [image for image in there if image.visible]
-    return next((some[-1] for some in (selected, visible, there) if some), None)
+    known, selection = set(worked_on), viewer.layers.selection
+
+    def likelihood(image: Any) -> tuple[bool, ...]:
+        return image in known, image is selection.active, image in selection, image.visible
+
+    return max(reversed([*images]), key=likelihood, default=None)
 
 
 def painted_on(image: Any, layers: Iterable[Any], view: View | None = None) -> list[Any]:

@@ -34,8 +34,7 @@ class _Held:
 
     #: Returns it, as long as it is kept anywhere.
     layer: Callable[[], Any]
-    #: The name meant for it, and what napari made of that.
-    meant: str
+    #: What napari made of the name meant for it.
     name: str
     #: Whether somebody wants to see it.
     wanted: bool = True
@@ -77,7 +76,9 @@ class Result:
     moving = False
 
     def __init__(self, viewer: Any, anchor: Any, where: str) -> None:
-        self._viewer, self._anchor = viewer, weakref.ref(anchor)
+        self._viewer = viewer
+        #: Returns what was deformed, as long as it is kept anywhere.
+        self.anchor: Callable[[], Any] = weakref.ref(anchor)
         self.where = where
         self.is_before = False
         self._frame: Frame | None = None
@@ -114,18 +115,15 @@ class Result:
     @property
     def percent(self) -> int:
         """How much of the deformation is seen."""
-        for part in ("image", "overlay"):
-            layer = self.layer(part)
-            if layer is not None and layer.visible:
-                return _percent_of(layer)
-        return 0
+        pictures = (layer for part, layer, _ in self._there() if part in ("image", "overlay"))
+        return next((_percent_of(layer) for layer in pictures if layer.visible), 0)
 
     # What is shown
 
     def take(self, part: Part, layer: Any) -> None:
         """Have a layer that somebody else made."""
         seen = layer.visible
-        self._held[part] = _Held(weakref.ref(layer), layer.name, layer.name, seen, seen=seen)
+        self._held[part] = _Held(weakref.ref(layer), layer.name, seen, seen=seen)
         self._set_eyes()
 
     def put(self, part: Part, made: LayerData, source: Any = None, show: bool = True) -> None:
@@ -222,7 +220,7 @@ class Result:
     def leave(self) -> None:
         """Hide what was put there to be looked at, as another result is."""
         self.want("overlay", False)
-        if self._anchor() is self.layer("arrows"):  # of a file: its image was not made with it
+        if self.anchor() is self.layer("arrows"):  # of a file: its image was not made with it
             self.want("image", False)
 
     def show_before(self, before: bool) -> None:
@@ -249,8 +247,7 @@ class Result:
     def _set_eyes(self) -> None:
         """Have each layer be seen or not, as it should."""
         for part, layer, held in self._there():
-            if layer.visible != held.seen:
-                held.wanted = layer.visible
+            held.wanted = self.wants(part)
             hidden = self.is_before or not (self._is_whole or part not in (PAINTED, CONFIDENCE))
             held.seen = held.wanted and held.current and not hidden
             if layer.visible != held.seen:
@@ -278,7 +275,7 @@ class Result:
                 self.drop(part)
                 layer = Layer.create(*made)
                 # Who hears that it comes can ask whose it is.
-                held = self._held[part] = _Held(weakref.ref(layer), name, name, wanted)
+                held = self._held[part] = _Held(weakref.ref(layer), name, wanted)
                 layers.insert(self._index(part, made, source), layer)
                 held.name = layer.name
                 # Two bars in one corner would be read as one, under one title.
@@ -293,9 +290,9 @@ class Result:
                 for look in _LOOKS.get(part, ()):
                     if look in made.attributes:
                         setattr(layer, look, made.attributes[look])
-                if name != held.meant and layer.name == held.name:
+                if layer.name == held.name:
                     layer.name = name
-                    held.meant, held.name = name, layer.name
+                    held.name = layer.name
                 now, at = layers.index(layer), self._index(part, made, source)
                 if is_overlaid and now + 1 < at:  # paint has come since
                     layers.move(now, at)
@@ -313,7 +310,7 @@ class Result:
         if part == "overlay":  # through paint its colours would be read as others
             below += [each for each in layers if _is_paint(each)]
         if source is None:
-            below.append(self._anchor())
+            below.append(self.anchor())
         else:
             below += [source, *(each for each in layers if _is_moved(each, self.where))]
         return max((layers.index(each) + 1 for each in below if each in layers), default=0)
@@ -369,31 +366,29 @@ class ResultLayers:
 
     def __init__(self, viewer: Any) -> None:
         self._viewer = weakref.proxy(viewer)
-        # By the layer itself, not its id: that is given to another layer when the layer is gone.
-        self._results: weakref.WeakKeyDictionary[Any, dict[str, Result]]
-        self._results = weakref.WeakKeyDictionary()
-        self._orphans: list[Result] = []
-        viewer.layers.events.removed.connect(self._on_removed)
+        self._results: list[Result] = []
 
     @property
     def sources(self) -> list[Any]:
         """The layers of which a result is seen."""
-        known = [*self._results.items()]
-        return [each for each, of in known if any(result.visible for result in of.values())]
+        return [result.anchor() for result in self._results if result.visible]
 
     def at(self, source: Any, where: str) -> Result:
         """The result of a layer and a slice, which need not be there yet."""
-        known = self._results.setdefault(source, {})
-        return known.setdefault(where, Result(self._viewer, source, where))
+        for result in self._results:
+            if result.anchor() is source and result.where == where:
+                return result
+        self._results.append(Result(self._viewer, source, where))
+        return self._results[-1]
 
     def pictures_of(self, source: Any) -> list[Any]:
         """The layers that show a layer as it has moved, of all slices."""
-        found = (result.layer("image") for result in self._results.get(source, {}).values())
-        return [layer for layer in found if layer is not None]
+        own = (result for result in self._results if result.anchor() is source)
+        return [layer for result in own if (layer := result.layer("image")) is not None]
 
     def of(self, arrows: Any) -> Result:
         """The result that a layer of arrows holds, be it from a file."""
-        for result in self._all():
+        for result in self._results:
             if result.part_of(arrows) is not None:
                 return result
         result = self.at(arrows, str(known_of(arrows).get("slice", "")))
@@ -426,12 +421,8 @@ class ResultLayers:
 
     def remove_orphans(self) -> None:
         """Remove what is left of images that are gone, once napari is done with its own layers."""
-        orphans, self._orphans = self._orphans, []
-        for result in orphans:
-            result.remove()
-
-    def _all(self) -> list[Result]:
-        return [result for known in [*self._results.values()] for result in known.values()]
-
-    def _on_removed(self, event: Any) -> None:
-        self._orphans += self._results.pop(event.value, {}).values()
+        known, layers = self._results, self._viewer.layers
+        self._results = [result for result in known if result.anchor() in layers]
+        for result in known:
+            if result not in self._results:
+                result.remove()

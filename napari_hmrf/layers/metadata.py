@@ -148,6 +148,5 @@ def change(before: Table, after: Table, name: str) -> str:
     if len(differing) != 1:
         return f"changed the table of '{name}'"
     (label,) = differing
-    return (
-        f"changed label {label} of '{name}'" if label in was else f"added label {label} to '{name}'"
-    )
+    done, where = ("changed", "of") if label in was else ("added", "to")
+    return f"{done} label {label} {where} '{name}'"

@@ -18,15 +18,7 @@ from napari.layers import Labels
 
 from napari_hmrf.field.deformation import spread
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.layers.arrow_layer import (
-    TURN,
-    Lines,
-    barbed,
-    coloured,
-    crosses,
-    deep,
-    double_arrows,
-)
+from napari_hmrf.layers.arrow_layer import TURN, Lines, barbed, coloured, crosses, double_arrows
 from napari_hmrf.layers.image_result import CONFIDENCE, PAINTED
 from napari_hmrf.layers.label_colours import SELECTED, confidence_look
 from napari_hmrf.layers.result_layers import LayerData, layer_on
@@ -87,7 +79,7 @@ def show_painted(
         How sure is what is held or moved; the larger of its components.
     """
     kinds = canvas.kinds[window]
-    shown = np.where(kinds == KINDS["confidence"], np.uint8(0), kinds)
+    shown = kinds.copy()
     if confidence is not None:
         confidence[window] = canvas.confidence[window].max(axis=-1)
     width = max(1, min(canvas.shape) // 90)
@@ -173,32 +165,28 @@ def painted_marks(canvas: Canvas) -> Lines:
     """
     kinds, size = canvas.kinds, np.array(canvas.spacing)
     n = len(size)
+    plane = np.eye(n)[-2:]
     shorter = min(extent * step for extent, step in zip(canvas.shape, size, strict=True))
     apart = max(shorter / _ACROSS, 4 * float(size.max()))
-    counts = np.isin(kinds, [KINDS[each] for each in _MARKED]) & (canvas.confidence > 0).any(
-        axis=-1
-    )
+    marked = np.isin(kinds, [KINDS[each] for each in _MARKED])
+    counts = marked & (canvas.confidence > 0).any(axis=-1)
     places = spread(counts, np.where(np.arange(n) < n - 2, 1, apart / size))
     parts: list[tuple[npt.NDArray[Any], Sequence[float]]] = []
     for action in _MARKED:
         at = places[kinds[tuple(places.T)] == KINDS[action]]
-        by = np.where(canvas.confidence[tuple(at.T)] > 0, canvas.observed[tuple(at.T)], 0)
         sure = canvas.confidence[tuple(at.T)] > 0
-        both, by = sure.all(axis=-1), by[:, -2:]
-        moves, at = by.any(axis=-1), at * size
+        by = np.where(sure, canvas.observed[tuple(at.T)], 0) @ plane.T @ plane
+        both, moves, at = sure.all(axis=-1), by.any(axis=-1), at * size
         back = 0.35 * np.linalg.norm(by[moves], axis=-1, keepdims=True)
-        flat, one = at[:, -2:], sure[:, -2:] & ~both[:, None]
-        drawn = [
-            (moves, barbed(flat[moves], by[moves], back)),
-            (both & ~moves, crosses(flat[both & ~moves], 0.2 * apart * _X)),
-            *((one[:, way], double_arrows(flat[one[:, way]], way, 0.35 * apart)) for way in (0, 1)),
-        ]
+        one, reach = sure[:, -2:] & ~both[:, None], 0.35 * apart * plane
         colour = (*(0.6 + 0.4 * part for part in COLOURS[action]), 1.0)
-        for which, lines in drawn:
-            if n == 3:  # so many lines for each place, one place after the other in each of them
-                depths = at[which, 0]
-                lines = deep(lines, 0, np.tile(depths, len(lines) // max(len(depths), 1)))
-            parts.append((lines / size, colour))
+        drawn = [
+            barbed(at[moves], by[moves], back, plane),
+            crosses(at[both & ~moves], 0.2 * apart * _X @ plane),
+            double_arrows(at[one[:, 0]], *reach),
+            double_arrows(at[one[:, 1]], *reach[::-1]),
+        ]
+        parts += [(lines / size, colour) for lines in drawn]
     return coloured(parts, n)
 
 
@@ -220,8 +208,7 @@ def way_of(stroke: Stroke, spacing: Sequence[float], goes_to: Callable[[Any], An
         Where places, (N, n) in pixels, are seen.
     """
     ways = [np.array(line) for line in stroke.lines]
-    circle = np.zeros((len(TURN), len(spacing)))
-    circle[:, -2:] = stroke.radius * TURN / spacing[-2:]
+    circle = stroke.radius * TURN @ np.eye(len(spacing))[-2:] / spacing
     ends = [way[at] + circle for way in ways for at in (0, -1)]
     seen = [goes_to(places) for places in (*ways, *ends)]
     lines = ((np.stack([at[:-1], np.diff(at, axis=0)], axis=1), SELECTED) for at in seen)

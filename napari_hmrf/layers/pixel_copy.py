@@ -9,12 +9,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from napari.layers import Vectors
 
-from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.layers.slice_view import View, frame_of
-from napari_hmrf.study.layer_names import LayerError, full_resolution
+from napari_hmrf.layers.slice_view import copy_slice
 from napari_hmrf.study.study import is_same
 
 T = TypeVar("T")
@@ -23,68 +20,6 @@ _KEPT = 4
 #: The events after which a layer's data may be others. A layer draws itself anew for many other
 #: reasons, too, but a script that has changed its array in place can say so in no other way.
 CHANGES = ("data", "labels_update", "paint", "set_data")
-
-
-def plane_shape(layer: Any, frame: Frame) -> tuple[int, ...]:
-    """Rows and columns of a layer's slice; of a volume its planes, too."""
-    if isinstance(layer, Vectors):
-        raise LayerError(
-            layer, "has no pixels. Choose an image, or paint the tissue in a Labels layer."
-        )
-    shape = full_resolution(layer).shape
-    return tuple(int(shape[axis]) for axis in frame.plane)
-
-
-def check_size(
-    layer: Any, own: Frame, reference: Any, frame: Frame, shape: tuple[int, ...]
-) -> None:
-    """Refuse a layer that lies elsewhere than the reference, or has other pixels."""
-    own_shape = shape if isinstance(layer, Vectors) else plane_shape(layer, own)
-    if own_shape != shape or not frame.same_place(own, shape):
-        own_size, size = (" x ".join(map(str, each)) for each in (own_shape, shape))
-        raise LayerError(
-            layer,
-            f"lies elsewhere than '{reference.name}': it has {own_size} pixels, that has {size}; "
-            "or their scale, translation, rotation, shear, affine or units differ. Give both the "
-            "same, or resample one.",
-        )
-
-
-def copy_slice(layer: Any, own: Frame) -> npt.NDArray[Any]:
-    """Copy a slice of a layer, wherever it is read from.
-
-    Raises
-    ------
-    ProblemError
-        If it could not be read, or pixels of it are masked.
-    """
-    try:
-        picture = own.take(full_resolution(layer))
-    except Exception as error:
-        # A lazy layer runs the code of whoever reads it, which may raise anything.
-        reason = str(error).rstrip(".") or type(error).__name__
-        raise LayerError(
-            layer, f"could not be read: {reason}. Check the file it comes from."
-        ) from error
-    hidden = int(np.ma.getmaskarray(picture).sum()) if isinstance(picture, np.ma.MaskedArray) else 0
-    if hidden:
-        raise LayerError(
-            layer,
-            f"is a masked array with {hidden} masked values in this slice, and a mask would be "
-            "lost. Fill them with a value (0 is where there is no tissue).",
-        )
-    return np.asarray(picture)
-
-
-def fits(layer: Any, reference: Any, view: View | None = None) -> bool:
-    """Whether a layer has the pixels of a reference; True, too, of slices that it does not have."""
-    try:
-        own, frame = frame_of(layer, view), frame_of(reference, view)
-    except (HmrfError, ValueError):
-        return True
-    shape = plane_shape(reference, frame)
-    sized = isinstance(layer, Vectors) or plane_shape(layer, own) == shape
-    return sized and frame.same_place(own, shape)
 
 
 class LayerCopies:

@@ -26,11 +26,9 @@ from napari_hmrf.layers.metadata import (
     rows_of,
     tissue_record,
 )
-from napari_hmrf.layers.pixel_copy import LayerCopies, check_size, plane_shape
+from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.result_layers import layer_on
-from napari_hmrf.layers.slice_view import View, frame_of
-from napari_hmrf.solver.optimizers import Multigrid, Optimizer
-from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.layers.slice_view import View, check_size, frame_of, plane_shape
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.study.layer_names import LayerError, naming
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
@@ -106,19 +104,12 @@ class Request:
         return tuple(layer for layer in chosen if isinstance(layer, Layer))
 
 
-def read_study(
-    request: Request,
-    prior: Prior | None = None,
-    optimizer: Optimizer | None = None,
-    copies: LayerCopies | None = None,
-) -> Study:
+def read_study(request: Request, copies: LayerCopies | None = None) -> Study:
     """Read the slice that is shown out of every layer; quick, for the window waits for it.
 
     Parameters
     ----------
     request : Request
-    prior, optimizer
-        By default elastic tissue, to convergence.
     copies : LayerCopies, optional
         Of a viewer: a layer that did not change since is not read again.
 
@@ -127,9 +118,7 @@ def read_study(
     ProblemError
         Naming the layer that lies elsewhere, is of another size or cannot be read.
     """
-    return _Reader(request, copies or LayerCopies()).study(
-        prior or ElasticPrior(), optimizer or Multigrid()
-    )
+    return _Reader(request, copies or LayerCopies()).study()
 
 
 class _Reader:
@@ -141,10 +130,14 @@ class _Reader:
         self._reference = reference = request.layers[0]
         self._frame = frame_of(reference, request.view)
         self._shape = plane_shape(reference, self._frame)
-        self._of_arrows: tuple[str, ...] = ()
-        self._multiscale = any(layer.multiscale for layer in request.layers)
+        self._notes: list[str] = []
+        if (skew := self._frame.skew) > _RIGHT_ANGLE:
+            sheared = f"the pixels are sheared by {skew:.1f} degrees, but taken as rectangles"
+            self._notes.append(sheared)
+        if any(layer.multiscale for layer in request.layers):
+            self._notes.append(f"computed on the finest level, {grid_in_words(self._shape)}")
 
-    def study(self, prior: Prior, optimizer: Optimizer) -> Study:
+    def study(self) -> Study:
         request, frame, reference = self._request, self._frame, self._reference
         image = None if request.image is None else self._slice(request.image)
         tissue, motion = self._tissue(), self._motion()
@@ -162,8 +155,6 @@ class _Reader:
             grid=Grid(self._shape, frame.spacing, frame.unit, frame),
             tissue=tissue,
             motion=motion,
-            prior=prior,
-            optimizer=optimizer,
             pictures=Pictures(
                 image=image,
                 labels=tissue.labels,
@@ -173,7 +164,7 @@ class _Reader:
                 labels_look=look_of(request.tissue) if tissue.labels is not None else {},
             ),
             names=names,
-            notes=(*self._notes(), *self._of_arrows),
+            notes=tuple(self._notes),
         )
 
     def _slice(self, layer: Any) -> npt.NDArray[Any]:
@@ -255,7 +246,7 @@ class _Reader:
         of = (data, sure, own, frame.spacing, shape, *(field or ()))
         y, c, out = self._copies.made(layer, of, observe)
         if out > (0 if field is None else _OUT * max(frame.spacing)):
-            self._of_arrows = (f"'{layer.name}' leads out of the slice, too, which did not count",)
+            self._notes.append(f"'{layer.name}' leads out of the slice, too, which did not count")
         return y, c
 
     def _sure(self) -> npt.NDArray[Any] | None:
@@ -274,14 +265,6 @@ class _Reader:
             raise LayerError(self._reference, "has no edges: choose an image.")
         pixels = self._slice(image)
         return self._copies.made(image, (pixels,), lambda: at_edges(pixels, axes=len(self._shape)))
-
-    def _notes(self) -> tuple[str, ...]:
-        skew, notes = self._frame.skew, []
-        if skew > _RIGHT_ANGLE:
-            notes.append(f"the pixels are sheared by {skew:.1f} degrees, but taken as rectangles")
-        if self._multiscale:
-            notes.append(f"computed on the finest level, {grid_in_words(self._shape)}")
-        return tuple(notes)
 
 
 def look_of(layer: Any) -> dict[str, Any]:

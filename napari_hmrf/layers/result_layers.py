@@ -24,13 +24,7 @@ from napari_hmrf.field.deformation import (
     spread,
 )
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.quantities import (
-    QUANTITIES,
-    Coloured,
-    Quantity,
-    coloured,
-    title_and_unit,
-)
+from napari_hmrf.field.quantities import QUANTITIES, Coloured, Quantity, coloured, title_and_unit
 from napari_hmrf.field.resample import emptiness, resample
 from napari_hmrf.field.strain import folds
 from napari_hmrf.field.units import unit_symbol
@@ -79,17 +73,15 @@ class Answer:
         With its frame.
     frame : Frame
         Where it lies.
-    facts : mapping
-        What all its layers know.
     pictures : Pictures
-        What moves with it, but for the image; nothing, of a result from a file.
+        What moves with it, but for the image, of which there is the name; nothing, of a result
+        from a file.
     problem : Problem, optional
         What was solved; not known of a result from a file.
     """
 
     solution: Solution
     frame: Frame
-    facts: Facts
     pictures: Pictures = field(default_factory=Pictures)
     problem: Problem | None = None
 
@@ -103,11 +95,6 @@ class Answer:
         """Rows and columns, of a volume planes before these."""
         shape: tuple[int, ...] = self.solution.tissue.shape
         return shape
-
-    @property
-    def source(self) -> str:
-        """The name that the deformed image's layer had; empty for a result from a file."""
-        return self.pictures.name
 
     def layer(
         self, kind: str, data: Array, what: str, look: Facts, sort: str = "image", source: str = ""
@@ -125,12 +112,18 @@ class Answer:
         source : str
             By default what was deformed.
         """
-        known = {"kind": kind, **self.facts}
+        provenance = self.solution.provenance
+        known = {
+            **_whence(self.frame, self.pictures),
+            "kind": kind,
+            "model": in_words(provenance.parameters),
+            "provenance": asdict(provenance),
+        }
         if sort == "vectors":
-            known = {**known, "solution": self.solution}
+            known["solution"] = self.solution
             look = {**look, "length": 1.0, "opacity": 1.0}
-        run = self.solution.provenance.parameters
-        name = _result_name(source or self.source, what, run, self.frame.slice_seen)
+        where = self.frame.slice_seen
+        name = _result_name(source or self.pictures.name, what, provenance.parameters, where)
         return layer_on(self.frame, data, name, known, look, sort)
 
 
@@ -191,14 +184,15 @@ def result_layers(
     solution = replace(solution, frame={**(solution.frame or {}), **frame.as_dict()})
     field = (solution.displacement, solution.spacing, solution.tissue)
     checkpoint()
-    folds = int((smallest_determinant(*field) <= 0).sum())
+    nearest = smallest_determinant(*field)
+    checkpoint()
+    folds = int((nearest <= 0).sum())
     shown = pictures or Pictures()
-    facts = {
-        **_whence(frame, shown),
-        "model": in_words(solution.provenance.parameters),
-        "provenance": asdict(solution.provenance),
-    }
-    answer = Answer(solution, frame, facts, replace(shown, image=None, look={}), problem)
+    digests = solution.provenance.inputs
+    for name in digests:
+        checkpoint()
+        digests[name]  # made when it is looked at first
+    answer = Answer(solution, frame, replace(shown, image=None, look={}), problem)
     layers: dict[Kind, LayerData] = {}
     overlaps = 0
     if pictures is not None:  # a file that is opened need not wait for the compiler of the loops
@@ -319,21 +313,18 @@ def overlay_of(answer: Answer, name: Name, compared: Comparison | None = None) -
         None if the result has nothing of that name: no folds, no labels, no reference, or no
         problem.
     """
-    made: LayerData | None
     if name == "grid":
         look = {"vector_style": "line", "edge_color": "cyan", "edge_width": max(answer.shape) / 500}
-        made = answer.layer(name, moved_grid(answer.solution), name, look, "vectors")
-    elif name == "folds":
-        made = _fold_layer(answer)
-    elif name == "observed":
-        made = None if answer.problem is None else _motion_layer(answer, answer.problem)
-    elif (pixels := _pixels_of(answer, name, compared)) is not None:
-        picture, *shown = pixels
-        moved = np.asarray(Motion(answer.solution, overlay=picture).at(1).overlay)
-        return Overlay(name, answer.layer(name, moved, *shown), picture)
-    else:
-        made = None
-    return None if made is None else Overlay(name, made)
+        grid = moved_grid(answer.solution)
+        return Overlay(name, answer.layer(name, grid, name, look, "vectors"))
+    if name in ("folds", "observed"):
+        made = _fold_layer(answer) if name == "folds" else _motion_layer(answer)
+        return None if made is None else Overlay(name, made)
+    if (pixels := _pixels_of(answer, name, compared)) is None:
+        return None
+    picture, *shown = pixels
+    moved = np.asarray(Motion(answer.solution, overlay=picture).at(1).overlay)
+    return Overlay(name, answer.layer(name, moved, *shown), picture)
 
 
 def _pixels_of(answer: Answer, name: Name, compared: Comparison | None) -> tuple[Any, ...] | None:
@@ -384,8 +375,10 @@ def _fold_layer(answer: Answer) -> LayerData | None:
     return answer.layer("folds", folded.astype(np.uint8), _BEFORE.format("folds"), look, "labels")
 
 
-def _motion_layer(answer: Answer, problem: Problem) -> LayerData:
-    """How tissue was to move (y), as arrows."""
+def _motion_layer(answer: Answer) -> LayerData | None:
+    """How tissue was to move (y), as arrows; None if that is not known."""
+    if (problem := answer.problem) is None:
+        return None
     y, known = problem.observed, problem.known  # what was held has a dot
     apart = pixels_between(_ACROSS, answer.shape, problem.spacing)
     cell = (1, apart, apart)[-len(answer.shape) :]

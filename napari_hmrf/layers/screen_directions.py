@@ -68,15 +68,13 @@ class Directions(NamedTuple):
         frame : Frame
         viewer : napari.Viewer or ViewerModel, optional
         """
-        axes, deep = list(frame.plane[-2:]), ""
-        order: tuple[int, ...] = (0, 1)
-        if len(frame.plane) == 3:
-            if viewer is not None:
-                missing = viewer.dims.ndim - frame.ndim
-                axes = [axis - missing for axis in viewer.dims.displayed[-2:]]
-            across = next(axis for axis in frame.plane if axis not in axes)
-            order = tuple(frame.plane.index(axis) for axis in (across, *axes))
-            deep = _way_across(frame, across)
+        axes = list(frame.plane[-2:])
+        if len(frame.plane) == 3 and viewer is not None:
+            missing = viewer.dims.ndim - frame.ndim
+            axes = [axis - missing for axis in viewer.dims.displayed[-2:]]
+        across = [axis for axis in frame.plane if axis not in axes]
+        order = tuple(frame.plane.index(axis) for axis in (*across, *axes))
+        deep = "".join(_way_across(frame, axis) for axis in across)
         linear = np.array(frame.matrix)[:-1, :-1][np.ix_(axes, axes)]
         linear = linear / np.linalg.norm(linear, axis=0)
         # Where the world's rows and columns run in the patient, or on the canvas.

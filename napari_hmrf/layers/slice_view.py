@@ -1,4 +1,4 @@
-"""Which slice of a layer a viewer shows, and where that lies."""
+"""Which slice of a layer a viewer shows, where that lies, and its pixels."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from napari.layers import Points, Shapes, Vectors
 
+from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.frame import Frame, as_tuples, is_flat
 from napari_hmrf.field.units import unit_factor
 from napari_hmrf.study.layer_names import LayerError, full_resolution
@@ -50,7 +52,7 @@ class View:
         )
 
     def factors(self, layer: Any) -> npt.NDArray[np.float64]:
-        """How many of a layer's units make one of the viewer's, along the layer's axes."""
+        """How many units of a layer, or frame, make one of the viewer's, along its axes."""
         if self.units is None:
             return np.ones(layer.ndim)
         units = zip(self.units[-layer.ndim :], layer.units, strict=True)
@@ -174,17 +176,75 @@ def plane_shown(frame: Frame, view: View) -> tuple[int, int]:
     missing = len(view.point) - frame.ndim
     shown = {axis - missing for axis in view.displayed[-2:]}
     across = next(at for at, axis in enumerate(frame.plane) if axis not in shown)
-    factors = np.ones(frame.ndim)
-    if view.units is not None:
-        units = zip(view.units[-frame.ndim :], frame.units, strict=True)
-        factors = np.array([unit_factor(unit, to) for unit, to in units])
-    world = np.nan_to_num(np.array(view.point[missing:]) * factors)
+    world = np.nan_to_num(np.array(view.point[missing:]) * view.factors(frame))
     pixel = np.linalg.solve(np.array(frame.matrix), [*world, 1.0])
     return across, round(float(pixel[frame.plane[across]]))
 
 
 def layer_extents(layer: Any) -> tuple[int, ...]:
     """Pixels of an image-like layer along its axes; nothing for vectors, points and shapes."""
-    if layer.__class__.__name__ in ("Vectors", "Points", "Shapes"):
+    if isinstance(layer, Vectors | Points | Shapes):
         return ()
     return tuple(full_resolution(layer).shape[: layer.ndim])
+
+
+def plane_shape(layer: Any, frame: Frame) -> tuple[int, ...]:
+    """Rows and columns of a layer's slice; of a volume its planes, too."""
+    extents = layer_extents(layer)
+    if not extents:
+        raise LayerError(
+            layer, "has no pixels. Choose an image, or paint the tissue in a Labels layer."
+        )
+    return tuple(extents[axis] for axis in frame.plane)
+
+
+def check_size(
+    layer: Any, own: Frame, reference: Any, frame: Frame, shape: tuple[int, ...]
+) -> None:
+    """Refuse a layer that lies elsewhere than the reference, or has other pixels."""
+    own_shape = shape if isinstance(layer, Vectors) else plane_shape(layer, own)
+    if own_shape != shape or not frame.same_place(own, shape):
+        own_size, size = (" x ".join(map(str, each)) for each in (own_shape, shape))
+        raise LayerError(
+            layer,
+            f"lies elsewhere than '{reference.name}': it has {own_size} pixels, that has {size}; "
+            "or their scale, translation, rotation, shear, affine or units differ. Give both the "
+            "same, or resample one.",
+        )
+
+
+def copy_slice(layer: Any, own: Frame) -> npt.NDArray[Any]:
+    """Copy a slice of a layer, wherever it is read from.
+
+    Raises
+    ------
+    ProblemError
+        If it could not be read, or pixels of it are masked.
+    """
+    try:
+        picture = own.take(full_resolution(layer))
+    except Exception as error:
+        # A lazy layer runs the code of whoever reads it, which may raise anything.
+        reason = str(error).rstrip(".") or type(error).__name__
+        raise LayerError(
+            layer, f"could not be read: {reason}. Check the file it comes from."
+        ) from error
+    hidden = int(np.ma.getmaskarray(picture).sum()) if isinstance(picture, np.ma.MaskedArray) else 0
+    if hidden:
+        raise LayerError(
+            layer,
+            f"is a masked array with {hidden} masked values in this slice, and a mask would be "
+            "lost. Fill them with a value (0 is where there is no tissue).",
+        )
+    return np.asarray(picture)
+
+
+def fits(layer: Any, reference: Any, view: View | None = None) -> bool:
+    """Whether a layer has the pixels of a reference; True, too, of slices that it does not have."""
+    try:
+        own, frame = frame_of(layer, view), frame_of(reference, view)
+    except (HmrfError, ValueError):
+        return True
+    shape = plane_shape(reference, frame)
+    sized = isinstance(layer, Vectors) or plane_shape(layer, own) == shape
+    return sized and frame.same_place(own, shape)

@@ -13,9 +13,6 @@ import numpy.typing as npt
 from napari_hmrf.field.frame import PLACE
 from napari_hmrf.layers.result_layers import LayerData
 
-#: The layers of viewers whose selection will be as it was.
-_kept: list[Any] = []
-
 
 def still_there(viewer: Any, layer: Any) -> Any:
     """A layer if it is in the viewer; None if somebody removed it, or there is none."""
@@ -66,20 +63,15 @@ def overwrite(viewer: Any, layer: Any, data: npt.NDArray[Any]) -> bool:
 @contextmanager
 def same_selection(viewer: Any) -> Iterator[None]:
     """Add layers without taking the brush out of the user's hand."""
-    selected, active = set(viewer.layers.selection), viewer.layers.selection.active
-    _kept.append(viewer.layers)
-    try:
+    layers = viewer.layers
+    selected, active = set(layers.selection), layers.selection.active
+    with layers.selection.events.active.blocker():
         yield
-        viewer.layers.selection = {layer for layer in selected if layer in viewer.layers}
-        if active in viewer.layers:
-            viewer.layers.selection.active = active
-    finally:
-        _kept.pop()
-
-
-def is_selection_kept(viewer: Any) -> bool:
-    """Whether the selection changes only until a layer of ours is added."""
-    return any(each is viewer.layers for each in _kept)
+        layers.selection = {layer for layer in selected if layer in layers}
+        if active in layers:
+            layers.selection.active = active
+    if layers.selection.active is not active:
+        layers.selection.events.active(value=layers.selection.active)
 
 
 _Shared = TypeVar("_Shared")

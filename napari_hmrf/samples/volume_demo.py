@@ -13,7 +13,7 @@ from napari_hmrf.field.measurement import Measurement, measure
 from napari_hmrf.samples.head import TUMOUR, HeadPhantom, head_phantom
 from napari_hmrf.solver.model_names import in_words
 from napari_hmrf.solver.optimizers import Monitor
-from napari_hmrf.solver.preparation import EVERYTHING, provide_loops
+from napari_hmrf.solver.preparation import EVERYTHING, job_of, provide_loops
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.ground import solve_study
@@ -55,12 +55,13 @@ class VolumeDemonstration:
         near = solution.convergence
         return (
             ("sample", f"{self.head.title}, {size}"),
+            ("growth", f"by {self.head.growth:g} mm, all around"),
             ("model", in_words(run.parameters)),
             ("renderer", f"{run.renderer} ({run.backend})"),
             ("iterations", f"{solution.iterations}"),
             ("seconds", f"{run.seconds:.2f} (and {run.preparation_seconds:.2f} to get ready)"),
             ("estimated error", "-" if near is None else f"{near.error:.1g} voxels"),
-            ("folds", f"{self.folds}"),
+            ("folds", f"{self.folds} voxels"),
             ("tumour before", f"{before:.1f} ml"),
             ("tumour after", f"{after:.1f} ml"),
         )
@@ -105,6 +106,8 @@ def demonstrate_volume(
     if backend == "auto":
         # Napari will find them, for whatever is done there.
         provide_loops(EVERYTHING, progress)
+        # Those for volumes are made for whoever asks.
+        provide_loops(job_of(study.prior, study.optimizer, study.grid.spacing), progress)
     solution = solve_study(study, backend=backend, progress=progress)
     measured = measure(solution, head.tissue_labels)
     return VolumeDemonstration(

@@ -262,6 +262,13 @@ class LiveSolver:
                 self._go_on()
 
     def _answer(self, request: _Request) -> None:
+        try:
+            with compute_thread.unless(request.dropped.is_set):
+                self._follow(request)
+        except Cancelled:
+            return
+
+    def _follow(self, request: _Request) -> None:
         problem: Problem | None = None
         try:
             made = request.problem() if callable(request.problem) else request.problem
@@ -279,7 +286,7 @@ class LiveSolver:
                 stop = _Overtaken(self, request)
             self._say(request, problem, solve(optimizer, stop))
         except Cancelled:
-            return
+            raise
         except Exception as error:  # noqa: BLE001 - whoever edits hears of it, whatever it is
             if not isinstance(error, HmrfError):
                 _log.exception("a live solve failed")
@@ -319,6 +326,8 @@ class LiveSolver:
         seconds = time.perf_counter() - request.submitted
         try:
             self._deliver(Update(request.number, problem, solution, error, final, seconds))
+        except Cancelled:
+            raise
         except Exception:  # noqa: BLE001 - the edits to come are answered all the same
             _log.exception("a live result could not be shown")
 

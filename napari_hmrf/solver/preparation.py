@@ -90,7 +90,7 @@ def prepare(
     def go_on(_: Monitor) -> None:
         report(Monitor("preparing", 0.0))
 
-    with _watched(job_of(prior, optimizer, spacing), report):
+    with loop_watch(job_of(prior, optimizer, spacing), report):
         found = rehearsal.run(small, tissue, device, go_on).displacement
         host.settle(found, small.tissue, small.unit)
         if isinstance(rehearsal, Multigrid):
@@ -100,8 +100,16 @@ def prepare(
     _prepared.add(key)
 
 
-def _watched(job: str, report: Callable[[Monitor], None]) -> AbstractContextManager[None]:
-    """Say which loops this process compiles, if any."""
+def loop_watch(job: str, report: Callable[[Monitor], None]) -> AbstractContextManager[None]:
+    """Say which loops this process compiles, if any.
+
+    Parameters
+    ----------
+    job : str
+        As of `watched`.
+    report : callable
+        As of `prepare`.
+    """
     if not loops.in_use():
         return nullcontext()
     return watched(job, lambda stage: report(Monitor(stage.words, stage.fraction)))

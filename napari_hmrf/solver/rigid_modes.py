@@ -8,7 +8,7 @@ may still turn by itself.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Any, NamedTuple
@@ -18,6 +18,7 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.problem import Problem
 
@@ -31,6 +32,8 @@ Labels = npt.NDArray[np.int32]
 Motions = npt.NDArray[np.float64]
 #: How far sites move along an axis, by the number of a motion.
 Ways = dict[int, Motions]
+# A cluster of pieces, what it costs them to move, and its motions with their costs.
+_Ways = tuple[npt.NDArray[np.int64], Motions, Motions, Motions]
 
 
 class Firm(NamedTuple):
@@ -101,16 +104,16 @@ def grip(problem: Problem) -> float:
     for known in _firm:
         if known.covers(problem.tissue, held):
             return known.grip
-    free = free_motion(problem, held)
+    pieces, count = _some_pieces(problem)
+    ways = list(_modes(pieces, count, held))
+    free = _first_motion(problem, pieces, count, ways)
     if free is not None:
         raise refusal(free)
     found = 0.0
     if problem.is_volume:
-        pieces, count = _pieces(problem.stiffness)
         sizes = np.bincount(pieces.ravel(), minlength=count + 1)[1:]
-        stopped = _modes(pieces, count, held)
         found = min(
-            float(stops[0]) / sizes[cluster].sum() ** (2 / 3) for cluster, _, stops, _ in stopped
+            float(stops[0]) / sizes[cluster].sum() ** (2 / 3) for cluster, _, stops, _ in ways
         )
     _firm[:] = [Firm(problem.tissue, held, found)]
     return found
@@ -140,19 +143,32 @@ def free_motion(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | N
     ProblemError
         If no tissue is two pixels wide.
     """
+    pieces, count = _some_pieces(problem)
+    return _first_motion(problem, pieces, count, _modes(pieces, count, held))
+
+
+def _some_pieces(problem: Problem) -> tuple[Labels, int]:
+    """The pieces of elements, of which there is one at least."""
     pieces, count = _pieces(problem.stiffness)
     if count == 0:
         raise ProblemError(
             "stiffness", "has tissue nowhere two pixels wide: nothing there could be stretched."
         )
-    for cluster, strength, modes in _free_modes(pieces, count, held):
+    return pieces, count
+
+
+def _first_motion(
+    problem: Problem, pieces: Labels, count: int, ways: Iterable[_Ways]
+) -> FreeMotion | None:
+    """The first motion of clusters that costs nothing."""
+    for cluster, strength, modes in _free(ways):
         mode = modes[0]
-        worst, ways = int(np.argmax((mode**2).sum(axis=1))), mode.shape[1]
-        mine = slice(ways * worst, ways * worst + ways)
+        worst, freedom = int(np.argmax((mode**2).sum(axis=1))), mode.shape[1]
+        mine = slice(freedom * worst, freedom * worst + freedom)
         nothing = np.trace(strength[mine, mine]) == 0
-        names = (*_STEPS[-pieces.ndim :], *["by turning"] * ways)
+        names = (*_STEPS[-pieces.ndim :], *["by turning"] * freedom)
         how = f"could still move {names[int(np.argmax(np.abs(mode[worst])))]}"
-        piece_modes = np.zeros((count + 1, ways))
+        piece_modes = np.zeros((count + 1, freedom))
         piece_modes[cluster + 1] = mode
         return FreeMotion(
             _sites(np.where(pieces == cluster[worst] + 1, pieces, 0)) > 0,
@@ -180,7 +196,7 @@ def free_motions(
         no site in common.
     """
     pieces, count = _pieces(problem.stiffness)
-    for cluster, _, modes in _free_modes(pieces, count, held):
+    for cluster, _, modes in _free(_modes(pieces, count, held)):
         piece_modes = np.zeros((count + 1, modes.shape[2]))
         ways = []
         for mode in modes:
@@ -212,7 +228,7 @@ def free_pieces(
     if count == 0:
         return np.zeros(tissue.shape, dtype=np.int32), np.zeros(0, dtype=np.intp)
     loose = np.zeros(count + 1, dtype=bool)
-    for cluster, _, modes in _free_modes(pieces, count, held):
+    for cluster, _, modes in _free(_modes(pieces, count, held)):
         size = np.abs(modes).max(axis=(0, 2))
         loose[cluster[size > _REST * size.max()] + 1] = True
     firm = ~loose
@@ -224,31 +240,33 @@ def free_pieces(
 
 def _pieces(m: npt.NDArray[Any]) -> tuple[Labels, int]:
     """Number the pieces of elements, from 1; an element has its first site's index."""
-    pieces, count = scipy.ndimage.label(in_elements(m))
+    elements = in_elements(m)
+    compute_thread.look()
+    pieces, count = scipy.ndimage.label(elements)
+    compute_thread.look()
     return pieces, int(count)
 
 
-def _free_modes(
-    pieces: Labels, count: int, held: npt.NDArray[np.bool_]
-) -> Iterator[tuple[npt.NDArray[np.int64], Motions, Motions]]:
+def _free(ways: Iterable[_Ways]) -> Iterator[tuple[npt.NDArray[np.int64], Motions, Motions]]:
     """Find how each cluster of pieces that hang together could move."""
     # Yields ------ cluster : ndarray of int The pieces, from 0. strength : ndarray What it costs
     # them to move. modes : ndarray, shape (ways, pieces, motions) The motions that cost nothing.
-    for cluster, strength, stops, modes in _modes(pieces, count, held):
+    for cluster, strength, stops, modes in ways:
         free = stops <= _NOTHING * max(stops[-1], 1.0)
         if free.any():
             yield cluster, strength, modes[:, free].T.reshape(int(free.sum()), len(cluster), -1)
 
 
-def _modes(
-    pieces: Labels, count: int, held: npt.NDArray[np.bool_]
-) -> Iterator[tuple[npt.NDArray[np.int64], Motions, Motions, Motions]]:
+def _modes(pieces: Labels, count: int, held: npt.NDArray[np.bool_]) -> Iterator[_Ways]:
     """Find what it costs each cluster to move, and these motions, the cheapest first."""
     shape = held.shape[:-1]
     axes, freedom = len(shape), len(_turns(len(shape))) + len(shape)
     # What holds a piece: a row for each held component, and for each of a hinge's (- and +).
     of_sites = _sites(pieces)
-    holds = [np.nonzero(held[..., along] & (of_sites > 0)) for along in range(axes)]
+    holds = []
+    for along in range(axes):
+        compute_thread.look()
+        holds.append(np.nonzero(held[..., along] & (of_sites > 0)))
     held_of = [of_sites[sites] - 1 for sites in holds]
     hinged = _hinges(pieces) if count > 1 else np.zeros((0, axes + 2), dtype=int)
     for cluster in _clusters(hinged, count):

@@ -28,8 +28,9 @@ from napari_hmrf.solver.backends import (
     open_backend,
 )
 from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
+from napari_hmrf.solver.backends.watch import HARDER
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
-from napari_hmrf.solver.preparation import job_of, prepare, provide_loops
+from napari_hmrf.solver.preparation import job_of, loop_watch, prepare, provide_loops
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Provenance, Solution
@@ -228,6 +229,19 @@ def run_here(
     """Solve on the compute thread itself: for jobs that have more to do there than solve."""
     if not compute_thread.is_current():
         raise RuntimeError("run_here() is for jobs of the compute thread; call solve() instead")
+    with compute_thread.unless(cancel.is_set):
+        return _solution_of(problem, prior, optimizer, backend, progress, initial)
+
+
+def _solution_of(
+    problem: Problem,
+    prior: Prior | None,
+    optimizer: Optimizer | None,
+    backend: str,
+    progress: Progress | None,
+    initial: Initial | None,
+) -> Solution:
+    """Get all ready, run the schedule, and say how it was done."""
     begun = time.perf_counter()
     check_memory(problem)
     prior = (prior or ElasticPrior()).resolved(problem)
@@ -235,13 +249,9 @@ def run_here(
     begin = beginning(initial, problem) if initial else None
     resolving = time.perf_counter() - begun
 
-    def checkpoint() -> None:
-        if cancel.is_set():
-            raise Cancelled
-
     def report(monitor: Monitor) -> None:
         compute_thread.stage = monitor.message
-        checkpoint()
+        compute_thread.look()
         if progress is not None:
             progress(monitor)
 
@@ -250,7 +260,7 @@ def run_here(
     job = job_of(prior, optimizer, problem.spacing)
     device, reason = open_backend(
         backend,
-        checkpoint,
+        compute_thread.look,
         lambda: provide_loops(job, report),
         volume=problem.shape if problem.is_volume else (),
         plain=_is_plain(problem, prior),
@@ -260,7 +270,8 @@ def run_here(
         _announce(device.renderer, reason)
         prepare(device, prior, optimizer, problem.spacing, report)
         ready = time.perf_counter()
-        outcome = optimizer.run(problem, prior, device, report, begin)
+        with loop_watch(HARDER, report):
+            outcome = optimizer.run(problem, prior, device, report, begin)
         name, renderer = device.name, device.renderer
     finally:
         device.close()

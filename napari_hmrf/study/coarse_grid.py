@@ -7,14 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
-from napari_hmrf.study.study import Pictures, Study
+from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Mark
 from napari_hmrf.tissue.drawing.marks import Point
-
-Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -32,10 +29,10 @@ class CoarseGrid:
     @classmethod
     def of_at_most(cls, sites: int, shape: tuple[int, ...]) -> CoarseGrid:
         """The finest grid of at most so many sites."""
-        step = math.ceil((math.prod(shape) / sites) ** (1 / len(shape)))
+        step = 1
         while math.prod(-(-size // step) for size in shape) > sites:
             step += 1
-        return cls(max(step, 1))
+        return cls(step)
 
     def down(self, point: Point) -> Point:
         """A place in pixels of this grid."""
@@ -55,33 +52,26 @@ class CoarseGrid:
         """
         if self.step == 1:
             return study
-        grid, tissue, motion, seen = study.grid, study.tissue, study.motion, study.pictures
-        every = (slice(None, None, self.step),) * len(grid.shape)
-
-        def sampled(array: Array | None) -> Array | None:
-            return None if array is None else np.ascontiguousarray(array[every])
-
-        painted = motion.labels
-        if painted is not None:  # however thin, so that a closed shell stays closed
-            painted = sampled(scipy.ndimage.maximum_filter(painted, self.step))
+        grid, motion = study.grid, study.motion
+        shape = tuple(-(-size // self.step) for size in grid.shape)
+        spacing = tuple(size * self.step for size in grid.spacing)
+        if motion.labels is not None:  # however thin, so that a closed shell stays closed
+            painted = scipy.ndimage.maximum_filter(motion.labels, self.step)
+            motion = replace(motion, labels=painted)
         return replace(
             study,
-            grid=replace(
-                grid,
-                shape=tuple(-(-size // self.step) for size in grid.shape),
-                spacing=tuple(size * self.step for size in grid.spacing),
-            ),
-            tissue=replace(
-                tissue, labels=sampled(tissue.labels), stiffness=sampled(tissue.stiffness)
-            ),
-            motion=replace(
-                motion,
-                labels=painted,
-                observed=sampled(motion.observed),
-                confidence=sampled(motion.confidence),
-                drawing=self.drawing(motion.drawing),
-            ),
-            pictures=Pictures(image=sampled(seen.image), name=seen.name),
+            grid=replace(grid, shape=shape, spacing=spacing),
+            tissue=self._sampled(study.tissue),
+            motion=self._sampled(replace(motion, drawing=self.drawing(motion.drawing))),
+            pictures=self._sampled(study.pictures),
+        )
+
+    def _sampled(self, part: Any) -> Any:
+        """A part of a study with those sites of its images."""
+        images = {name: each for name, each in vars(part).items() if isinstance(each, np.ndarray)}
+        every = (slice(None, None, self.step),) * 3
+        return replace(
+            part, **{name: np.ascontiguousarray(each[every]) for name, each in images.items()}
         )
 
     def drawing(self, drawing: Drawing) -> Drawing:
@@ -114,13 +104,3 @@ class Plane:
     axis: int
     number: int
     grid: CoarseGrid
-
-    @property
-    def pixels(self) -> tuple[int | slice, ...]:
-        """What picks it out of the volume."""
-        return (*(slice(None) for _ in range(self.axis)), self.number)
-
-    @property
-    def order(self) -> tuple[int, ...]:
-        """The axes of the volume, with that across the plane first."""
-        return self.axis, *(axis for axis in range(3) if axis != self.axis)

@@ -78,7 +78,6 @@ class Engine:
         self._asked: Deformation | None = None
         # With the study that each was made of.
         self._grounds: dict[CoarseGrid, tuple[Study, Ground]] = {}
-        self._drawn_on: Ground | None = None
         self._rendering: Rendering | None = None
         self._over: Pictures = ()
         self._warper: tuple[Array | None, Pictures, Warper] | None = None
@@ -164,9 +163,8 @@ class Engine:
         fine = self._ground_of(study, CoarseGrid(), checkpoint)
         ground = fine if grid.step == 1 else self._ground_of(study, grid, checkpoint)
         self._asked = replace(self._asked, ground=fine)
-        if self._rendering is None or ground is not self._drawn_on:
+        if self._rendering is None or self._rendering.base is not ground.base:
             self._rendering, self._over = Rendering(ground.base), ()
-            self._drawn_on = ground
         drawing, canvas = grid.drawing(study.motion.drawing), self._rendering.canvas
         window = self._rendering.show(drawing)
         if self._overlay is not None and grid.step == 1:
@@ -194,6 +192,8 @@ class Engine:
                 self.latest = answer
                 self._tell(answer)
                 return
+            except Cancelled:
+                raise
             except Exception as failure:  # noqa: BLE001 - an answer is waited for, whatever it is
                 _log.exception("the image could not be moved")
                 error = failure
@@ -211,18 +211,15 @@ class Engine:
             return None if image is None else self._moved_plane(asked, image, plane, solution), ()
         if solution is None:
             return image, tuple(np.array(picture.image) for picture in over)
-        shown = (
-            []
-            if image is None
-            else [Picture(image, fill=emptiness(image, len(asked.study.grid.shape)))]
-        )
-        shown += over
-        if not shown:
+        if image is None and not over:
             return None, ()
+        d, tissue = solution.displacement, solution.tissue
         known = self._warper
         if known is None or known[0] is not image or known[1] != over:
+            shown = [] if image is None else [Picture(image, fill=emptiness(image, tissue.ndim))]
+            shown += over
             known = self._warper = (image, over, Warper(shown, spacing=solution.spacing))
-        moved = known[2](solution.displacement, solution.tissue)
+        moved = known[2](d, tissue)
         return moved.pop(0) if image is not None else None, tuple(moved)
 
     def _moved_plane(
@@ -231,15 +228,15 @@ class Engine:
         """A slice of a volume where a solution on its coarse grid takes it."""
         if solution is None or asked.ground is None:
             return np.asarray(image.take(plane.number, plane.axis))
-        order, spacing = plane.order, asked.study.grid.spacing
+        axis, spacing = plane.axis, asked.study.grid.spacing
+        order = (axis, *(each for each in range(3) if each != axis))
         known = self._slicer
-        if known is None or known[0] != plane.axis or known[1] is not image:
-            turned = image.transpose(*order, *range(3, image.ndim))
-            picture = Picture(turned, fill=emptiness(image, 3))
-            warper = Warper(picture, spacing=[spacing[axis] for axis in order])
-            known = self._slicer = (plane.axis, image, warper)
-        d = solution.displacement.transpose(*order, 3)[..., list(order)]
-        tissue = (asked.ground.stiffness > 0).transpose(order)
+        if known is None or known[0] != axis or known[1] is not image:
+            picture = Picture(np.moveaxis(image, axis, 0), fill=emptiness(image, 3))
+            warper = Warper(picture, spacing=[spacing[each] for each in order])
+            known = self._slicer = (axis, image, warper)
+        d = np.moveaxis(solution.displacement[..., order], axis, 0)
+        tissue = np.moveaxis(asked.ground.stiffness > 0, axis, 0)
         return known[2].slice(plane.number, d, tissue, every=plane.grid.step)[0]
 
 
@@ -295,19 +292,17 @@ class Deformation:
 
     def came_from(self, point: Point) -> Point | None:
         """Where the tissue seen at a point, in pixels, was before it moved; None if none is."""
-        before: Point | None = point
         if self.solution is not None:
-            solution = self.solution
+            solution, site = self.solution, self.grid.down(point)
             field = (solution.displacement, solution.spacing, solution.tissue, self._farthest)
-            site = self.grid.down(point)
             before = inverse_point(site, *field)
-            # What nobody held anywhere stayed out of it, and where it was.
             if before is not None:
-                before = self.grid.up(before)
-            elif not self._holds(site, solution.tissue):
-                before = point
+                point = self.grid.up(before)
+            elif self._holds(site, solution.tissue):
+                return None
+            # Else nobody held it anywhere: it stayed out of it, and where it was.
         body = None if self.ground is None else self.ground.body
-        return before if before is not None and self._holds(before, body) else None
+        return point if self._holds(point, body) else None
 
     def goes_to(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Where tissue that was at points, (N, n) in pixels, is seen."""

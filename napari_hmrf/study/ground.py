@@ -13,12 +13,11 @@ import scipy
 from napari_hmrf.solver.caveats import caveats
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
-from napari_hmrf.solver.problem import Problem, as_stiffness
+from napari_hmrf.solver.problem import FloatArray, Problem, as_stiffness
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.study.layer_names import LayerError
-from napari_hmrf.study.refusals import refuse_rigid
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.boundary_rules import (
     boundary_images,
@@ -32,8 +31,6 @@ from napari_hmrf.tissue.drawing import Canvas
 from napari_hmrf.tissue.material_presets import OTHER, Palette
 from napari_hmrf.tissue.normals import outer_rim
 from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
-
-FloatArray = npt.NDArray[np.float32]
 
 #: Stiffness of what is in the picture and of its dark surroundings, where nothing is painted: soft
 #: enough to hinder nothing, and still tissue, so that there always is something that holds.
@@ -116,11 +113,9 @@ class Ground:
             raise LayerError(study.named("image"), here)
         checkpoint()
         with study.naming():
-            tissue = _Where(study)
-        notes = [*study.notes, *tissue.notes]
+            ground = _tissue_of(study)
+        base, there, notes = ground.base, ground.stiffness > 0, [*ground.notes]
         checkpoint()
-        there = tissue.m > 0
-        base = Canvas.blank(study.grid.shape, study.grid.spacing, tissue.labels)
         notes += _observe(study, base)
         ignored = int(((base.confidence > 0).any(axis=-1) & ~there).sum())
         if ignored:
@@ -131,11 +126,10 @@ class Ground:
             free = ~(base.confidence > 0).any(axis=-1)
             if study.motion.labels is not None:  # the inside of a patch that expands is meant free
                 free &= study.motion.labels == 0
-            for part in (there, tissue.body):
+            for part in (there, ground.body):
                 rim = outer_rim(part) & free
                 base.observed[rim], base.confidence[rim] = 0, 1
-        m, prior, body, palette = tissue.m, tissue.prior, tissue.body, tissue.palette
-        return cls(study, base, m, prior, body, palette, tuple(notes))
+        return replace(ground, notes=tuple(notes))
 
     def statement(self, drawn: Canvas | None = None) -> Statement:
         """State the problem of a drawing on this ground.
@@ -177,6 +171,31 @@ class Ground:
             notes.append(air_that_is_tissue(image, self.body))
         notes += caveats(problem, statement.prior, statement.optimizer)
         return tuple(filter(None, notes))
+
+
+def refuse_rigid(study: Study) -> None:
+    """Refuse rigid tissue of a prior that cannot have it.
+
+    Raises
+    ------
+    ProblemError
+        Naming the tissue, what in it is rigid and what to do.
+    """
+    prior, tissue = study.prior, study.tissue
+    if isinstance(prior, ElasticPrior) and prior.penalty == math.inf:
+        return
+    labels, rigid = tissue.labels, [row for row in tissue.materials if row.is_rigid]
+    painted = [row for row in rigid if labels is not None and row.label in labels]
+    which = [f"'{row.name or row.label}'" for row in painted]
+    if tissue.stiffness is not None and (tissue.stiffness == np.inf).any():
+        which = ["an infinite stiffness"]
+    if which:
+        raise LayerError(
+            study.named("tissue", "image"),
+            f"has rigid tissue ({' and '.join(which)}), which the paper's model cannot have, nor "
+            "any in which what is held may slip. Take the elastic model with 'holding force' "
+            "under 'Advanced' at 'held exactly', or give it a number.",
+        )
 
 
 def statement_of(study: Study) -> Statement:
@@ -234,43 +253,37 @@ def solve_study(
     return replace(solution, frame=study.grid.place and study.grid.place.as_dict())
 
 
-class _Where:
-    """Which tissue is where, understood."""
-
-    def __init__(self, study: Study) -> None:
-        tissue, image, shape = study.tissue, study.pictures.image, study.grid.shape
-        self.prior = study.prior
-        self.notes: list[str] = []
-        self.palette = Palette.of_preset(tissue.preset, relative=False)
-        self.labels = np.full(shape, OTHER, dtype=np.int32)
-        around = np.zeros(shape, dtype=bool)
-        if tissue.labels is not None:
-            known, name = tissue.materials, study.named("tissue", "image")
-            new = [default_material(label, known) for label in unlisted(tissue.labels, known)]
-            self.notes = [
-                f"label {row.label} of '{name}' is not in the table and got stiffness "
-                f"{row.stiffness:g}"
-                for row in new
-            ]
-            self.palette = Palette((*known, *new), tissue.unit, own=True)
-            self.labels = tissue.labels.astype(np.int32)
-            rows = self.palette.materials
-            self.m = stiffness_image(tissue.labels, rows)
-            if tissue.without_border and image is not None:
-                air = dark_border(image, len(shape)) & (tissue.labels == 0)
-                self.m = np.where(air, np.float32(0), self.m)
-            if isinstance(self.prior, ElasticPrior):
-                self.prior = replace(self.prior, poisson=poisson_image(tissue.labels, rows))
-        elif tissue.stiffness is not None:
-            self.m = as_stiffness(tissue.stiffness)
-        elif tissue.curve and (intensities := study.intensities) is not None:
-            self.m = tissue.curve(intensities)
-        else:
-            around = around if image is None else dark_border(image, len(shape))
-            self.m = np.where(around, np.float32(_SURROUNDINGS), np.float32(_TISSUE))
-            self.palette = Palette.of_preset(tissue.preset)
-            self.labels = np.where(around, OTHER, self.palette.usual).astype(np.int32)
-        self.body = (self.m > 0) & ~around
+def _tissue_of(study: Study) -> Ground:
+    """Which tissue is where; nothing is held or moved yet."""
+    tissue, image, shape, prior = study.tissue, study.pictures.image, study.grid.shape, study.prior
+    palette, notes = Palette.of_preset(tissue.preset, relative=False), [*study.notes]
+    labels, around = np.full(shape, OTHER, dtype=np.int32), np.zeros(shape, dtype=bool)
+    if tissue.labels is not None:
+        known, name = tissue.materials, study.named("tissue", "image")
+        new = [default_material(label, known) for label in unlisted(tissue.labels, known)]
+        notes += [
+            f"label {row.label} of '{name}' is not in the table and got stiffness {row.stiffness:g}"
+            for row in new
+        ]
+        palette = Palette((*known, *new), tissue.unit, own=True)
+        labels, rows = tissue.labels.astype(np.int32), palette.materials
+        m = stiffness_image(tissue.labels, rows)
+        if tissue.without_border and image is not None:
+            air = dark_border(image, len(shape)) & (tissue.labels == 0)
+            m = np.where(air, np.float32(0), m)
+        if isinstance(prior, ElasticPrior):
+            prior = replace(prior, poisson=poisson_image(tissue.labels, rows))
+    elif tissue.stiffness is not None:
+        m = as_stiffness(tissue.stiffness)
+    elif tissue.curve and (intensities := study.intensities) is not None:
+        m = tissue.curve(intensities)
+    else:
+        around = around if image is None else dark_border(image, len(shape))
+        m = np.where(around, np.float32(_SURROUNDINGS), np.float32(_TISSUE))
+        palette = Palette.of_preset(tissue.preset)
+        labels = np.where(around, OTHER, palette.usual).astype(np.int32)
+    base = Canvas.blank(shape, study.grid.spacing, labels)
+    return Ground(study, base, m, prior, (m > 0) & ~around, palette, tuple(notes))
 
 
 def _observe(study: Study, base: Canvas) -> list[str]:

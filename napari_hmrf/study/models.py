@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Annotated, Any, get_args
+from dataclasses import dataclass, field, replace
+from typing import Any, get_args
 
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.solver.model_names import ModelName
@@ -15,16 +15,17 @@ from napari_hmrf.solver.priors.seiler import Conditional
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
 
-def _words(label: str, tooltip: str, **options: Any) -> dict[str, Any]:
-    """What a form says of a field, and what it lets people choose."""
-    return {"label": label, "tooltip": tooltip, **options}
+def _form_field(usual: Any, label: str, tooltip: str, **options: Any) -> Any:
+    """A field with what a form says of it, and what that lets people choose."""
+    options["tooltip"] = tooltip
+    return field(default=usual, metadata={"label": label, "options": options})
 
 
 @dataclass(frozen=True)
 class SolverDetails:
     """How a model is solved: what is the paper's own, or usual, and need not be chosen.
 
-    A form is made from these annotations; `asked` says which of them a model knows.
+    A form is made from these fields; `asked` says which of them a model knows.
 
     Attributes
     ----------
@@ -41,84 +42,68 @@ class SolverDetails:
         As `solve` takes it for its backend.
     """
 
-    reading: Annotated[
-        Conditional,
-        _words(
-            "reading",
-            "With which lines of three pixels (the paper's cliques) a pixel is compared.\n"
-            "centred: those whose middle it is. Nearest to finite elements.\n"
-            "blanket: all that contain it. Borders of stiff and soft tissue hardly move.",
-        ),
-    ] = "centred"
+    reading: Conditional = _form_field(  # noqa: RUF009 - a field of its own each time
+        "centred",
+        "reading",
+        "With which lines of three pixels (the paper's cliques) a pixel is compared.\n"
+        "centred: those whose middle it is. Nearest to finite elements.\n"
+        "blanket: all that contain it. Borders of stiff and soft tissue hardly move.",
+    )
     # Of a `Literal` with choices magicgui would show the values, not their words.
-    method: Annotated[
-        str,
-        _words(
-            "steps",
-            "Of a pixel in each sweep. Candidate steps: the paper's, of 1, 0.1, 0.01 and 0.001 "
-            "pixels.\nClosed form: straight to where it fits best.",
-            choices=[("candidate steps", "steps"), ("closed form", "closed form")],
-        ),
-    ] = "steps"
-    sweeps: Annotated[
-        int,
-        _words(
-            "sweeps per level",
-            "How often all pixels of a level are gone through, at most",
-            min=1,
-            max=100_000,
-        ),
-    ] = ICM().iterations
-    energy_change: Annotated[
-        float,
-        _words(
-            "stop when stable to",
-            "Leave a level when its energy changes by less than this in ten sweeps",
-            choices=[("never early", 0.0)]
-            + [(f"{100 * part:g} %", part) for part in (1e-2, 1e-3, 1e-4, 1e-5)],
-        ),
-    ] = 0.0
-    penalty: Annotated[
-        float,
-        _words(
-            "penalty K",
-            "How firmly boundaries hold: energy per pixel of deviation from them",
-            max=1e9,
-            step=1000,
-        ),
-    ] = 0.0
-    grip: Annotated[
-        float,
-        _words(
-            "holding force",
-            "The greatest force that holds a boundary pixel: 1 strains the stiffest tissue by 1. "
-            "Where tissue pulls harder, it slips",
-            max=1e6,
-            step=0.01,
-        ),
-    ] = 0.0
-    accuracy: Annotated[
-        float,
-        _words(
-            "converged to",
-            "No pixel is estimated to be further than this from where the model has it in the end",
-            choices=[(f"{distance:g} px", distance) for distance in (1e-1, 1e-2, 1e-3, 1e-4)],
-        ),
-    ] = Multigrid.tolerance
-    device: Annotated[
-        str,
-        _words(
-            "device",
-            "Automatic: the graphics card if there is one, else compiled loops on the CPU",
-            choices=[
-                ("automatic", "auto"),
-                ("OpenGL", "opengl"),
-                ("OpenGL, fragment", "opengl:fragment"),
-                ("OpenGL, compute", "opengl:compute"),
-                ("CPU", "cpu"),
-            ],
-        ),
-    ] = "auto"
+    method: str = _form_field(
+        "steps",
+        "steps",
+        "Of a pixel in each sweep. Candidate steps: the paper's, of 1, 0.1, 0.01 and 0.001 "
+        "pixels.\nClosed form: straight to where it fits best.",
+        choices=[("candidate steps", "steps"), ("closed form", "closed form")],
+    )
+    sweeps: int = _form_field(
+        ICM().iterations,
+        "sweeps per level",
+        "How often all pixels of a level are gone through, at most",
+        min=1,
+        max=100_000,
+    )
+    energy_change: float = _form_field(
+        0.0,
+        "stop when stable to",
+        "Leave a level when its energy changes by less than this in ten sweeps",
+        choices=[("never early", 0.0)]
+        + [(f"{100 * part:g} %", part) for part in (1e-2, 1e-3, 1e-4, 1e-5)],
+    )
+    penalty: float = _form_field(
+        0.0,
+        "penalty K",
+        "How firmly boundaries hold: energy per pixel of deviation from them",
+        max=1e9,
+        step=1000,
+    )
+    grip: float = _form_field(
+        0.0,
+        "holding force",
+        "The greatest force that holds a boundary pixel: 1 strains the stiffest tissue by 1. "
+        "Where tissue pulls harder, it slips",
+        max=1e6,
+        step=0.01,
+    )
+    accuracy: float = _form_field(
+        Multigrid.tolerance,
+        "converged to",
+        "No pixel is estimated to be further than this from where the model has it in the end",
+        choices=[(f"{distance:g} px", distance) for distance in (1e-1, 1e-2, 1e-3, 1e-4)],
+    )
+    device: str = _form_field(
+        "auto",
+        "device",
+        "Automatic: the graphics card if there is one, else compiled loops on the CPU",
+        choices=[
+            ("automatic", "auto"),
+            ("OpenGL", "opengl"),
+            ("OpenGL, fragment", "opengl:fragment"),
+            ("OpenGL, compute", "opengl:compute"),
+            ("CPU", "cpu"),
+        ],
+    )
 
 
 _USUAL = SolverDetails()

@@ -227,20 +227,12 @@ class History:
         The steps of all that is edited; by default the drawing is all.
     slot : hashable
         The drawing's own, among them.
-
-    Attributes
-    ----------
-    changed : Signal(Drawing)
-        Emitted with the drawing whenever it is another.
     """
-
-    changed = Signal(Drawing)
 
     def __init__(self, edits: StudyModel | None = None, slot: Hashable = "drawing") -> None:
         self.edits = StudyModel() if edits is None else edits
         self.slot = slot
         self.edits.open(slot, Drawing())
-        self.edits.changed.connect(self._on_changed)
 
     @property
     def drawing(self) -> Drawing:
@@ -252,12 +244,6 @@ class History:
     def in_progress(self) -> bool:
         """Whether an edit of this drawing was begun and not ended."""
         return self.edits.in_progress == self.slot
-
-    @property
-    def undo_word(self) -> str:
-        """What `undo` would take back, such as "moved an arrow"; empty if nothing."""
-        step = self.edits.next_undo
-        return step.word if step is not None else ""
 
     def do(self, drawing: Drawing, word: str) -> None:
         """Make one step; an edit in progress ends before it.
@@ -297,7 +283,3 @@ class History:
         """Drop the edit in progress: the drawing is as before it, and nothing is to be undone."""
         if self.in_progress:
             self.edits.cancel()
-
-    def _on_changed(self, slot: Hashable, value: Any) -> None:
-        if slot == self.slot:
-            self.changed.emit(value)

@@ -19,11 +19,10 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import is_one_of, real, reals, shown
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.solver.problem import FloatArray, as_numbers
 from napari_hmrf.tissue.boundary_rules import LARGEST_STIFFNESS
 from napari_hmrf.tissue.surroundings import void_threshold
 
-FloatArray = npt.NDArray[np.float32]
 Between = Literal["straight", "smooth"]
 Point = tuple[float, float]
 
@@ -33,9 +32,6 @@ PERCENTILES = (5.0, 50.0, 95.0)
 STIFFNESSES = (10.0, 20.0, 40.0)
 #: Nodes between two points, by which a smooth curve is followed: to about 1e-5 of its height.
 _NODES = 64
-#: Integers of no more values than this are looked up, each value computed once.
-_TABLE = 2**16
-_TOO_LARGE = 2**62
 
 
 @dataclass(frozen=True)
@@ -121,7 +117,12 @@ class StiffnessCurve:
         mask, image = np.ma.getmaskarray(image), np.ma.getdata(image)
         if image.dtype.kind == "b":
             image = image.view(np.uint8)
-        values = self._looked_up(image) if image.dtype.kind in "iu" else self._at(image)
+        if image.dtype.kind in "iu" and image.dtype.itemsize <= 2:
+            # Each number is computed once; those below 0 lie at the end, where they are looked up.
+            numbers = np.arange(256**image.dtype.itemsize).astype(image.dtype)
+            values: FloatArray = self._at(numbers)[image]
+        else:
+            values = self._at(image)
         if mask.any():
             values[mask] = 0
         return values
@@ -143,21 +144,10 @@ class StiffnessCurve:
     def _at(self, image: npt.NDArray[Any]) -> FloatArray:
         heights = np.interp(image.astype(np.float64, copy=False), *self._nodes)
         values = np.asarray(np.exp(heights) if self.logarithmic else heights, dtype=np.float32)
-        void = np.isnan(image) if image.dtype.kind == "f" else np.zeros(image.shape, dtype=bool)
+        void = np.isnan(image)
         if self.void_below is not None:
             void |= image < self.void_below
         return np.where(void, np.float32(0), values)
-
-    def _looked_up(self, image: npt.NDArray[Any]) -> FloatArray:
-        """As `_at`, each whole number computed once where there are few."""
-        if not image.size:
-            return np.zeros(image.shape, dtype=np.float32)
-        lowest, highest = int(image.min()), int(image.max())
-        if highest - lowest >= min(_TABLE, image.size) or highest >= _TOO_LARGE:
-            return self._at(image)
-        table = self._at(np.arange(lowest, highest + 1))
-        taken: FloatArray = table[image.astype(np.int64) - lowest]
-        return taken
 
     @property
     def range(self) -> tuple[float, float]:

@@ -1,30 +1,50 @@
-"""Which image a dock works on, and what goes with it: each image has choices of its own."""
+"""What is chosen in a dock, and its undo: each image has choices of its own."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from napari.layers import Labels, Vectors
-from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.layers.edit_history import CHOICE, CURVE, DRAWING, Slot, steps_of
+from napari_hmrf.layers.edit_history import CHOICE, CURVE, DRAWING, MODEL, Slot, steps_of
 from napari_hmrf.layers.field_layer import holds_field
 from napari_hmrf.layers.image_choice import image_in_front, painted_on
 from napari_hmrf.layers.image_result import ResultLayers
-from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, known_of, role_of
+from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, change, known_of, role_of
 from napari_hmrf.layers.read import Request
-from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
+from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.messages import CHOOSE, WELCOME
+
+#: Of the viewer, and no layer.
+_THE_MODEL = Slot(MODEL, "")
+#: What is done to the model and to the choices of an image, in words; the first that differs says
+#: it, and how it is solved in detail is no step.
+_WORDS = {
+    "model": "chose another model",
+    "plane": "chose another plane",
+    "poisson": "changed Poisson's ratio",
+    "tissue": "chose what says how stiff tissue is",
+    "boundary": "chose another boundary",
+    "confidence": "chose what says how sure the boundary is",
+    "border": "changed whether the dark border is tissue",
+    "edge": "changed whether the edge is held",
+    "extent": "changed between slice and volume",
+}
 
 
 class Choices:
     """Chooses layers as they come, and those of an image when it is chosen.
+
+    Each edit of what is chosen is a step, as are those of tables and curves; what is undone is
+    shown in the form.
 
     Parameters
     ----------
@@ -39,12 +59,10 @@ class Choices:
         Whether what is chosen now is nobody's doing.
     """
 
-    #: What was chosen by itself is chosen.
-    settled = Signal()
-
     def __init__(self, viewer: Any, form: DockForm) -> None:
         self._viewer, self._form = viewer, form
-        self._edits = steps_of(viewer).edits
+        self._steps = steps = steps_of(viewer)
+        self._edits = steps.edits
         motion = form.motion
         self.fields: dict[str, Any] = {
             "tissue": form.tissue.choice,
@@ -65,6 +83,20 @@ class Choices:
         form.image.changed.connect(self._on_image)
         for field in (form.extent, form.tissue.choice, motion.boundary.choice):
             field.changed.connect(self._on_extent)
+        form.model.values = self._edits.get(_THE_MODEL, {})  # of a dock that was closed
+        for table in form.tables:
+            table.changed.connect(lambda by_itself: self._keep(self._tables, by_itself))
+        for field in (form.image, *self.fields.values(), form.model, form.model.in_detail):
+            field.changed.connect(self.note, max_args=0)
+        form.tissue.editor.plot.edited.connect(self._take_curve)
+        form.tissue.editor.plot.settled.connect(self._edits.end)
+        form.footer.undo.changed.connect(lambda _: steps.undo())
+        form.footer.redo.changed.connect(lambda _: steps.redo())
+        show = partial(form.footer.show_steps, steps)
+        self._heard = Listening((self._edits.changed, self._on_undone), (self._edits.moved, show))
+        steps.bind_keys(self)
+        self.note(by_itself=True)
+        show()
 
     @property
     def values(self) -> dict[str, Any]:
@@ -88,12 +120,7 @@ class Choices:
         finally:
             self.by_itself = before
             if not before:
-                self.settled.emit()
-
-    @property
-    def view(self) -> View:
-        """Which slice is shown, and whether all of the volume is meant."""
-        return View.of(self._viewer.dims, self._form.extent.is_volume)
+                self.note(by_itself=True)
 
     @property
     def request(self) -> Request:
@@ -108,16 +135,15 @@ class Choices:
         image, tissue = form.image.value, form.tissue.layer
         if image is None and (self._lost or not isinstance(tissue, Labels)):
             raise HmrfError(CHOOSE if self._viewer.layers else WELCOME)
-        labelled = isinstance(tissue, Labels)
         arrows = isinstance(boundary.choice.value, Vectors)
         return Request(
             image=image,
             tissue=tissue,
-            materials=form.tissue.table.rows if labelled else None,
+            materials=form.tissue.table.rows,
             boundary=boundary.choice.value,
-            rules=boundary.table.rows if isinstance(boundary.choice.value, Labels) else None,
+            rules=boundary.table.rows,
             confidence=boundary.confidence.value if arrows else None,
-            view=self.view,
+            view=form.view(),
             hold_edge=form.motion.edge.value,
             drawing=Drawing(),
             preset=form.motion.fields.preset.value,
@@ -151,7 +177,7 @@ class Choices:
             if image is not None:
                 known = Slot(CHOICE, image) in self._edits.slots  # by a dock that was closed
                 self._form.image.value = image
-                layers = [] if known else painted_on(image, layers, self.view)
+                layers = [] if known else painted_on(image, layers, self._form.view())
             for layer in layers:
                 self._take_painted(layer)
 
@@ -234,6 +260,89 @@ class Choices:
         self.values = {**self._beginning, "extent": meant}
         with self.nobody_chooses():
             theirs = self._of_others
-            for layer in painted_on(image, self._viewer.layers, self.view):
+            for layer in painted_on(image, self._viewer.layers, self._form.view()):
                 if layer not in theirs:
                     self._take_painted(layer)
+
+    # What is a step, and what is undone
+
+    def release(self) -> None:
+        """The dock is closed, or its window is gone."""
+        self._steps.unbind_keys(self)
+        self._heard.release()
+
+    def note(self, by_itself: bool = False) -> None:
+        """Keep what is edited now; what comes `by_itself` is no step."""
+        choice = Slot(CHOICE, self._form.image.value), self.values
+        model = _THE_MODEL, self._form.model.values
+        self._keep([*self._tables, choice, model], by_itself)
+
+    def _keep(self, edited: list[tuple[Slot, Any]], by_itself: bool) -> None:
+        for slot, now in () if self.by_itself else edited:
+            if slot.layer is None or now == (before := self._edits.open(slot, now)):
+                continue
+            word = "" if by_itself else _step(slot, before, now)
+            if word:
+                self._edits.do(slot, now, word)
+            else:
+                self._edits.amend(slot, now)
+
+    @property
+    def _tables(self) -> list[tuple[Slot, Any]]:
+        return [(Slot(each.role, each.layer), each.contents) for each in self._form.tables]
+
+    @property
+    def curve(self) -> StiffnessCurve | None:
+        """The curve by which the image's brightness is its tissue, if it is; to be set, too."""
+        return self._form.tissue.curve
+
+    @curve.setter
+    def curve(self, curve: StiffnessCurve | None) -> None:
+        if curve is not None:
+            self._take_curve(curve)
+            self._edits.end()
+        elif self.curve is not None:
+            self._form.tissue.choice.value = None
+
+    def _take_curve(self, curve: StiffnessCurve) -> None:
+        """Have the image go by a curve: its first, or a step that is not over yet."""
+        slot, model = self._curve_slot, self._edits
+        if slot.layer is None:
+            raise HmrfError(WELCOME)
+        known = model.open(slot, curve)
+        if self.curve is None:
+            self._form.tissue.go_by(known)
+        if known != curve:
+            if model.in_progress != slot:
+                model.begin(slot, f"changed the curve of '{slot.layer.name}'")
+            model.update(curve)
+
+    @property
+    def _curve_slot(self) -> Slot:
+        return Slot(CURVE, self._form.image.value)
+
+    def _on_undone(self, slot: Any, value: Any, _: Any = None) -> None:
+        """Put back what is shown of it here, and choose the image it is of."""
+        form = self._form
+        if slot.what == DRAWING and slot.layer is form.image.value:
+            return
+        with self.nobody_chooses():
+            if slot.what in (DRAWING, CHOICE) and slot.layer in form.image.offered:
+                form.image.value = slot.layer
+            if slot == _THE_MODEL:
+                form.model.values = value
+            elif slot.what == CHOICE:
+                self.values = value
+            elif slot == self._curve_slot:
+                form.tissue.go_by(value)
+            for table in form.tables:
+                if slot == Slot(table.role, table.layer):
+                    table.contents = value
+
+
+def _step(slot: Slot, before: Any, now: Any) -> str:
+    """What was done, in words; "" if it is no step."""
+    if slot.what in (MODEL, CHOICE):
+        changed = [name for name in now if before[name] != now[name]]
+        return next((word for name, word in _WORDS.items() if name in changed), "")
+    return change(before, now, slot.layer.name)

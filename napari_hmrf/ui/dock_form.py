@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from magicgui.widgets import Container, PushButton
 from psygnal import Signal
@@ -13,6 +13,7 @@ from qtpy.QtWidgets import (
     QAbstractSpinBox,
     QComboBox,
     QFrame,
+    QScrollArea,
     QSizePolicy,
 )
 from superqt import QCollapsible
@@ -21,14 +22,14 @@ from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.footer import Footer
-from napari_hmrf.ui.forms import CalmWheel, Narrow, row
+from napari_hmrf.ui.forms import CalmField, row
 from napari_hmrf.ui.label_table import LabelTable
 from napari_hmrf.ui.layer_choice import ExtentChoice, LayerChoice, is_picture
 from napari_hmrf.ui.model import ModelForm
 from napari_hmrf.ui.motion.motion_form import MotionForm
 from napari_hmrf.ui.motion.tools import TOOLS
 from napari_hmrf.ui.result.result_form import ResultForm
-from napari_hmrf.ui.tissue_form import Layers, Shown, TissueSection
+from napari_hmrf.ui.tissue_form import Layers, TissueSection
 
 #: Of the dock, in pixels.
 _WIDTH = 336
@@ -43,8 +44,7 @@ class DockForm:
     ----------
     outer : Container
         The dock widget.
-    layers, view : callable
-        The viewer's layers, and which slice it shows.
+    viewer : napari.Viewer or ViewerModel
 
     Attributes
     ----------
@@ -62,7 +62,9 @@ class DockForm:
     #: Something that a field depends on was changed by hand.
     edited = Signal()
 
-    def __init__(self, outer: Container, layers: Layers, view: Shown) -> None:
+    def __init__(self, outer: Container, viewer: Any) -> None:
+        self._viewer = viewer
+        layers: Layers = partial(list, viewer.layers)
         self.image = LayerChoice(
             layers, is_picture, "image", "The image to deform; of a stack, the slice that is shown"
         )
@@ -77,28 +79,23 @@ class DockForm:
             tooltip="How bright the image is says how stiff tissue is, by a curve that you draw",
         )
 
-        def shown() -> View | None:
-            seen = view()
-            return None if seen is None else replace(seen, volume=self.extent.is_volume)
-
-        self.tissue = TissueSection(layers, shown)
-        self.motion = MotionForm(layers, shown)
+        self.tissue = TissueSection(layers, self.view)
+        self.motion = MotionForm(layers, self.view)
         self.result = ResultForm(layers, self.image)
         self.model = ModelForm()
         keys = ", ".join(f"{tool.key}: {tool.title.lower()}" for tool in TOOLS)
         self.footer = Footer(f"Tools: {keys}.")
         self.tissue.edited.connect(self._on_tissue)
-        fields = (
-            self.extent,
-            self.model,
-            self.model.in_detail,
-            self.motion.edge,
-            self.motion.fields.preset,
-        )
-        parts = (self.tissue.edited, self.motion.boundary.edited)
+        model, motion = self.model, self.motion
+        fields = (self.extent, model, model.in_detail, motion.edge, motion.fields.preset)
+        parts = (self.tissue.edited, motion.boundary.edited)
         for told in (*parts, *(field.changed for field in fields)):
             told.connect(self.edited, max_args=0)
         self._assemble(outer)
+
+    def view(self) -> View:
+        """Which slice is shown, and whether all of the volume is meant."""
+        return View.of(self._viewer.dims, self.extent.is_volume)
 
     @property
     def choices(self) -> tuple[LayerChoice, ...]:
@@ -150,21 +147,20 @@ class DockForm:
         layout.setSpacing(4)
         layout.addStretch()
         # The dock may be lower than the form is, but no narrower.
-        self._scroll = scroll = Narrow()
+        self._scroll = scroll = QScrollArea()
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QFrame.Shape.NoFrame)
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         scroll.setWidget(body.native)
         scroll.setMinimumWidth(_WIDTH)
-        scroll.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
+        scroll.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
         outer.native.layout().addWidget(scroll)
         self._body = body  # magicgui's containers end with the last reference
         outer.native.layout().addWidget(self.footer)
-        calm = CalmWheel(scroll)
+        calm = CalmField(scroll)
         for kind in (QComboBox, QAbstractSpinBox, QAbstractSlider):
             for field in body.native.findChildren(kind):
-                field.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-                field.installEventFilter(calm)
+                calm.watch(field)
         for container in (outer, body, first, ways, *(part for _, part, _ in steps)):
             container.margins = (2, 2, 2, 2)
 

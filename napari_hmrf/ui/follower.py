@@ -16,6 +16,7 @@ from napari_hmrf.field.live_warp import Picture
 from napari_hmrf.field.rehearsal import rehearse
 from napari_hmrf.layers.paint_layer import painted_marks, show_painted
 from napari_hmrf.layers.result_layers import Outputs, result_layers
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.coarse_grid import Plane
@@ -189,24 +190,16 @@ class Follower:
         if latest is None or latest.solution is None:
             return None
         try:
-            return drawn(latest, self._checkpoint)
+            with compute_thread.unless(lambda: self._engine.busy):
+                return drawn(latest, compute_thread.look)
         except Cancelled:
             return None
         except Exception as error:  # noqa: BLE001 - whatever it is, the user is told
             _log.exception("a result could not be drawn")
             return Seen(replace(latest, error=error))
 
-    def _checkpoint(self) -> None:
-        if self._engine.busy:
-            raise Cancelled
-
     def _overlay(
-        self,
-        ground: Ground,
-        drawing: Drawing,
-        canvas: Canvas,
-        window: Box | None,
-        over: Pictures,
+        self, ground: Ground, drawing: Drawing, canvas: Canvas, window: Box | None, over: Pictures
     ) -> Pictures:
         """Keep what was painted where, at rest; it moves with the picture once there is any."""
         self._canvas = canvas

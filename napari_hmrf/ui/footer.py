@@ -2,19 +2,9 @@
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any
-
 from magicgui.widgets import CheckBox, PushButton
-from qtpy.QtCore import QEvent, QObject, Qt
-from qtpy.QtWidgets import (
-    QAbstractSpinBox,
-    QPushButton,
-    QSizePolicy,
-    QVBoxLayout,
-    QWhatsThis,
-    QWidget,
-)
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import QPushButton, QSizePolicy, QVBoxLayout, QWhatsThis, QWidget
 
 from napari_hmrf.layers.edit_history import ViewerSteps
 from napari_hmrf.ui.forms import Prose, row
@@ -35,11 +25,8 @@ _HELP = (
 LARGEST = 1200 * 1200
 _LIVE = (
     "The tissue follows any edit of tissue, boundary or tables; what is pulled, always.\n"
-    "It is off by itself for more than 1200 x 1200 pixels, which take seconds an edit, unless "
-    "there is a graphics card: tick it to try."
+    "Off at first beyond 1200 x 1200 pixels, which without a graphics card take seconds an edit."
 )
-_CTRL, _SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
-_REDO = ((_CTRL | _SHIFT, Qt.Key.Key_Z), (_CTRL, Qt.Key.Key_Y))
 
 
 class Footer(QWidget):
@@ -97,7 +84,7 @@ class Footer(QWidget):
 
     def show_steps(self, steps: ViewerSteps) -> None:
         """Show what there is to take back, and to do again."""
-        self.undo.tooltip, self.redo.tooltip = steps.undo_tooltip, steps.redo_tooltip
+        self.undo.tooltip, self.redo.tooltip = steps.tooltips
         self.undo.enabled = steps.edits.next_undo is not None
         self.redo.enabled = steps.edits.next_redo is not None
 
@@ -144,39 +131,3 @@ class LiveChoice(CheckBox):
 
     def _on_changed(self, _: bool) -> None:
         self._decided = True
-
-
-class StepKeys(QObject):
-    """Has a dock answer the usual keys, wherever in it the keyboard is.
-
-    Fields in which text is being typed keep their own. While there is nothing to do, the keys go on
-    to napari, as all others do.
-
-    Parameters
-    ----------
-    native : QWidget
-        The dock.
-    steps : ViewerSteps
-    """
-
-    def __init__(self, native: Any, steps: ViewerSteps) -> None:
-        super().__init__(native)
-        self._steps = steps
-        native.installEventFilter(self)
-        for number in native.findChildren(QAbstractSpinBox):
-            number.installEventFilter(self)
-            number.editingFinished.connect(partial(number.lineEdit().setModified, False))
-
-    def eventFilter(self, watched: Any, event: Any) -> bool:
-        """Answer a key that nothing within the dock has taken."""
-        number = isinstance(watched, QAbstractSpinBox)
-        if event.type() != QEvent.Type.KeyPress or (number and watched.lineEdit().isModified()):
-            return False
-        edits, key = self._steps.edits, (event.modifiers(), event.key())
-        if key == (_CTRL, Qt.Key.Key_Z) and edits.next_undo is not None:
-            self._steps.undo()
-        elif key in _REDO and edits.next_redo is not None:
-            self._steps.redo()
-        else:
-            return False
-        return True

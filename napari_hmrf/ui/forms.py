@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox, Label
-from qtpy.QtCore import QEvent, QObject, QSize, Qt
-from qtpy.QtWidgets import QMenu, QPushButton, QScrollArea, QSizePolicy
+from qtpy.QtCore import QEvent, QObject, Qt
+from qtpy.QtGui import QKeySequence
+from qtpy.QtWidgets import QAbstractSpinBox, QMenu, QPushButton, QSizePolicy
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.ui.messages import in_short
@@ -145,26 +147,33 @@ class _FitHeight(QObject):
         return False
 
 
-class CalmWheel(QObject):
-    """Filters events of fields: the wheel scrolls what they lie in, unless one was clicked."""
+class CalmField(QObject):
+    """Filters events of fields, and leaves some to what they lie in.
+
+    The wheel scrolls that, unless a field was clicked; and the usual keys take back what was done
+    last, as they do beside the fields, unless a number is being typed.
+    """
+
+    def watch(self, field: Any) -> None:
+        """Filter the events of a field."""
+        field.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        field.installEventFilter(self)
+        if isinstance(field, QAbstractSpinBox):
+            field.editingFinished.connect(partial(field.lineEdit().setModified, False))
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
-        """Leave the wheel to those around a field without the keyboard."""
-        if event.type() != QEvent.Type.Wheel or watched.hasFocus():
-            return False
-        event.ignore()
-        return True
+        """Leave an event to those around a field if it is theirs."""
+        theirs = event.type() == QEvent.Type.Wheel and not watched.hasFocus()
+        if event.type() == QEvent.Type.KeyPress and isinstance(watched, QAbstractSpinBox):
+            keys = QKeySequence.StandardKey
+            step = event.matches(keys.Undo) or event.matches(keys.Redo)
+            theirs = step and not watched.lineEdit().isModified()
+        if theirs:
+            event.ignore()
+        return theirs
 
 
 def align_labels(form: Container) -> None:
     """Give a form's labels one width: magicgui does so only when one of them changes."""
     first = form[0]
     first.label = first.label
-
-
-class Narrow(QScrollArea):
-    """Asks for no more width than it needs: the rest is the canvas'."""
-
-    def sizeHint(self) -> QSize:
-        """As narrow as may be."""
-        return QSize(self.minimumWidth(), super().sizeHint().height())

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from enum import Enum, auto
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 from napari_hmrf.layers.edit_history import ViewerSteps
 from napari_hmrf.layers.image_choice import image_covering
@@ -12,21 +11,13 @@ from napari_hmrf.layers.viewer_layers import still_there
 from napari_hmrf.study.study_model import Step
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.ui import messages
-from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.motion import motion_messages
-from napari_hmrf.ui.motion.pointer import Pointer
 
-
-class _Said(Enum):
-    """Why something is read, which says what may take its place."""
-
-    NEWS = auto()
-    #: Until something new is begun.
-    STEP = auto()
-    #: Likewise, and before all that goes on meanwhile.
-    REFUSED = auto()
+#: Why something is read, which says what may take its place: a step is read until something new is
+#: begun; so is what was refused, and before all that goes on meanwhile.
+Why = Literal["news", "step", "refused"]
 
 
 class Guide:
@@ -39,22 +30,19 @@ class Guide:
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
-    form : DockForm
-    pointer : Pointer
     live : LiveStudy
     steps : ViewerSteps
     """
 
-    def __init__(
-        self, viewer: Any, form: DockForm, pointer: Pointer, live: LiveStudy, steps: ViewerSteps
-    ) -> None:
-        self._viewer, self._form, self._pointer, self._live = viewer, form, pointer, live
+    def __init__(self, viewer: Any, live: LiveStudy, steps: ViewerSteps) -> None:
+        self._viewer, self._live = viewer, live
+        form, pointer = self._form, self._pointer = live.form, live.pointer
         self._said = self._doing = ""
-        self._why = _Said.NEWS
+        self._why: Why = "news"
         for table in form.tables:
-            table.found.connect(partial(self.say, why=_Said.STEP))
+            table.found.connect(partial(self.say, why="step"))
             table.refused.connect(self.refuse)
-        form.tissue.menu.said.connect(partial(self.say, why=_Said.STEP))
+        form.tissue.menu.said.connect(partial(self.say, why="step"))
         form.tissue.editor.refused.connect(self.refuse)
         pointer.said.connect(self._on_pointer)
         pointer.refused.connect(self.refuse)
@@ -74,7 +62,7 @@ class Guide:
     @property
     def shown(self) -> str:
         """What is read."""
-        doing = "" if self._why is _Said.REFUSED else self._doing
+        doing = "" if self._why == "refused" else self._doing
         return doing or self._said or self.invitation
 
     @property
@@ -91,30 +79,19 @@ class Guide:
             how = self._pointer.tool.how
         return self._paused or how
 
-    def say(self, sentence: str, why: _Said = _Said.NEWS) -> None:
+    def say(self, sentence: str, why: Why = "news") -> None:
         """Say something in place of all that was said."""
         self._said, self._why = sentence, why
         self.show()
 
     def invite(self) -> None:
         """Say what can be done next, unless what was taken back or refused is to be read still."""
-        if self._why not in (_Said.STEP, _Said.REFUSED):
+        if self._why == "news":
             self.say("")
 
     def refuse(self, sentence: str) -> None:
         """Say why what somebody did is not done, until they do something else."""
-        self.say(sentence, _Said.REFUSED)
-
-    def say_arrows_gone(self) -> None:
-        """Say how to have the arrows back, until something new is begun."""
-        self.say(motion_messages.ARROWS_GONE, _Said.STEP)
-
-    def look_at_mouse(self, stopped: bool) -> None:
-        """Another layer feels the mouse, or ours does again; `stopped`: ours did until now."""
-        if stopped and self._paused:
-            self.say("")
-        else:
-            self.show()
+        self.say(sentence, "refused")
 
     def show(self, *_: object) -> None:
         """Show what is to be read now."""
@@ -137,13 +114,12 @@ class Guide:
 
     def _on_begun(self, *_: object) -> None:
         """Something new is begun: what was taken back before has been read."""
-        if self._why in (_Said.STEP, _Said.REFUSED):
-            self._why = _Said.NEWS
+        self._why = "news"
 
     def _on_step(self, sentence: str, step: Step | None) -> None:
         """Say what was taken back, on another slice, too; and that the mouse draws no more."""
         drawn = step is not None and isinstance(step.value, Drawing)
-        self.say(f"{sentence} {self._paused if drawn else ''}".rstrip(), _Said.STEP)
+        self.say(f"{sentence} {self._paused if drawn else ''}".rstrip(), "step")
 
     def _on_doing(self, sentence: str) -> None:
         if sentence != self._doing:
@@ -160,5 +136,5 @@ class Guide:
         """Say something of the study beside what was taken back; "": nothing is wrong any more."""
         if not sentence:
             self.invite()
-        elif self._why is not _Said.REFUSED:
-            self.say(f"{self._said} {sentence}" if self._why is _Said.STEP else sentence)
+        elif self._why != "refused":
+            self.say(f"{self._said} {sentence}" if self._why == "step" else sentence)

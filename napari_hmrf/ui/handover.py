@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
-from typing import Any
+from typing import Any, NamedTuple
 
 from qtpy.QtCore import QCoreApplication, QEvent, QObject, Qt, Signal
 
@@ -74,6 +74,15 @@ class Newest(QObject):
             self._answer(waiting[0])
 
 
+class _Errand(NamedTuple):
+    """What was sent."""
+
+    kind: str
+    answer: _Answer
+    #: Set when nobody wants its answer any more.
+    forgotten: threading.Event
+
+
 class Errands:
     """Small work on the compute thread; of those of a kind that wait, only the newest is ever run.
 
@@ -87,7 +96,7 @@ class Errands:
 
     def __init__(self, refuse: Callable[[str], object]) -> None:
         self._refuse = refuse
-        self._sent: dict[Future[Any], tuple[str, _Answer]] = {}
+        self._sent: dict[Future[Any], _Errand] = {}
         self._ended = Newest(self._on_ended)
 
     def send(self, kind: str, work: Callable[[], Any], answer: _Answer) -> None:
@@ -98,8 +107,14 @@ class Errands:
         for future in self._of(kind):
             if future.cancel():
                 del self._sent[future]
-        future = compute_thread.submit(work, _DOING)
-        self._sent[future] = kind, answer
+        errand = _Errand(kind, answer, threading.Event())
+
+        def run() -> Any:
+            with compute_thread.unless(errand.forgotten.is_set):
+                return work()
+
+        future = compute_thread.submit(run, _DOING)
+        self._sent[future] = errand
         future.add_done_callback(self._ended.put)
 
     def busy(self, kind: str | None = None) -> bool:
@@ -107,9 +122,9 @@ class Errands:
         return bool(self._of(kind))
 
     def forget(self, kind: str | None = None) -> None:
-        """Answer nothing of a kind, or of all, that was sent."""
+        """Answer nothing of a kind, or of all, that was sent; what runs stops at its next look."""
         for future in self._of(kind):
-            del self._sent[future]
+            self._sent.pop(future).forgotten.set()
             future.cancel()
 
     def release(self) -> None:
@@ -118,14 +133,14 @@ class Errands:
         self._ended.release()
 
     def _of(self, kind: str | None) -> list[Future[Any]]:
-        return [future for future, (each, _) in self._sent.items() if kind in (None, each)]
+        return [future for future, errand in self._sent.items() if kind in (None, errand.kind)]
 
     def _on_ended(self, _: Future[Any]) -> None:
         """Answer all that has ended: of what was put meanwhile only the newest is told."""
         for future in self._of(None):
             if not future.done() or future not in self._sent:
                 continue  # an answer may have had others forgotten
-            kind, answer = self._sent.pop(future)
+            kind, answer = self._sent.pop(future)[:2]
             try:
                 found = future.result(timeout=0)
             except Exception as error:  # noqa: BLE001 - whatever it is, the user is told

@@ -14,8 +14,8 @@ from qtpy.QtWidgets import QComboBox, QHeaderView, QSizePolicy, QTableWidget, QT
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.layers.metadata import BOUNDARY, Role, Table
-from napari_hmrf.layers.pixel_copy import CHANGES, copy_slice
-from napari_hmrf.layers.slice_view import View, frame_of
+from napari_hmrf.layers.pixel_copy import CHANGES
+from napari_hmrf.layers.slice_view import View, copy_slice, frame_of
 from napari_hmrf.tissue.boundary_rules import unlisted
 from napari_hmrf.ui.events import Listening, single_shot
 
@@ -83,7 +83,7 @@ class LabelTable(QTableWidget):
     found = Signal(str)
     refused = Signal(str)
 
-    def __init__(self, view: Callable[[], View | None]) -> None:
+    def __init__(self, view: Callable[[], View]) -> None:
         super().__init__()
         self._view = view
         self._contents = Table(())
@@ -113,11 +113,7 @@ class LabelTable(QTableWidget):
     def columns(self) -> list[Column]:
         """What the columns are now; subclasses have more."""
         return [
-            Column(
-                "",
-                "Label and colour; click a row to paint with it",
-                lambda row: str(row.label),
-            ),
+            Column("", "Click a row to paint with its label", lambda row: str(row.label)),
             Column(
                 self.title,
                 "Any name",

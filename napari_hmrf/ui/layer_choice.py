@@ -72,13 +72,6 @@ class LayerChoice(ComboBox):
         if after is not before:
             self.changed.emit(after)
 
-    def _choose(self, layer: Any) -> None:
-        self.reset_choices()
-        ComboBox.value.fset(self, layer)
-
-    #: The layer; ValueError if another is set than can be chosen.
-    value = property(ComboBox.value.fget, _choose)
-
 
 class LandmarkChoice(Container):
     """Where things are and where they should be; there only where there are points or lines.
@@ -101,20 +94,17 @@ class LandmarkChoice(Container):
             layers,
             lambda layer: isinstance(layer, Points | Shapes),
             "landmarks at",
-            "A Points layer: where things are; or a Shapes layer of lines, from there to where "
-            "they should be",
+            "Points: where things are; or Shapes: lines from there to where they should be",
         )
         self.should = LayerChoice(
             layers,
             lambda layer: isinstance(layer, Points),
             "should be at",
-            "A Points layer: where the same things should be, in the same order. A point in the "
-            "same place in both holds the tissue there",
+            "Points: where these should be, in the same order; where both agree, tissue is held",
         )
         self.take = PushButton(
             text="Take as landmarks",
-            tooltip="They come beside what is drawn, and are changed, removed and undone as what "
-            "is clicked; taken again they replace those that were taken before",
+            tooltip="Adds them to what is drawn, in place of those that were taken before",
         )
         super().__init__(widgets=[self.where, self.should, self.take])
         self.where.changed.connect(self._on_where)

@@ -18,12 +18,12 @@ from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.read import Request, read_study
 from napari_hmrf.layers.screen_directions import Directions
-from napari_hmrf.layers.slice_view import View, plane_shown
+from napari_hmrf.layers.slice_view import plane_shown
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.study.coarse_grid import CoarseGrid, Plane
-from napari_hmrf.study.refusals import refuse_rigid
+from napari_hmrf.study.ground import refuse_rigid
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, first_curve
@@ -55,9 +55,8 @@ class LiveStudy:
     native : QWidget
         The dock.
     viewer : napari.Viewer or ViewerModel
-    form : DockForm
-    choices : Choices
-    pointer : Pointer
+    form, choices, pointer : DockForm, Choices, Pointer
+        What there is to read; kept as attributes, for those who look after it.
 
     Attributes
     ----------
@@ -84,12 +83,12 @@ class LiveStudy:
     #: What goes on, to be said until it is over; then "".
     doing = Signal(str)
     #: Another slice or image is worked on.
-    moved_on = Signal()
+    moved_on = Signal(Study)
 
     def __init__(
         self, native: Any, viewer: Any, form: DockForm, choices: Choices, pointer: Pointer
     ) -> None:
-        self._viewer, self._form, self._choices, self._pointer = viewer, form, choices, pointer
+        self._viewer, self.form, self.choices, self.pointer = viewer, form, choices, pointer
         self._over = False
         self.study: Study | None = None
         self.source: Any = None
@@ -120,7 +119,7 @@ class LiveStudy:
     def busy(self) -> bool:
         """Whether anything that was asked for is not seen yet."""
         # What is drawn at rest waits for as long as a drag is held.
-        resting = self._resting.isActive() and not self._pointer.hand.holding
+        resting = self._resting.isActive() and not self.pointer.hand.holding
         words = self._poll.isActive()
         return self._looking.isActive() or resting or words or self._follower.at_work
 
@@ -138,14 +137,15 @@ class LiveStudy:
         HmrfError
             If there is nothing to work on.
         """
-        request = self._choices.request
+        request = self.choices.request
         here = self.study is not None and request.layers[0] is self.source
-        return replace(request, drawing=self._pointer.drawing if here else Drawing())
+        return replace(request, drawing=self.pointer.drawing if here else Drawing())
 
     def read(self, request: Request) -> Study:
         """Read what is chosen, and how it is to be solved."""
-        model = self._form.model
-        return read_study(request, model.prior, model.optimizer, self._copies)
+        model = self.form.model
+        study = read_study(request, self._copies)
+        return replace(study, prior=model.prior, optimizer=model.optimizer)
 
     def first_curve(self) -> StiffnessCurve:
         """Guess by which curve the slice's brightness says how stiff tissue is.
@@ -155,8 +155,8 @@ class LiveStudy:
         HmrfError
             If it cannot be read, or is of one value.
         """
-        image = self._form.image.value
-        study = self.read(Request(image=image, view=self._choices.view, drawing=Drawing()))
+        image = self.form.image.value
+        study = self.read(Request(image=image, view=self.form.view(), drawing=Drawing()))
         assert study.intensities is not None
         return first_curve(study.intensities)
 
@@ -181,7 +181,7 @@ class LiveStudy:
             self.curve_layer.show(None)
             self._cannot(error)
             return False
-        if self._form.footer.live.value or self._pointer.active:
+        if self.form.footer.live.value or self.pointer.active:
             self._follow(study)
         else:
             self._failed = ""
@@ -191,7 +191,7 @@ class LiveStudy:
     def settle(self) -> None:
         """Solve from nothing; `finished` is emitted at the end."""
         self._looking.stop()
-        self._form.footer.show_work(True)
+        self.form.footer.show_work(True)
         self._copies.forget()  # a script may have changed an array in place
         try:
             study = self._read_chosen(unpainted=False)
@@ -199,7 +199,7 @@ class LiveStudy:
             self._refuse(error)
             return
         self.settling, self._since, self._asked = True, time.monotonic(), study
-        self._follower.settle(study, self._form.model.in_detail.details.device)
+        self._follower.settle(study, self.form.model.in_detail.details.device)
         self._poll.start()
 
     def cancel(self) -> None:
@@ -218,21 +218,21 @@ class LiveStudy:
         """Have image and arrows of the latest result drawn, once nothing is held or on its way."""
         if self.study is None:
             return
-        if self._pointer.hand.holding or self._follower.busy:
+        if self.pointer.hand.holding or self._follower.busy:
             self._resting.start()
             return
-        moved = self._pointer.display.moved
+        moved = self.pointer.display.moved
         if moved is not None and (moved.plane or moved.study.optimizer != self.study.optimizer):
             self._asked = None  # a drag is over
             self._follow(self.study)
         else:
             self._resting.stop()
-            self._pointer.display.arrows.keep(self._pointer.drawing)
+            self.pointer.display.arrows.keep(self.pointer.drawing)
             self._follower.complete()
 
     def show_before(self, before: bool) -> None:
         """Show the image as it was before it moved, or as it has moved again."""
-        result = self._pointer.display.result
+        result = self.pointer.display.result
         if result is not None:
             result.show_before(before)
 
@@ -247,7 +247,7 @@ class LiveStudy:
         self.curve_layer.show(None)
         self.study = self.source = self._asked = None
         self._failed = self._report = ""
-        self._pointer.stand_on(None)
+        self.pointer.stand_on(None)
         self._describe()
 
     def release(self) -> None:
@@ -270,25 +270,25 @@ class LiveStudy:
     def _stand_on(self, study: Study, source: Any) -> Study:
         """Work on a study; returns it, with what is drawn on its slice."""
         before = self.study
-        self._pointer.tissue = self._form.tissue.layer
+        self.pointer.tissue = self.form.tissue.layer
         place, self.study = study.grid, study
         if before is None or source is not self.source or before.grid != place:
             if source is not self.source:
                 self.source, self._report = source, ""
             self._asked = None
-            self._pointer.stand_on(study, source)
+            self.pointer.stand_on(study, source)
             self._describe()
-            self._form.footer.live.judge(math.prod(study.grid.shape[-2:]))
+            self.form.footer.live.judge(math.prod(study.grid.shape[-2:]))
             self._follower.rehearse(study)
-            self.moved_on.emit()
+            self.moved_on.emit(study)
         ways = Directions.of(place.place, self._viewer)
         self.curve_layer.show(study, source)
-        self._form.show_place(unit_symbol(place.unit), ways)
+        self.form.show_place(unit_symbol(place.unit), ways)
         return self._with_drawing(study)
 
     def _with_drawing(self, study: Study) -> Study:
         """Work on a study with what is drawn on its slice."""
-        motion = replace(study.motion, drawing=self._pointer.drawing)
+        motion = replace(study.motion, drawing=self.pointer.drawing)
         self.study = replace(study, motion=motion)
         return self.study
 
@@ -306,23 +306,23 @@ class LiveStudy:
         self._resting.stop()
         if self._is_hasty(study):
             study = replace(study, optimizer=Multigrid(TOLERANCE))
-        device = self._form.model.in_detail.details.device
+        device = self.form.model.in_detail.details.device
         self._follower.follow(study, device, self._glanced_at(study))
         if not self._poll.isActive():
             self._poll.start()
 
     def _glanced_at(self, study: Study) -> Plane | None:
         """What of a volume is looked at while a hand moves it; None: all of it."""
-        if len(study.grid.shape) == 2 or not self._pointer.hand.holding:
+        if len(study.grid.shape) == 2 or not self.pointer.hand.holding:
             return None
-        axis, number = plane_shown(study.grid.place, View.of(self._viewer.dims))
+        axis, number = plane_shown(study.grid.place, self.form.view())
         return Plane(axis, number, CoarseGrid.of_at_most(GLANCED, study.grid.shape))
 
     def _is_hasty(self, study: Study) -> bool:
         """Whether a frame of a drag is enough, that need not be nearer than can be seen."""
         optimizer = study.optimizer
         near = isinstance(optimizer, Multigrid) and optimizer.tolerance < TOLERANCE
-        return near and self._pointer.hand.holding
+        return near and self.pointer.hand.holding
 
     def _on_seen(self, seen: Seen) -> None:
         study, moved = self.study, seen.moved
@@ -332,10 +332,10 @@ class LiveStudy:
         if moved.error is not None and moved.settled:
             self._refuse(moved.error)
             return
-        self._pointer.show(seen)
+        self.pointer.show(seen)
         if moved.error is not None:
             self._asked = None
-            if not self._pointer.active:  # else it has said so
+            if not self.pointer.active:  # else it has said so
                 self._cannot(moved.error)
             return
         self.seen.emit(moved)
@@ -353,35 +353,30 @@ class LiveStudy:
         self._report = messages.report(done)
         for made in done.outputs.layers.values():
             made.attributes["metadata"][METADATA]["inputs_changed"] = not self.fresh
-        self._pointer.display.finish(done)
+        self.pointer.display.finish(done)
         self._describe()
         settled = self.settling
         if settled:
             self._stop()
-        self._tell(anew=not self._pointer.active)
-        if settled and self._pointer.active:
+        self._tell(anew=not self.pointer.active)
+        if settled and self.pointer.active:
             self.said.emit(self._report)
         self.followed.emit(done.outputs)
         if settled:
             self.finished.emit(done.outputs)
 
     def _on_poll(self) -> None:
-        footer, monitor = self._form.footer, self._follower.monitor
-        waited, study = time.monotonic() - self._since, self.study
-        moves = study is not None and study.moves
-        what = "Following the last edit" if moves else "Getting ready"
+        footer, monitor = self.form.footer, self._follower.monitor
         if not (self._follower.busy or self.settling):
             self._poll.stop()
             self._stop()
-            return
-        if self.settling:
-            what = "Deforming"
-        elif waited > _PATIENCE:
+        elif self.settling or time.monotonic() - self._since > _PATIENCE:
+            moves = self.study is not None and self.study.moves
+            following = "Following the last edit" if moves else "Getting ready"
+            what = "Deforming" if self.settling else following
             footer.cancel.enabled = True
-        else:
-            return
-        self.doing.emit(messages.progress(monitor, what))
-        footer.explain(monitor.message)
+            self.doing.emit(messages.progress(monitor, what))
+            footer.explain(monitor.message)
 
     @property
     def _state(self) -> str:
@@ -390,9 +385,9 @@ class LiveStudy:
         if self._failed:
             stays = "" if latest is None else messages.STAYS
             return f"The tissue does not follow yet. {self._failed} {stays}".rstrip()
-        if self._pointer.active:
+        if self.pointer.active:
             return ""
-        if latest is None or study is None or self._form.footer.live.value or self.fresh:
+        if latest is None or study is None or self.form.footer.live.value or self.fresh:
             return self._report
         return messages.CHANGED
 
@@ -404,7 +399,7 @@ class LiveStudy:
 
     def _describe(self) -> None:
         """Say of the latest result what is to be known, if it is of what is worked on."""
-        footer, done, study = self._form.footer, self.latest, self.study
+        footer, done, study = self.form.footer, self.latest, self.study
         if done is None or study is None or done.moved.study.grid != study.grid:
             footer.warn("")
         else:
@@ -434,8 +429,8 @@ class LiveStudy:
 
     def _on_chip(self) -> None:
         """Say what there is to know, and mark where tissue folds, or no longer."""
-        self.said.emit(self._form.footer.warning)
-        overlay = self._form.result.overlay
+        self.said.emit(self.form.footer.warning)
+        overlay = self.form.result.overlay
         if overlay.value == "folds":
             overlay.value = NOTHING
         elif self.latest is not None and self.latest.outputs.folds:
@@ -444,5 +439,5 @@ class LiveStudy:
     def _stop(self) -> None:
         """Show that nothing goes on any more."""
         self.settling = False
-        self._form.footer.show_work(False)
+        self.form.footer.show_work(False)
         self.doing.emit("")

@@ -29,10 +29,7 @@ MODELS: dict[ModelName, str] = {
     "paper": "paper's: 70 sweeps per level",
     "paper, converged": "paper's, computed to the end",
 }
-PLANES: dict[Plane, str] = {
-    "stress": "free to bulge",
-    "strain": "held at its faces",
-}
+PLANES: dict[Plane, str] = {"stress": "free to bulge", "strain": "held at its faces"}
 # The figures are those of the README, by `make benchmarks`: on two cores, without a GPU.
 _WHEN: dict[ModelName, str] = {
     "elastic": "Tissue stretches and bulges as elastic material does. Boundaries are held exactly.",
@@ -95,13 +92,8 @@ def warnings_of(done: Done) -> tuple[str, str]:
             f"Warning: at {outputs.overlaps} pixels one part of the tissue has moved onto another "
             "and hides it; parts do not feel each other across a gap."
         )
-    parts += map(sentence_of, done.notes)
+    parts += (f"{note[0].upper()}{note[1:]}." for note in done.notes)
     return " ".join(parts), short
-
-
-def sentence_of(clause: str) -> str:
-    """A clause as a sentence of its own."""
-    return f"{clause[0].upper()}{clause[1:]}."
 
 
 def in_short(error: Exception) -> str:

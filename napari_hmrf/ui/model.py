@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from magicgui.widgets import (
-    Container,
-    FloatSpinBox,
-    RadioButtons,
-    create_widget,
-)
+from magicgui.widgets import Container, FloatSpinBox, RadioButtons, create_widget
 from napari.layers import Image
 from qtpy.QtCore import QSize
 from qtpy.QtGui import QIcon
@@ -34,11 +29,11 @@ class DetailsForm(Container):
     """A field for each of `SolverDetails`; those are seen that a model asks for."""
 
     def __init__(self) -> None:
-        hints = get_type_hints(SolverDetails, include_extras=True)
+        hints = get_type_hints(SolverDetails)
         super().__init__(
             widgets=[
-                create_widget(value, annotation=hints[name], name=name)
-                for name, value in asdict(SolverDetails()).items()
+                create_widget(each.default, hints[each.name], each.name, **each.metadata)
+                for each in fields(SolverDetails)
             ]
         )
         align_labels(self)
@@ -96,8 +91,7 @@ class ModelForm(Container):
             label="slice is",
             choices=[(words, plane) for plane, words in messages.PLANES.items()],
             value="stress",
-            tooltip="What is in front of the image and behind it. Plane stress: nothing that holds "
-            "it; plane strain: tissue that lets nothing through",
+            tooltip="What lies around the slice: nothing (plane stress), or tissue (plane strain)",
         )
         self.poisson = FloatSpinBox(
             name="poisson",

@@ -11,8 +11,7 @@ from napari.layers import Labels
 
 from napari_hmrf.layers.label_colours import boundary_colours
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
-from napari_hmrf.layers.pixel_copy import fits, plane_shape
-from napari_hmrf.layers.slice_view import View, frame_of, layer_extents
+from napari_hmrf.layers.slice_view import View, fits, frame_of, layer_extents, plane_shape
 from napari_hmrf.tissue.boundary_rules import UNPAINTED, BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.tissue.usual_lengths import usual_step
@@ -63,9 +62,8 @@ def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View)
         )
         boundary = blank("Boundary", described(BOUNDARY, rules), colormap=boundary_colours())
         layers.append(boundary)
-    first = tissue
-    if not isinstance(tissue, Labels) or (tissue_there and not boundary_there):
-        first = boundary
+    lacking = not isinstance(tissue, Labels) or (tissue_there and not boundary_there)
+    first = boundary if lacking else tissue
     viewer.layers.selection = {first}
     if isinstance(first, Labels):
         first.selected_label, first.mode = 2 if first is tissue else 1, "paint"

@@ -16,7 +16,6 @@ from napari_hmrf.layers.result_layers import Answer
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.tissue.drawing import Landmark
-from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.result.result_view import ResultView
@@ -32,21 +31,19 @@ class SecondImage:
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
-    form : DockForm
-        Its landmark layers say where things are and should be; without, those of the drawing do.
     view : ResultView
         Of the result that is looked at.
     live : LiveStudy
+        Its landmark layers say where things are and should be; without, those of the drawing do.
     """
 
-    def __init__(self, viewer: Any, form: DockForm, view: ResultView, live: LiveStudy) -> None:
-        self._viewer, self._view, self._live, self._form = viewer, view, live, form.result
+    def __init__(self, viewer: Any, view: ResultView, live: LiveStudy) -> None:
+        self._viewer, self._view, self._live = viewer, view, live
         self._results = shared(viewer, ResultLayers)
-        self._image = form.image
-        self._pair = form.motion.boundary.landmarks
-        # The second image and those under it, how they were before, and where the second was.
-        self._drawn: list[Any] = []
-        self._before: list[dict[str, Any]] = []
+        self._image, self._form = live.form.image, live.form.result
+        self._pair = live.form.motion.boundary.landmarks
+        # How the second image and those under it were drawn before, and where the second was.
+        self._before: dict[Any, dict[str, Any]] = {}
         self._place = 0
         choices = (self._image, self._form.second, self._pair.where, self._pair.should)
         changes = (view.looked, *(choice.changed for choice in choices))
@@ -76,18 +73,19 @@ class SecondImage:
     def _draw(self, other: Any, moved: list[Any]) -> None:
         """Draw an image over others that move; those drawn so before are as they were."""
         wanted, layers = [] if other is None else [other, *moved], self._viewer.layers
-        if wanted == self._drawn:
+        if wanted == list(self._before):
             return
-        for layer, look in zip(self._drawn, self._before, strict=True):
+        for layer, look in self._before.items():
             _set(layer, look)
-        if self._drawn and self._drawn[0] in layers:  # else it would cover what moves
-            layers.move(layers.index(self._drawn[0]), self._place)
-        self._drawn, self._before = wanted, []
+        second = next(iter(self._before), None)
+        if second in layers:  # else it would cover what moves
+            layers.move(layers.index(second), self._place)
+        self._before = {}
         for layer in wanted:
             look = dict(_OTHER if layer is other else _MOVED)
             if layer.rgb:
                 del look["colormap"]
-            self._before.append({name: getattr(layer, name) for name in look})
+            self._before[layer] = {name: getattr(layer, name) for name in look}
             _set(layer, look)
         if other is not None:
             self._place = layers.index(other)

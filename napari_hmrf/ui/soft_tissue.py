@@ -17,7 +17,6 @@ from napari_hmrf.layers.edit_history import steps_of
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.screen_directions import Sides
-from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.priors.elastic import Plane
@@ -32,7 +31,6 @@ from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.dock_form import DockForm
-from napari_hmrf.ui.dock_steps import DockSteps
 from napari_hmrf.ui.forms import Part, attempt
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.live_study import LiveStudy
@@ -133,7 +131,7 @@ class SoftTissue(Dock):
     confidence = Part[Any]("_form.motion.boundary.confidence.value")
     materials = Part[tuple[Material, ...]]("_form.tissue.table.rows")
     rules = Part[tuple[BoundaryRule, ...]]("_form.motion.boundary.table.rows")
-    curve = Part[StiffnessCurve | None]("_steps.curve")
+    curve = Part[StiffnessCurve | None]("_choices.curve")
     hold_edge = Part[bool]("_form.motion.edge.value")
     without_border = Part[bool]("_form.tissue.border.value")
     fields = Part[ToolFields]("_form.motion.fields")
@@ -171,26 +169,19 @@ class SoftTissue(Dock):
         self._taken: tuple[Landmark, ...] = ()
         # Whether a tool was taken up by itself, and nobody has used it yet.
         self._unused = False
-        self._form = form = DockForm(
-            self, lambda: list(viewer.layers), lambda: View.of(viewer.dims)
-        )
+        self._form = form = DockForm(self, viewer)
+        remember(form.model.in_detail["device"])
         self._choices = Choices(viewer, form)
         self._pointer = Pointer(self.native, viewer, form.motion.fields, steps)
         self._live_study = LiveStudy(self.native, viewer, form, self._choices, self._pointer)
         results = shared(viewer, ResultLayers)
         self._view = ResultView(self.native, viewer, form.result, results)
         form.image.changed.connect(self._view.stand_on)
-        remember(form.model.in_detail["device"])
-        self._steps = DockSteps(self.native, form, self._choices, steps)
-        self._guide = Guide(viewer, form, self._pointer, self._live_study, steps)
-        self._watch = ViewerWatch(
-            self.native, viewer, form, self._choices, self._pointer, self._live_study, self._guide
-        )
-        self._second = SecondImage(viewer, form, self._view, self._live_study)
+        self._guide = Guide(viewer, self._live_study, steps)
+        self._watch = ViewerWatch(self.native, viewer, self._live_study, self._guide)
+        self._second = SecondImage(viewer, self._view, self._live_study)
         self._sides = PatientSides(viewer)
-        self._unsaved = Unsaved(
-            self, viewer, self._choices, self._pointer, self._live_study, self._try
-        )
+        self._unsaved = Unsaved(self, viewer, self._live_study, self._try)
         self._connect()
         self._choices.choose_first()
 
@@ -338,7 +329,7 @@ class SoftTissue(Dock):
             raise HmrfError(messages.WELCOME)
         by_itself = self.curve is not None
         chosen = (self.image if by_itself else self.tissue, self.boundary)
-        made = add_missing(self._viewer, self.image, *chosen, self._choices.view)
+        made = add_missing(self._viewer, self.image, *chosen, self._form.view())
         with self._choices.nobody_chooses():  # undo would not take the layers away
             self.tissue, self.boundary = BRIGHTNESS if by_itself else made[0], made[1]
         self.say(messages.PAINT)
@@ -367,9 +358,7 @@ class SoftTissue(Dock):
         """
         if self.image is None or not self._live_study.look():
             raise HmrfError(messages.WELCOME if self.image is None else self.status)
-        study = self._live_study.study
-        assert study is not None
-        grid, view = study.grid, self._choices.view
+        grid, view = self.study.grid, self._form.view()
         marks = read_landmarks(where, should, grid.place, grid.shape, view, **how)
         others = [mark for mark in self.drawing.marks if mark not in self._taken]
         self._taken = marks
@@ -462,11 +451,11 @@ class SoftTissue(Dock):
 
     def _on_finished(self, outputs: object) -> None:
         """Have the result be seen that was asked for, and not what was painted on it."""
-        if outputs is not None and self.image is not None and self.tissue is not None:
+        if outputs is not None and self.image is not None:
             self._live_study.show_before(False)
-            tissue = self.tissue if self.curve is None else self._live_study.curve_layer.layer
-            if tissue is not None:
-                tissue.visible = False  # it would tint what was deformed
+            for tissue in (self._form.tissue.layer, self._live_study.curve_layer.layer):
+                if tissue is not None:
+                    tissue.visible = False  # it would tint what was deformed
 
     def on_window(self, window: Any) -> None:
         """The dock is in a window of napari's."""
@@ -480,9 +469,8 @@ class SoftTissue(Dock):
             self._live_study.forget()
             self._pointer.leave()
             self._view.rest()
-        shown = (self._second, self._sides, self._view)
-        heard = (self._unsaved, self._watch, self._guide, self._live_study, self._steps)
-        for part in (*shown, *heard, self._form):
+        parts = (self._second, self._sides, self._view, self._unsaved, self._watch, self._guide)
+        for part in (*parts, self._live_study, self._choices, self._form):
             part.release()
         self._pointer.end()
         super().on_over(closed)

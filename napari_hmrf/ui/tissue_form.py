@@ -21,7 +21,7 @@ from napari_hmrf.ui.layer_choice import LandmarkChoice, LayerChoice
 from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialMenu, MaterialTable
 
 Layers = Callable[[], list[Any]]
-Shown = Callable[[], View | None]
+Shown = Callable[[], View]
 Table = TypeVar("Table", bound=LabelTable)
 #: The tissue of an image that goes by a curve, in place of a layer.
 BRIGHTNESS = "brightness"
@@ -34,26 +34,25 @@ class _PaintedSection(Container, Generic[Table]):
 
     edited = Signal()
 
-    def __init__(self, choice: LayerChoice, others: list[LayerChoice], table: Table) -> None:
-        super().__init__(widgets=[choice, *others], labels=True)
+    def __init__(
+        self, choice: LayerChoice, others: list[LayerChoice], table: Table, *buttons: QPushButton
+    ) -> None:
+        super().__init__(widgets=[choice, *others])
         self.choice, self.table = choice, table
         self._below = QWidget()
-        self.choice.changed.connect(self._on_choice)
-        self.table.changed.connect(lambda _: self.edited.emit())
-
-    def _put_below(self, what: str, *others: QWidget) -> None:
-        """Put the table and a row of buttons, plain Qt widgets, under the section's own."""
-        add = QPushButton(f"Add {what}")
+        add = QPushButton(f"Add {table.role}")
         add.setToolTip("Add a label to paint with")
-        add.clicked.connect(lambda: self.table.add())
+        add.clicked.connect(lambda: table.add())
         rows, row = QVBoxLayout(self._below), QHBoxLayout()
         rows.setContentsMargins(0, 0, 0, 0)
-        for widget in (add, *others):
-            row.addWidget(widget)
+        for button in (add, *buttons):
+            row.addWidget(button)
         row.addStretch()
-        rows.addWidget(self.table)
+        rows.addWidget(table)
         rows.addLayout(row)
         self.native.layout().addWidget(self._below)
+        choice.changed.connect(self._on_choice)
+        table.changed.connect(lambda _: self.edited.emit())
         self._on_choice(None)
 
     def _on_choice(self, layer: Any) -> None:
@@ -87,15 +86,15 @@ class TissueSection(_PaintedSection[MaterialTable]):
             "A Labels layer in which tissues are painted, an image of stiffness, or a curve",
             lambda: [("brightness of the image", BRIGHTNESS)] if self.known else [],
         )
-        super().__init__(choice, [], MaterialTable(view))
         self.border = CheckBox(
             value=True,
             text="the dark border is no tissue",
             tooltip="What is dark around the image and not painted is no tissue, such as air",
         )
         self.editor = CurveEditor(_UNKNOWN)
-        self.menu = MaterialMenu(self.table, layers)
-        self._put_below("tissue", self.menu)
+        table = MaterialTable(view)
+        self.menu = MaterialMenu(table, layers)
+        super().__init__(choice, [], table, self.menu)
         for part in (self.editor, self.border):
             self.native.layout().addWidget(part.native)
         self.border.changed.connect(lambda _: self.edited.emit())
@@ -145,21 +144,17 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
             layers,
             lambda layer: isinstance(layer, Labels | Vectors) and "kind" not in known_of(layer),
             "boundary",
-            "A Labels layer in which is painted what holds or moves, or observed displacements: a "
-            "Vectors layer, or a field of a registration by File > Open. Landmarks, as two Points "
-            "layers or as lines of a Shapes layer, come on top: their menus are below once there "
-            "are such layers",
+            "Labels: what is painted holds or moves; or Vectors: observed displacements, such as "
+            "a field by File > Open. Landmarks are chosen below once there are Points or Shapes",
         )
         self.confidence = LayerChoice(
             layers,
             _may_be_confidence,
             "confidence",
-            "How sure what is observed is: an image from 0 to 1, labels as a mask, or only where "
-            "the image has edges; without, 1",
+            "How sure that is: an image from 0 to 1, a mask, or the image's edges; without, 1",
             lambda: [("edges of the image", EDGES)],
         )
         super().__init__(choice, [self.confidence], BoundaryTable(view))
-        self._put_below("boundary")
         self.landmarks = LandmarkChoice(layers)
         self.landmarks.margins = (0, 0, 0, 0)
         self.native.layout().addWidget(self.landmarks.native)

@@ -56,9 +56,8 @@ class MaterialTable(LabelTable):
             *super().columns,
             Column(
                 f"Stiffness ({unit})" if unit else "Relative\nstiffness",
-                "Young's modulus, in any unit as long as it is the same for all tissues: only "
-                "ratios matter.\n0 is no tissue, such as air. 'rigid' moves as one, such as bone "
-                "or an implant; the elastic model has that, the paper's has not.\n"
+                "Young's modulus, in any unit that all tissues share.\n0: no tissue, such as air. "
+                "'rigid': moves as one, such as bone, in the elastic model.\n"
                 "Label 0 is every pixel that you do not paint.",
                 lambda row: stiffness_in_words(row.stiffness),
                 _stiffness,
@@ -107,8 +106,7 @@ class BoundaryTable(LabelTable):
             Column(
                 "Action",
                 "Fixed: stays where it is.\nMoves: so far along the rows and the columns.\n"
-                "Expands: so far outward, along the normal of its outline, which must be a closed "
-                "ring or filled",
+                "Expands: so far outward; what is painted must be a closed ring or filled",
                 lambda row: _ACTIONS[row.action],
                 lambda row, text: replace(row, action=_BY_WORD[text]),
                 tuple(_BY_WORD),
@@ -123,8 +121,7 @@ class BoundaryTable(LabelTable):
             ),
             Column(
                 "confi-\ndence",
-                "How sure this is: from 0, unknown, to 1, certain.\nTwo numbers, such as "
-                "1 / 0.5, for rows and columns apart",
+                "How sure: 0 to 1.\nTwo numbers, such as 1 / 0.5: for rows and columns apart",
                 lambda row: " / ".join(f"{part:g}" for part in dict.fromkeys(row.confidence)),
                 _sure,
             ),
@@ -214,8 +211,7 @@ class MaterialMenu(QPushButton):
         super().__init__("Materials")
         self._table, self._layers = table, layers
         self.setToolTip(
-            "Published stiffnesses with their sources, and those of other layers and of files, in "
-            "place of the table; or keep the table in a file, for other images"
+            "Take published stiffnesses, or those of a layer or a file; or keep these in a file"
         )
         give_menu(self, self.fill)
 

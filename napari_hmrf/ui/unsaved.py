@@ -29,16 +29,15 @@ from napari_hmrf.layers.edit_history import (
     PAINT,
     Place,
     Slot,
+    UnsavedWork,
     steps_of,
 )
 from napari_hmrf.layers.read import study_layers
-from napari_hmrf.layers.unsaved_work import UnsavedWork
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.study.models import details_of, family_of
 from napari_hmrf.study.study import Study
 from napari_hmrf.ui import messages
-from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.events import Listening, single_shot
 from napari_hmrf.ui.forms import Prose, row
 from napari_hmrf.ui.remembered_settings import settings
@@ -63,8 +62,6 @@ class Unsaved(QObject):
     ----------
     dock : SoftTissue
     viewer : napari.Viewer or ViewerModel
-    choices : Choices
-    pointer : Pointer
     live : LiveStudy
     attempt : callable
         Given what to do, does it or says why not.
@@ -75,14 +72,12 @@ class Unsaved(QObject):
         Given a question, answers "save", "discard" or "cancel"; by default a person does.
     """
 
-    def __init__(
-        self, dock: Any, viewer: Any, choices: Choices, pointer: Any, live: Any, attempt: Attempt
-    ) -> None:
+    def __init__(self, dock: Any, viewer: Any, live: Any, attempt: Attempt) -> None:
         super().__init__(dock.native)
         self.ask: Callable[[str], Answer] = self._ask_person
         self._try = attempt
-        self._dock, self._viewer, self._choices = dock, viewer, choices
-        self._pointer, self._live = pointer, live
+        self._dock, self._viewer, self._live = dock, viewer, live
+        self._choices, self._pointer = live.choices, live.pointer
         self._steps, self._work = steps_of(viewer), shared(viewer, UnsavedWork)
         self._writer = threading.Thread()
         self._resting = single_shot(dock.native, _REST, self._keep)
@@ -105,8 +100,8 @@ class Unsaved(QObject):
         self._settle(self._pointer.history.slot, written)
         return written
 
-    def save_as(self) -> bool:
-        """Ask where to save the study, and save it; whether it was."""
+    def save_as(self) -> None:
+        """Ask where to save the study, and save it."""
         here, name = self._pointer.history.slot, "study"
         if isinstance(here, Slot):
             name = _NO_FILE_NAME.sub("-", _name(here))
@@ -116,7 +111,6 @@ class Unsaved(QObject):
         )
         if chosen:
             self.save(chosen)
-        return bool(chosen)
 
     def open(self, path: str | Path) -> None:
         """Add the layers of a saved study; what was drawn on others stays on them."""
@@ -283,11 +277,10 @@ class LeftBehind(Container):
     def __init__(self, take_up: Callable[[Path], None]) -> None:
         self._file = Path()
         self._said = Prose()
-        answers: dict[str, Callable[[Path], None]] = {"Open it": take_up, "Discard": _discard}
-        buttons = [PushButton(text=words) for words in answers]
-        super().__init__(widgets=[self._said, row(*buttons)], labels=False)
-        for button, answer in zip(buttons, answers.values(), strict=True):
-            button.changed.connect(partial(self._on_pressed, answer))
+        opened, discarded = PushButton(text="Open it"), PushButton(text="Discard")
+        super().__init__(widgets=[self._said, row(opened, discarded)], labels=False)
+        opened.changed.connect(partial(self._on_pressed, take_up))
+        discarded.changed.connect(partial(self._on_pressed, _discard))
         self.look()
 
     def look(self) -> None:

@@ -10,7 +10,8 @@ from magicgui.widgets import Container
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QMainWindow
 
-from napari_hmrf.layers.compat import camera_of, clear_middle, unwrapped
+from napari_hmrf.layers.compat import CanvasContext, camera_of, clear_middle, unwrapped
+from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.ui.events import single_shot
 
 #: Until the canvas has the size that a new dock leaves it, in milliseconds.
@@ -39,6 +40,7 @@ class Dock(Container):
         self._fitting = single_shot(self.native, _LAID_OUT, self._viewer.reset_view)
         self._arriving = single_shot(self.native, 0, self._on_arrived)
         clear_middle(self._viewer)
+        shared(self._viewer, CanvasContext)
 
     @property
     def away(self) -> bool:

@@ -12,14 +12,13 @@ from napari_hmrf.field.frame import PLACE
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of
 from napari_hmrf.layers.pixel_copy import CHANGES
-from napari_hmrf.layers.viewer_layers import is_selection_kept, shared
+from napari_hmrf.layers.viewer_layers import shared
+from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
-from napari_hmrf.ui.choices import Choices
-from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import Listening, single_shot
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.live_study import LiveStudy
-from napari_hmrf.ui.motion.pointer import Pointer
+from napari_hmrf.ui.motion.motion_messages import ARROWS_GONE
 
 #: What napari paints with.
 _BRUSHES = ("paint", "erase", "fill", "polygon")
@@ -36,9 +35,6 @@ class ViewerWatch:
     native : QWidget
         The dock.
     viewer : napari.Viewer or ViewerModel
-    form : DockForm
-    choices : Choices
-    pointer : Pointer
     live : LiveStudy
     guide : Guide
     """
@@ -46,34 +42,23 @@ class ViewerWatch:
     #: There is a first image, which nobody is at work with: it can be pulled.
     first_came = Signal()
 
-    def __init__(
-        self,
-        native: Any,
-        viewer: Any,
-        form: DockForm,
-        choices: Choices,
-        pointer: Pointer,
-        live: LiveStudy,
-        guide: Guide,
-    ) -> None:
-        self._viewer, self._form, self._choices = viewer, form, choices
+    def __init__(self, native: Any, viewer: Any, live: LiveStudy, guide: Guide) -> None:
+        self._viewer, self._live, self._guide = viewer, live, guide
+        self._form, self._choices, self._pointer = live.form, live.choices, live.pointer
         self._results = shared(viewer, ResultLayers)
-        self._pointer, self._live, self._guide = pointer, live, guide
-        self._read: list[Any] = []
         self._active = viewer.layers.selection.active
-        self._selected = single_shot(native, 0, self._on_active)
         self._starting = single_shot(native, 0, self._on_first)
         # napari may be in the middle of removing more layers than the one.
         self._leaving = single_shot(native, 0, self._on_left)
         self._begun = self._was_active = False
         live.moved_on.connect(self._on_other)
         self._slice = self._slice_shown
-        form.edited.connect(self._on_choice)
-        form.image.changed.connect(self._on_choice)
+        self._form.edited.connect(self._on_choice)
+        self._form.image.changed.connect(self._on_choice)
         self._answers: dict[str, Any] = {
             "inserted": self._on_inserted,
             "removed": self._on_removed,
-            "renamed": choices.look,
+            "renamed": self._choices.look,
             "reordered": guide.show,
             "visible": guide.show,
             "mode": self._on_mode,
@@ -82,9 +67,7 @@ class ViewerWatch:
         self._events = Listening(
             (viewer.layers.events, self._on_layers),
             (viewer.layers.selection.events.active, self._on_active),
-            (viewer.dims.events.current_step, self._on_slice),
-            (viewer.dims.events.order, self._on_slice),
-            (viewer.dims.events.ndisplay, self._on_slice),
+            (viewer.dims.events, self._on_slice),
         )
         viewer.mouse_drag_callbacks.append(self._on_drag)
         self._on_choice()
@@ -95,10 +78,9 @@ class ViewerWatch:
         if self._on_drag in self._viewer.mouse_drag_callbacks:
             self._viewer.mouse_drag_callbacks.remove(self._on_drag)
 
-    def _on_other(self) -> None:
+    def _on_other(self, study: Study) -> None:
         """Another slice or image is worked on: have lengths that suit the first, and pull it."""
-        study = self._live.study
-        if not self._begun and study is not None:
+        if not self._begun:
             self._begun = True
             size = study.grid.shape, study.grid.spacing
             self._form.motion.fields.begin_with(usual_radius(*size), usual_step(*size))
@@ -125,10 +107,7 @@ class ViewerWatch:
     # What is chosen, and what it holds
 
     def _on_choice(self, *_: Any) -> None:
-        form = self._form
-        boundary = form.motion.boundary
-        image, there = form.image.value, form.image.value is not None
-        self._read = [image, form.tissue.layer, boundary.choice.value, boundary.confidence.value]
+        form, there = self._form, self._form.image.value is not None
         form.make.enabled = there and None in self._painted
         form.intensity.enabled = form.result.keep.enabled = there
         self._live.touch()
@@ -162,7 +141,7 @@ class ViewerWatch:
 
     def _reads(self, layer: Any) -> bool:
         """Whether a layer is among those that are read."""
-        return any(layer is each for each in self._read)
+        return layer in (self._form.image.value, *self._choices.values.values())
 
     def _on_inserted(self, event: Any) -> None:
         self._choices.look()
@@ -174,9 +153,8 @@ class ViewerWatch:
         was_read = self._reads(layer)
         self._choices.look()
         if layer is display.arrows.former and not display.quiet:
-            self._pointer.release()
-            self._guide.say_arrows_gone()
-        if live.study is not None and layer is live.source:
+            self._guide.say(ARROWS_GONE, why="step")
+        if layer is live.source:
             live.cancel()
             live.forget()
             self._guide.say("")
@@ -201,13 +179,11 @@ class ViewerWatch:
             stopped, self._was_active = self._was_active and not pointer.active, pointer.active
             if stopped:
                 pointer.release()
-            self._guide.look_at_mouse(stopped)
+                self._guide.say("")
+            self._guide.show()
             pointer.changed.emit()
 
     def _on_active(self, *_: Any) -> None:
-        if is_selection_kept(self._viewer):
-            self._selected.start()  # what is selected then counts
-            return
         before, self._active = self._active, self._viewer.layers.selection.active
         self.look_at_mouse()
         if self._active is not before:  # else a layer of ours has come beside it

@@ -5,6 +5,7 @@ What is said of images, (H, W, 2), is true of volumes, (D, H, W, 3).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from napari_hmrf.solver.backends import kept_volumes, loops
 from napari_hmrf.solver.backends.base import FloatArray
 from napari_hmrf.solver.backends.found import Beginning
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
-from napari_hmrf.solver.backends.thread import in_child_of_fork
+from napari_hmrf.solver.backends.thread import compute_thread, in_child_of_fork
 
 if TYPE_CHECKING:
     from napari_hmrf.solver.problem import Problem
@@ -70,11 +71,17 @@ class Slice(NamedTuple):
     planes: Any
 
 
-def slices(grid: tuple[int, ...]) -> list[Slice]:
-    """An image, or the slices of a volume: NumPy takes less memory for one by one."""
+def slices(grid: tuple[int, ...]) -> Iterator[Slice]:
+    """An image, or the slices of a volume: NumPy takes less memory for one by one.
+
+    Before each slice, look whether the work is still wanted.
+    """
     if len(grid) == 2:
-        return [Slice(..., ...)]
-    return [Slice(number, np.s_[:, number + 2]) for number in range(grid[0])]
+        yield Slice(..., ...)
+        return
+    for number in range(grid[0]):
+        compute_thread.look()
+        yield Slice(number, np.s_[:, number + 2])
 
 
 def reuse(d: Planes, held: HeldPlanes) -> None:
@@ -94,10 +101,14 @@ def noise(shape: tuple[int, ...]) -> Planes:
     rough = np.zeros((shape[0], *(1 for _ in axes)), dtype=np.float32)
     while any(rough.shape[axis] < shape[axis] - 4 for axis in axes):
         for axis in axes:
+            compute_thread.look()
             rough = rough.repeat(2, axis=axis)
+        compute_thread.look()
         rough += random.random(rough.shape, dtype=np.float32) - np.float32(0.5)
         rough = rough[(slice(None), *(slice(shape[axis] - 4) for axis in axes))]
+    compute_thread.look()
     inside(made)[...] = rough
+    compute_thread.look()
     made /= max(float(made.max()), -float(made.min()), _TINY)
     return made
 

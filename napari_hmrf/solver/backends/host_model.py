@@ -13,6 +13,7 @@ from napari_hmrf.solver.backends.bodies import Bodies
 from napari_hmrf.solver.backends.entrained import Entrained
 from napari_hmrf.solver.backends.found import Found
 from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, Planes, Steps
+from napari_hmrf.solver.backends.thread import compute_thread
 
 # Squares of values between these are far from the ends of single precision.
 _SMALL, _GREAT = 1e-6, 1e6
@@ -66,19 +67,32 @@ class HostModel:
         """Hold components on all levels."""
         if self._held is not None and np.array_equal(held, self._held):
             return
-        self._held = held.copy() if len(held) == 2 else held  # of a volume nobody changes it
+        self._held = None  # until all levels are done: this may be stopped on the way
         self.found = Found()
         self._rest.fill(0)
+        compute_thread.look()
+        if len(held) == 3:
+            # Fresh memory takes longer to get than to fill, and a kernel would get it all at once.
+            self.levels[0].clear()
+            self.levels[0].inverse.fill(0)
+            compute_thread.look()
         self.levels[0].hold(held)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
+            compute_thread.look()
             coarse.hold_as(fine)
+        if len(held) == 3:
+            self.clear()
+        self._held = held.copy() if len(held) == 2 else held  # of a volume nobody changes it
 
     def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:
         """What a displacement leaves of a load."""
+        compute_thread.look()
         most, norm = self._balance(d, load, unit)
         if most > 0 and not _SMALL < most < _GREAT:
             unit *= most
+            compute_thread.look()
             most, norm = self._balance(d, load, unit)
+        compute_thread.look()
         if self.bodies is not None:
             self.bodies.project(self._rest)
             most, square = self.levels[0].weigh(self._rest, self._rest)

@@ -14,11 +14,12 @@ import os
 import queue
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
-from napari_hmrf.errors import BackendError
+from napari_hmrf.errors import BackendError, Cancelled
 
 T = TypeVar("T")
 _log = logging.getLogger("napari_hmrf")
@@ -47,6 +48,8 @@ class ComputeThread:
         self._doing: Doing = ""
         #: How far the job that runs is, in words, if it says so.
         self.stage = ""
+        # Each says whether the job that runs is to stop.
+        self._stops: list[Callable[[], bool]] = []
 
     def submit(self, job: Callable[[], T], doing: Doing = _SOMETHING) -> Future[T]:
         """Queue a job; its future holds the result, or the error it raised.
@@ -80,8 +83,53 @@ class ComputeThread:
         return future
 
     def result_of(self, job: Callable[[], T], doing: Doing = _SOMETHING) -> T:
-        """Do a job, as of `submit`, and wait for it; at once if this is the thread itself."""
-        return job() if self.is_current() else self.submit(job, doing).result()
+        """Do a job, as of `submit`, and wait for it; at once if this is the thread itself.
+
+        Whoever waits no more, as after Ctrl-C, has the job stop at its next `look`.
+        """
+        if self.is_current():
+            return job()
+        left = threading.Event()
+
+        def run() -> T:
+            with self.unless(left.is_set):
+                return job()
+
+        future = self.submit(run, doing)
+        try:
+            return future.result()
+        except BaseException:
+            left.set()
+            future.cancel()
+            raise
+
+    @contextmanager
+    def unless(self, stop: Callable[[], bool]) -> Iterator[None]:
+        """Have the job that runs stop at its next `look`, too, once this says so.
+
+        Parameters
+        ----------
+        stop : callable
+            Called on this thread, several times a second: whether to stop.
+        """
+        self._stops.append(stop)
+        try:
+            yield
+        finally:
+            self._stops.pop()
+
+    def look(self) -> None:
+        """Look whether the job that runs is still wanted: for long work, several times a second.
+
+        Does nothing on any other thread.
+
+        Raises
+        ------
+        Cancelled
+            If it is not.
+        """
+        if self.is_current() and any(stop() for stop in self._stops):
+            raise Cancelled
 
     def delays(self, future: Future[Any]) -> str:
         """What a job waits for, and how to stop that, in words; "" once it runs."""

@@ -11,6 +11,8 @@ from typing import Any
 from napari_hmrf.solver.backends.compiler import Stage
 from napari_hmrf.solver.backends.loader import before_numba, loops_there
 
+#: What tissue that turns out to be hard takes in the middle of a solve: no job of the compiler's.
+HARDER = "harder"
 #: About how many loops each job of `napari_hmrf.compiling` takes by itself, and all together.
 LOOPS = {
     "elastic": 22,
@@ -30,6 +32,7 @@ LOOPS = {
     "volume-converged": 15,
     "": 84,
 }
+_HARDER_LOOPS = 8
 
 
 class _State:
@@ -49,7 +52,7 @@ def watched(job: str, tell: Callable[[Stage], object]) -> Iterator[None]:
     Parameters
     ----------
     job : str
-        A key of `LOOPS`.
+        A key of `LOOPS`, or `HARDER`.
     tell : callable
         Given a `Stage`; raises to have nothing more compiled.
     """
@@ -59,7 +62,7 @@ def watched(job: str, tell: Callable[[Stage], object]) -> Iterator[None]:
     before_numba()
     from numba.core import event
 
-    of = min(_there() + LOOPS[job], LOOPS[""])
+    of = min(_there() + LOOPS.get(job, _HARDER_LOOPS), LOOPS[""])
     here, begun = threading.get_ident(), time.perf_counter()
     before, depth = _State.compiled, 0
 

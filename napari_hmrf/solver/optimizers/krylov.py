@@ -14,6 +14,7 @@ import scipy
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.entrained import Entrained
 from napari_hmrf.solver.backends.linear import Balance, Planes, Steps, UnsymmetricLevel
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers.cycle import Cycle
 
 # How far single precision is trusted to reduce a residual before it is computed again in double;
@@ -151,14 +152,18 @@ class ConjugateGradients:
             steepest = self._steepest(rest)
             if entrained is None:
                 level.project(steepest)
+            compute_thread.look()
             most, slope = level.weigh(steepest, rest)
             turn = slope if before is None else level.ratio(slope, before)
+            compute_thread.look()
             if entrained is None:
                 level.turn(steepest, direction, turn)
             else:
                 most = max(most, entrained.turn(steepest, direction, turn))
+            compute_thread.look()
             curvature = level.apply(direction, image)
             level.project(image)
+            compute_thread.look()
             length = level.ratio(slope, curvature)
             if at_once:
                 if not all(map(math.isfinite, (most, curvature, length))):

@@ -18,6 +18,7 @@ from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.base import Backend
 from napari_hmrf.solver.backends.found import Beginning, Quality
 from napari_hmrf.solver.backends.linear import LinearModel
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.bending_modes import check_bent
 from napari_hmrf.solver.optimizers import centred, large_motion
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Report
@@ -112,6 +113,7 @@ class Multigrid:
                 if model.bodies is not None:
                     model.bodies.settle(d)
                 refinement.run(d, None, self.tolerance, self._known(start, model))
+                compute_thread.look()
                 energy, forces = model.work(d)
                 refinement.settle(energy)
             else:
@@ -127,6 +129,7 @@ class Multigrid:
             raise
         finally:
             model.close()
+        compute_thread.look()
         energies = np.array(refinement.energies) / max(1, np.count_nonzero(problem.tissue))
         displacement, rounding = host.gathered(d, self.tolerance)
         if problem.is_volume:

@@ -20,6 +20,7 @@ from napari_hmrf.solver.backends.dissection import Singular
 from napari_hmrf.solver.backends.factors import Factors
 from napari_hmrf.solver.backends.found import Quality
 from napari_hmrf.solver.backends.linear import Balance, LinearModel, Planes
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
@@ -47,8 +48,8 @@ _FEW = 1024
 _MOST_HINGES = 40
 # A correction by factors must be smaller than the one before it by this factor.
 _FALL = 0.25
-# A correction of this many pixels, where tissue moves by one, need not be; and one of so many is
-# as small as they get, if it is not.
+# One of this many pixels, where tissue moves by one, need only be smaller at all; and one of so
+# many is as small as they get, if it is not.
 _ROUNDING, _STALLED = 1e-15, 1e-7
 
 
@@ -254,7 +255,9 @@ class Refinement:
     def _rehearse(self, shape: tuple[int, ...]) -> float:
         """How far off a known answer is, over how far off it is said to be."""
         error = host.noise(shape)
+        compute_thread.look()
         error[~self._model.moves] = 0
+        compute_thread.look()
         self._project(error)
         most = float(np.abs(error).max())
         doubt, cycles, rounds, left = math.inf, 0, 0, most
@@ -307,7 +310,7 @@ class Refinement:
             far = float(np.abs(correction).max())
             self._report(Monitor(f"solution {self.cycles} by factors, {far:.2g} px to go", 1.0))
             scale = max(1.0, float(np.abs(d).max()))
-            stays = not far <= max(_FALL * before, _ROUNDING * scale)
+            stays = not far < (1.0 if far <= _ROUNDING * scale else _FALL) * before
             if ways is not None:
                 stays = stays and ways.exhausted
                 correction = ways.next(correction, rest)

@@ -6,12 +6,11 @@ here needs Qt or napari.
 
 from napari_hmrf.tissue.drawing.canvas import Canvas
 from napari_hmrf.tissue.drawing.drawing import Drawing, Hit, Rendering
-from napari_hmrf.tissue.drawing.marks import Arrow, Components, Landmark, Mark, Stroke
+from napari_hmrf.tissue.drawing.marks import Arrow, Landmark, Mark, Stroke
 
 __all__ = [
     "Arrow",
     "Canvas",
-    "Components",
     "Drawing",
     "Hit",
     "Landmark",

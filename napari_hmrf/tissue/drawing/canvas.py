@@ -12,28 +12,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.tissue.boundary_rules import BoundaryRule, boundary_images
 from napari_hmrf.tissue.drawing.marks import (
+    COMPONENTS,
     Action,
     Arrow,
-    Components,
     Landmark,
     Mark,
     Point,
     Stroke,
 )
+from napari_hmrf.tissue.normals import outward_normals
 
 FloatArray = npt.NDArray[np.float32]
 #: What a part of an image has along each axis; it ends where it begins if it has no pixels.
 Box = tuple[slice, ...]
-
-# Counted from the last, as a volume has one before them.
-_COMPONENTS: dict[Components, slice] = {
-    "both": slice(None),
-    "row": slice(-2, -1),
-    "col": slice(-1, None),
-}
-
 
 #: Numbers of what strokes do, in `Canvas.kinds`; what becomes tissue is seen in the labels.
 KINDS: dict[Action, int] = {"pin": 1, "free": 2, "move": 3, "expand": 4, "confidence": 5}
@@ -52,7 +44,8 @@ class Canvas:
     labels : ndarray of int, shape ([D,] H, W)
         Which tissue, for strokes that paint tissue.
     kinds : ndarray of uint8, shape ([D,] H, W)
-        What was painted last, by its number in `KINDS`; 0 where nothing was. For people to look at.
+        What was painted last, by its number in `KINDS`; 0 where nothing was, or confidence alone.
+        For people to look at.
     spacing : tuple of float, shape (n,)
         Size of a pixel along each axis.
     """
@@ -99,9 +92,8 @@ class Canvas:
 
 def box_of(mark: Mark, spacing: Sequence[float], whole: Box) -> Box:
     """The pixels of an image a mark may change; empty where it lies outside."""
-    lines, radius = _brush(mark)
-    reach = [brush_reach(radius, spacing) / size for size in spacing]
-    points = np.array([point for line in lines for point in line])
+    reach = [brush_reach(mark.radius, spacing) / size for size in spacing]
+    points = np.array([point for line in mark.lines for point in line])
     low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
     sides = []
     for first, last, side in zip(low, high, whole, strict=True):
@@ -128,11 +120,10 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
         return
     if isinstance(mark, Landmark):
         mark = mark.arrow(canvas.spacing)
-    lines, radius = _brush(mark)
-    distance = distance_to(lines, radius, canvas.spacing, box)
-    reach = brush_reach(radius, canvas.spacing)
+    distance = distance_to(mark.lines, mark.radius, canvas.spacing, box)
+    reach = brush_reach(mark.radius, canvas.spacing)
     where = distance <= reach
-    which = _COMPONENTS[mark.components]
+    which = COMPONENTS[mark.components]
     y, c = canvas.observed[box][..., which], canvas.confidence[box][..., which]
     if isinstance(mark, Arrow) or mark.action == "move":
         y[where], c[where] = mark.by[which], mark.confidence
@@ -141,9 +132,13 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     elif mark.action == "free":
         y[where], c[where] = 0, 0
     elif mark.action == "expand":
-        moved, sure = _expanded(mark, canvas.spacing, canvas.shape, box)
+        normals, region = _outward(mark, canvas.spacing, canvas.shape)
+        sides = zip(box, region, strict=True)
+        at = tuple(slice(side.start - of.start, side.stop - of.start) for side, of in sides)
+        moves = normals[at][where]
         # The inside of a patch is free, whatever is beneath.
-        y[where], c[where] = (each[where][:, which] for each in (moved, mark.confidence * sure))
+        y[where] = np.float32(mark.amount) * moves[:, which]
+        c[where] = mark.confidence * moves.any(axis=-1, keepdims=True)
     elif mark.action == "confidence":
         soft = mark.softness * reach
         share = np.clip((reach - distance) / soft, 0, 1) if soft > 0 else np.ones_like(distance)
@@ -155,10 +150,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     kinds = canvas.kinds[box]
     if isinstance(mark, Arrow):
         kinds[where] = 0
-    elif mark.action == "confidence":
-        # What is pinned, moved or freed stays so; the rest shows that it was gone over.
-        kinds[where & (kinds == 0) & (c > 0).any(axis=-1)] = KINDS["confidence"]
-    else:
+    elif mark.action != "confidence":  # what is pinned, moved or freed stays so
         kinds[where] = KINDS[mark.action]
 
 
@@ -170,7 +162,7 @@ def refuse_open_line(stroke: Stroke, spacing: tuple[float, ...], shape: tuple[in
     ProblemError
         If it is an open line.
     """
-    _expanded_whole(stroke, spacing, shape)
+    _outward(stroke, spacing, shape)
 
 
 def covered(stroke: Stroke, spacing: Sequence[float], box: Box) -> npt.NDArray[np.bool_]:
@@ -236,40 +228,18 @@ def distance_to(
     return nearest
 
 
-def _brush(mark: Mark) -> tuple[tuple[tuple[Point, ...], ...], float]:
-    """The lines along which a mark lies, and its radius."""
-    if isinstance(mark, Arrow):
-        return ((mark.at,),), mark.radius
-    if isinstance(mark, Landmark):
-        return ((mark.source,),), mark.radius
-    return mark.lines, mark.radius
-
-
 def brush_reach(radius: float, spacing: Sequence[float]) -> float:
     """The radius, but at least that within which each place has a pixel."""
     return max(radius, 0.5 * math.hypot(*spacing)) * (1 + 1e-6)
 
 
-def _expanded(
-    stroke: Stroke, spacing: tuple[float, ...], shape: tuple[int, ...], window: Box
-) -> tuple[FloatArray, FloatArray]:
-    """Displacement and confidence of an expanding stroke, in a window of the image."""
-    y, c, box = _expanded_whole(stroke, spacing, shape)
-    sides = zip(window, (side.start for side in box), strict=True)
-    at = tuple(slice(side.start - first, side.stop - first) for side, first in sides)
-    return y[at], c[at]
-
-
 @lru_cache(maxsize=8)
-def _expanded_whole(
+def _outward(
     stroke: Stroke, spacing: tuple[float, ...], shape: tuple[int, ...]
-) -> tuple[FloatArray, FloatArray, Box]:
-    """The same of its whole region, and where that lies: normals depend on all of it."""
+) -> tuple[FloatArray, Box]:
+    """The normals of all that a stroke covers, on which each depends, and where that lies."""
     # A region that leaves the image has its outline out there, but not endlessly far.
     box = box_of(stroke, spacing, tuple(slice(-size, 2 * size) for size in shape))
-    painted = covered(stroke, spacing, box)
-    rule = BoundaryRule(1, "expand", amount=stroke.amount, name="brush stroke")
-    y, c = boundary_images(painted.astype(np.uint8), [rule], spacing=spacing)
-    y.setflags(write=False)
-    c.setflags(write=False)
-    return y, c, box
+    normals = outward_normals(covered(stroke, spacing, box), spacing, "a brush stroke")
+    normals.setflags(write=False)
+    return normals, box

@@ -87,16 +87,13 @@ class Drawing:
             an earlier one.
         """
         spacing = (1.0,) * len(point) if spacing is None else spacing
-        found: list[tuple[float, int, int]] = []
-        for number, mark in enumerate(self.marks):
-            for order, end in enumerate(ends_of(mark, spacing)):
-                away = math.hypot(*between(point, end, spacing))
-                if away <= reach:
-                    found.append((away, order, -number))
-        if not found:
-            return None
-        _, order, number = min(found)
-        return Hit(-number, "base" if order else "head")
+        ends = (
+            (math.hypot(*between(point, end, spacing)), order, -number)
+            for number, mark in enumerate(self.marks)
+            for order, end in enumerate(ends_of(mark, spacing))
+        )
+        away, order, number = min(ends, default=(math.inf, 0, 0))
+        return Hit(-number, "base" if order else "head") if away <= reach else None
 
     def painted_at(self, point: Point, spacing: Sequence[float] | None = None) -> int | None:
         """Find the stroke that lies uppermost at a place; None if none does.
@@ -176,6 +173,7 @@ class Rendering:
 
     Attributes
     ----------
+    base : Canvas
     canvas : Canvas
         The images with the drawing; written to in place.
     drawing : Drawing
@@ -183,7 +181,7 @@ class Rendering:
     """
 
     def __init__(self, base: Canvas) -> None:
-        self._base = base
+        self.base = base
         self.canvas = base.copy()
         self.drawing = Drawing()
 
@@ -205,19 +203,17 @@ class Rendering:
             As `Drawing.render`; the images are then those of the drawing before.
         """
         window = self._changed(drawing)
-        if window is None:
-            self.drawing = drawing
-            return None
-        try:
-            self._redraw(drawing, window)
-        except Exception:
-            self._redraw(self.drawing, window)
-            raise
+        if window is not None:
+            try:
+                self._redraw(drawing, window)
+            except Exception:
+                self._redraw(self.drawing, window)
+                raise
         self.drawing = drawing
         return window
 
     def _redraw(self, drawing: Drawing, window: Box) -> None:
-        base, canvas = self._base, self.canvas
+        base, canvas = self.base, self.canvas
         for image, beneath in zip(canvas.images, base.images, strict=True):
             image[window] = beneath[window]
         for mark in drawing.marks:

@@ -21,6 +21,8 @@ from napari_hmrf.errors import ProblemError
 Point = tuple[float, ...]
 #: Which components of a displacement a mark speaks of; of a volume "both" is all three.
 Components = Literal["both", "row", "col"]
+#: Where these are among the axes, counted from the last, as a volume has one before them.
+COMPONENTS = {"both": slice(None), "row": slice(-2, -1), "col": slice(-1, None)}
 #: What the tissue under a brush does, or is.
 Action = Literal["pin", "free", "move", "expand", "confidence", "tissue"]
 
@@ -107,7 +109,7 @@ class _Checked:
     @property
     def _places(self) -> tuple[Point, ...]:
         """Places and steps, all of as many axes."""
-        raise NotImplementedError
+        return tuple(value for name, value in vars(self).items() if _VALUES[name] is _PLACE)
 
 
 @dataclass(frozen=True)
@@ -141,8 +143,9 @@ class Arrow(_Checked):
     components: Components = "both"
 
     @property
-    def _places(self) -> tuple[Point, ...]:
-        return self.at, self.by
+    def lines(self) -> tuple[tuple[Point, ...], ...]:
+        """Where it lies, as a stroke that touched in one place."""
+        return ((self.at,),)
 
     def head(self, spacing: Iterable[float]) -> Point:
         """Where the middle of the patch goes, in pixels."""
@@ -173,8 +176,9 @@ class Landmark(_Checked):
     confidence: float = 1.0
 
     @property
-    def _places(self) -> tuple[Point, ...]:
-        return self.source, self.target
+    def lines(self) -> tuple[tuple[Point, ...], ...]:
+        """Where it lies, as a stroke that touched in one place."""
+        return ((self.source,),)
 
     def arrow(self, spacing: Iterable[float]) -> Arrow:
         """The same as an arrow, whose length depends on the size of a pixel."""

@@ -63,8 +63,8 @@ class Brush(Hand):
             return
         if self._dragged is not None:
             start, by = self._dragged
-            down, along = between(start, point, self._spacing)
-            self._remake(replace(stroke, by=(by[0] + down, by[1] + along)))
+            more = between(start, point, self._spacing)
+            self._remake(replace(stroke, by=tuple(map(sum, zip(by, more, strict=True)))))
             return
         at, last = self._place(point), stroke.lines[-1][-1]
         if math.hypot(*between(last, at, self._spacing)) >= _STEP * stroke.radius:
@@ -85,10 +85,7 @@ class Brush(Hand):
         """The brush may change its size from stroke to stroke: that is no change of the last."""
         if not isinstance(mark, Stroke):
             return mark
-        changed = replace(how, lines=mark.lines, radius=mark.radius)
-        if changed.action == "expand":
-            refuse_open_line(changed, self._spacing, self._shape)
-        return changed
+        return replace(how, lines=mark.lines, radius=mark.radius)
 
     def _place(self, point: Point) -> Point:
         before = self._origin(point)

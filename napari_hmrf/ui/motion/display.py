@@ -63,9 +63,9 @@ class Display:
         self._viewer = viewer
         self._results = shared(viewer, ResultLayers)
         self._image: Any = None
-        # The image as it was seen last, and our own copy, if one is put together of slices.
-        self._whole: npt.NDArray[Any] | None = None
-        self._pieced: npt.NDArray[Any] = np.zeros(0)
+        # The image as it was seen last, and whether it is our own copy, put together of slices.
+        self._whole: Any = None
+        self._pieced = False
         self.quiet = False
         self._stroke_waits = single_shot(native, _AHEAD, self._show_stroke)
 
@@ -92,7 +92,8 @@ class Display:
         self._stroke_waits.stop()
         before, moved = self.result, self.moved
         self._image = image
-        self.seen = self._painted = self._stroke = self._whole = None
+        self.seen = self._painted = self._stroke = None
+        self._whole, self._pieced = None if study is None else study.pictures.image, False
         with self.own_doing():
             if before is not None and moved is not None:
                 before.drop_paint()
@@ -131,19 +132,15 @@ class Display:
             else:
                 self._show_painting()
 
-    def _picture_of(self, moved: Deformation) -> npt.NDArray[Any] | None:
+    def _picture_of(self, moved: Deformation) -> Any:
         """The image as it has moved; of a volume a slice may be newer than the rest of it."""
         if moved.plane is None:
-            self._whole = moved.image
-            return moved.image
-        if moved.image is None:
-            return None
-        whole = moved.study.pictures.image if self._whole is None else self._whole
-        assert whole is not None
-        if whole is not self._pieced:
-            self._whole = self._pieced = np.array(whole)
-        self._pieced[moved.plane.pixels] = moved.image
-        return self._pieced
+            self._whole, self._pieced = moved.image, False
+        elif moved.image is not None:
+            if not self._pieced:
+                self._whole, self._pieced = np.array(self._whole), True
+            np.moveaxis(self._whole, moved.plane.axis, 0)[moved.plane.number] = moved.image
+        return self._whole
 
     def finish(self, done: Done) -> None:
         """Show all layers of a state that has come to rest."""

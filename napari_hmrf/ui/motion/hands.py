@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
+import numpy as np
+
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.drawing.drawing import Drawing, Hit, ends_of
-from napari_hmrf.tissue.drawing.marks import Arrow, Components, Landmark, Mark, Point, between
+from napari_hmrf.tissue.drawing.marks import COMPONENTS, Arrow, Landmark, Mark, Point, between
+
+#: Rounding of where tissue is seen must not move what stays.
+_NOTHING = 1e-9
 
 #: Where the tissue seen at a point is when nothing moves; None if there is none.
 Origin = Callable[[Point], Point | None]
@@ -77,7 +81,7 @@ class Hand:
             Of the picture as it is seen, in pixels.
         reach : float
             How near to what can be picked up is near enough, in the unit of the spacing.
-        how : Arrow or Stroke
+        how : Arrow, Landmark or Stroke
             A mark as new ones are to be; where it lies does not count.
         came_from : callable
             Where the tissue seen at a point is when nothing moves; None if there is none.
@@ -109,8 +113,7 @@ class Hand:
         held, number = self.holding, self._selected
         if held:
             self._history.cancel()
-            there = number is not None and number < len(self._history.drawing.marks)
-            self.select(number if there else None)
+            self.select(number if number in range(len(self._history.drawing.marks)) else None)
         return held
 
     def select(self, number: int | None) -> None:
@@ -133,11 +136,6 @@ class Hand:
         -------
         bool
             Whether that made a difference.
-
-        Raises
-        ------
-        ProblemError
-            If what is to expand is an open line.
         """
         mark, number = self.mark, self.selected
         if mark is None or number is None or self.holding:
@@ -173,11 +171,13 @@ class Pull(Hand):
     _at: Point = (0.0, 0.0)
     _offset: Point = (0.0, 0.0)
 
-    def press(self, point: Point, reach: float, how: Arrow, came_from: Origin = unmoved) -> bool:
-        """Take hold of the end of an arrow, or of tissue; as in `Hand`.
+    def press(
+        self, point: Point, reach: float, how: Arrow | Landmark, came_from: Origin = unmoved
+    ) -> bool:
+        """Take hold of the end of a mark, or of tissue; as in `Hand`.
 
-        A new arrow begins where the tissue seen there is when nothing moves, and at first leaves
-        it where it is seen.
+        A new mark begins where the tissue seen there is when nothing moves, and at first leaves it
+        where it is seen.
         """
         self.release()
         drawing, at = self._history.drawing, came_from(point)
@@ -186,7 +186,7 @@ class Pull(Hand):
             word = f"moved {name_of(drawing.marks[hit.number])}"
         elif at is not None:
             hit = Hit(len(drawing.marks), "head")
-            drawing = drawing.with_mark(self._new(at, point, how))
+            drawing = drawing.with_mark(self._led(how, at, point))
             word = f"drew {name_of(drawing.marks[hit.number])}"
         else:
             self.select(None)
@@ -203,41 +203,27 @@ class Pull(Hand):
         """Go on to a point; nothing happens unless something is held."""
         if not self.holding or point == self._at:
             return
-        self._at, leads, mark = point, self._part == "head", self.mark
+        self._at, mark = point, self.mark
         to = tuple(x - away for x, away in zip(point, self._offset, strict=True))
-        if isinstance(mark, Landmark):
-            self._remake(replace(mark, target=to) if leads else replace(mark, source=to))
-        elif isinstance(mark, Arrow):
-            at, head = (mark.at, to) if leads else (to, mark.head(self._spacing))
-            by = self._between(at, head, mark.components)
-            self._remake(replace(mark, at=at, by=by))
+        if isinstance(mark, Arrow | Landmark):
+            head, base = ends_of(mark, self._spacing)
+            leads = self._part == "head"
+            self._remake(self._led(mark, base, to) if leads else self._led(mark, to, head))
 
-    def _new(self, at: Point, point: Point, how: Arrow) -> Arrow | Landmark:
-        """A mark that leads the tissue at a place to where it is seen."""
-        return replace(how, at=at, by=self._between(at, point, how.components))
+    def _changed(self, mark: Any, how: Arrow | Landmark) -> Mark:
+        if type(how) is not type(mark):
+            how = replace(mark, radius=how.radius, confidence=how.confidence)
+        head, base = ends_of(mark, self._spacing)
+        return self._led(how, base, head)
 
-    def _changed(self, mark: Any, how: Arrow) -> Mark:
-        changed: Arrow | Landmark = replace(mark, radius=how.radius, confidence=how.confidence)
-        if isinstance(changed, Arrow):
-            by = self._between(changed.at, changed.head(self._spacing), how.components)
-            changed = replace(changed, components=how.components, by=by)
-        return changed
-
-    def _between(self, at: Point, head: Point, components: Components) -> Point:
-        # Rounding of where it is seen must not move what stays.
-        steps = between(at, head, self._spacing)
-        *deep, row, col = (0.0 if math.isclose(0, step, abs_tol=1e-9) else step for step in steps)
-        if components == "both":
-            return (*deep, row, col)
-        only = (row, 0.0) if components == "row" else (0.0, col)
-        return (*(0.0 for _ in deep), *only)
-
-
-class LandmarkPull(Pull):
-    """Leads from where something is to where it should be; its ends can be taken hold of again."""
-
-    def _new(self, at: Point, point: Point, how: Arrow) -> Arrow | Landmark:
-        return Landmark(at, point, how.radius, how.confidence)
+    def _led(self, how: Arrow | Landmark, at: Point, to: Point) -> Arrow | Landmark:
+        """A mark that leads tissue from one place to another."""
+        if isinstance(how, Landmark):
+            return replace(how, source=at, target=to)
+        by, which = np.zeros(len(at)), COMPONENTS[how.components]
+        by[which] = between(at, to, self._spacing)[which]
+        by[np.abs(by) < _NOTHING] = 0
+        return replace(how, at=at, by=tuple(by.tolist()))
 
 
 def name_of(mark: Mark) -> str:

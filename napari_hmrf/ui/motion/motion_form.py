@@ -54,7 +54,7 @@ class MotionForm(Container):
 
     picked = Signal(str)
 
-    def __init__(self, layers: Callable[[], list[Any]], view: Callable[[], View | None]) -> None:
+    def __init__(self, layers: Callable[[], list[Any]], view: Callable[[], View]) -> None:
         self.tools = {tool.name: _button(tool) for tool in TOOLS}
         self.fields = ToolFields()
         self.edge = CheckBox(

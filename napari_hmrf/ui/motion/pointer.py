@@ -12,7 +12,7 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.compat import text_of
 from napari_hmrf.layers.edit_history import DRAWING, Place, Slot, ViewerSteps
 from napari_hmrf.layers.paint_layer import tissue_colours
-from napari_hmrf.study.study import Grid, Study
+from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_model import History, Step
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
@@ -20,8 +20,9 @@ from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.follower import Seen
 from napari_hmrf.ui.messages import in_short
 from napari_hmrf.ui.motion import motion_messages
+from napari_hmrf.ui.motion.brush import Brush
 from napari_hmrf.ui.motion.display import Display
-from napari_hmrf.ui.motion.hands import Hand
+from napari_hmrf.ui.motion.hands import Hand, Pull
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS, Tool, tool_of
 
@@ -85,9 +86,8 @@ class Pointer:
         self.tissue: Any = None
         self._in_error = False
         steps.said.connect(self._on_step)
-        for field in fields:
-            if field is not fields.preset:
-                field.changed.connect(self._on_field)
+        steps.edits.changed.connect(self._on_drawn)
+        fields.changed.connect(self._on_field)
 
     # What there is
 
@@ -126,7 +126,6 @@ class Pointer:
             What is drawn on.
         """
         self.release()
-        self.history.changed.disconnect(self._on_drawn, missing_ok=True)
         if study is None:
             self.history = History()
         else:
@@ -134,7 +133,6 @@ class Pointer:
             self.history = History(edits=self._steps.edits, slot=slot)
         self.display.stand_on(study, image)
         self._open_hand()
-        self.history.changed.connect(self._on_drawn)
         self.draw()
 
     def take_up(self, name: str) -> None:
@@ -229,6 +227,7 @@ class Pointer:
         """Feel nothing any more."""
         self.display.arrows.end_drag()
         self._steps.said.disconnect(self._on_step)
+        self._steps.edits.changed.disconnect(self._on_drawn)
 
     # What the mouse and the keys do on the canvas
 
@@ -293,8 +292,6 @@ class Pointer:
         except HmrfError:
             self._in_error = False
             self.refused.emit(motion_messages.NO_OUTSIDE)
-            self.draw()
-            return
         if held:
             mark = self.hand.mark
             self._show_how()
@@ -337,15 +334,17 @@ class Pointer:
     def _open_hand(self) -> None:
         """Hold the tool, with nothing selected."""
         moved = self.display.moved
-        grid = Grid((1, 1), (1.0, 1.0)) if moved is None else moved.study.grid
-        self.hand: Hand = self.tool.hand(self.history, grid.spacing, grid.shape)
+        grid = () if moved is None else (moved.study.grid.spacing, moved.study.grid.shape)
+        self.hand: Hand = (Brush if self.tool.is_brush else Pull)(self.history, *grid)
 
     def _show_how(self) -> None:
         mark = self.hand.mark
         if mark is not None:
             self._fields.show_how(mark)
 
-    def _on_drawn(self, _: Drawing) -> None:
+    def _on_drawn(self, slot: Any) -> None:
+        if slot != self.history.slot:
+            return
         self.drawn.emit()
         if not self.hand.holding:
             self.draw()
@@ -370,21 +369,15 @@ class Pointer:
         # A tissue is chosen for what is painted next; of the others the last is adjusted, too.
         if self.tool.name == "tissue" and not self._picked:
             return
-        try:
-            self.hand.change(how)
-        except HmrfError as error:
-            self.refused.emit(in_short(error))
+        self.hand.change(how)
 
     def _show_error(self, seen: Seen) -> None:
         error, hand = seen.moved.error, self.hand
         assert error is not None
-        self._in_error = self.active
-        if hand.holding and isinstance(hand.mark, Stroke):
-            # A ring that is being painted is an open line until it is closed.
-            self.said.emit(
-                motion_messages.OPEN if hand.mark.action == "expand" else in_short(error)
-            )
-            return
-        self.display.show_painted(seen, hand)
+        self._in_error, words = self.active, in_short(error)
+        if not (hand.holding and isinstance(hand.mark, Stroke)):
+            self.display.show_painted(seen, hand)
+        elif hand.mark.action == "expand":  # a ring is an open line until it is closed
+            words = motion_messages.OPEN
         if self.active:
-            self.said.emit(in_short(error))
+            self.said.emit(words)

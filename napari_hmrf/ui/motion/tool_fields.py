@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import cast
 
-from magicgui.widgets import ComboBox, Container
+from magicgui.widgets import ComboBox, Container, Widget
 
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.tissue.boundary_rules import Material, stiffness_in_words
-from napari_hmrf.tissue.drawing import Arrow, Mark, Stroke
+from napari_hmrf.tissue.drawing import Arrow, Landmark, Mark, Stroke
 from napari_hmrf.tissue.drawing.marks import Action
 from napari_hmrf.tissue.material_presets import PRESETS, Palette
 from napari_hmrf.ui.forms import length, narrow, share
@@ -33,66 +33,50 @@ class ToolFields(Container):
             "Of the patch that is taken hold of, or of the brush, in the unit of the image "
             "([ and ] make it smaller and larger)",
             least=0.001,
-            name="radius",
             value=10.0,
             step=1.0,
         )
         self._ways = Directions()
-        self.by_row, self.by_col = (
-            length(self._ways.label(axis), "", name=name)
-            for axis, name in enumerate(("by_row", "by_col"))
-        )
+        self.by_row, self.by_col = (length(self._ways.label(axis), "") for axis in (0, 1))
         self.amount = length(
             "outward",
             "How far the outline moves along its normal; below 0 inward: it shrinks; in the unit "
             "of the image",
-            name="amount",
         )
-        self.confidence = share(
-            "confidence", _SURE, name="confidence", value=1.0, min=_LEAST_CONFIDENCE
-        )
+        self.confidence = share("confidence", _SURE, value=1.0, min=_LEAST_CONFIDENCE)
         self.sure = share(
             "becomes",
             "How sure it is what is held or moved under the brush. 1: exactly so, "
             "0: that says nothing any more",
-            name="sure",
         )
         self.softness = share(
             "softness",
             "Across which part of its radius the brush fades out. 0: hard edge, "
             "1: from its middle on",
-            name="softness",
         )
         self.components = ComboBox(
-            name="components",
             choices=_components(self._ways),
             value="both",
             label="moves",
             tooltip="In which directions this says where tissue goes; in the other it is free",
         )
-        self.material = ComboBox(
-            name="material",
-            choices=[],
-            label="becomes",
-            tooltip="Of the tissue's own table, or of the presets",
-        )
         self.preset = ComboBox(
-            name="preset",
             choices=[(each.name, each) for each in PRESETS],
             value=PRESETS[0],
             label="tissues of",
             tooltip="Published tissues to paint with, as the tissue layer has no table of its own; "
             "what is not painted behaves as the first of them",
         )
+        tip = "Of the tissue's own table, or of the presets"
+        self.material = ComboBox(choices=[], label="becomes", tooltip=tip)
         for menu in (self.preset, self.components):
             narrow(menu)
         self._own_table = False
-        super().__init__(
-            widgets=[
-                self.radius, self.by_row, self.by_col, self.amount, self.confidence, self.sure,
-                self.softness, self.components, self.preset, self.material,
-            ]
-        )  # fmt: skip
+        # Each is called by its attribute: so the tools say which they need.
+        fields = {name: each for name, each in vars(self).items() if isinstance(each, Widget)}
+        for name, field in fields.items():
+            field.name = name
+        super().__init__(widgets=[*fields.values()])
         lengths = (self.radius, self.by_row, self.by_col, self.amount)
         for field in lengths:  # what is being typed is no length yet
             field.native.setKeyboardTracking(False)
@@ -103,7 +87,7 @@ class ToolFields(Container):
         self.show_place("px", self._ways)
 
     @property
-    def how(self) -> Arrow | Stroke:
+    def how(self) -> Mark:
         """A mark as the tool that is shown makes it; where it lies does not count."""
         tool, somewhere = self._tool, (0.0,) * len(self._ways.order)
         values = {_SAYS.get(name, name): getattr(self, name).value for name in tool.fields}
@@ -112,9 +96,9 @@ class ToolFields(Container):
         if "by_row" in values:
             del values["by_row"], values["by_col"]
             values["by"] = self._by
-        if not tool.is_brush:
-            return Arrow(somewhere, somewhere, **values)
-        return Stroke(cast(Action, tool.name), ((somewhere,),), **values)
+        if tool.is_brush:
+            return Stroke(cast(Action, tool.name), ((somewhere,),), **values)
+        return (Landmark if tool.name == "landmark" else Arrow)(somewhere, somewhere, **values)
 
     @property
     def _by(self) -> tuple[float, ...]:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import get_args
 
 from napari_hmrf.tissue.drawing import Arrow, Mark, Stroke
-from napari_hmrf.ui.motion.brush import Brush
-from napari_hmrf.ui.motion.hands import Hand, LandmarkPull, Pull
+from napari_hmrf.tissue.drawing.marks import Action
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,6 @@ class Tool:
         The attributes of `ToolFields` it needs.
     how : str
         How it is used, for its button and the status.
-    hand : type of Hand
-        That holds it.
     """
 
     name: str
@@ -35,33 +33,24 @@ class Tool:
     key: str
     fields: tuple[str, ...]
     how: str
-    hand: type[Hand] = Brush
 
     @property
     def is_brush(self) -> bool:
         """Whether it paints."""
-        return self.hand is Brush
+        return self.name in get_args(Action)
 
 
 #: The fields of what speaks of tissue that moves or stays.
 _HELD = ("radius", "confidence", "components")
 
 TOOLS: tuple[Tool, ...] = (
-    Tool(
-        "pull",
-        "Pull",
-        "G",
-        _HELD,
-        "Drag tissue to pull it, or click it to hold it in place.",
-        hand=Pull,
-    ),
+    Tool("pull", "Pull", "G", _HELD, "Drag tissue to pull it, or click it to hold it in place."),
     Tool(
         "landmark",
         "Landmark",
         "L",
         ("radius", "confidence"),
         "Drag from where something is to where it should be.",
-        hand=LandmarkPull,
     ),
     Tool("pin", "Hold", "P", _HELD, "Paint what does not move."),
     Tool("free", "Free", "F", ("radius",), "Paint what nothing holds, whatever else says so."),

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from napari_hmrf.field.quantities import QUANTITIES
-from napari_hmrf.field.tissue_point import Points, Probe
+from napari_hmrf.field.tissue_point import Probe
 from napari_hmrf.layers.field_layer import place_at
 from napari_hmrf.layers.metadata import tissue_recorded
-from napari_hmrf.layers.result_layers import Name, stiffness_unit
+from napari_hmrf.layers.result_layers import stiffness_unit
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
@@ -28,24 +28,19 @@ class UnderCursor:
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
+    shown : callable
+        Returns the result that is looked at, or None.
     """
 
-    def __init__(self, viewer: Any) -> None:
-        self._viewer = viewer
-        self._shown: MovingLayers | None = None
-        self._points: Points | None = None
-        # What napari has said last, and what was said behind it.
-        self._said, self._line = viewer.status, ""
-        viewer.events.status.connect(self._on_status)
+    def __init__(self, viewer: Any, shown: Callable[[], MovingLayers | None]) -> None:
+        self._viewer, self._shown = viewer, shown
+        # What is said behind what napari says.
+        self._line = ""
+        viewer.events.status.connect(self._say)
 
     def release(self) -> None:
         """Listen no more."""
-        self._viewer.events.status.disconnect(self._on_status)
-
-    def watch(self, shown: MovingLayers | None, points: Points | None = None) -> None:
-        """Read a result that is looked at from now on, of which these are the points."""
-        self._shown, self._points = shown, points
-        self.look()
+        self._viewer.events.status.disconnect(self._say)
 
     def look(self) -> None:
         """What is seen is another, so that something else may be below a mouse that rests."""
@@ -61,43 +56,42 @@ class UnderCursor:
         position : sequence of float
             As of `viewer.cursor.position`.
         """
-        shown, points = self._shown, self._points
-        arrows = None if shown is None else shown.layer("arrows")
-        if shown is None or points is None or arrows is None:
+        shown = self._shown()
+        arrows = None if shown is None else shown.layers.layer("arrows")
+        if shown is None or arrows is None:
             return None
         place = place_at(arrows, shown.answer, position, View.of(self._viewer.dims))
-        return None if place is None else points.at(place, shown.layers.percent / FULL)
+        return None if place is None else shown.points.at(place, shown.layers.percent / FULL)
 
     def line_at(self, position: Any) -> str:
         """The same in words; "" beside tissue."""
-        found, shown = self.at(position), self._shown
+        found, shown = self.at(position), self._shown()
         if found is None or shown is None:
             return ""
         answer, overlay = shown.answer, shown.overlay
         ways = Directions.of(answer.frame, self._viewer)
         more = [_stiffness(shown, found)]
-        if overlay is not None and overlay.picture is not None:
-            strain = float(overlay.picture[found.site])
-            more.insert(0, strain_of(overlay.name, strain))
+        if overlay is not None and overlay.picture is not None and overlay.name in QUANTITIES:
+            title, unit = QUANTITIES[overlay.name]
+            if unit == "%":  # the others are in each line anyway
+                strain = _rounded(float(overlay.picture[found.site]))
+                more.insert(0, f"{title} {strain:g} %")
         return at_point(answer.unit, found, ways, more, shown.percent)
 
-    def _on_status(self, event: Any) -> None:
-        if self._line and _words(event.value).endswith(self._line):
-            return  # our own addition, coming back
-        self._said = event.value
-        self._say()
-
-    def _say(self) -> None:
+    def _say(self, *_: Any) -> None:
         """Say what is under the cursor behind what napari has said last."""
-        status, said = self._said, _words(self._said)
+        status = self._viewer.status
+        said = _words(status).removesuffix(self._line)
         # napari tells of its layers, too, before anybody has pointed at anything; and says nothing
         # when the mouse leaves, before it knows that it has left.
         pointed = bool(said) and self._viewer.mouse_over_canvas
-        self._line = line = self.line_at(self._viewer.cursor.position) if pointed else ""
-        joined = f"{said}  |  {line}" if line else said
-        self._viewer.status = (
-            {**status, "coordinates": joined} if isinstance(status, dict) else joined
-        )
+        line = self.line_at(self._viewer.cursor.position) if pointed else ""
+        self._line = f"  |  {line}" if line else ""
+        joined = said + self._line
+        with self._viewer.events.status.blocker(self._say):
+            self._viewer.status = (
+                {**status, "coordinates": joined} if isinstance(status, dict) else joined
+            )
 
 
 def _words(status: Any) -> str:
@@ -139,14 +133,6 @@ def at_point(
     ]
     line = ", ".join([*parts, *filter(None, more)])
     return line if percent == FULL else f"at {FULL} %: {line}"
-
-
-def strain_of(name: Name, value: float) -> str:
-    """The strain that colours show; of what is in each line anyway, nothing."""
-    if name not in QUANTITIES:
-        return ""
-    title, unit = QUANTITIES[name]
-    return f"{title} {_rounded(value):g} {unit}" if unit == "%" else ""
 
 
 def _rounded(length: float) -> float:

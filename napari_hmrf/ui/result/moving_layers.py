@@ -14,6 +14,7 @@ from psygnal import Signal
 from napari_hmrf.field.animation import Moment, Motion
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.quantities import QUANTITIES
+from napari_hmrf.field.tissue_point import Points
 from napari_hmrf.layers.field_layer import picture_of, source_of
 from napari_hmrf.layers.image_result import Part, Result
 from napari_hmrf.layers.metadata import METADATA
@@ -60,6 +61,8 @@ class MovingLayers:
         How much of the deformation is drawn.
     longest : float
         How far anything moves, in the unit of the answer.
+    points : Points
+        What happens at each point.
     """
 
     def __init__(self, viewer: Any, arrows: Any, answer: Answer, layers: Result) -> None:
@@ -70,6 +73,7 @@ class MovingLayers:
         self.motion = Motion(answer.solution)
         self.percent = FULL
         self.longest = float(magnitude(answer.solution.displacement).max(initial=0.0))
+        self.points = Points(answer.solution)
         # How long arrows are at 100 %.
         self._length = arrows.length
 
@@ -97,20 +101,16 @@ class MovingLayers:
             is_grid = made.name == "grid"
             self.motion = Motion(solution, self.image, made.picture, is_grid, quantity)
 
-    def layer(self, part: Part) -> Any:
-        """The layer of a part; None if it is gone, or the arrows are that hold the result."""
-        return None if self.layers.layer("arrows") is None else self.layers.layer(part)
-
     def ready(self) -> bool:
         """Have a layer that can be moved; whether there is one."""
         if self.image is not None:
-            if self.layer("image") is None:  # as it is before it moves
+            if self.layers.layer("image") is None:  # as it is before it moves
                 look, name = look_of(self.source), self.source.name
                 made = self.answer.layer("image", self.image, "deformed", look, source=name)
                 made.attributes["metadata"][METADATA]["percent"] = 0
                 self.layers.put("image", made, self.source)
             self.layers.want("image", True)
-        return any(self.layer(part) is not None for part in ("image", "overlay"))
+        return any(self.layers.layer(part) is not None for part in ("image", "overlay"))
 
     def draw(self, percent: int, moment: Moment) -> None:
         """Draw a moment."""
@@ -126,7 +126,7 @@ class MovingLayers:
 
     def draw_arrows(self, percent: int) -> None:
         """Let them end where the tissue is at so much of the deformation; their data stay."""
-        if (arrows := self.layer("arrows")) is not None:
+        if (arrows := self.layers.layer("arrows")) is not None:
             # Somebody may have chosen another length.
             if self.percent and arrows.length != self._length * self.percent / FULL:
                 self._length = arrows.length * FULL / self.percent

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from napari.layers import Labels
 from psygnal import Signal
 from qtpy import QtWidgets
 from qtpy.QtCore import Qt
@@ -21,7 +20,7 @@ from napari_hmrf.io.fields import export_field, saved_field
 from napari_hmrf.io.figures import save_result_pictures
 from napari_hmrf.io.moving_pictures import save_moving_picture
 from napari_hmrf.io.tables import save_measurements
-from napari_hmrf.layers.field_layer import MOVED, can_move, mover, picture_of, tissue_of
+from napari_hmrf.layers.field_layer import MOVED, can_move, mover, picture_of, tissue_labels
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_recorded
 from napari_hmrf.layers.result_layers import LayerData
 from napari_hmrf.layers.viewer_layers import same_selection
@@ -99,18 +98,14 @@ class ResultMenu:
             If there is no result.
         """
         shown = self._shown
-        answer, viewer = shown.answer, self._viewer
+        answer = shown.answer
         labels, rows = answer.pictures.labels, tissue_recorded(shown.arrows)[0] or ()
-        layer = tissue_of(viewer.layers, answer)
-        if labels is None and isinstance(layer, Labels):  # of a result from a file
+        layer = tissue_labels(self._viewer.layers, answer) if labels is None else None
+        if layer is not None:  # of a result from a file
             labels, rows = picture_of(layer, answer), rows_of(layer, TISSUE)
         if labels is None:
             return measure(answer.solution, np.ones(answer.shape, int), names={1: "tissue"})
         return measure(answer.solution, labels, names={row.label: row.name for row in rows})
-
-    def save_measurements(self, path: str | Path) -> Path:
-        """Write what `measure` finds; as `napari_hmrf.io.tables.save_measurements`."""
-        return save_measurements(path, self.measure(), self._shown.answer.unit)
 
     def save_pictures(self, folder: str | Path, own_folder: bool = False) -> None:
         """Write pictures, perhaps into a new folder in that one; then `saved` is emitted.
@@ -122,7 +117,7 @@ class ResultMenu:
         """
         shown = self._shown
         answer = shown.answer
-        made = f"{answer.source or 'result'} pictures" if own_folder else ""
+        made = f"{answer.pictures.name or 'result'} pictures" if own_folder else ""
         what = Path(folder), answer.solution, shown.image, answer.unit, made
         self._say(SAVING)
         self._errands.send(f"{folder}", partial(save_result_pictures, *what), self._on_saved)

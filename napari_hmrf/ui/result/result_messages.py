@@ -71,10 +71,7 @@ def overlay_choices(
 
 
 def how_far(
-    result: Answer,
-    longest: float,
-    percent: int,
-    compared: Comparison | None = None,
+    result: Answer, longest: float, percent: int, compared: Comparison | None = None
 ) -> str:
     """How much of the deformation is seen, and of which slice; how far it is from others."""
     far = as_seen(longest * percent / FULL, result.solution.spacing)

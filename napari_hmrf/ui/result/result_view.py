@@ -8,21 +8,15 @@ from typing import Any
 
 from psygnal import Signal
 
-from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.comparison import Comparison, compare
-from napari_hmrf.field.tissue_point import Points
-from napari_hmrf.layers.field_layer import (
-    can_be_source,
-    field_of,
-    result_of,
-    source_of,
-)
+from napari_hmrf.layers.field_layer import can_be_source, field_of, result_of, source_of
 from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.result_layers import Name, Overlay, overlay_of
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.study.layer_names import naming
 from napari_hmrf.ui.events import Listening
+from napari_hmrf.ui.forms import attempt
 from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result import result_messages as words
 from napari_hmrf.ui.result.cursor import UnderCursor
@@ -60,7 +54,7 @@ class ResultView:
         self.shown: MovingLayers | None = None
         #: How far the result is from its reference, if there is one.
         self.comparison: Comparison | None = None
-        self.cursor = UnderCursor(viewer)
+        self.cursor = UnderCursor(viewer, lambda: self.shown)
         self.player = Player(native, self._errands, lambda: self.shown)
         self.more = ResultMenu(form, viewer, lambda: self.shown, self.said.emit)
         form.slider.changed.connect(self._on_slider)
@@ -83,8 +77,7 @@ class ResultView:
         with suppress(ValueError):  # somebody else's
             viewer.bind_key(BEFORE_KEY, self._while_key_is_held)
         found = [layer for layer in viewer.layers if result_of(layer) is not None]
-        seen = [layer for layer in found if results.of(layer).visible]
-        self._look_at(next(reversed(seen or found), None))
+        self.arrows = max(reversed(found), key=lambda each: results.of(each).visible, default=None)
 
     # What there is
 
@@ -110,7 +103,27 @@ class ResultView:
 
     @arrows.setter
     def arrows(self, arrows: Any) -> None:
-        self._look_at(arrows)
+        """Look at the result that a layer of arrows holds, as it is now; None: at none."""
+        before = self.shown
+        answer, shown = None if arrows is None else result_of(arrows), None
+        if answer is not None:
+            shown = MovingLayers(self._viewer, arrows, answer, self._results.of(arrows))
+        other = before is None or shown is None or shown.layers is not before.layers
+        # A newer state of the same is not seen as long as somebody looks at what was before.
+        self._put_back(release=other)
+        if before is not None and other:
+            before.layers.leave()
+        self.shown = shown
+        self.cursor.look()
+        self._form.offer(self.arrows)
+        self.looked.emit()
+        self._compare()
+        if shown is None:
+            return
+        attempt(shown.copy_image, self.said.emit)
+        self._offer(shown)
+        if self._form.overlay.value != words.NOTHING:
+            self._lay_over(chosen=other)
 
     # What can be done
 
@@ -121,7 +134,7 @@ class ResultView:
             return
         held = ((layer, result_of(layer)) for layer in reversed(layers))
         own = (each for each, of in held if of is not None and source_of(layers, of) is image)
-        self._look_at(next(own, None))
+        self.arrows = next(own, None)
 
     def play(self) -> None:
         """Go back and forth between 0 and 100 % until `player.stop`."""
@@ -141,56 +154,12 @@ class ResultView:
         self.more.release()
         self.cursor.release()
 
-    # Which result is looked at
-
-    def _look_at(self, arrows: Any) -> None:
-        """Look at the result that a layer of arrows holds, as it is now; None: at none."""
-        before = self.shown
-        answer, shown = None if arrows is None else result_of(arrows), None
-        if answer is not None:
-            shown = MovingLayers(self._viewer, arrows, answer, self._results.of(arrows))
-        other = before is None or shown is None or shown.layers is not before.layers
-        # A newer state of the same is not seen as long as somebody looks at what was before.
-        self._put_back(release=other)
-        self.cursor.watch(None)
-        if before is not None and other:
-            before.layers.leave()
-        self.shown = shown
-        self._form.offer(self.arrows)
-        self.looked.emit()
-        self._compare()
-        self._say_how_far()
-        if shown is None:
-            return
-        try:
-            shown.copy_image()
-        except HmrfError as error:
-            self.said.emit(str(error))
-        self._offer(shown)
-        if self._form.overlay.value != words.NOTHING:
-            self._lay_over(chosen=other)
-        points = partial(Points, shown.answer.solution)
-        self._errands.send("points", points, partial(self.cursor.watch, shown))
-
-    def _offer(self, shown: MovingLayers) -> None:
-        """Offer what can lie over the image of a result, and choose what does."""
-        choice, there = self._form.overlay, shown.layer("overlay")
-        with choice.changed.blocked():
-            name = choice.value
-            if name == words.NOTHING and there is not None and there.visible:
-                name = known_of(there)["kind"]  # of a dock that was closed
-            ways = Directions.of(shown.answer.frame, self._viewer)
-            compared = self._form.reference.value is not None
-            if name == "difference" and not compared:
-                name = words.NOTHING
-            choice.choices = words.overlay_choices(shown.answer.unit, ways, compared)
-            choice.value = name
-
     # What it is compared with
 
     def _compare(self) -> None:
         """Say how far the result is from its reference, if there is one."""
         shown, reference, self.comparison = self.shown, self._form.reference.value, None
+        self._say_how_far()
         self._errands.forget("comparison")
         field = field_of(reference)
         if shown is not None and field is not None:
@@ -210,11 +179,12 @@ class ResultView:
 
     def _on_reference(self, *_: Any) -> None:
         self._compare()
-        self._say_how_far()
         if self.shown is not None:
             self._offer(self.shown)
             if self._form.overlay.value == words.NOTHING:
                 self._lay_over(chosen=False)  # as the map of another reference lay there
+
+    # Which result is looked at
 
     def _on_changed(self, result: Result) -> None:
         """What is seen in a place is another result, or none."""
@@ -222,11 +192,11 @@ class ResultView:
         moves = self.player.playing or self._errands.busy("moment")
         if shown is None or result is not shown.layers:
             if arrows is not None and arrows.visible:
-                self._look_at(arrows)
+                self.arrows = arrows
         elif not result.moving and not result.holds("arrows"):
-            self._look_at(None)
+            self.arrows = None
         elif not result.moving and (arrows is None or result_of(arrows) is not shown.answer):
-            self._look_at(arrows)
+            self.arrows = arrows
         elif moves or self._form.slider.value != words.FULL:
             self._draw_whole()  # all of it is there again
 
@@ -234,7 +204,7 @@ class ResultView:
         """Look at another result that is selected: of another image, slice or file."""
         active = self._viewer.layers.selection.active
         if active not in (None, self.arrows) and result_of(active) is not None:
-            self._look_at(active)
+            self.arrows = active
 
     def _on_chosen(self, *_: Any) -> None:
         self.before = False
@@ -243,11 +213,11 @@ class ResultView:
     def _on_inserted(self, event: Any) -> None:
         shown, layer = self.shown, event.value
         if result_of(layer) is not None:
-            self._look_at(layer)
+            self.arrows = layer
         elif shown is None or shown.source in self._viewer.layers:
             return
         elif can_be_source(layer, shown.answer):  # of a file, or opened again
-            self._look_at(shown.arrows)
+            self.arrows = shown.arrows
 
     def _on_removed(self, event: Any) -> None:
         if self.shown is None:
@@ -259,9 +229,23 @@ class ResultView:
         elif event.value is self.shown.arrows:
             if part is not None and self.shown.source in self._viewer.layers:
                 self.said.emit(words.LOST.format(layer=event.value.name))
-            self._look_at(None)
+            self.arrows = None
 
     # What lies over the image
+
+    def _offer(self, shown: MovingLayers) -> None:
+        """Offer what can lie over the image of a result, and choose what does."""
+        choice, there = self._form.overlay, shown.layers.layer("overlay")
+        with choice.changed.blocked():
+            name = choice.value
+            if name == words.NOTHING and there is not None and there.visible:
+                name = known_of(there)["kind"]  # of a dock that was closed
+            ways = Directions.of(shown.answer.frame, self._viewer)
+            compared = self._form.reference.value is not None
+            if name == "difference" and not compared:
+                name = words.NOTHING
+            choice.choices = words.overlay_choices(shown.answer.unit, ways, compared)
+            choice.value = name
 
     def _lay_over(self, chosen: bool) -> None:
         """Have what is chosen lie over the image; `chosen`: just now, so that it is to be seen."""

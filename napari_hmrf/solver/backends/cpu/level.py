@@ -16,6 +16,7 @@ from napari_hmrf.solver.backends.bodies import Bodies
 from napari_hmrf.solver.backends.cpu import vectors
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.linear import Steps
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.coarse_levels import MOST_PINS, SPRING
 
 Vector = npt.NDArray[np.float32]
@@ -147,7 +148,9 @@ class CpuLevel:
     def clear(self) -> None:
         """Make the correction zero, and what else a cycle begins with."""
         self.correction.fill(0)
+        compute_thread.look()
         self._other.fill(0)
+        compute_thread.look()
 
     def vector(self, values: Vector | None = None) -> Vector:
         """Return zeros, or these planes."""
@@ -228,9 +231,14 @@ class CpuLevel:
         self, rest: Vector, direction: Vector, image: Vector, share: float, stride: float
     ) -> None:
         """Direction = rest + share (direction - stride image)."""
-        arrays = map(rows, (rest, direction, image))
-        number = direction.dtype.type
-        vectors.lean(*arrays, number(share), number(stride))
+        arrays = [rows(each) for each in (rest, direction, image)]
+        shares = direction.dtype.type(share), direction.dtype.type(stride)
+        if len(self.grid) == 2:
+            vectors.lean(*arrays, *shares)
+            return
+        for component in range(len(direction)):
+            compute_thread.look()
+            vectors.lean(*(each[component : component + 1] for each in arrays), *shares)
 
     def read(self, *scalars: float) -> tuple[float, ...]:
         """Return them."""

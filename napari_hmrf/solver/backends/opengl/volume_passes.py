@@ -13,7 +13,7 @@ from napari_hmrf.errors import BackendError
 from napari_hmrf.solver.backends.opengl.device import Device
 from napari_hmrf.solver.backends.opengl.pace import Pace
 from napari_hmrf.solver.backends.opengl.programs import Uniforms
-from napari_hmrf.solver.backends.opengl.volume_programs import Buffers, Places
+from napari_hmrf.solver.backends.opengl.volume_programs import Buffers, Places, VolumeProgram
 from napari_hmrf.solver.backends.opengl.volume_source import MOST_BUFFERS
 
 #: Bytes that a solve holds for each voxel, about: of float32 its parameters, the inverse diagonal
@@ -83,11 +83,9 @@ class VolumePasses:
         defines: Mapping[str, int] | None = None,
     ) -> None:
         """Run a kernel for some sites of a level, in as many strips as their number asks for."""
-        program = self.device.volume_program(name, defines)
-        program.visit(places)
-        program.set(uniforms)
         listed = self._scalars if places.buffer is None else places.buffer
-        program.bind({**buffers, "scalars": [self._scalars], "places": [listed]})
+        bound = {**buffers, "scalars": [self._scalars], "places": [listed]}
+        program = self._program(name, bound, places, uniforms, defines)
         for strip in self._pace.strips((places.number, places.groups.sites)):
             first, past = (0, places.number) if strip is None else strip
             if past > first:
@@ -102,12 +100,24 @@ class VolumePasses:
         defines: Mapping[str, int] | None = None,
     ) -> None:
         """Run a kernel that is one work group, for a level."""
+        program = self._program(name, buffers, places, uniforms, defines)
+        for _ in self._pace.strips((1, places.groups.sites)):
+            program.run(0, 1)
+
+    def _program(
+        self,
+        name: str,
+        buffers: Buffers,
+        places: Places,
+        uniforms: Uniforms,
+        defines: Mapping[str, int] | None,
+    ) -> VolumeProgram:
+        """A kernel with all that it reads and writes."""
         program = self.device.volume_program(name, defines)
         program.visit(places)
         program.set(uniforms)
         program.bind(buffers)
-        for _ in self._pace.strips((1, places.groups.sites)):
-            program.run(0, 1)
+        return program
 
     def total(self, shares: Any, count: int) -> tuple[Scalar, Scalar]:
         """Add up the totals of so many groups, and find the largest of their largest values."""

@@ -1,0 +1,186 @@
+"""Volumes beside programs that are too heavy to be asked for: MKL's direct solver, and torch-fem.
+
+`benchmarks/volumes.py --direct` and `--torch-fem` print what is here. What they take is the extra
+`rivals` of pyproject.toml.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from volume_oracle import direct_solution
+
+from napari_hmrf import ElasticPrior, Multigrid, Problem, Solution, solve
+
+_MISSING = 'is not installed. pip install "napari-hmrf[rivals]"'
+_OBLONG = (1.0, 1.7, 0.6)
+# The stiffest tissue over the softest, and what a field may be off by, in voxels.
+_RATIO, _TOLERANCE = 1e4, 0.001
+# Real and symmetric, positive definite: of such a matrix PARDISO takes the upper triangle.
+_DEFINITE = 2
+# How near torch-fem's conjugate gradients go, by default: of its residual, over the first.
+_RESIDUAL = 1e-10
+_POISSON = 0.3
+
+
+def random_block(size: int, seed: int = 0) -> Problem:
+    """Oblong voxels of random stiffness, with balls of void, between two plates."""
+    draw = np.random.default_rng(seed)
+    shape = (size,) * 3
+    m = _RATIO ** draw.random(shape)
+    sites = np.indices(shape)
+    for _ in range(24):
+        middle = draw.uniform(0.15, 0.85, 3) * size
+        m[np.linalg.norm(sites - middle.reshape(3, 1, 1, 1), axis=0) < 0.08 * size] = 0
+    y, c = np.zeros((2, *shape, 3))
+    c[0] = c[-1] = 1
+    y[-1] = np.array((2.0, 1.0, -0.6)) * _OBLONG
+    return Problem(y, c, m, spacing=_OBLONG)
+
+
+def print_direct(size: int, ratios: Sequence[float] = (0.3, 0.45, 0.49)) -> None:
+    """How far fields are from those of a matrix that scikit-fem assembled, solved by PARDISO."""
+    try:
+        from pypardiso import PyPardisoSolver
+    except ImportError:
+        print(f"pypardiso {_MISSING}")
+        return
+
+    def by_pardiso(matrix: Any, right: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        solver, upper = PyPardisoSolver(mtype=_DEFINITE), triangle(matrix)
+        found = solver.solve(upper, right)
+        solver.free_memory(everything=True)
+        return np.asarray(found)
+
+    problem = random_block(size)
+    empty = 100 * float((problem.stiffness == 0).mean())
+    print(
+        f"{size}^3 voxels of {_OBLONG}, of random stiffness to 1 : {_RATIO:g}, {empty:.0f} % void"
+    )
+    print("| Poisson's ratio | largest difference, voxels | error said | cycles | s | direct, s |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    for poisson in ratios:
+        begun = time.perf_counter()
+        found = solve(
+            problem, ElasticPrior(poisson), optimizer=Multigrid(_TOLERANCE), backend="cpu"
+        )
+        between = time.perf_counter()
+        expected = direct_solution(problem, poisson, solved=by_pardiso)
+        ended = time.perf_counter()
+        off = float(np.abs(found.displacement - expected).max()) / problem.unit
+        assert found.convergence is not None
+        cells = f"{off:.1e} | {found.convergence.error:.1e} | {found.iterations}"
+        times = f"{between - begun:.1f} | {ended - between:.1f}"
+        print(f"| {poisson} | {cells} | {times} |", flush=True)
+
+
+def triangle(matrix: Any) -> Any:
+    """The upper triangle of a matrix, as PARDISO takes it."""
+    import scipy.sparse as sp
+
+    upper = sp.triu(matrix, format="csr")
+    upper.sort_indices()
+    return upper
+
+
+def stretched_cube(nodes: int) -> Problem:
+    """A uniform cube of voxels, held at one face, whose opposite is pulled off and aside."""
+    shape = (nodes,) * 3
+    y, c = np.zeros((2, *shape, 3))
+    c[0] = c[-1] = 1
+    y[-1] = (0.05 * nodes, 0.02 * nodes, 0.0)
+    return Problem(y, c, np.ones(shape))
+
+
+def residual(problem: Problem, d: npt.NDArray[np.floating]) -> float:
+    """The norm of the forces that a field leaves, over that of those before anything gives way."""
+    prior = ElasticPrior(_POISSON)
+    first = np.where(problem.known, problem.observed, 0.0)
+    norms = [
+        float(np.linalg.norm(prior.forces(problem, each)[~problem.known]))
+        for each in (d.astype(np.float64), first)
+    ]
+    return norms[0] / norms[1]
+
+
+def print_torch_fem(nodes: int) -> None:
+    """How long a uniform cube takes, here and by torch-fem, to one residual."""
+    try:
+        import torch
+        import torchfem  # noqa: F401
+    except ImportError:
+        print(f"torch-fem {_MISSING}")
+        return
+    problem = stretched_cube(nodes)
+    unknowns = int((~problem.known).sum())
+    print(
+        f"a uniform cube of {nodes}^3 nodes, {unknowns / 1e6:.2f} M unknowns, nu {_POISSON}, to a "
+        f"residual of {_RESIDUAL:g}; {torch.get_num_threads()} threads for torch-fem"
+    )
+    small = stretched_cube(16)
+    for size in (small, problem):  # the first loads the loops
+        found, ours = to_residual(size)
+    d = found.displacement
+    print(f"ours: {found.iterations} cycles, {ours}, to {residual(problem, d):.1e}", flush=True)
+    for preconditioner in ("amg", "jacobi"):
+        for size in (small, problem):
+            theirs, field = by_torch_fem(size, preconditioner)
+        apart = float(np.abs(field - d).max())
+        print(
+            f"torch-fem, {preconditioner}: {theirs}, {theirs.cpu / ours.cpu:.0f} times as much; "
+            f"the fields differ by {apart:.1e} voxel at most, of {np.abs(d).max():.1f}",
+            flush=True,
+        )
+
+
+class Seconds:
+    """By the clock, which other programs lengthen, and of all cores since this was made."""
+
+    def __init__(self) -> None:
+        self._begun = time.perf_counter(), time.process_time()
+        self.clock = self.cpu = 0.0
+
+    def stop(self) -> Seconds:
+        """Take no more time."""
+        self.clock = time.perf_counter() - self._begun[0]
+        self.cpu = time.process_time() - self._begun[1]
+        return self
+
+    def __str__(self) -> str:
+        """Both, in words."""
+        return f"{self.clock:.1f} s, {self.cpu:.1f} of CPU"
+
+
+def to_residual(problem: Problem) -> tuple[Solution, Seconds]:
+    """The first of ever closer solutions that leaves no more than torch-fem, and its time."""
+    for power in range(5, 14):
+        seconds = Seconds()
+        found = solve(
+            problem, ElasticPrior(_POISSON), optimizer=Multigrid(10.0**-power), backend="cpu"
+        )
+        seconds.stop()
+        if residual(problem, found.displacement) <= _RESIDUAL:
+            break
+    return found, seconds
+
+
+def by_torch_fem(problem: Problem, preconditioner: str) -> tuple[Seconds, npt.NDArray[np.float64]]:
+    """The time that torch-fem takes, with all it sets up, and its field."""
+    import torch
+    from torchfem import Solid
+    from torchfem.materials import IsotropicElasticity3D
+    from torchfem.mesh import cube_hexa
+
+    torch.set_default_dtype(torch.float64)
+    seconds = Seconds()
+    lengths = [size - 1.0 for size in problem.shape]
+    nodes, elements = cube_hexa(*problem.shape, *lengths)
+    model = Solid(nodes, elements, IsotropicElasticity3D(E=1.0, nu=_POISSON))
+    model.constraints = torch.tensor(problem.known.reshape(-1, 3))
+    model.displacements = torch.tensor(problem.observed.reshape(-1, 3).astype(np.float64))
+    found, *_ = model.solve(method="cg", preconditioner=preconditioner, stol=_RESIDUAL)
+    return seconds.stop(), found.numpy().reshape(*problem.shape, 3)
