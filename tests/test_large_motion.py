@@ -9,14 +9,17 @@ import numpy.typing as npt
 import pytest
 
 from napari_hmrf import (
+    ArgumentError,
     BackendError,
     Cancelled,
     ElasticPrior,
+    Grid,
     Multigrid,
     NeoHookeanPrior,
     Problem,
     ProblemError,
     Solution,
+    Study,
     solve,
 )
 from tests.finite_oracle import solved
@@ -225,6 +228,8 @@ def test_what_it_does_not_take_is_refused_in_a_sentence() -> None:
     problem = bar(8, 8, np.zeros((8, 2)), m)
     with pytest.raises(ProblemError, match="rigid"):
         solve(problem, NeoHookeanPrior())
+    with pytest.raises(ArgumentError, match="no large motion yet"):
+        Study(Grid((8, 8), (1, 1)), prior=NeoHookeanPrior())
     soft = bar(8, 8, np.zeros((8, 2)))
     with pytest.raises(ProblemError, match="finite penalty"):
         solve(soft, NeoHookeanPrior(penalty=1.0))

@@ -11,7 +11,7 @@ from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.base import Backend
 from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.found import Beginning
-from napari_hmrf.solver.backends.planes import Planes
+from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Reach, Report
 from napari_hmrf.solver.optimizers.cycle import smoothing_of
 from napari_hmrf.solver.optimizers.newton import Newton, norm
@@ -42,7 +42,7 @@ def converge(
     material = prior.material(problem)
     model = backend.finite_model(material)
     observed, held = host.prescribed(problem)
-    d = _beginning(model, start, observed.shape)
+    d = _beginning(model, start, observed, held)
     newton = Newton(model, smoothing_of(material), report, tolerance)
     newton.run(d, observed, held)
     displacement, rounding = host.gathered(d, tolerance)
@@ -67,9 +67,11 @@ def converge(
     )
 
 
-def _beginning(model: FiniteModel, start: Beginning | None, shape: tuple[int, ...]) -> Planes:
+def _beginning(
+    model: FiniteModel, start: Beginning | None, observed: Planes, held: HeldPlanes
+) -> Planes:
     """A field that is not folded: as near to what was found before as may be, or nothing."""
-    nothing: Planes = np.zeros(shape)
+    nothing: Planes = np.zeros(observed.shape)
     if start is None:
         return nothing
     last, combined = host.planes(start.displacements[0] / start.unit), host.combined(start)
@@ -77,6 +79,12 @@ def _beginning(model: FiniteModel, start: Beginning | None, shape: tuple[int, ..
         last = nothing
     # How a drag went on before it will go on: but for where that would fold.
     way = combined - last
+    if len(start.displacements) == 1:
+        # Before the first frame tissue was at rest.
+        there = last[held]
+        square = float((there**2).sum())
+        share = float((there * observed[held]).sum()) / square if square > 0 else 1.0
+        way = (share - 1) * last
     length, _ = model.length(last, way, _KEPT, 0.0)
     return np.asarray(last + min(1.0, length) * way)
 

@@ -27,7 +27,7 @@ from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
 
 # What every corner keeps of its Jacobian in a step; of a pull that this cuts short, the part that
 # is gone; and the Jacobian below which nothing is pulled any further.
-_KEPT, _SHARE, _FLOOR = 0.25, 0.85, 1e-4
+_KEPT, _SHARE, _FLOOR = 0.25, 0.85, 1e-5
 # What is left of a linear system's error, as a part of it and of the tolerance, and the cycles
 # after which it is factorised.
 _INNER, _OF_TOLERANCE, _CYCLES = 0.03, 0.3, 40
