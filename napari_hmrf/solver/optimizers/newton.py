@@ -28,9 +28,11 @@ from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
 # What every corner keeps of its Jacobian in a step; of a pull that this cuts short, the part that
 # is gone; and the Jacobian below which nothing is pulled any further.
 _KEPT, _SHARE, _FLOOR = 0.25, 0.85, 1e-5
-# What is left of a linear system's error, as a part of it and of the tolerance, and the cycles
-# after which it is factorised.
-_INNER, _OF_TOLERANCE, _CYCLES = 0.03, 0.3, 40
+# What is left of a linear system's error, as a part of it and of the tolerance, or of its residual,
+# which is as far as single precision goes.
+_INNER, _OF_TOLERANCE, _ROUNDED = 0.03, 0.3, 2e-5
+# Cycles after which a system is factorised, of so few sites, and of more: there that takes longer.
+_CYCLES, _FEW, _MORE_CYCLES = 40, 20_000, 200
 # A step that gets hardly further than this part of its way is tried without what buckles.
 _HARDLY = 0.1
 # Of the fall of energy that a step promises; what is rounding; and how often a step is halved.
@@ -45,7 +47,7 @@ _STUCK, _STUCK_PIXELS, _PATIENCE, _IN_THE_WAY = 0.05, 0.1, 2, 0.3
 # How much the ways of what is pulled as one piece may differ, as a part of them.
 _AS_ONE = 0.2
 # Steps after which nothing is pulled any more, and after which it is given up.
-_MOST_PULLS, _MOST_STEPS = 120, 200
+_MOST_PULLS, _MOST_STEPS = 150, 400
 
 
 class _Linear(NamedTuple):
@@ -108,6 +110,10 @@ class Newton:
             pulls = left > 0 and relaxations == 0
             self._say(number, left)
             step = self._step(d, gap if pulls else None, held)
+            if step is None:
+                # Crushed so far that nothing solves it any more, it is as far as it goes.
+                self._met = self._met and (left == 0 or math.isinf(self.estimate))
+                break
             if pulls:
                 length, _ = self._model.length(d, step.way, _KEPT, _FLOOR)
                 taken = 1.0 if length >= 1 else _SHARE * length
@@ -125,8 +131,9 @@ class Newton:
             else:
                 taken = self._descend(d, step.way)
                 if taken < _HARDLY and not step.positive:
-                    step = self._step(d, None, held, positive=True)
-                    taken = max(taken, self._descend(d, step.way))
+                    again = self._step(d, None, held, positive=True)
+                    if again is not None:
+                        step, taken = again, max(taken, self._descend(d, again.way))
                 relaxations = max(relaxations - 1, 0)
             rest = np.where(self._model.moves, self._model.forces(d), 0.0)
             self.residual = norm(rest)
@@ -139,6 +146,11 @@ class Newton:
             if taken == 0.0 and left == 0:
                 break
         # Crushed by what cannot be met, tissue creeps: it is as far as it goes.
+        if self._met and math.isinf(self.estimate):
+            raise ConvergenceError(
+                "cycles cannot be sure of this tissue. Crop the image, or bring the softest and "
+                "the stiffest tissue closer together"
+            )
         if self._met and not self.estimate <= self._tolerance:
             raise ConvergenceError(
                 f"the tissue is still {self.estimate:.2g} px from balance after "
@@ -148,8 +160,8 @@ class Newton:
 
     def _step(
         self, d: Planes, gap: Planes | None, held: HeldPlanes, positive: bool = False
-    ) -> _Linear:
-        """Where the linear model would go from here, all of the gap closed."""
+    ) -> _Linear | None:
+        """Where the linear model would go from here, all of the gap closed; None if unknown."""
         for stiff in (True,) if positive else (False, True):
             self._model.linearise(d, held, stiff)
             rest = -self._model.forces(d)
@@ -161,10 +173,7 @@ class Newton:
             if found is not None:
                 way = found.way if gap is None else found.way + gap
                 return found._replace(way=way, positive=stiff)
-        raise ConvergenceError(
-            "cycles cannot be sure of this tissue. Crop the image, or bring the softest and the "
-            "stiffest tissue closer together"
-        )
+        return None
 
     def _iterate(self, load: Planes) -> _Linear | None:
         """A correction for a load by cycles; None if they did not get there."""
@@ -174,6 +183,7 @@ class Newton:
             return _Linear(way, 0.0, 0.0)
         latest: Step | None = None
         first, count, done = 0.0, 0, False
+        patience = _CYCLES if math.prod(self._model.shape) <= _FEW else _MORE_CYCLES
 
         def enough(step: Step) -> bool:
             nonlocal latest, first, count, done
@@ -183,7 +193,7 @@ class Newton:
             self.cycles += 1
             self._report(Monitor(f"cycle {self.cycles}, {error:.2g} px to go", 0.0))
             done = error <= max(_INNER * first, _OF_TOLERANCE * self._tolerance)
-            return done or count >= _CYCLES
+            return done or count >= patience
 
         try:
             iteration = ConjugateGradients(Cycle(self._model, self._smoothing))
@@ -192,7 +202,9 @@ class Newton:
             self._model.clear()
             return None
         # Else it has met a direction in which the tissue buckles, or that it does not get out of.
-        self._buckles = not done and count < _CYCLES
+        if latest is not None and latest.rest * balance.unit <= _ROUNDED * balance.norm:
+            done = True
+        self._buckles = not done and count < patience
         if latest is None or not done:
             return None
         return _Linear(way, latest.reach, float(np.abs(way).max()))
