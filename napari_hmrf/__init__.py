@@ -55,7 +55,7 @@ from napari_hmrf.solver.body_forces import pressure, traction, weight
 from napari_hmrf.solver.live_solver import LiveSolver
 from napari_hmrf.solver.loads import Loads, growth
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid
-from napari_hmrf.solver.priors import ElasticPrior, SeilerPrior
+from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.reactions import reactions
 from napari_hmrf.solver.solution import Provenance, Solution, is_solution_file
@@ -102,6 +102,7 @@ __all__ = [
     "Monitor",
     "Motion",
     "Multigrid",
+    "NeoHookeanPrior",
     "Phantom",
     "Picture",
     "Pictures",

@@ -26,7 +26,7 @@ from napari_hmrf.solver.backends.compiler import Stage
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.backends.watch import watched
 from napari_hmrf.solver.optimizers import ICM, Multigrid
-from napari_hmrf.solver.priors import ElasticPrior, SeilerPrior
+from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solve import solve
 
@@ -68,6 +68,7 @@ def jobs() -> list[Job]:
         solving("converged", SeilerPrior(), Multigrid(), square),
         solving("slipping", ElasticPrior(mapped, penalty=1.0), Multigrid(), square),
         Job("rigid", lambda: _solve(ElasticPrior(0.3), Multigrid(), square, bone=True)),
+        solving("large-motion", NeoHookeanPrior(0.3), Multigrid(), square),
         solving("schedule-oblong", SeilerPrior(), schedule, oblong),
         solving("converged-oblong", SeilerPrior(), Multigrid(), oblong),
         solving("blanket-schedule", blanket, schedule, square),

@@ -30,6 +30,8 @@ def model_name(parameters: Mapping[str, Any]) -> str:
     prior, optimizer = _parts(parameters)
     if prior.get("name") == "ElasticPrior":
         return "elastic"
+    if prior.get("name") == "NeoHookeanPrior":
+        return "large motion"
     if prior.get("name") != "SeilerPrior":
         return ""
     blanket = ["blanket"] if prior.get("conditional") == "blanket" else []
@@ -45,11 +47,12 @@ def in_words(parameters: Mapping[str, Any]) -> str:
         As for `model_name`.
     """
     prior, optimizer = _parts(parameters)
-    if prior.get("name") == "ElasticPrior":
+    if prior.get("name") in ("ElasticPrior", "NeoHookeanPrior"):
+        kind = "elastic" if prior["name"] == "ElasticPrior" else "large motion"
         nu = prior.get("poisson")
         ratio = f"{nu:g}" if isinstance(nu, int | float) else "by tissue"
         plane = f", plane {prior['plane']}" if "plane" in prior else ""  # a volume has none
-        what = f"elastic (Poisson's ratio {ratio}{plane})"
+        what = f"{kind} (Poisson's ratio {ratio}{plane})"
     elif prior.get("name") == "SeilerPrior":
         what = f"the paper's prior ({prior.get('conditional')})"
     else:

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
-from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
+from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 
 _Kind = TypeVar("_Kind")
 
@@ -21,7 +21,11 @@ def prior_from_dict(parameters: Mapping[str, Any], poisson: Any = None) -> Prior
     ArgumentError
         If there is none of that name or with such parameters.
     """
-    kinds: dict[str, type[Prior]] = {"ElasticPrior": ElasticPrior, "SeilerPrior": SeilerPrior}
+    kinds: dict[str, type[Prior]] = {
+        "ElasticPrior": ElasticPrior,
+        "NeoHookeanPrior": NeoHookeanPrior,
+        "SeilerPrior": SeilerPrior,
+    }
     more: dict[str, Any] = {} if poisson is None else {"poisson": poisson}
     if parameters.get("penalty") == "inf":
         more["penalty"] = math.inf

@@ -14,7 +14,7 @@ from napari_hmrf.solver.backends.compiler import Stage
 from napari_hmrf.solver.backends.found import Beginning
 from napari_hmrf.solver.backends.watch import LOOPS, watched
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
-from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
+from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 
 #: The job that brings all loops.
@@ -27,6 +27,8 @@ _prepared: set[tuple[str | bool, ...]] = set()
 def job_of(prior: Prior, optimizer: Optimizer, spacing: tuple[float, ...]) -> str:
     """Which job of `napari_hmrf.compiling` brings the loops of a solve, or most of them."""
     volume = len(spacing) == 3
+    if isinstance(prior, NeoHookeanPrior):
+        return "large-motion"
     if isinstance(prior, ElasticPrior):
         if volume:
             return "volume"

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from napari_hmrf import array_file
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.model_names import model_name
-from napari_hmrf.solver.optimizers.base import Convergence, LevelRun
+from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Reach
 from napari_hmrf.solver.problem import grid_in_words
 
 
@@ -83,6 +83,8 @@ class Solution:
     provenance : Provenance
     convergence : Convergence, optional
         How close to the converged field it is, where the optimizer knows.
+    reach : Reach, optional
+        Of large motion: the least Jacobian, and how far it got.
     frame : mapping, optional
         Where the field lies in the world, for whoever made the problem from layers; JSON types
         only. The solver neither reads nor writes it.
@@ -99,6 +101,7 @@ class Solution:
     convergence: Convergence | None = None
     frame: Mapping[str, Any] | None = None
     loads: Loads | None = None
+    reach: Reach | None = None
 
     def __repr__(self) -> str:
         farthest = float(np.linalg.norm(self.displacement, axis=-1).max(initial=0.0))
@@ -170,12 +173,14 @@ def is_solution_file(path: str | os.PathLike[str]) -> bool:
 
 def _describe(solution: Solution) -> tuple[array_file.Header, array_file.Arrays]:
     reached = solution.convergence
+    got = solution.reach
     header = {
         "spacing": [float(size) for size in solution.spacing],
         "levels": [asdict(run) for run in solution.levels],
         "provenance": asdict(solution.provenance),
         "frame": solution.frame,
         "convergence": None if reached is None else asdict(reached),
+        "reach": None if got is None else asdict(got),
     }
     return header, {name: getattr(solution, name) for name in SOLUTION_FORMAT.arrays}
 
@@ -217,6 +222,21 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
             float(reached["error"]), float(reached["residual"]), str(reached.get("way", "cycles"))
         ),
         frame=frame,
+        reach=_reach(header.get("reach")),
+    )
+
+
+def _reach(given: Mapping[str, Any] | None) -> Reach | None:
+    """How far large motion got, as a header has it; older files do not."""
+    if given is None:
+        return None
+    where = given["where"]
+    return Reach(
+        float(given["least_jacobian"]),
+        float(given["part"]),
+        float(given["missing"]),
+        None if where is None else tuple(int(index) for index in where),
+        int(given["sites"]),
     )
 
 

@@ -22,6 +22,7 @@ from napari_hmrf.errors import ArgumentError, BackendError, Cancelled
 from napari_hmrf.solver.backends import (
     BACKEND_NAMES,
     COMPILING,
+    FOR_LARGE_MOTION,
     FOR_VOLUMES,
     host,
     open_backend,
@@ -30,7 +31,7 @@ from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
 from napari_hmrf.solver.backends.watch import HARDER
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
 from napari_hmrf.solver.preparation import job_of, loop_watch, prepare, provide_loops
-from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
+from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Provenance, Solution
 from napari_hmrf.solver.volume_memory import check_memory
@@ -71,8 +72,9 @@ def solve(
     Parameters
     ----------
     problem : Problem
-    prior : SeilerPrior or ElasticPrior, optional
-        The energy; by default elastic tissue. The paper's is ``SeilerPrior()``.
+    prior : SeilerPrior, ElasticPrior or NeoHookeanPrior, optional
+        The energy; by default elastic tissue. The paper's is ``SeilerPrior()``. Large motion takes
+        ``NeoHookeanPrior()``, with multigrid, on the compiled loops.
     optimizer : ICM or Multigrid, optional
         The schedule; by default multigrid, and for the paper's prior its own: 70 sweeps on each
         level. ``Multigrid()`` takes the paper's prior to where such sweeps would end.
@@ -179,7 +181,7 @@ _ARGUMENTS: dict[str, tuple[Callable[[object], bool], str]] = {
     ),
     "prior": (
         lambda value: isinstance(value, Prior | None),
-        "a prior: ElasticPrior() or SeilerPrior()",
+        "a prior: ElasticPrior(), NeoHookeanPrior() or SeilerPrior()",
     ),
     "optimizer": (
         lambda value: value is None or _has("run", value),
@@ -262,6 +264,7 @@ def _solution_of(
         lambda: provide_loops(job, report),
         volume=problem.shape if problem.is_volume else (),
         plain=_is_plain(problem, prior),
+        large_motion=isinstance(prior, NeoHookeanPrior),
     )
     try:
         _announce(device.renderer, reason)
@@ -288,6 +291,7 @@ def _solution_of(
         energy=outcome.energy,
         levels=outcome.levels,
         convergence=outcome.convergence,
+        reach=outcome.reach,
         tissue=problem.tissue,
         spacing=problem.spacing,
         provenance=Provenance(
@@ -323,7 +327,8 @@ def _announce(renderer: str, reason: str) -> None:
     if message not in _announced:
         _announced.add(message)
         # A fallback is told even where nobody has set up logging.
-        fallback = reason not in ("asked for", "a GPU is there", COMPILING, FOR_VOLUMES)
+        usual = "asked for", "a GPU is there", COMPILING, FOR_VOLUMES, FOR_LARGE_MOTION
+        fallback = reason not in usual
         _log.log(logging.WARNING if fallback else logging.INFO, "solving on %s", message)
 
 

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy.typing as npt
 
-from napari_hmrf.errors import ProblemError
+from napari_hmrf.errors import ArgumentError, ProblemError
 from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
-from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior
 from napari_hmrf.study.layer_names import naming
 from napari_hmrf.study.models import chosen
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
@@ -212,6 +212,11 @@ class Study:
         if model:
             for name, value in zip(("prior", "optimizer"), chosen(model), strict=True):
                 object.__setattr__(self, name, value)
+        if isinstance(self.prior, NeoHookeanPrior):
+            raise ArgumentError(
+                "prior is NeoHookeanPrior, but a study has no large motion yet. Take "
+                "ElasticPrior(), or give problem and prior to solve()."
+            )
         needed = self.grid.shape
         for what, part in (
             ("image", self.pictures.image),

@@ -19,10 +19,14 @@ COMPILING = "until the loops for the processor are compiled"
 #: Why the compiled loops are taken for a volume that there are no shaders for.
 FOR_VOLUMES = "only the compiled loops solve such volumes"
 
+#: Why the compiled loops are taken for large motion.
+FOR_LARGE_MOTION = "only the compiled loops solve large motion"
+
 __all__ = [
     "BACKEND_NAMES",
     "BATCH_SECONDS",
     "COMPILING",
+    "FOR_LARGE_MOTION",
     "FOR_VOLUMES",
     "Backend",
     "BackendName",
@@ -39,6 +43,7 @@ def open_backend(
     provide_loops: Callable[[], None] = loops.use,
     volume: tuple[int, ...] = (),
     plain: bool = True,
+    large_motion: bool = False,
 ) -> tuple[Backend[Any], str]:
     """Make a backend ready; on the compute thread only.
 
@@ -59,6 +64,8 @@ def open_backend(
     plain : bool
         Whether it is for the elastic prior, of tissue without loads of which nothing is rigid and
         nothing may slip: of volumes there are shaders for no other.
+    large_motion : bool
+        Whether it is for large motion, for which there are no shaders.
 
     Returns
     -------
@@ -76,6 +83,14 @@ def open_backend(
         return _compiled(checkpoint), "asked for"
     if name not in BACKEND_NAMES:
         raise BackendError(f"there is no backend {name!r}; take one of {', '.join(BACKEND_NAMES)}")
+    if large_motion:
+        if name != "auto":
+            raise BackendError(
+                f"large motion is solved by the compiled loops only, not by {name}. Take "
+                'backend="cpu", or "auto"'
+            )
+        provide_loops()
+        return _compiled(checkpoint), FOR_LARGE_MOTION
     if volume and not plain:
         if name != "auto":
             raise BackendError(

@@ -15,6 +15,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.linear import LinearModel
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 from napari_hmrf.solver.priors.elements import ElasticMaterial
@@ -140,6 +141,10 @@ class Backend(Protocol[FieldType]):
 
     def seiler_model(self, material: SeilerMaterial) -> LinearModel:
         """Bring the paper's cliques to the device, on all levels of multigrid."""
+        ...
+
+    def finite_model(self, material: ElasticMaterial) -> FiniteModel:
+        """Bring tissue that moves far to the device; the processor's backend alone takes it."""
         ...
 
     def release(self, *fields: FieldType) -> None:

@@ -150,6 +150,20 @@ class UnsymmetricLevel(LinearLevel, Protocol):
         ...
 
 
+class Hierarchy(Protocol):
+    """What a cycle needs to know of a model."""
+
+    @property
+    def levels(self) -> Sequence[Any]:
+        """`LinearLevel`s, finest first."""
+        ...
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Of the spectrum of D^-1 A, from above: the usual one, and one for any material."""
+        ...
+
+
 class LinearModel(Protocol):
     """A prior's model of one problem, and the same model again on coarser levels."""
 

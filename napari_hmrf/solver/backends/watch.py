@@ -26,10 +26,11 @@ LOOPS = {
     "blanket-schedule": 3,
     "blanket-converged": 19,
     "exact-steps": 3,
+    "large-motion": 24,
     "volume": 20,
     "volume-schedule": 2,
     "volume-converged": 15,
-    "": 72,
+    "": 84,
 }
 _HARDER_LOOPS = 8
 

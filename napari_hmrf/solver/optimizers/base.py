@@ -71,6 +71,34 @@ class Convergence:
     way: str = "cycles"
 
 
+@dataclass(frozen=True)
+class Reach:
+    """How far large motion got: nothing is folded, and what cannot be met is met as far as it goes.
+
+    Tissue that is crushed by that may creep on: `Convergence.error` says how far.
+
+    Attributes
+    ----------
+    least_jacobian : float
+        The least Jacobian at any corner of a pixel: above 0. A pixel of 0.5 has half its area.
+    part : float
+        Which part of its way the site has come that is furthest from what was observed: 1 if all
+        of it was met.
+    missing : float
+        How far that site is from what was observed, in the unit of the spacing.
+    where : tuple of int, or None
+        That site; None if all of it was met.
+    sites : int
+        How many sites are not where they were observed.
+    """
+
+    least_jacobian: float
+    part: float = 1.0
+    missing: float = 0.0
+    where: tuple[int, ...] | None = None
+    sites: int = 0
+
+
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """What a schedule brings back, in pixels.
@@ -85,12 +113,15 @@ class Outcome:
         In the order they were run; their iterations add up to ``len(energy)``, or to 0.
     convergence : Convergence or None
         None where the schedule does not look.
+    reach : Reach or None
+        Of large motion.
     """
 
     displacement: npt.NDArray[np.floating]
     energy: npt.NDArray[np.float64]
     levels: tuple[LevelRun, ...]
     convergence: Convergence | None = None
+    reach: Reach | None = None
 
 
 class Optimizer(Protocol):

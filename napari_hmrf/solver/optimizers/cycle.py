@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from napari_hmrf.solver.backends.linear import LinearModel, Steps
+from napari_hmrf.solver.backends.linear import Hierarchy, Steps
 from napari_hmrf.solver.priors.elements import ElasticMaterial, lame_ratio
 
 
@@ -71,11 +71,11 @@ class Cycle:
 
     Parameters
     ----------
-    model : LinearModel
+    model : Hierarchy
     smoothing : Smoothing
     """
 
-    def __init__(self, model: LinearModel, smoothing: Smoothing = STRETCHING) -> None:
+    def __init__(self, model: Hierarchy, smoothing: Smoothing = STRETCHING) -> None:
         self.levels = model.levels
         rest = (number for number, level in enumerate(self.levels) if level.takes_rest)
         self._visited = self.levels[: next(rest, len(self.levels)) + 1]

@@ -20,14 +20,14 @@ from napari_hmrf.solver.backends.found import Beginning, Quality
 from napari_hmrf.solver.backends.linear import LinearModel
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.bending_modes import check_bent
-from napari_hmrf.solver.optimizers import centred
+from napari_hmrf.solver.optimizers import centred, large_motion
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Report
 from napari_hmrf.solver.optimizers.cycle import BENDING, smoothing_of
 from napari_hmrf.solver.optimizers.loading import check_balanced, check_reach, given, work_of
 from napari_hmrf.solver.optimizers.refinement import Refinement
 from napari_hmrf.solver.optimizers.slip import Slip
 from napari_hmrf.solver.optimizers.slip_states import ActiveSet
-from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
+from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import grip
 
@@ -45,7 +45,9 @@ class Multigrid:
     The iteration runs in single precision; the residual that decides is computed in double. It is
     that of conjugate gradients for a prior with an energy to be least: `ElasticPrior`, and
     `SeilerPrior` in its blanket reading. For its centred reading, which is not symmetric, it is
-    that of stabilised biconjugate gradients (`napari_hmrf.solver.optimizers.centred`).
+    that of stabilised biconjugate gradients (`napari_hmrf.solver.optimizers.centred`). For
+    `NeoHookeanPrior` it solves the steps of Newton's method
+    (`napari_hmrf.solver.optimizers.newton`).
 
     Parameters
     ----------
@@ -58,6 +60,7 @@ class Multigrid:
     max_iterations : int
         Give up after so many cycles, with an error. Where observations may slip, that many for
         each set of those that do; of a volume that takes double precision, eight times as many.
+        Large motion gives up after so many steps as no tissue has been found to need.
     """
 
     tolerance: float = 1e-3
@@ -93,6 +96,8 @@ class Multigrid:
             return centred.converge(
                 self.tolerance, self.max_iterations, problem, prior, backend, report, start
             )
+        if isinstance(prior, NeoHookeanPrior):
+            return large_motion.converge(self.tolerance, problem, prior, backend, report, start)
         limit = prior.limit(problem)
         pulls, stored = given(problem, prior)
         d, observed = host.prescribed(problem, start if limit is None else None)

@@ -2,13 +2,15 @@
 
 from napari_hmrf.solver.priors.cliques import line_steps, line_weights
 from napari_hmrf.solver.priors.elastic import ElasticPrior
+from napari_hmrf.solver.priors.neo_hookean import NeoHookeanPrior
 from napari_hmrf.solver.priors.seiler import SeilerPrior, SiteParabola
 
 #: What `solve` takes.
-Prior = SeilerPrior | ElasticPrior
+Prior = SeilerPrior | ElasticPrior | NeoHookeanPrior
 
 __all__ = [
     "ElasticPrior",
+    "NeoHookeanPrior",
     "Prior",
     "SeilerPrior",
     "SiteParabola",

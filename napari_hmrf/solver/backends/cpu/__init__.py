@@ -18,6 +18,7 @@ from napari_hmrf.solver.backends.base import (
     FloatArray,
     SiteRule,
 )
+from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.linear import LinearModel
 from napari_hmrf.solver.priors import line_weights
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
@@ -226,6 +227,12 @@ class CpuBackend:
 
             return volume_seiler_model.the_model(material)
         from napari_hmrf.solver.backends.cpu.seiler_model import the_model
+
+        return the_model(material)
+
+    def finite_model(self, material: ElasticMaterial) -> FiniteModel:
+        """Bring tissue that moves far to the device."""
+        from napari_hmrf.solver.backends.cpu.finite_model import the_model
 
         return the_model(material)
 

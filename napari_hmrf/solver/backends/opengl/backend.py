@@ -15,6 +15,7 @@ from napari_hmrf.solver.backends.base import (
     FloatArray,
     SiteRule,
 )
+from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.linear import LinearModel
 from napari_hmrf.solver.backends.opengl.device import the_device
 from napari_hmrf.solver.backends.opengl.fields import (
@@ -205,6 +206,10 @@ class OpenGLBackend:
         from napari_hmrf.solver.backends.opengl.seiler import GLSeilerModel
 
         return GLSeilerModel(self._passes_for(material.m), material)
+
+    def finite_model(self, material: ElasticMaterial) -> FiniteModel:
+        """Refuse: there are no shaders for large motion."""
+        raise BackendError("large motion is solved by the compiled loops only")
 
     def release(self, *fields: GLField) -> None:
         """Keep the fields' textures for the next field of their kind."""

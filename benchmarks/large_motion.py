@@ -1,0 +1,288 @@
+"""Large motion in numbers: ``python -m benchmarks.large_motion [exact] [textbook] [cold] [drag]``.
+
+And, after ``random``, a number.
+
+Beside an independent Newton's method and a textbook finite-element method, how long it takes as a
+multiple of a linear solve in the same process (processor time of one thread), and how many of so
+many random problems are met.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+import scipy
+
+from napari_hmrf import (
+    ElasticPrior,
+    HmrfError,
+    Multigrid,
+    NeoHookeanPrior,
+    Problem,
+    phantom,
+    solve,
+)
+from napari_hmrf.solver.backends.cpu import elastic_model, finite_model
+from napari_hmrf.solver.backends.thread import compute_thread
+from tests.finite_oracle import solved
+from tests.test_large_motion import bar, turned
+
+_LIVE = 0.01
+
+
+def main() -> None:
+    """Print what is asked for, or all."""
+    asked = sys.argv[1:] or ["exact", "textbook", "cold", "drag", "random", "200"]
+    for name in ("exact", "textbook", "cold", "drag"):
+        if name in asked:
+            compute_thread.submit(globals()[name]).result()
+    if "random" in asked:
+        count = int(asked[asked.index("random") + 1])
+        compute_thread.submit(lambda: random(count)).result()
+
+
+def exact(size: int = 48) -> None:
+    """How far any site is from where an independent method brings it, in pixels."""
+    ends = {
+        **{f"pull {part} %": np.array([0.0, part / 100 * (size - 1)]) for part in (10, 30, 50)},
+        "shear": np.array([0.3 * size, 0.0]),
+        # A block as high as it is long creases on its inner side, in more ways than one.
+        "bend 60": turned(size // 3, size, 60),
+    }
+    worst = 0.0
+    for name, end in ends.items():
+        height = len(end) if end.ndim == 2 else size
+        m = np.ones((height, size))
+        m[: height // 2] = 5
+        for nu in (0.3, 0.45):
+            for plane in ("stress", "strain"):
+                problem = bar(height, size, np.broadcast_to(end, (height, 2)), m)
+                prior = NeoHookeanPrior(nu, plane=plane)  # type: ignore[arg-type]
+                found = solve(problem, prior, backend="cpu")
+                off = float(np.abs(found.displacement - solved(problem, prior, 6)).max())
+                worst = max(worst, off)
+                print(f"{name:10} nu {nu:4} plane {plane:6} {off:.5f} px off", flush=True)
+    print(f"worst {worst:.5f} px", flush=True)
+
+
+def textbook(size: int = 48, stretch: float = 0.3) -> None:
+    """How far it is from finite elements of 2 x 2 Gauss points without a barrier."""
+    for nu in (0.3, 0.45):
+        problem = bar(size, size, np.broadcast_to([0.0, stretch * (size - 1)], (size, 2)))
+        found = solve(problem, NeoHookeanPrior(nu), backend="cpu").displacement
+        off = np.abs(found - _gauss(problem, nu))[:, 4:-4].max()
+        print(
+            f"textbook, pull 30 %, nu {nu}: {off:.4f} px off, four pixels from clamps", flush=True
+        )
+
+
+def _gauss(problem: Problem, nu: float) -> Any:
+    """Plane stress neo-Hooke by 2 x 2 Gauss points, by Newton's method."""
+    height, width = problem.shape
+    numbers = np.arange(2 * height * width).reshape(height, width, 2)
+    corners = numbers[:-1, :-1], numbers[:-1, 1:], numbers[1:, :-1], numbers[1:, 1:]
+    nodes = np.stack(corners, axis=2).reshape(-1, 8)
+    mu = 1 / (2 * (1 + nu))
+    lam = 2 * mu * nu / (1 - 2 * nu)
+    whole, g = mu + lam / 2, 0.5 / np.sqrt(3)
+    free, known = np.flatnonzero(~problem.known), np.flatnonzero(problem.known)
+    turn = np.zeros((4, 4))
+    turn[0, 3] = turn[3, 0] = 1
+    turn[1, 2] = turn[2, 1] = -1
+    gradients = []
+    for r, s in ((-g, -g), (-g, g), (g, -g), (g, g)):
+        along_rows = np.array([-(0.5 - s), -(0.5 + s), 0.5 - s, 0.5 + s])
+        along_cols = np.array([-(0.5 - r), 0.5 - r, -(0.5 + r), 0.5 + r])
+        gradients.append(np.kron(np.stack([along_rows, along_cols]), np.eye(2)))
+    d = np.zeros(problem.observed.size)
+    for part in range(1, 11):
+        for _ in range(30):
+            load, blocks = np.zeros_like(d), np.zeros((len(nodes), 8, 8))
+            for gradient in gradients:
+                f = d[nodes] @ gradient.T + np.array([1.0, 0, 0, 1.0])
+                cofactor = f @ turn
+                j = f[:, 0] * f[:, 3] - f[:, 1] * f[:, 2]
+                thick = mu + lam * j**2 / 2
+                slope = -whole * mu / (j * thick)
+                bend = whole * mu * (thick + lam * j**2) / (j * thick) ** 2
+                stress = mu * f + slope[:, None] * cofactor
+                np.add.at(load, nodes.ravel(), (stress @ gradient / 4).ravel())
+                tangent = mu * np.eye(4) + slope[:, None, None] * turn
+                tangent = tangent + bend[:, None, None] * cofactor[:, :, None] * cofactor[:, None]
+                blocks += gradient.T @ tangent @ gradient / 4
+            rows = np.repeat(nodes[..., None], 8, axis=-1)
+            at = rows.ravel(), rows.swapaxes(1, 2).ravel()
+            matrix = scipy.sparse.csc_matrix((blocks.ravel(), at), shape=(d.size, d.size))
+            way = np.zeros_like(d)
+            way[known] = problem.observed.ravel()[known] * part / 10 - d[known]
+            rest = -load - matrix @ way
+            way[free] = scipy.sparse.linalg.spsolve(matrix[free][:, free], rest[free])
+            d += way
+            if np.abs(way).max() < 1e-9:
+                break
+    return d.reshape(height, width, 2)
+
+
+def cold(size: int = 300) -> None:
+    """How long a solve from nothing takes, in linear solves."""
+    numba.set_num_threads(1)
+    cases = {
+        "rim 8 px": _rim(size, 8),
+        "rim 12 px": _rim(size, 12),
+        "patch 60 px": _patch(size, 15, 60),
+        "bar + 50 %": bar(size, size, np.broadcast_to([0.0, (size - 1) / 2], (size, 2))),
+    }
+    for name, problem in cases.items():
+        ratio, found = _times_linear(problem)
+        print(
+            f"{name:12} {ratio:.1f} linear solves, {found.iterations} steps, least corner "
+            f"Jacobian {found.reach.least_jacobian:.3f}",
+            flush=True,
+        )
+
+
+def drag(size: int = 300, frames: int = 20, far: float = 3.0) -> None:
+    """How long a frame of a drag takes, in linear solves, and how far from converged it is."""
+    numba.set_num_threads(1)
+    prior, live = NeoHookeanPrior(), Multigrid(_LIVE)
+    linear = _least_time(
+        lambda: solve(_patch(size, 15, far), ElasticPrior(), backend="cpu"), elastic_model
+    )
+    last: list[Any] = []
+    for frame in range(1, frames + 1):
+        problem = _patch(size, 15, far * frame, begun=60)
+        begun = time.process_time()
+        found = solve(problem, prior, optimizer=live, backend="cpu", initial=last[:2] or None)
+        ratio = (time.process_time() - begun) / linear
+        last.insert(0, found)
+        tight = solve(problem, prior, optimizer=Multigrid(1e-4), backend="cpu", initial=found)
+        off = float(np.abs(found.displacement - tight.displacement).max())
+        print(
+            f"frame {frame:2}: {ratio:.1f} linear solves, {found.iterations} steps, {off:.4f} px "
+            f"off, least {found.reach.least_jacobian:.3f}",
+            flush=True,
+        )
+
+
+def random(count: int) -> None:
+    """How many of so many random problems are met, and whether any field is folded."""
+    generator = np.random.default_rng(0)
+    met = sampled = folded = refused = 0
+    for number in range(count):
+        problem, known = _random(generator, number % 2 == 0)
+        sampled += known
+        prior = NeoHookeanPrior(float(generator.choice([0.3, 0.45])))
+        try:
+            found = solve(problem, prior, backend="cpu")
+        except HmrfError as error:
+            refused += 1
+            print(f"problem {number} (sampled: {known}): {error}", flush=True)
+            continue
+        least = prior.corner_jacobians(problem, found.displacement).min()
+        folded += not least > 0
+        met += known and found.reach.missing <= 0.01
+        if known and found.reach.missing > 0.01:
+            print(f"problem {number}: {found.reach}", flush=True)
+    print(f"{folded} of {count} folded, {refused} not solved")
+    print(f"of {sampled} with targets of a map without folds, {met} met to 0.01 px", flush=True)
+
+
+def _random(generator: np.random.Generator, known: bool) -> tuple[Problem, bool]:
+    """A random problem; if `known`, with targets of a map that folds nothing."""
+    size = int(generator.integers(24, 49))
+    row, col = np.indices((size, size))
+    m = np.ones((size, size))
+    for _ in range(int(generator.integers(0, 4))):
+        centre, radius = generator.uniform(0, size, 2), generator.uniform(3, size / 3)
+        inside = (row - centre[0]) ** 2 + (col - centre[1]) ** 2 < radius**2
+        m[inside] = 10 ** generator.uniform(0, 3)
+    c, y = np.zeros((2, size, size, 2))
+    if generator.random() < 0.5:
+        c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
+    else:
+        c[:, 0] = 1
+    kind = generator.choice(["drag", "growth", "bend", "landmarks"])
+    centre, radius = generator.uniform(size / 3, 2 * size / 3, 2), generator.uniform(3, size / 6)
+    away = np.stack([row - centre[0], col - centre[1]], axis=-1)
+    far = np.linalg.norm(away, axis=-1)
+    if kind in ("drag", "growth"):
+        at = far < radius if kind == "drag" else abs(far - radius) < 1
+    elif kind == "bend":
+        at = col == size - 1
+    else:
+        at = np.zeros((size, size), dtype=bool)
+        at[tuple(generator.integers(2, size - 2, (2, int(generator.integers(2, 9)))))] = True
+    if known:
+        y_all = _smooth_map(generator, row, col, size, kind == "bend")
+        held = c[..., 0] > 0
+        y[held | at] = y_all[held | at]
+    elif kind == "drag":
+        y[at] = generator.normal(size=2) * size / 6
+    elif kind == "growth":
+        y[at] = away[at] * generator.uniform(-0.5, 1.5)
+    elif kind == "bend":
+        y[at] = turned(size, size, generator.uniform(20, 90))
+    else:
+        y[at] = generator.normal(size=(int(at.sum()), 2)) * 2
+    c[at] = 1
+    return Problem(y, c, m), known
+
+
+def _smooth_map(generator: np.random.Generator, row: Any, col: Any, size: int, bent: bool) -> Any:
+    """A map whose corner Jacobians are at least 0.2, by waves that are made smaller until so."""
+    waves = np.zeros((size, size, 2))
+    for _ in range(4):
+        k, phase = generator.uniform(-6, 6, 2) / size, generator.uniform(0, 6)
+        waves += generator.normal(size=2) * np.sin(k[0] * row + k[1] * col + phase)[..., None]
+    strength = size / 4
+    there = Problem(waves, np.ones_like(waves), np.ones((size, size)))
+    while NeoHookeanPrior().corner_jacobians(there, strength * waves).min() < 0.2:
+        strength *= 0.9
+    return strength * waves
+
+
+def _patch(size: int, radius: float, far: float, begun: float | None = None) -> Problem:
+    row, col = np.indices((size, size)) - size // 2
+    inside = row**2 + (col + (far if begun is None else begun) / 2) ** 2 <= radius**2
+    c, y = np.zeros((2, size, size, 2))
+    c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
+    c[inside], y[inside] = 1, (0, far)
+    return Problem(y, c, np.ones((size, size)))
+
+
+def _rim(size: int, far: float) -> Problem:
+    given = phantom("mass-effect", size=size).problem
+    y = np.array(given.observed)
+    length = np.linalg.norm(y, axis=-1, keepdims=True)
+    return Problem(
+        np.where(length > 0, y / np.maximum(length, 1e-9) * far, 0),
+        given.confidence,
+        given.stiffness,
+    )
+
+
+def _times_linear(problem: Problem) -> tuple[float, Any]:
+    found = solve(problem, NeoHookeanPrior(), backend="cpu")
+    finite = _least_time(lambda: solve(problem, NeoHookeanPrior(), backend="cpu"), finite_model)
+    linear = _least_time(lambda: solve(problem, ElasticPrior(0.45), backend="cpu"), elastic_model)
+    return finite / linear, found
+
+
+def _least_time(work: Callable[[], Any], models: Any, repeats: int = 5) -> float:
+    """The least processor time, of tissue that was not there before."""
+    times = []
+    for _ in range(repeats):
+        models._last.clear()
+        begun = time.process_time()
+        work()
+        times.append(time.process_time() - begun)
+    return min(times)
+
+
+if __name__ == "__main__":
+    main()

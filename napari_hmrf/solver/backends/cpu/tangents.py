@@ -1,0 +1,295 @@
+"""Tissue that is bent already as compiled loops: what multigrid asks of its levels.
+
+Arrays are as in `backends.cpu.elastic`; an element has a tangent of its own instead of Lame's
+parameters (see `backends.cpu.finite_strain`): all 21 numbers of it for what is solved, the first 13
+for cycles. A row of elements is gone through twice, once for what each of them pulls with and once
+for its sites, so that both vectorise.
+"""
+
+# mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
+from __future__ import annotations
+
+import numpy as np
+from numba import float32, prange
+
+from napari_hmrf.solver.backends.cpu import vectors
+from napari_hmrf.solver.backends.cpu.compiled import callee, parallel, strict
+from napari_hmrf.solver.backends.cpu.vectors import row_product
+
+# A level's arrays of two planes, in this order, before its tangents.
+INVERSE, LOAD, CORRECTION, OTHER, PINS, WEIGHT, REST = np.arange(7)
+#: Planes of a level: the arrays, 13 of its tangents, and their damping.
+PLANES = 28
+_OF_ARRAYS = 14
+
+_restrict = callee(vectors.restrict.py_func)
+_interpolate = callee(vectors.interpolate.py_func)
+
+
+@callee
+def _element_row(d, tangent, i, out):
+    """What row i of elements pulls with: along the rows, and as its twist less and more columns."""
+    for j in range(d.shape[2] - 1):
+        left_0, right_0 = d[0, i + 1, j] - d[0, i, j], d[0, i + 1, j + 1] - d[0, i, j + 1]
+        left_1, right_1 = d[1, i + 1, j] - d[1, i, j], d[1, i + 1, j + 1] - d[1, i, j + 1]
+        r0, r1, x0, x1 = left_0 + right_0, left_1 + right_1, right_0 - left_0, right_1 - left_1
+        c0 = (d[0, i, j + 1] - d[0, i, j]) + (d[0, i + 1, j + 1] - d[0, i + 1, j])
+        c1 = (d[1, i, j + 1] - d[1, i, j]) + (d[1, i + 1, j + 1] - d[1, i + 1, j])
+        t0, t1, t2 = tangent[0, i, j], tangent[1, i, j], tangent[2, i, j]
+        t3, t4, t5 = tangent[3, i, j], tangent[4, i, j], tangent[5, i, j]
+        t6, t7 = tangent[6, i, j], tangent[7, i, j]
+        t8, t9 = tangent[8, i, j], tangent[9, i, j]
+        of_c0 = t3 * c0 + t4 * c1 + t6 * r0 + t8 * r1
+        of_c1 = t4 * c0 + t5 * c1 + t7 * r0 + t9 * r1
+        of_x0 = tangent[10, i, j] * x0 + tangent[11, i, j] * x1
+        of_x1 = tangent[11, i, j] * x0 + tangent[12, i, j] * x1
+        out[0, j] = t0 * r0 + t1 * r1 + t6 * c0 + t7 * c1
+        out[1, j] = t1 * r0 + t2 * r1 + t8 * c0 + t9 * c1
+        out[2, j] = of_x0 - of_c0
+        out[3, j] = of_x1 - of_c1
+        out[4, j] = of_x0 + of_c0
+        out[5, j] = of_x1 + of_c1
+
+
+@callee
+def _add_coupled(d, tangent, i, out):
+    """Add what the twist pulls with along rows and columns, and these in the twist."""
+    for j in range(d.shape[2] - 1):
+        left_0, right_0 = d[0, i + 1, j] - d[0, i, j], d[0, i + 1, j + 1] - d[0, i, j + 1]
+        left_1, right_1 = d[1, i + 1, j] - d[1, i, j], d[1, i + 1, j + 1] - d[1, i, j + 1]
+        r0, r1, x0, x1 = left_0 + right_0, left_1 + right_1, right_0 - left_0, right_1 - left_1
+        c0 = (d[0, i, j + 1] - d[0, i, j]) + (d[0, i + 1, j + 1] - d[0, i + 1, j])
+        c1 = (d[1, i, j + 1] - d[1, i, j]) + (d[1, i + 1, j + 1] - d[1, i + 1, j])
+        r00, r01, r10, r11 = (
+            tangent[13, i, j],
+            tangent[14, i, j],
+            tangent[15, i, j],
+            tangent[16, i, j],
+        )
+        c00, c01, c10, c11 = (
+            tangent[17, i, j],
+            tangent[18, i, j],
+            tangent[19, i, j],
+            tangent[20, i, j],
+        )
+        of_x0 = r00 * r0 + r10 * r1 + c00 * c0 + c10 * c1
+        of_x1 = r01 * r0 + r11 * r1 + c01 * c0 + c11 * c1
+        of_c0, of_c1 = c00 * x0 + c01 * x1, c10 * x0 + c11 * x1
+        out[0, j] += r00 * x0 + r01 * x1
+        out[1, j] += r10 * x0 + r11 * x1
+        out[2, j] += of_x0 - of_c0
+        out[3, j] += of_x1 - of_c1
+        out[4, j] += of_x0 + of_c0
+        out[5, j] += of_x1 + of_c1
+
+
+@callee
+def _pull(above, here, component, j):
+    """What the elements around a site pull at it."""
+    r, u = here[component], here[2 + component]
+    up, w = above[component], above[4 + component]
+    return ((u[j] - u[j - 1]) - (r[j] + r[j - 1])) + ((up[j] + up[j - 1]) + (w[j - 1] - w[j]))
+
+
+@callee
+def _apply_part(d, tangent, inverse, coupled, out, row_totals, first, last):
+    width = d.shape[2]
+    above = np.zeros((6, width), dtype=np.float32)
+    here = np.zeros((6, width), dtype=np.float32)
+    _element_row(d, tangent, first + 1, above)
+    if coupled:
+        _add_coupled(d, tangent, first + 1, above)
+    for i in range(first + 2, last + 2):
+        _element_row(d, tangent, i, here)
+        if coupled:
+            _add_coupled(d, tangent, i, here)
+        for component in range(2):
+            for j in range(2, width - 2):
+                pull = _pull(above, here, component, j)
+                moves = inverse[component, i, j] > float32(0)
+                out[component, i, j] = pull if moves else float32(0)
+        row_totals[i - 2] = row_product(d, out, i)
+        above, here = here, above
+
+
+@parallel
+def apply(d, tangent, inverse, coupled, out, row_totals, count):
+    """Out = A d where sites move, 0 elsewhere; `row_totals` gets the product of d and out."""
+    height = d.shape[1] - 4
+    for number in prange(count):
+        first, last = number * height // count, (number + 1) * height // count
+        _apply_part(d, tangent, inverse, coupled, out, row_totals, first, last)
+
+
+@callee
+def _smooth_part(d, load, tangent, inverse, weight, springs, out, pace, first, last):
+    scale, ahead, back = pace
+    width = d.shape[2]
+    above = np.zeros((6, width), dtype=np.float32)
+    here = np.zeros((6, width), dtype=np.float32)
+    _element_row(d, tangent, first + 1, above)
+    for i in range(first + 2, last + 2):
+        _element_row(d, tangent, i, here)
+        for component in range(2):
+            for j in range(2, width - 2):
+                now = d[component, i, j]
+                rest = load[component, i, j] - springs * weight[component, i, j] * now
+                rest -= _pull(above, here, component, j)
+                step = scale * inverse[component, i, j] * rest + ahead * now
+                out[component, i, j] = now + (step - back * out[component, i, j])
+        above, here = here, above
+
+
+@parallel
+def smooth(d, load, tangent, inverse, weight, springs, out, scale, ahead, back, count):
+    """A Chebyshev step: out = d + scale D^-1 (load - (A + W) d) + ahead d - back out."""
+    height = d.shape[1] - 4
+    for number in prange(count):
+        first, last = number * height // count, (number + 1) * height // count
+        pace = scale, ahead, back
+        _smooth_part(d, load, tangent, inverse, weight, springs, out, pace, first, last)
+
+
+@callee
+def _rest_part(d, load, tangent, inverse, weight, springs, out, first, last):
+    width = d.shape[2]
+    above = np.zeros((6, width), dtype=np.float32)
+    here = np.zeros((6, width), dtype=np.float32)
+    _element_row(d, tangent, first + 1, above)
+    for i in range(first + 2, last + 2):
+        _element_row(d, tangent, i, here)
+        for component in range(2):
+            for j in range(2, width - 2):
+                rest = load[component, i, j]
+                rest -= springs * weight[component, i, j] * d[component, i, j]
+                rest -= _pull(above, here, component, j)
+                moves = inverse[component, i, j] > float32(0)
+                out[component, i, j] = rest if moves else rest - rest
+        above, here = here, above
+
+
+@parallel
+def rest(d, load, tangent, inverse, weight, springs, out, count):
+    """Out = load - (A + W) d where sites move, 0 elsewhere."""
+    height = d.shape[1] - 4
+    for number in prange(count):
+        first, last = number * height // count, (number + 1) * height // count
+        _rest_part(d, load, tangent, inverse, weight, springs, out, first, last)
+
+
+@callee
+def _start(load, inverse, scale, out):
+    for component in range(2):
+        for i in range(2, load.shape[1] - 2):
+            for j in range(2, load.shape[2] - 2):
+                step = scale * inverse[component, i, j] * load[component, i, j]
+                out[component, i, j] = step
+
+
+@parallel
+def start(load, inverse, scale, out):
+    """The first step from zero: out = scale D^-1 load."""
+    for i in prange(load.shape[1] - 4):
+        for component in range(2):
+            for j in range(2, load.shape[2] - 2):
+                step = scale * inverse[component, i + 2, j] * load[component, i + 2, j]
+                out[component, i + 2, j] = step
+
+
+@parallel
+def coarsen(fine, coarse):
+    """A coarse element's tangent: the mean of the four it covers, void counted as 0."""
+    for i in prange(coarse.shape[1] - 4):
+        for k in range(13):
+            for j in range(coarse.shape[2] - 4):
+                a = fine[k, 2 * i + 2, 2 * j + 2] + fine[k, 2 * i + 2, 2 * j + 3]
+                b = fine[k, 2 * i + 3, 2 * j + 2] + fine[k, 2 * i + 3, 2 * j + 3]
+                coarse[k, i + 2, j + 2] = float32(0.25) * (a + b)
+        for j in range(coarse.shape[2] - 4):
+            a = max(fine[13, 2 * i + 2, 2 * j + 2], fine[13, 2 * i + 2, 2 * j + 3])
+            b = max(fine[13, 2 * i + 3, 2 * j + 2], fine[13, 2 * i + 3, 2 * j + 3])
+            coarse[13, i + 2, j + 2] = max(a, b)
+
+
+@parallel
+def diagonal(tangent, out):
+    """The diagonal of the matrix of cycles."""
+    for n in prange(tangent.shape[1] - 4):
+        i = n + 2
+        for component in range(2):
+            of_r, of_c, of_x, both = 2 * component, 3 + 2 * component, 10 + 2 * component, 6
+            both += 3 * component
+            for k in range(tangent.shape[2] - 4):
+                j = k + 2
+                total = float32(0)
+                for s in range(2):
+                    for t in range(2):
+                        own = tangent[of_r, i - s, j - t] + tangent[of_c, i - s, j - t]
+                        own += tangent[of_x, i - s, j - t]
+                        mixed = tangent[both, i - s, j - t]
+                        own += mixed + mixed if s == t else -(mixed + mixed)
+                        total += tangent[13, i - s, j - t] * own
+                out[component, i, j] = total
+
+
+@callee
+def _plane(values, table, k, number):
+    """Array `number` of level k, (2, H + 4, W + 4)."""
+    height, width, first = table[k, 0] + 4, table[k, 1] + 4, table[k, 2]
+    size = 2 * height * width
+    return values[first + number * size : first + (number + 1) * size].reshape((2, height, width))
+
+
+@callee
+def _tangent(values, table, k):
+    """The tangents of level k, (14, H + 4, W + 4)."""
+    height, width, first = table[k, 0] + 4, table[k, 1] + 4, table[k, 2]
+    size = height * width
+    begin = first + _OF_ARRAYS * size
+    return values[begin : begin + 14 * size].reshape((14, height, width))
+
+
+@callee
+def _relax(values, table, k, steps, begun, turned):
+    """Steps of smoothing on level k; whether the correction is in the other array after them."""
+    inverse, load, weight = (
+        _plane(values, table, k, INVERSE),
+        _plane(values, table, k, LOAD),
+        _plane(values, table, k, WEIGHT),
+    )
+    tangent = _tangent(values, table, k)
+    for number in range(begun, len(steps)):
+        d = _plane(values, table, k, OTHER if turned else CORRECTION)
+        out = _plane(values, table, k, CORRECTION if turned else OTHER)
+        pace = steps[number, 0], steps[number, 1], steps[number, 2]
+        last, one = d.shape[1] - 4, float32(1)
+        _smooth_part(d, load, tangent, inverse, weight, one, out, pace, 0, last)
+        turned = not turned
+    return turned
+
+
+@strict
+def cycle(values, table, down, up, coarsest):
+    """A V-cycle over levels, finest first, for the load of the first; as `small.cycle`."""
+    last = len(table) - 1
+    for k in range(last + 1):
+        steps = coarsest if k == last else down
+        load, inverse = _plane(values, table, k, LOAD), _plane(values, table, k, INVERSE)
+        _start(load, inverse, steps[0, 0], _plane(values, table, k, CORRECTION))
+        turned = _relax(values, table, k, steps, 1, False)
+        if k < last:
+            left, d = _plane(values, table, k, REST), _plane(values, table, k, CORRECTION)
+            if turned:
+                d = _plane(values, table, k, OTHER)
+            weight, tangent = _plane(values, table, k, WEIGHT), _tangent(values, table, k)
+            bottom = d.shape[1] - 4
+            _rest_part(d, load, tangent, inverse, weight, float32(1), left, 0, bottom)
+            _restrict(left, _plane(values, table, k + 1, LOAD))
+    for back in range(last):
+        k = last - 1 - back
+        below = (len(coarsest) if back == 0 else len(down) + len(up)) % 2 == 1
+        coarse = _plane(values, table, k + 1, CORRECTION if below else OTHER)
+        turned = len(down) % 2 == 0
+        d = _plane(values, table, k, OTHER if turned else CORRECTION)
+        _interpolate(coarse, d, _plane(values, table, k, INVERSE))
+        _relax(values, table, k, up, 0, turned)

@@ -1,0 +1,144 @@
+"""Tissue that moves far without folding: finite strain on the pixel grid, and its oracle.
+
+Every 2 x 2 block of tissue sites is an element, as of `ElasticPrior`, but one that may turn and
+stretch as far as it likes: `finite_strain` has its energy.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import KW_ONLY, dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.priors.elastic import ElasticPrior, Plane
+from napari_hmrf.solver.priors.elements import ElasticMaterial, ElementShape, Float64Array
+from napari_hmrf.solver.priors.finite_strain import FiniteElements, Moduli, moduli_of
+from napari_hmrf.solver.problem import Problem
+
+
+@dataclass(frozen=True, eq=False)
+class NeoHookeanPrior:
+    """Neo-Hookean tissue, of an image: it may move far, turns without strain, and never folds.
+
+    For small motion it is `ElasticPrior`. Take that one where tissue moves by less than a tenth of
+    the distances over which it does: it takes a tenth of the time.
+
+    Parameters
+    ----------
+    poisson : float or array_like, shape (H, W)
+        Poisson's ratio of tissue that is hardly strained, 0 to 0.499, of all or of each site.
+    plane : {"stress", "strain"}
+        As of `ElasticPrior`.
+    penalty : float
+        As of `ElasticPrior`; so far only ``inf``: held exactly wherever confidence is above 0.
+    """
+
+    poisson: float | npt.NDArray[np.float32] = 0.45
+    _: KW_ONLY
+    plane: Plane = "stress"
+    penalty: float = math.inf
+
+    def __post_init__(self) -> None:
+        same = ElasticPrior(self.poisson, plane=self.plane, penalty=self.penalty)
+        object.__setattr__(self, "poisson", same.poisson)
+        object.__setattr__(self, "penalty", same.penalty)
+
+    @property
+    def at_rest(self) -> ElasticPrior:
+        """What it is for small motion."""
+        return ElasticPrior(self.poisson, plane=self.plane, penalty=self.penalty)
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The parameters, by name (JSON types only); of a map of ratios, its digest."""
+        return {**self.at_rest.parameters, "name": "NeoHookeanPrior"}
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, NeoHookeanPrior) and self.parameters == other.parameters
+
+    def __hash__(self) -> int:
+        return hash(repr(self.parameters))
+
+    @property
+    def kernels(self) -> str:
+        """Which kernels it takes."""
+        return "large motion"
+
+    def rehearsal(self, shape: tuple[int, ...]) -> NeoHookeanPrior:
+        """Return a prior that takes the same kernels, for a small problem of this shape."""
+        return NeoHookeanPrior(0.3, plane=self.plane)
+
+    def resolved(self, problem: Problem) -> NeoHookeanPrior:
+        """Return this prior, once it is sure that the problem is one for it.
+
+        Raises
+        ------
+        ProblemError
+            Of a volume, of loads, of rigid tissue, of a finite penalty, and as of `ElasticPrior`.
+        """
+        if problem.is_volume:
+            raise ProblemError(
+                "stiffness",
+                "is a volume, but large motion is for 2-D. Take ElasticPrior() for volumes, or "
+                "solve a slice.",
+            )
+        if problem.loads is not None:
+            raise ProblemError(
+                "loads",
+                "are there, which large motion does not take yet. Take ElasticPrior(), or leave them "
+                "out.",
+            )
+        if problem.rigid.any():
+            raise ProblemError(
+                "stiffness",
+                "is infinite (rigid) somewhere, which large motion does not take yet. Give that "
+                "tissue a number, such as a hundred times that of the tissue around it.",
+            )
+        if self.penalty < math.inf:
+            raise ProblemError(
+                "confidence",
+                "is to be weighed by a finite penalty, which large motion does not take yet. Leave "
+                "the prior's penalty at inf.",
+            )
+        self.at_rest.resolved(problem)
+        return self
+
+    def material(self, problem: Problem) -> ElasticMaterial:
+        """What the kernels need to know of a problem's tissue."""
+        return self.at_rest.material(problem)
+
+    def moduli(self, problem: Problem) -> Moduli:
+        """What each element resists with; 0 in void."""
+        return moduli_of(self.at_rest.lame(problem), self._shape(problem))
+
+    def energy(self, problem: Problem, displacement: npt.ArrayLike) -> float:
+        """U, in pixels squared, of a displacement (H, W, 2) in the unit of ``problem.spacing``."""
+        return self._elements(problem).energy(_pixels(problem, displacement))
+
+    def forces(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
+        """The derivative of the energy by each site's displacement (H, W, 2), in pixels."""
+        return self._elements(problem).forces(_pixels(problem, displacement))
+
+    def tangents(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
+        """The second derivatives by the differences of each element, (H - 1, W - 1, 6, 6)."""
+        return self._elements(problem).tangents(_pixels(problem, displacement))
+
+    def corner_jacobians(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
+        """The Jacobian at the four corners of each element, (4, H - 1, W - 1); 1 in void."""
+        return self._elements(problem).corner_jacobians(_pixels(problem, displacement))
+
+    def _elements(self, problem: Problem) -> FiniteElements:
+        return FiniteElements(self.moduli(problem), self._shape(problem))
+
+    def _shape(self, problem: Problem) -> ElementShape:
+        shape = self.at_rest.shape(problem.spacing)
+        assert isinstance(shape, ElementShape)
+        return shape
+
+
+def _pixels(problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
+    return np.asarray(displacement, dtype=np.float64) / problem.unit

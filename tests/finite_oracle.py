@@ -1,0 +1,53 @@
+"""Large motion by a direct method on a few sites: Newton's, with an assembled matrix of its own."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from napari_hmrf.solver.priors import NeoHookeanPrior
+from napari_hmrf.solver.problem import Problem
+
+Field = npt.NDArray[np.float64]
+# D_r, D_c and D_x of the corners 00, 01, 10 and 11.
+_SIGNS = np.array([[-1, -1, 1, 1], [-1, 1, -1, 1], [1, -1, -1, 1]], dtype=float)
+
+
+def solved(problem: Problem, prior: NeoHookeanPrior, parts: int = 20) -> Field:
+    """The field of a problem whose pixels are of size 1, pulled there in so many parts."""
+    height, width = problem.shape
+    numbers = np.arange(2 * height * width).reshape(height, width, 2)
+    corners = numbers[:-1, :-1], numbers[:-1, 1:], numbers[1:, :-1], numbers[1:, 1:]
+    nodes = np.stack(corners, axis=2).reshape(height - 1, width - 1, 8)
+    differences = np.kron(_SIGNS, np.eye(2))
+    free = np.flatnonzero(~problem.known & problem.tissue[..., None])
+    known = np.flatnonzero(problem.known)
+    d = np.zeros((height, width, 2))
+
+    def step(way: Field) -> Field:
+        tangents = differences.T @ prior.tangents(problem, d) @ differences
+        rows = np.repeat(nodes[..., None], 8, axis=-1)
+        at = rows.ravel(), rows.swapaxes(-1, -2).ravel()
+        matrix = scipy.sparse.csc_matrix((tangents.ravel(), at), shape=(d.size, d.size))
+        load = -prior.forces(problem, d).ravel() - matrix @ way.ravel()
+        way.ravel()[free] = scipy.sparse.linalg.spsolve(matrix[free][:, free], load[free])
+        return way
+
+    for part in range(1, parts + 1):
+        way = np.zeros_like(d)
+        goal = problem.observed.ravel()[known] * part / parts
+        way.ravel()[known] = goal - d.ravel()[known]
+        way = step(way)
+        for _ in range(30):
+            length = 1.0
+            while prior.corner_jacobians(problem, d + length * way).min() <= 0:
+                length /= 2
+            d += length * way
+            far = float(np.abs(way).max())
+            if length == 1.0 and far < (1e-9 if part == parts else 1e-2):
+                break
+            way = np.zeros_like(d)
+            way.ravel()[known] = goal - d.ravel()[known]
+            way = step(way)
+    return d
