@@ -89,8 +89,8 @@ class NeoHookeanPrior:
         if problem.loads is not None:
             raise ProblemError(
                 "loads",
-                "are there, which large motion does not take yet. Take ElasticPrior(), or leave them "
-                "out.",
+                "are there, which large motion does not take yet. Take ElasticPrior(), or leave "
+                "them out.",
             )
         if problem.rigid.any():
             raise ProblemError(
