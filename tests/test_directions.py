@@ -144,7 +144,7 @@ def test_what_is_said_of_one_direction_of_a_turned_layer_is_of_the_image_s(open_
     fields = widget.fields
     fields.components.value = "row"
     fields.by_row.value = 4.0
-    assert fields.words == "Push 3 down, 1.73 right, along the image's rows only"
+    assert fields.words == "Push 3 down, 1.73 right, across the image's rows only"
     widget.image.rotate = 0
     settle(widget)
     assert fields.words.endswith("up and down only")

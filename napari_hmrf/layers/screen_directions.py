@@ -133,7 +133,7 @@ class Directions(NamedTuple):
     def only(self, axis: int) -> str:
         """Speaking of one axis alone, which is the image's: "A-P only (rows)"."""
         name, both = ("rows", "columns")[axis], self.both(axis)
-        return f"{both} only ({name})" if both else f"along the image's {name} only"
+        return f"{both} only ({name})" if both else f"across the image's {name} only"
 
     def both(self, axis: int) -> str:
         """An axis without a sense: "up and down", "A-P"; "" at an angle."""

@@ -213,10 +213,7 @@ class Study:
             for name, value in zip(("prior", "optimizer"), chosen(model), strict=True):
                 object.__setattr__(self, name, value)
         if isinstance(self.prior, NeoHookeanPrior):
-            raise ArgumentError(
-                "prior is NeoHookeanPrior, but a study has no large motion yet. Take "
-                "ElasticPrior(), or give problem and prior to solve()."
-            )
+            raise ArgumentError("a study has no large motion yet. Give its problem to solve().")
         needed = self.grid.shape
         for what, part in (
             ("image", self.pictures.image),
