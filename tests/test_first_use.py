@@ -333,7 +333,7 @@ def test_what_goes_with_a_layer_that_is_deleted_is_said(widget, small_sample, se
     widget.drawing = Drawing((Arrow((10, 10), (1, 0), 3.0),))
     settle(widget)
     for layer, words in (
-        (tissue, "'Tissue' is gone: all tissue is equally stiff now."),
+        (tissue, "'Tissue' is gone, with all it said of stiffness"),
         (boundary, "'Boundary' is gone: it holds and moves nothing any more."),
         (image, "'MR' is gone, and what was drawn on it"),
     ):

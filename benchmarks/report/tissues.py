@@ -36,6 +36,7 @@ class Images:
     stiffness: Array
     spacing: tuple[float, ...] = (1.0, 1.0)
     unit: float = 1.0
+    loads: None = None
 
     @property
     def shape(self) -> tuple[int, ...]:

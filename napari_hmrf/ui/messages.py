@@ -25,7 +25,7 @@ CANCELLED = "Cancelled; nothing was changed."
 STAYS = "The last result stays."
 #: What goes with a layer that was deleted.
 DRAWING_GONE = "'{name}' is gone, and what was drawn on it: napari brings no layer back."
-TISSUE_GONE = "'{name}' is gone: all tissue is equally stiff now. napari brings no layer back."
+TISSUE_GONE = "'{name}' is gone, with all it said of stiffness: napari brings no layer back."
 BOUNDARY_GONE = "'{name}' is gone: it holds and moves nothing any more. napari brings none back."
 
 MODELS: dict[ModelName, str] = {
