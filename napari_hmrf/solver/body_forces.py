@@ -20,7 +20,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.neighbours import around_sites, in_elements, of_corners, pairs
 from napari_hmrf.solver.problem import checked_spacing
-from napari_hmrf.solver.real_arrays import FloatArray, as_float32
+from napari_hmrf.solver.real_arrays import as_float32, check_finite
 
 Float64Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -251,7 +251,7 @@ def _of_sites(name: str, values: npt.ArrayLike, grid: tuple[int, ...]) -> Float6
         raise ProblemError(
             name, f"has shape {array.shape}. Give one number, or one for each site {grid}."
         )
-    _check_finite(name, array)
+    check_finite(name, array)
     return np.broadcast_to(array.astype(np.float64), grid)
 
 
@@ -267,11 +267,6 @@ def _vector(
             f"is {shown(values)}, of shape {array.shape}. Give {axes} components in the order of "
             f"the axes{each}.",
         )
-    _check_finite(name, array)
+    check_finite(name, array)
     made = array.astype(np.float64)
     return np.broadcast_to(made, (*grid, axes)) if of_sites else made
-
-
-def _check_finite(name: str, array: FloatArray) -> None:
-    if not np.isfinite(array).all():
-        raise ProblemError(name, "has values that are no numbers. Replace them.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from napari_hmrf.solver.loads import are_same
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 
@@ -46,7 +47,7 @@ class Earlier:
 
 def _same_observations(one: Problem, other: Problem) -> bool:
     return one is other or (
-        (one.loads is other.loads or (one.loads is not None and one.loads.same_as(other.loads)))
+        are_same(one.loads, other.loads)
         and np.array_equal(one.observed, other.observed)
         and np.array_equal(one.confidence, other.confidence)
     )

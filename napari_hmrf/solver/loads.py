@@ -10,7 +10,13 @@ import numpy.typing as npt
 from napari_hmrf.arguments import shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.neighbours import around_sites, in_elements
-from napari_hmrf.solver.real_arrays import FloatArray, as_float32, first_index, how_many
+from napari_hmrf.solver.real_arrays import (
+    FloatArray,
+    as_float32,
+    check_finite,
+    first_index,
+    how_many,
+)
 
 # By which part of the largest strain a tensor may differ from its transpose.
 _ASYMMETRY = 1e-5
@@ -51,8 +57,7 @@ class Loads:
         for name, given in (("growth", growth), ("force", force)):
             array = None if given is None else as_float32(name, given)
             if array is not None:
-                if not np.isfinite(array).all():
-                    raise ProblemError(name, "has values that are no numbers. Replace them.")
+                check_finite(name, array)
                 array.setflags(write=False)
             object.__setattr__(self, name, array)
         _check_growth(self.growth)
@@ -226,6 +231,11 @@ def _pulled(one: FloatArray | None, other: FloatArray | None) -> npt.NDArray[np.
     if one.shape != other.shape:
         raise ProblemError("force", f"is on grids of {one.shape} and {other.shape}: use one grid.")
     return np.asarray(one + other)
+
+
+def are_same(one: Loads | None, other: Loads | None) -> bool:
+    """Whether two problems have the same loads, or both have none."""
+    return one is other or (one is not None and one.same_as(other))
 
 
 def is_equal(one: FloatArray | None, other: FloatArray | None) -> bool:

@@ -47,6 +47,12 @@ def as_float32(field: str, value: npt.ArrayLike) -> FloatArray:
     return np.array(array, dtype=np.float32, order="C", copy=True)
 
 
+def check_finite(field: str, array: FloatArray) -> None:
+    """Refuse an array that is infinite or no number somewhere."""
+    if not np.isfinite(array).all():
+        raise ProblemError(field, "has values that are no numbers. Replace them.")
+
+
 def how_many(bad: npt.NDArray[np.bool_]) -> str:
     """Say at how many pixels there are such values."""
     count = int(bad.sum())

@@ -12,6 +12,7 @@ import scipy
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.linear import Planes
+from napari_hmrf.solver.loads import are_same
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import MAX_REACH, Problem
 from napari_hmrf.solver.rigid_modes import free_motions
@@ -37,11 +38,11 @@ class _Known(NamedTuple):
 
     def serves(self, problem: Problem, prior: ElasticPrior) -> bool:
         """Whether tissue and loads are the same again, whatever is observed."""
-        mine, loads = self.problem, problem.loads
+        mine = self.problem
         return (
             prior == self.prior
             and mine.spacing == problem.spacing
-            and (mine.loads is loads or (loads is not None and loads.same_as(mine.loads)))
+            and are_same(mine.loads, problem.loads)
             and np.array_equal(mine.stiffness, problem.stiffness)
         )
 

@@ -143,8 +143,7 @@ class Multigrid:
             rounding *= 3  # so is what its model knows of tissue
         host.reuse(d, observed)
         if limit is None:
-            quality = Quality(refinement.estimate, refinement.residual)
-            model.found.add(displacement, quality)
+            model.found.add(displacement, Quality(refinement.estimate, refinement.residual))
         return Outcome(
             displacement=displacement,
             energy=energies,
