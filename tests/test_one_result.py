@@ -313,6 +313,19 @@ def test_results_of_another_slice_stay_as_they_are(frame, small_sample, run, set
     assert seen(viewer) >= before
 
 
+def test_the_result_of_the_slice_that_is_shown_is_looked_at(frame, small_sample, run, settle):
+    viewer = frame.viewer
+    small_sample(viewer, (3, 20, 24))
+    dock = told_when(frame.open())
+    for number in (0, 2):
+        viewer.dims.set_current_step(0, number)
+        run(dock)
+    for number in (0, 2):
+        viewer.dims.set_current_step(0, number)
+        settle(dock)
+        assert known_of(dock.result)["slice"] == f"slice {number}"
+
+
 def test_a_reopened_dock_goes_on_with_the_result_that_is_there(in_window, run):
     person, first = in_window
     viewer = person.viewer

@@ -7,9 +7,12 @@ from person import CTRL, by_name, only
 from qtpy.QtCore import Qt
 from screen import Screen
 
-from napari_hmrf.layers.metadata import METADATA, TISSUE, described
+from napari_hmrf.layers.metadata import METADATA, TISSUE, described, known_of
 from napari_hmrf.tissue.boundary_rules import Material
+from napari_hmrf.ui.messages import MEANWHILE
 
+#: What is seen of a result in the tests of extents.
+EVERYTHING = {"image", "arrows", "magnitude"}
 SHAPE, SCALE = (24, 32, 32), (1.5, 1.0, 1.0)
 
 pytestmark = pytest.mark.usefixtures("without_controls")
@@ -279,3 +282,71 @@ def test_a_hand_that_pulls_again_waits_for_no_volume(volume_beside, settle, qtbo
     settle(widget)
     assert len(widget.drawing.marks) == 2
     assert widget.solution.displacement.shape == (*SHAPE, 3)
+
+
+@pytest.fixture
+def both_extents(volume_beside, settle):
+    """A volume with a result, as is its middle slice, which is worked on."""
+    person, widget = volume_beside
+    person.drag((16, 16), (18, 18))
+    widget.overlay = "magnitude"
+    settle(widget)
+    Screen(widget).choose("this slice")
+    settle(widget)
+    assert seen_of(person.viewer) <= {"slice 12"}, "nothing of it has moved"
+    assert widget.result is None
+    person.drag((12, 12), (12, 15))
+    settle(widget)
+    return person, widget
+
+
+def seen_of(viewer):
+    """The slices of the results of which anything is seen, "" for the volume."""
+    made = [layer for layer in viewer.layers if layer.visible and "source" in known_of(layer)]
+    return {known_of(layer)["slice"] for layer in made}
+
+
+def kinds_seen(viewer):
+    """What is seen of results."""
+    return {known_of(layer).get("kind") for layer in viewer.layers if layer.visible} & {*EVERYTHING}
+
+
+def test_of_a_volume_and_its_slice_the_result_that_is_worked_on_is_seen(both_extents, settle):
+    person, widget = both_extents
+    viewer = person.viewer
+    for extent, where in (("slice", "slice 12"), ("volume", ""), ("slice", "slice 12")):
+        widget.extent = extent
+        settle(widget)
+        assert seen_of(viewer) == {where}
+        assert kinds_seen(viewer) == EVERYTHING
+        assert known_of(widget.result)["slice"] == where
+        widget.before = True
+        assert seen_of(viewer) == set()
+        widget.before = False
+        widget.percent = 50
+        settle(widget)
+        assert seen_of(viewer) == {where}
+    widget.undo()
+    settle(widget)
+    assert seen_of(viewer) == {""}
+    assert kinds_seen(viewer) == EVERYTHING
+
+
+def test_a_result_that_is_not_worked_on_is_not_shown_by_its_arrows(both_extents, settle):
+    person, widget = both_extents
+    viewer = person.viewer
+    held = {known_of(each)["slice"]: each for each in viewer.layers if "answer" in known_of(each)}
+    viewer.layers.selection.active = held[""]
+    settle(widget)
+    assert known_of(widget.result)["slice"] == "slice 12"
+    assert seen_of(viewer) == {"slice 12"}
+
+
+def test_what_is_seen_while_one_paints_is_the_image_as_it_was(both_extents, settle):
+    person, widget = both_extents
+    viewer = person.viewer
+    widget.make_layers()
+    settle(widget)
+    widget.hand_brush(widget.boundary)
+    assert seen_of(viewer) == set()
+    assert widget.status == MEANWHILE

@@ -102,6 +102,7 @@ class Display:
             if study is not None:
                 self.seen = Seen(Deformation(study, image=study.pictures.image))
                 self.arrows.place(study.grid.place, study.grid.shape)
+                self._results.stand_on(image, study.grid.place)
 
     @property
     def covering(self) -> Any:

@@ -132,9 +132,13 @@ class ResultView:
         shown, layers = self.shown, self._viewer.layers
         if image is None or (shown is not None and shown.source in (None, image)):
             return
-        held = ((layer, result_of(layer)) for layer in reversed(layers))
+        held = ((layer, result_of(layer)) for layer in reversed(layers) if self._is_seen(layer))
         own = (each for each, of in held if of is not None and source_of(layers, of) is image)
         self.arrows = next(own, None)
+
+    def _is_seen(self, layer: Any) -> bool:
+        """Whether a layer holds a result, of the extent that is worked on."""
+        return result_of(layer) is not None and not self._results.of(layer).is_away
 
     def play(self) -> None:
         """Go back and forth between 0 and 100 % until `player.stop`."""
@@ -193,9 +197,9 @@ class ResultView:
         if shown is None or result is not shown.layers:
             if arrows is not None and arrows.visible:
                 self.arrows = arrows
-        elif not result.moving and not result.holds("arrows"):
+        elif result.is_away or not (result.moving or result.holds("arrows")):
             self.arrows = None
-        elif not result.moving and (arrows is None or result_of(arrows) is not shown.answer):
+        elif not result.moving:
             self.arrows = arrows
         elif moves or self._form.slider.value != words.FULL:
             self._draw_whole()  # all of it is there again
@@ -203,7 +207,7 @@ class ResultView:
     def _on_active(self, *_: Any) -> None:
         """Look at another result that is selected: of another image, slice or file."""
         active = self._viewer.layers.selection.active
-        if active not in (None, self.arrows) and result_of(active) is not None:
+        if active not in (None, self.arrows) and self._is_seen(active):
             self.arrows = active
 
     def _on_chosen(self, *_: Any) -> None:
