@@ -1,13 +1,16 @@
 """A volume is pulled in a slice with the mouse, in a real window and without one, and follows."""
 
+import threading
+
 import numpy as np
 import pytest
-from patience import LONG_MS
+from patience import LONG, LONG_MS
 from person import CTRL, by_name, only
 from qtpy.QtCore import Qt
 from screen import Screen
 
 from napari_hmrf.layers.metadata import METADATA, TISSUE, described, known_of
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.ui.messages import MEANWHILE
 
@@ -350,3 +353,79 @@ def test_what_is_seen_while_one_paints_is_the_image_as_it_was(both_extents, sett
     widget.hand_brush(widget.boundary)
     assert seen_of(viewer) == set()
     assert widget.status == MEANWHILE
+
+
+@pytest.fixture
+def cancelled(volume_beside, settle, qtbot):
+    """Have a volume be dragged, and cancelled as it follows what was let go."""
+    person, widget = volume_beside
+
+    def cancel():
+        seen, go_on = [], threading.Event()
+        widget.seen.connect(seen.append)
+        person.press(16, 16)
+        person.move(19, 19)
+        qtbot.waitUntil(lambda: bool(seen), timeout=LONG_MS)
+        assert seen[-1].plane is not None
+        compute_thread.submit(lambda: go_on.wait(LONG))
+        person.release(19, 19)
+        button = Screen(widget).button("Cancel")
+        qtbot.waitUntil(button.isEnabled, timeout=LONG_MS)
+        button.click()
+        go_on.set()
+        settle(widget)
+
+    return person, widget, cancel
+
+
+def test_a_volume_that_is_cancelled_is_seen_as_it_came_to_rest_last(cancelled, settle):
+    person, widget, cancel = cancelled
+    person.drag((10, 10), (11, 12))
+    widget.overlay = "magnitude"
+    settle(widget)
+    picture = by_name(person.viewer, "MR deformed, elastic")
+    before = picture.data.copy()
+    cancel()
+    assert np.array_equal(picture.data, before)
+    assert kinds_seen(person.viewer) == EVERYTHING
+    assert known_of(picture)["inputs_changed"]
+    assert len(widget.drawing.marks) == 2
+    assert widget.status.startswith("Cancelled")
+    person.drag((20, 20), (21, 21))
+    settle(widget)
+    assert len(widget.drawing.marks) == 3
+    assert not known_of(picture)["inputs_changed"]
+    assert not np.array_equal(picture.data, before)
+
+
+def test_a_volume_whose_first_pull_is_cancelled_is_seen_as_it_was(cancelled, settle):
+    person, widget, cancel = cancelled
+    cancel()
+    assert kinds_seen(person.viewer) == set()
+    person.drag((20, 20), (21, 21))
+    settle(widget)
+    assert len(widget.drawing.marks) == 2
+    assert kinds_seen(person.viewer) == {"image", "arrows"}
+
+
+def test_while_a_volume_is_dragged_nothing_is_said_of_an_earlier_result(
+    volume_beside, settle, qtbot
+):
+    person, widget = volume_beside
+    viewer, seen = person.viewer, []
+    person.drag((16, 16), (18, 18))
+    settle(widget)
+    viewer.mouse_over_canvas = True
+    viewer.status = "Here"
+    assert "moves" in viewer.status
+    widget.seen.connect(seen.append)
+    person.press(8, 8)
+    person.move(11, 11)
+    qtbot.waitUntil(lambda: bool(seen), timeout=LONG_MS)
+    assert widget.at(viewer.cursor.position) is None
+    assert "moves" not in str(viewer.status)
+    person.release(11, 11)
+    settle(widget)
+    assert widget.at(viewer.cursor.position).displacement[1:] == pytest.approx((3, 3), abs=0.3)
+    viewer.status = "There"
+    assert "moves" in viewer.status

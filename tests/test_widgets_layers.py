@@ -4,6 +4,7 @@ import dask.array as da
 import numpy as np
 import pytest
 from napari.layers import Labels, Layer
+from screen import Screen
 
 from napari_hmrf import head_phantom
 from napari_hmrf.contributions import volume_layers
@@ -209,7 +210,7 @@ def test_nothing_is_said_to_have_changed_if_nothing_has(widget, small_sample, ru
 # Results
 
 
-def test_a_part_that_has_moved_onto_another_is_told(widget, small_sample, run):
+def test_a_part_that_has_moved_onto_another_is_told_and_marked(widget, small_sample, run, settle):
     """The right part is pushed 6.5 pixels to the left, over 2 pixels of air."""
     _, tissue, boundary = small_sample(viewer_of(widget))
     tissue.data[:, 11:13] = 0
@@ -221,9 +222,21 @@ def test_a_part_that_has_moved_onto_another_is_told(widget, small_sample, run):
         outputs.overlaps == 16 * 4
     )  # its sites from column 13 come to columns 6.5 and on; up to column 10
     assert "at 64 pixels one part of the tissue has moved onto another" in widget.warning
+    Screen(widget).press("⚠  Overlaps at 64 pixels: show where")
+    settle(widget)
+    (rows, cols) = np.nonzero(viewer_of(widget).layers["MR overlaps"].data)
+    assert len(rows) == 64
+    assert {*cols} == {7, 8, 9, 10}
+    widget.percent = 0
+    settle(widget)
+    (_, cols) = np.nonzero(viewer_of(widget).layers["MR overlaps"].data)
+    assert {*cols} == {7, 8, 9, 10, 13, 14, 15, 16, 17}, "both parts, before they move"
+    widget.percent = 100
     widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -1.0)))
     assert run(widget).overlaps == 0
     assert "onto another" not in widget.warning
+    settle(widget)
+    assert "MR overlaps" not in viewer_of(widget).layers
 
 
 def test_results_of_an_image_go_with_it_and_the_next_has_its_own(

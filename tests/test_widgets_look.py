@@ -520,6 +520,14 @@ def test_the_status_bar_tells_what_is_under_the_cursor(look):
     assert "stiffness 20 kPa (gel)" in viewer.status
 
 
+@pytest.mark.parametrize("jacobian", [-0.25, 0.25])
+def test_at_a_fold_it_is_said_of_what_the_jacobian_is(jacobian):
+    probe = Probe((1, 2), (0.0, 3.0), 3.0, jacobian, 5.0)
+    said = at_point("px", probe, Directions())
+    assert f"Jacobian {jacobian:.3f}" in said
+    assert said.endswith("(folds: that of the worst corner)") == (jacobian < 0)
+
+
 def test_rigid_tissue_under_the_cursor_is_a_word():
     assert stiffness_of("skull", np.inf, "kPa") == "rigid (skull)"
     assert stiffness_of("", np.inf, "kPa") == "rigid", "of an image of stiffness"

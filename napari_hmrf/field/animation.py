@@ -13,6 +13,7 @@ from napari_hmrf.field.deformation import deformation_grid, pixels_between
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.quantities import Quantity, values_of
 from napari_hmrf.field.resample import emptiness
+from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.solver.solution import Solution
 
 #: Lines of the grid across the longer side.
@@ -144,12 +145,31 @@ def moved_marks(
     solution: Solution, marks: npt.NDArray[np.bool_], fraction: float = 1.0
 ) -> npt.NDArray[np.uint8]:
     """Mark the pixels nearest to where some sites are after a part of the deformation."""
-    step = fraction * solution.displacement[marks] / solution.spacing
-    places = np.rint(np.argwhere(marks) + step).astype(int)
-    inside = ((places >= 0) & (places < marks.shape)).all(axis=1)
+    _, places = _moved_sites(solution, marks, fraction)
     moved = np.zeros(marks.shape, np.uint8)
-    moved[tuple(places[inside].T)] = 1
+    moved[tuple(places.T)] = 1
     return moved
+
+
+def overlapping_sites(solution: Solution) -> npt.NDArray[np.bool_]:
+    """Find the sites of each part of the tissue that has moved onto another, or under one."""
+    tissue = solution.tissue
+    *_, overlaps = inverse_map_and_overlaps(solution.displacement, solution.spacing, tissue)
+    sites, places = _moved_sites(solution, tissue)
+    found = np.zeros(tissue.shape, bool)
+    found[tuple(sites[overlaps[tuple(places.T)]].T)] = True
+    return found
+
+
+def _moved_sites(
+    solution: Solution, marks: npt.NDArray[np.bool_], fraction: float = 1.0
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Marked sites, (N, n), and the pixels nearest to where they are then, if these are inside."""
+    sites = np.argwhere(marks)
+    step = fraction * solution.displacement[marks] / solution.spacing
+    places = np.rint(sites + step).astype(np.intp)
+    inside = ((places >= 0) & (places < marks.shape)).all(axis=1)
+    return sites[inside], places[inside]
 
 
 def moved_grid(solution: Solution, fraction: float = 1.0) -> npt.NDArray[np.float32]:

@@ -32,8 +32,8 @@ def boundary_colours() -> Any:
     return colormaps.CyclicLabelColormap(colors=["transparent", *_BOUNDARY])
 
 
-def fold_colours() -> Any:
-    """The colormap of a Labels layer of folds."""
+def mark_colours() -> Any:
+    """The colormap of a Labels layer of sites that are marked, as those of folds are."""
     return colormaps.DirectLabelColormap(
         color_dict={None: "transparent", 0: "transparent", 1: "red"}
     )

@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.field.animation import Motion, moved_grid, moved_marks
+from napari_hmrf.field.animation import Motion, moved_grid, moved_marks, overlapping_sites
 from napari_hmrf.field.colormaps import reach_of
 from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.field.deformation import (
@@ -44,10 +44,12 @@ Kind = Literal["image", "arrows"]
 
 #: Arrows enough to see the motion, few enough to see the image and each of them.
 ARROWS = 250
+#: What tissue may do at some sites, which are marked: attributes of `Outputs`.
+Mark = Literal["folds", "overlaps"]
+MARKS: tuple[Mark, ...] = get_args(Mark)
 #: What there is to lie over the image.
 Name = (
-    Quantity
-    | Literal["grid", "labels", "difference", "folds", "stiffness", "observed", "confidence"]
+    Quantity | Mark | Literal["grid", "labels", "difference", "stiffness", "observed", "confidence"]
 )
 #: Arrows of what is given that fit beside each other across the image.
 _ACROSS = 40
@@ -309,15 +311,15 @@ def overlay_of(answer: Answer, name: Name, compared: Comparison | None = None) -
     Returns
     -------
     Overlay or None
-        None if the result has nothing of that name: no folds, no labels, no reference, or no
-        problem.
+        None if the result has nothing of that name: no folds, no overlaps, no labels, no reference,
+        or no problem.
     """
     if name == "grid":
         look = {"vector_style": "line", "edge_color": "cyan", "edge_width": max(answer.shape) / 500}
         grid = moved_grid(answer.solution)
         return Overlay(name, answer.layer(name, grid, name, look, "vectors"))
-    if name == "folds":
-        return _folds_over(answer)
+    if name == "folds" or name == "overlaps":
+        return _marks_over(answer, name)
     if name == "observed":
         made = _motion_layer(answer)
         return None if made is None else Overlay(name, made)
@@ -366,15 +368,19 @@ def _colours(shown: Coloured) -> dict[str, Any]:
     return {"colormap": scale, "contrast_limits": shown.limits, **label_colours.OVER}
 
 
-def _folds_over(answer: Answer) -> Overlay | None:
-    """Where the tissue folds over itself; None if it does not."""
+def _marks_over(answer: Answer, name: Mark) -> Overlay | None:
+    """Where the tissue folds over itself, or overlaps another part; None if it nowhere does."""
     solution = answer.solution
-    folded = folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
-    if not folded.any():
+    if name == "overlaps":
+        sites = overlapping_sites(solution)
+    else:
+        sites = folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
+    if not sites.any():
         return None
-    look = {"colormap": label_colours.fold_colours(), "opacity": 1.0}
-    moved = moved_marks(solution, folded)
-    return Overlay("folds", answer.layer("folds", moved, "folds", look, "labels"), folded)
+    look = {"colormap": label_colours.mark_colours(), "opacity": 1.0}
+    return Overlay(
+        name, answer.layer(name, moved_marks(solution, sites), name, look, "labels"), sites
+    )
 
 
 def _motion_layer(answer: Answer) -> LayerData | None:

@@ -17,6 +17,7 @@ from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.read import Request, read_study
+from napari_hmrf.layers.result_layers import MARKS
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import plane_shown
 from napari_hmrf.layers.viewer_layers import shared
@@ -116,6 +117,13 @@ class LiveStudy:
         return None if self.source is None else self._done.get(self.source)
 
     @property
+    def _latest_here(self) -> Done | None:
+        """The latest result, if it is of the slice or the volume that is worked on."""
+        latest, study = self.latest, self.study
+        here = latest is not None and study is not None and latest.moved.study.grid == study.grid
+        return latest if here else None
+
+    @property
     def busy(self) -> bool:
         """Whether anything that was asked for is not seen yet."""
         # What is drawn at rest waits for as long as a drag is held.
@@ -210,6 +218,7 @@ class LiveStudy:
         if settling or going_on:
             stays = "" if self.latest is None else f" {messages.STAYS}"
             self._stop()
+            self._go_back()
             self.said.emit(messages.CANCELLED + stays)
         if settling:
             self.finished.emit(None)
@@ -351,9 +360,7 @@ class LiveStudy:
             self.look()
         self._done[self.source], self._failed = done, ""
         self._report = messages.report(done)
-        for made in done.outputs.layers.values():
-            made.attributes["metadata"][METADATA]["inputs_changed"] = not self.fresh
-        self.pointer.display.finish(done)
+        self._show(done)
         self._describe()
         settled = self.settling
         if settled:
@@ -364,6 +371,24 @@ class LiveStudy:
         self.followed.emit(done.outputs)
         if settled:
             self.finished.emit(done.outputs)
+
+    def _show(self, done: Done) -> None:
+        """Show a result that has come to rest, and say in its layers whether it is up to date."""
+        for made in done.outputs.layers.values():
+            made.attributes["metadata"][METADATA]["inputs_changed"] = not self.fresh
+        self.pointer.display.finish(done)
+
+    def _go_back(self) -> None:
+        """Show the latest result again, in place of what there was of a study that is given up."""
+        moved, latest = self.pointer.display.moved, self._latest_here
+        if moved is None or moved.solution is None or (latest and latest.moved is moved):
+            return
+        self._resting.stop()
+        if latest is None:
+            self.pointer.display.show_still()
+        else:
+            self._show(latest)
+        self.pointer.draw()
 
     def _on_poll(self) -> None:
         footer, monitor = self.form.footer, self._follower.monitor
@@ -399,11 +424,8 @@ class LiveStudy:
 
     def _describe(self) -> None:
         """Say of the latest result what is to be known, if it is of what is worked on."""
-        footer, done, study = self.form.footer, self.latest, self.study
-        if done is None or study is None or done.moved.study.grid != study.grid:
-            footer.warn("")
-        else:
-            footer.warn(*messages.warnings_of(done))
+        done = self._latest_here
+        self.form.footer.warn(*(("",) if done is None else messages.warnings_of(done)))
 
     def _cannot(self, error: Exception) -> None:
         """The tissue does not follow; the last result stays."""
@@ -428,13 +450,13 @@ class LiveStudy:
         self.finished.emit(None)
 
     def _on_chip(self) -> None:
-        """Say what there is to know, and mark where tissue folds, or no longer."""
+        """Say what there is to know, and mark where tissue folds or overlaps, or no longer."""
         self.said.emit(self.form.footer.warning)
-        overlay = self.form.result.overlay
-        if overlay.value == "folds":
+        overlay, latest = self.form.result.overlay, self.latest
+        if overlay.value in MARKS:
             overlay.value = NOTHING
-        elif self.latest is not None and self.latest.outputs.folds:
-            overlay.value = "folds"
+        elif latest is not None and (marked := messages.to_mark(latest.outputs)):
+            overlay.value = marked
 
     def _stop(self) -> None:
         """Show that nothing goes on any more."""

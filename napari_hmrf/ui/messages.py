@@ -5,6 +5,7 @@ from __future__ import annotations
 from napari_hmrf.errors import ConvergenceError, HmrfError
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import as_seen, unit_symbol
+from napari_hmrf.layers.result_layers import MARKS, Mark, Outputs
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors.elastic import Plane
@@ -93,12 +94,18 @@ def warnings_of(done: Done) -> tuple[str, str]:
             "or boundary."
         )
     if outputs.overlaps > HANDFUL:
+        short = short or f"Overlaps at {outputs.overlaps} {sites}: show where"
         parts.append(
             f"Warning: at {outputs.overlaps} {sites} one part of the tissue has moved onto another "
             "and hides it; parts do not feel each other across a gap."
         )
     parts += (f"{note[0].upper()}{note[1:]}." for note in done.notes)
     return " ".join(parts), short
+
+
+def to_mark(outputs: Outputs) -> Mark | None:
+    """What is marked of what to beware of; None if nothing."""
+    return next((mark for mark in MARKS if getattr(outputs, mark) > HANDFUL), None)
 
 
 def in_short(error: Exception) -> str:

@@ -99,8 +99,8 @@ class SoftTissue(Dock):
         without its result.
     overlay : str
         What lies over the image: "nothing"; moving with the tissue a `Quantity`, "grid", "labels",
-        "difference" (from the reference), "folds", "stiffness" or "confidence"; where it was,
-        "observed".
+        "difference" (from the reference), "folds", "overlaps", "stiffness" or "confidence"; where
+        it was, "observed".
     reference, comparison : napari.layers.Vectors or None, Comparison or None
         A field or another result, and how far this one is from it, once that is computed.
     more : ResultMenu

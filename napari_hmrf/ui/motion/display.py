@@ -144,10 +144,25 @@ class Display:
         return self._whole
 
     def finish(self, done: Done) -> None:
-        """Show all layers of a state that has come to rest."""
+        """Show all layers of a state that has come to rest, be it an earlier one."""
+        self._stand_at(done.moved)
         with self.own_doing():
             self._show_result(done.outputs.layers)
             self.arrows.raise_up()
+
+    def show_still(self) -> None:
+        """Show the image as it was before it moved, and no result."""
+        if (moved := self.moved) is not None:
+            image = moved.study.pictures.image
+            self._stand_at(replace(moved, solution=None, image=image, overlay=(), plane=None))
+            with self.own_doing():
+                self._show_result({})
+
+    def _stand_at(self, moved: Deformation) -> None:
+        """Have a state be seen, with the marks of what is painted if anything is."""
+        marks = self.seen.marks if self.seen is not None and moved.overlay else None
+        self.seen = Seen(moved, marks)
+        self._picture_of(moved)
 
     def _show_result(self, layers: Mapping[Kind, LayerData], moving: bool = False) -> None:
         """Show layers of the result, with what was painted."""

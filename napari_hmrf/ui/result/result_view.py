@@ -201,8 +201,10 @@ class ResultView:
             self.arrows = None
         elif not result.moving:
             self.arrows = arrows
-        elif moves or self._form.slider.value != words.FULL:
-            self._draw_whole()  # all of it is there again
+        else:
+            self.cursor.say()
+            if moves or self._form.slider.value != words.FULL:
+                self._draw_whole()  # all of it is there again
 
     def _on_active(self, *_: Any) -> None:
         """Look at another result that is selected: of another image, slice or file."""
