@@ -291,6 +291,7 @@ class LabelTable(QTableWidget):
         box = QComboBox()
         box.addItems(choices)
         box.textActivated.connect(item.setText)
+        box.activated.connect(box.clearFocus)  # the keys that come next are the canvas's
         return box
 
     def _swatch(self, label: int) -> QIcon:
