@@ -255,8 +255,8 @@ class Result:
         """Have each layer be seen or not, as it should."""
         for part, layer, held in self._there():
             held.wanted = self.wants(part)
-            hidden = self.is_before or self.is_away
-            hidden = hidden or not (self._is_whole or part not in (PAINTED, CONFIDENCE))
+            partly = not self._is_whole and part in (PAINTED, CONFIDENCE)
+            hidden = self.is_before or self.is_away or partly
             held.seen = held.wanted and held.current and not hidden
             if layer.visible != held.seen:
                 layer.visible = held.seen
@@ -405,12 +405,10 @@ class ResultLayers:
 
     def stand_on(self, source: Any, place: Frame) -> None:
         """Have the result of a place be seen, if there is one, and none of another extent."""
-        own = [result for result in self._results if result.anchor() is source]
-        for result in own:
+        for result in [each for each in self._results if each.anchor() is source]:
             result.make_way(place)
-        away = [result for result in own if result.is_away]
-        for result in (*away, *(each for each in own if each.where == place.slice_name)):
-            self.changed.emit(result)
+            if result.is_away or result.where == place.slice_name:
+                self.changed.emit(result)
 
     def show(
         self, source: Any, frame: Frame, layers: Mapping[Part, LayerData], *, moving: bool = False
@@ -438,8 +436,7 @@ class ResultLayers:
 
     def remove_orphans(self) -> None:
         """Remove what is left of images that are gone, once napari is done with its own layers."""
-        known, layers = self._results, self._viewer.layers
-        self._results = [result for result in known if result.anchor() in layers]
-        for result in known:
-            if result not in self._results:
+        for result in [*self._results]:
+            if result.anchor() not in self._viewer.layers:
+                self._results.remove(result)
                 result.remove()

@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.field.animation import Motion, moved_grid, moved_marks, overlapping_sites
+from napari_hmrf.field.animation import MARKS, Mark, Motion, marked_sites, moved_grid
 from napari_hmrf.field.colormaps import reach_of
 from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.field.deformation import (
@@ -26,7 +26,6 @@ from napari_hmrf.field.deformation import (
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.quantities import QUANTITIES, Coloured, Quantity, coloured, title_and_unit
 from napari_hmrf.field.resample import emptiness, resample
-from napari_hmrf.field.strain import folds
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.layers import label_colours
@@ -44,16 +43,12 @@ Kind = Literal["image", "arrows"]
 
 #: Arrows enough to see the motion, few enough to see the image and each of them.
 ARROWS = 250
-#: What tissue may do at some sites, which are marked: attributes of `Outputs`.
-Mark = Literal["folds", "overlaps"]
-MARKS: tuple[Mark, ...] = get_args(Mark)
 #: What there is to lie over the image.
 Name = (
     Quantity | Mark | Literal["grid", "labels", "difference", "stiffness", "observed", "confidence"]
 )
 #: Arrows of what is given that fit beside each other across the image.
 _ACROSS = 40
-#: Of what does not move with the tissue.
 
 
 class LayerData(NamedTuple):
@@ -185,9 +180,8 @@ def result_layers(
     solution = replace(solution, frame={**(solution.frame or {}), **frame.as_dict()})
     field = (solution.displacement, solution.spacing, solution.tissue)
     checkpoint()
-    nearest = smallest_determinant(*field)
+    folds = int((smallest_determinant(*field) <= 0).sum())
     checkpoint()
-    folds = int((nearest <= 0).sum())
     shown = pictures or Pictures()
     digests = solution.provenance.inputs
     for name in digests:
@@ -290,7 +284,8 @@ class Overlay(NamedTuple):
     layer : LayerData
         When all of the deformation is seen.
     picture : ndarray, shape ([D,] H, W), optional
-        Its pixels before they move with the tissue; None if they do not, or if it is of lines.
+        Its pixels before they move with the tissue, of bool where these are sites that are marked;
+        None if they do not, or if it is of lines.
     """
 
     name: Name
@@ -318,8 +313,6 @@ def overlay_of(answer: Answer, name: Name, compared: Comparison | None = None) -
         look = {"vector_style": "line", "edge_color": "cyan", "edge_width": max(answer.shape) / 500}
         grid = moved_grid(answer.solution)
         return Overlay(name, answer.layer(name, grid, name, look, "vectors"))
-    if name == "folds" or name == "overlaps":
-        return _marks_over(answer, name)
     if name == "observed":
         made = _motion_layer(answer)
         return None if made is None else Overlay(name, made)
@@ -337,6 +330,9 @@ def _pixels_of(answer: Answer, name: Name, compared: Comparison | None) -> tuple
         title, unit = title_and_unit(name, answer.solution.tissue.ndim)
         shown = coloured(answer.solution, name)
         return shown.values, f"{title} ({unit or answer.unit})", _colours(shown)
+    if name in MARKS:
+        sites = marked_sites(answer.solution, name)
+        return (sites, name, label_colours.mark_look(), "labels") if sites.any() else None
     if name == "labels" and pictures.labels is not None:
         look, source = pictures.labels_look, pictures.labels_name
         return pictures.labels, "deformed", look, "labels", source
@@ -366,21 +362,6 @@ def _colours(shown: Coloured) -> dict[str, Any]:
     """How every pixel of tissue is coloured."""
     scale = label_colours.quantity_colours(shown.signed, shown.folded)
     return {"colormap": scale, "contrast_limits": shown.limits, **label_colours.OVER}
-
-
-def _marks_over(answer: Answer, name: Mark) -> Overlay | None:
-    """Where the tissue folds over itself, or overlaps another part; None if it nowhere does."""
-    solution = answer.solution
-    if name == "overlaps":
-        sites = overlapping_sites(solution)
-    else:
-        sites = folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
-    if not sites.any():
-        return None
-    look = {"colormap": label_colours.mark_colours(), "opacity": 1.0}
-    return Overlay(
-        name, answer.layer(name, moved_marks(solution, sites), name, look, "labels"), sites
-    )
 
 
 def _motion_layer(answer: Answer) -> LayerData | None:

@@ -66,11 +66,11 @@ def menu(label: str, words: Mapping[Any, str], tooltip: str, **options: Any) -> 
     return ComboBox(label=label, choices=choices, tooltip=tooltip, **options)
 
 
-def add_entry(menu: QMenu, title: str, about: str, answer: Callable[..., Any]) -> Any:
+def add_entry(menu: QMenu, title: str, about: str, answer: Callable[[], Any]) -> Any:
     """An entry of a menu, with what it does; a layer's name may be its title."""
     action = menu.addAction(title.replace("&", "&&"))
     action.setToolTip(about)
-    action.triggered.connect(answer)
+    action.triggered.connect(lambda: answer())
     return action
 
 

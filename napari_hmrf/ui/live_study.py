@@ -13,11 +13,11 @@ from napari.utils.notifications import show_error, show_warning
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.animation import MARKS
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.read import Request, read_study
-from napari_hmrf.layers.result_layers import MARKS
 from napari_hmrf.layers.screen_directions import Directions
 from napari_hmrf.layers.slice_view import plane_shown
 from napari_hmrf.layers.viewer_layers import shared
@@ -372,23 +372,20 @@ class LiveStudy:
         if settled:
             self.finished.emit(done.outputs)
 
-    def _show(self, done: Done) -> None:
-        """Show a result that has come to rest, and say in its layers whether it is up to date."""
-        for made in done.outputs.layers.values():
+    def _show(self, done: Done | None) -> None:
+        """Show a result that has come to rest, or none; its layers say whether it is up to date."""
+        for made in () if done is None else done.outputs.layers.values():
             made.attributes["metadata"][METADATA]["inputs_changed"] = not self.fresh
         self.pointer.display.finish(done)
 
     def _go_back(self) -> None:
         """Show the latest result again, in place of what there was of a study that is given up."""
         moved, latest = self.pointer.display.moved, self._latest_here
-        if moved is None or moved.solution is None or (latest and latest.moved is moved):
-            return
-        self._resting.stop()
-        if latest is None:
-            self.pointer.display.show_still()
-        else:
+        rest = None if latest is None else latest.moved
+        if moved is not None and moved.solution is not None and moved is not rest:
+            self._resting.stop()
             self._show(latest)
-        self.pointer.draw()
+            self.pointer.draw()
 
     def _on_poll(self) -> None:
         footer, monitor = self.form.footer, self._follower.monitor
@@ -455,8 +452,8 @@ class LiveStudy:
         overlay, latest = self.form.result.overlay, self.latest
         if overlay.value in MARKS:
             overlay.value = NOTHING
-        elif latest is not None and (marked := messages.to_mark(latest.outputs)):
-            overlay.value = marked
+        elif latest is not None:
+            overlay.value = next(iter(messages.marks_of(latest.outputs)), overlay.value)
 
     def _stop(self) -> None:
         """Show that nothing goes on any more."""

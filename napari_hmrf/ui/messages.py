@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from napari_hmrf.errors import ConvergenceError, HmrfError
+from napari_hmrf.field.animation import MARKS, Mark
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import as_seen, unit_symbol
-from napari_hmrf.layers.result_layers import MARKS, Mark, Outputs
+from napari_hmrf.layers.result_layers import Outputs
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors.elastic import Plane
@@ -61,6 +62,12 @@ ABOUT_POISSON = (
 
 #: What people can do something about, or have to wait for.
 _WAITS = ("waiting for", "compiling", "starting to compile")
+_WARNINGS: dict[Mark, str] = {
+    "folds": "the tissue is pushed through itself (it folds), which no tissue does. Move it less; "
+    "far from all that is held also by a wider patch or boundary.",
+    "overlaps": "one part of the tissue has moved onto another and hides it; parts do not feel "
+    "each other across a gap.",
+}
 #: So few folded pixels are noise of the rounding, and nothing to warn of.
 HANDFUL = 5
 
@@ -84,28 +91,17 @@ def report(done: Done) -> str:
 
 def warnings_of(done: Done) -> tuple[str, str]:
     """What to beware of, in sentences and in a few words; "" if nothing."""
-    outputs, parts, short = done.outputs, list[str](), ""
     sites = "voxels" if len(done.moved.study.grid.shape) == 3 else "pixels"
-    if outputs.folds > HANDFUL:
-        short = f"Folds at {outputs.folds} {sites}: show where"
-        parts.append(
-            f"Warning: at {outputs.folds} {sites} the tissue is pushed through itself (it folds), "
-            "which no tissue does. Move it less; far from all that is held also by a wider patch "
-            "or boundary."
-        )
-    if outputs.overlaps > HANDFUL:
-        short = short or f"Overlaps at {outputs.overlaps} {sites}: show where"
-        parts.append(
-            f"Warning: at {outputs.overlaps} {sites} one part of the tissue has moved onto another "
-            "and hides it; parts do not feel each other across a gap."
-        )
+    found = marks_of(done.outputs).items()
+    parts = [f"Warning: at {number} {sites} {_WARNINGS[mark]}" for mark, number in found]
     parts += (f"{note[0].upper()}{note[1:]}." for note in done.notes)
-    return " ".join(parts), short
+    short = [f"{mark.capitalize()} at {number} {sites}: show where" for mark, number in found]
+    return " ".join(parts), next(iter(short), "")
 
 
-def to_mark(outputs: Outputs) -> Mark | None:
-    """What is marked of what to beware of; None if nothing."""
-    return next((mark for mark in MARKS if getattr(outputs, mark) > HANDFUL), None)
+def marks_of(outputs: Outputs) -> dict[Mark, int]:
+    """At how many sites tissue does what is to be marked; of what is noise, nothing."""
+    return {mark: number for mark in MARKS if (number := getattr(outputs, mark)) > HANDFUL}
 
 
 def in_short(error: Exception) -> str:

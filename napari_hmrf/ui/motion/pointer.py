@@ -204,7 +204,8 @@ class Pointer:
         if seen.moved.error is not None:
             self._show_error(seen)
             return
-        before, known = self.display.seen, self.display.ground
+        before = self.display.seen
+        known = None if before is None else before.moved.ground
         if ground is not None and ground is not known:
             self._fields.offer(ground.palette)
             self.display.tissues = tissue_colours(ground.palette, self.tissue)

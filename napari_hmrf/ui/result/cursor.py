@@ -86,21 +86,17 @@ class UnderCursor:
     def say(self, *_: Any) -> None:
         """Say what is under the cursor behind what napari has said last."""
         status = self._viewer.status
-        said = _words(status).removesuffix(self._line)
+        known = status if isinstance(status, dict) else {"coordinates": status}
+        said = str(known.get("coordinates", "")).removesuffix(self._line)
         # napari tells of its layers, too, before anybody has pointed at anything; and says nothing
         # when the mouse leaves, before it knows that it has left.
         pointed = bool(said) and self._viewer.mouse_over_canvas
         line = self.line_at(self._viewer.cursor.position) if pointed else ""
         self._line = f"  |  {line}" if line else ""
         joined = said + self._line
+        now = {**known, "coordinates": joined} if known is status else joined
         with self._viewer.events.status.blocker(self.say):
-            self._viewer.status = (
-                {**status, "coordinates": joined} if isinstance(status, dict) else joined
-            )
-
-
-def _words(status: Any) -> str:
-    return str(status.get("coordinates", "") if isinstance(status, dict) else status)
+            self._viewer.status = now
 
 
 def _stiffness(shown: MovingLayers, found: Probe) -> str:
@@ -108,23 +104,18 @@ def _stiffness(shown: MovingLayers, found: Probe) -> str:
     answer = shown.answer
     if answer.problem is None:
         return ""
-    at = found.site
-    value, unit = answer.problem.stiffness[at], stiffness_unit(answer)
+    value, unit = answer.problem.stiffness[found.site], stiffness_unit(answer)
     labels, rows = answer.pictures.labels, tissue_recorded(shown.arrows)[0] or ()
     # A brush may have made it other tissue than the label says.
     same = [row for row in rows if np.float32(row.stiffness) == value]
-    same.sort(key=lambda row: labels is None or row.label != labels[at])
+    same.sort(key=lambda row: labels is None or row.label != labels[found.site])
     if not same:
         return stiffness_of("", float(f"{value:.3g}"), unit)
     return stiffness_of(same[0].name, same[0].stiffness, unit)
 
 
 def at_point(
-    unit: str,
-    found: Probe,
-    ways: Directions,
-    more: Sequence[str] = (),
-    percent: int = FULL,
+    unit: str, found: Probe, ways: Directions, more: Sequence[str] = (), percent: int = FULL
 ) -> str:
     """What is under the cursor, in a line short enough for the status bar.
 

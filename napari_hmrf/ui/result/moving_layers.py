@@ -19,7 +19,7 @@ from napari_hmrf.layers.field_layer import picture_of, source_of
 from napari_hmrf.layers.image_result import Part, Result
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.read import look_of
-from napari_hmrf.layers.result_layers import MARKS, Answer, Overlay
+from napari_hmrf.layers.result_layers import Answer, Overlay
 from napari_hmrf.ui.events import repeating
 from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result.result_messages import FULL
@@ -98,9 +98,8 @@ class MovingLayers:
         else:
             self.layers.put("overlay", made.layer, self.source, show)
             quantity = made.name if made.name in QUANTITIES else None
-            is_grid, marked = made.name == "grid", made.name in MARKS
-            picture, marks = (None, made.picture) if marked else (made.picture, None)
-            self.motion = Motion(solution, self.image, picture, is_grid, quantity, marks)
+            picture, is_grid = made.picture, made.name == "grid"
+            self.motion = Motion(solution, self.image, picture, is_grid, quantity)
 
     def ready(self) -> bool:
         """Have a layer that can be moved; whether there is one."""

@@ -124,13 +124,12 @@ class ResultMenu:
 
     def save_field(self, path: str | Path, *, forward: bool = False) -> None:
         """Write the field for other tools, as `export_field`; how good its inverse is is said."""
-        solution = self._shown.answer.solution
-        work = partial(export_field, path, solution, forward=forward)
-        self._errands.send(
-            f"{path}",
-            work,
-            lambda residual: self._say(saved_field(path, None if forward else residual)),
-        )
+        work = partial(export_field, path, self._shown.answer.solution, forward=forward)
+
+        def tell(residual: Any) -> None:
+            self._say(saved_field(path, None if forward else residual))
+
+        self._errands.send(f"{path}", work, tell)
 
     def save_film(self, path: str | Path) -> None:
         """Write the image as it moves, there and back; as `save_moving_picture`."""
@@ -184,17 +183,16 @@ class ResultMenu:
         menu, shown = self._button.menu(), self._look()
         menu.clear()
         about = "How far each tissue moved, how its area changed, and its strain"
-        add_entry(
-            menu, "Measurements ...", about, lambda: attempt(self._show_measurements, self._say)
-        )
+        measure = partial(attempt, self._show_measurements, self._say)
+        add_entry(menu, "Measurements ...", about, measure)
         along = menu.addMenu("Move along")
         along.setToolTipsVisible(True)
         source = None if shown is None else shown.source
         layers = [each for each in self._viewer.layers if can_move(each) and each is not source]
         rows = [(str(each.name), [each]) for each in layers]
         for title, chosen in [*rows, ("All of these", layers)][: None if len(rows) > 1 else -1]:
-            move = partial(self.move_along, *chosen)
-            add_entry(along, title, _WITH_IT, lambda _=False, move=move: attempt(move, self._say))
+            move = partial(attempt, partial(self.move_along, *chosen), self._say)
+            add_entry(along, title, _WITH_IT, move)
         along.setEnabled(bool(layers))
         forth = partial(self.save_field, forward=True)
         for title, about, save, name, kinds in (
@@ -203,7 +201,7 @@ class ResultMenu:
             ("as film", _FILM, self.save_film, "film.gif", _FILMS),
         ):
             ask = partial(self._ask, save, f"Save {title}", name, kinds)
-            add_entry(menu, f"Save {title} ...", about, lambda _=False, ask=ask: ask())
+            add_entry(menu, f"Save {title} ...", about, ask)
 
     def _on_save(self, *_: Any) -> None:
         title = "Where to make a folder of pictures"

@@ -132,13 +132,9 @@ class ResultView:
         shown, layers = self.shown, self._viewer.layers
         if image is None or (shown is not None and shown.source in (None, image)):
             return
-        held = ((layer, result_of(layer)) for layer in reversed(layers) if self._is_seen(layer))
+        held = ((layer, result_of(layer)) for layer in reversed(layers))
         own = (each for each, of in held if of is not None and source_of(layers, of) is image)
         self.arrows = next(own, None)
-
-    def _is_seen(self, layer: Any) -> bool:
-        """Whether a layer holds a result, of the extent that is worked on."""
-        return result_of(layer) is not None and not self._results.of(layer).is_away
 
     def play(self) -> None:
         """Go back and forth between 0 and 100 % until `player.stop`."""
@@ -209,7 +205,8 @@ class ResultView:
     def _on_active(self, *_: Any) -> None:
         """Look at another result that is selected: of another image, slice or file."""
         active = self._viewer.layers.selection.active
-        if active not in (None, self.arrows) and self._is_seen(active):
+        answer = None if active in (None, self.arrows) else result_of(active)
+        if answer is not None and not self._results.of(active).is_away:
             self.arrows = active
 
     def _on_chosen(self, *_: Any) -> None:
