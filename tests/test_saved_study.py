@@ -287,6 +287,29 @@ def test_file_open_has_it_all_in_the_dock(make_napari_viewer, at_rest, tmp_path)
     assert Screen(dock).button("Save study ...").isEnabled()
 
 
+def test_landmarks_that_were_not_taken_are_not_in_the_file_and_that_is_said(made, tmp_path):
+    viewer = ViewerModel()
+    viewer.add_image(np.full(SHAPE, 100, np.uint8), name="photo")
+    dock = made(viewer)
+    dock.live = False
+    viewer.add_points([[10, 10], [20, 30]], name="is")
+    viewer.add_points([[11, 10], [20, 32]], name="ought")
+    path = tmp_path / "case.study"
+    dock.save_study(path)
+    assert "Landmarks" not in dock.status, "none are chosen"
+    screen = Screen(dock)
+    screen.choose("is")
+    dock.save_study(path)
+    assert "Landmarks of 'is' are not in it: press 'Take as landmarks'" in dock.status
+    screen.press("Take as landmarks")
+    dock.save_study(path)
+    assert "Landmarks" not in dock.status
+    assert len(load_study(path).study.motion.drawing.marks) == 2
+    viewer.layers["ought"].data = [[11, 10], [20, 33]]
+    dock.save_study(path)
+    assert "Landmarks of 'is' are not in it" in dock.status, "the layers say something else now"
+
+
 def test_what_was_done_so_far_is_saved_before_there_is_a_result(
     made, wait_for, tmp_path, monkeypatch
 ):
