@@ -201,7 +201,8 @@ def test_a_field_that_followed_a_hand_is_replayed_within_its_tolerance(
         wait_for(lambda: not dock.busy)
     path = dock.save_study(tmp_path / "case")
     study, saved = load_study(path)
-    assert not np.array_equal(replay(path).displacement, saved.displacement), "it began warm"
+    apart = np.abs(replay(path).displacement - saved.displacement).max()
+    assert 0 < apart < 0.002, "it began warm"
     assert main(["replay", str(path)]) == 0
     assert "the same field within its tolerance" in capsys.readouterr().out
     other = replace(saved, displacement=saved.displacement + np.float32(0.01))

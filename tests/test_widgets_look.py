@@ -672,7 +672,7 @@ def test_a_saved_result_can_be_looked_at_with_and_without_an_image(
     set_to(look, percent=40)
     viewer.add_image(np.arange(72.0).reshape(8, 9), name="late")
     set_to(look, percent=50)
-    assert known_of(viewer.layers["late deformed"])["percent"] == 50
+    assert known_of(viewer.layers["late deformed, paper"])["percent"] == 50
 
 
 def test_a_photograph_moves_in_colour(widget, small_sample, run, set_to):
