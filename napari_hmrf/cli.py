@@ -338,8 +338,8 @@ def _replay(options: argparse.Namespace) -> int:
         said = "bit by bit the same field"
     elif apart <= allowed:
         said = (
-            f"the same field within its tolerance: at most {apart:.2g} px apart, of {allowed:.2g} px "
-            "that may be (one that followed a hand has other last digits)"
+            f"the same field within its tolerance: at most {apart:.2g} px apart, where "
+            f"{allowed:.2g} px may be (one that followed a hand has other last digits)"
         )
     else:
         said = f"fields differ by at most {apart:.3g} px"
