@@ -179,8 +179,9 @@ def test_the_result_is_seen_and_then_what_is_painted_next(widget, small_sample, 
 
 
 def test_a_motion_without_an_image_is_shown_all_the_same(widget, small_sample, run):
-    small_sample(viewer_of(widget))
-    widget.image = None
+    _, tissue, boundary = small_sample(ViewerModel())
+    for layer in (tissue, boundary):
+        viewer_of(widget).add_layer(layer)
     run(widget)
     assert "Tissue arrows, paper" in names(viewer_of(widget))
 

@@ -10,6 +10,7 @@ from napari_hmrf.contributions import volume_layers
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.study.ground import statement_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
+from napari_hmrf.ui.messages import CHOOSE
 
 
 class Breakable:
@@ -58,8 +59,9 @@ def test_no_image_stays_no_image_whatever_is_added(widget, small_sample, run):
     small_sample(viewer)
     widget.image = None
     for _ in range(2):
-        assert run(widget) is not None
+        assert run(widget) is None
         assert widget.image is None
+        assert widget.status == CHOOSE
     viewer.add_image(np.zeros((20, 24)), name="another")
     assert widget.image is None
 

@@ -145,8 +145,7 @@ class ExtentChoice(ComboBox):
         return bool(self.value == "volume")
 
     def look_at(self, image: Any) -> None:
-        """Offer what there is of an image."""
+        """Offer what there is of an image, and choose what it is meant for."""
         self.has_slices = image is not None and layer_extents(image)[-3:-2] > (1,)
         self.visible = self.has_slices
-        if not self.has_slices:
-            self.value = "slice"
+        self.value = known_of(image).get("extent", "slice") if self.has_slices else "slice"

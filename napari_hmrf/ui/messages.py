@@ -23,6 +23,8 @@ MEANWHILE = "What was deformed is hidden while you paint."
 CHANGED = "Changed since the last result: press Deform."
 CANCELLED = "Cancelled; nothing was changed."
 STAYS = "The last result stays."
+NO_IMAGE = "No image is chosen. What came of the last one is seen again when you choose it."
+HIDDEN = "Hidden, to show '{name}': {others}. Click an eye in the list of layers to see that again."
 #: What goes with a layer that was deleted.
 DRAWING_GONE = "'{name}' is gone, and what was drawn on it: napari brings no layer back."
 TISSUE_GONE = "'{name}' is gone, with all it said of stiffness: napari brings no layer back."
