@@ -144,7 +144,7 @@ def test_without_an_image_nothing_is_worked_on_and_no_result_is_seen(
     settle(widget)
     assert widget.status.startswith("No image is chosen.")
     assert chosen(widget) == [None] * 3
-    assert (result.visible, viewer.layers["MR deformed"].visible) == (False, False)
+    assert (result.visible, viewer.layers["MR deformed, paper"].visible) == (False, False)
     assert run(widget) is None
     assert widget.status == CHOOSE
     widget.image = image
@@ -160,7 +160,7 @@ def test_the_result_of_an_image_is_seen_while_that_is_chosen(
     image, *_ = small_sample(viewer)
     run(widget)
     settle(widget)
-    moved = viewer.layers["MR deformed"]
+    moved = viewer.layers["MR deformed, paper"]
     other = viewer.add_image(np.ones((20, 24)), name="other", translate=(0, 30))
     assert moved.visible
     widget.image = other

@@ -219,7 +219,7 @@ def test_what_comes_painted_is_followed_at_once(widget, small_sample, settle):
     small_sample(viewer_of(widget))
     settle(widget)
     assert_newest(widget)
-    assert "MR deformed" in names(widget)
+    assert "MR deformed, paper" in names(widget)
     assert widget.status.startswith("Tissue moved up to")
 
 

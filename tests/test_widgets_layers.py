@@ -235,12 +235,12 @@ def test_results_of_an_image_go_with_it_and_the_next_has_its_own(
     image, tissue, _ = small_sample(viewer)
     widget.tissue = tissue
     run(widget)
-    first = viewer.layers["MR deformed"]
+    first = viewer.layers["MR deformed, paper"]
     viewer.layers.remove(image)
     wait_for(lambda: first not in viewer.layers)
     widget.image = viewer.add_image(image.data, name="MR")
     run(widget)
-    assert [layer.name for layer in viewer.layers].count("MR deformed") == 1
+    assert [layer.name for layer in viewer.layers].count("MR deformed, paper") == 1
 
 
 @pytest.mark.parametrize("opened", ["before", "after"])

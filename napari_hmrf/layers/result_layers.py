@@ -51,7 +51,6 @@ Name = (
 )
 #: Arrows of what is given that fit beside each other across the image.
 _ACROSS = 40
-#: Of what does not move with the tissue.
 
 
 class LayerData(NamedTuple):
@@ -183,9 +182,7 @@ def result_layers(
     solution = replace(solution, frame={**(solution.frame or {}), **frame.as_dict()})
     field = (solution.displacement, solution.spacing, solution.tissue)
     checkpoint()
-    nearest = smallest_determinant(*field)
-    checkpoint()
-    folds = int((nearest <= 0).sum())
+    folds = int((smallest_determinant(*field) <= 0).sum())
     shown = pictures or Pictures()
     digests = solution.provenance.inputs
     for name in digests:
@@ -273,9 +270,7 @@ def _whence(frame: Frame, pictures: Pictures) -> dict[str, Any]:
 
 def _result_name(source: str, what: str, parameters: Facts, where: str) -> str:
     """Name a layer after the image it was made of, what it shows, the model and the slice."""
-    # The paper's prior and schedule need no word.
-    model = model_name(parameters).removeprefix("paper").removeprefix(", ")
-    name = f"{source} {what}".strip() + (f", {model}" if model else "")
+    name = ", ".join(filter(None, (f"{source} {what}".strip(), model_name(parameters))))
     return name + (f" ({where})" if where else "")
 
 

@@ -120,6 +120,7 @@ def progress(monitor: Monitor, what: str = "Deforming") -> str:
     return f"{what}: {percent} %" if percent else f"{what} ..."
 
 
-def saved_study(name: str, solved: bool) -> str:
-    """Of a study's file."""
-    return f"Saved {name}{'' if solved else ', without a field: press Deform to have one'}."
+def saved_study(name: str, solved: bool, pairs: str) -> str:
+    """Of a study's file, and of a layer with pairs that are not in it."""
+    apart = f" Landmarks of '{pairs}' are not in it: press 'Take as landmarks'." if pairs else ""
+    return f"Saved {name}{'' if solved else ', without a field: press Deform to have one'}.{apart}"
