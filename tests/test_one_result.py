@@ -446,11 +446,11 @@ def folding(widget, small_sample, run):
 
 def test_folds_are_marked_when_asked_for_and_gone_with_what_folded(folding, run, settle):
     assert "folds" in folding.warning
-    assert "MR folds" not in folding._viewer.layers
+    assert "MR folds, paper" not in folding._viewer.layers
     Screen(folding).button("⚠  Folds at").click()
     assert folding.status == folding.warning
     settle(folding)
-    layer = folding._viewer.layers["MR folds"]
+    layer = folding._viewer.layers["MR folds, paper"]
     solution = folding.solution
     folded = folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
     seen = np.argwhere(folded) + solution.displacement[folded] / solution.spacing
@@ -483,7 +483,7 @@ def test_what_is_no_longer_chosen_shows_no_earlier_result(folding, run, settle):
     folding.overlay = "nothing"
     pull(folding, 1.0)
     run(folding)
-    assert "MR deformed" in seen(viewer)
+    assert "MR deformed, paper" in seen(viewer)
     assert not parts(viewer, "labels")
     folding.overlay = "labels"
     settle(folding)

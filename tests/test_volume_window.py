@@ -7,6 +7,7 @@ import pytest
 from patience import LONG, LONG_MS
 from person import CTRL, by_name, only
 from qtpy.QtCore import Qt
+from qtpy.QtWidgets import QFileDialog, QPushButton, QTableWidget
 from screen import Screen
 
 from napari_hmrf.layers.metadata import METADATA, TISSUE, described, known_of
@@ -234,6 +235,25 @@ def test_what_lies_over_a_volume_is_a_volume(volume, settle):
         ]
         assert any(each.data.shape == SHAPE and each.data.dtype.kind == "f" for each in over)
     widget.overlay = "nothing"
+
+
+def test_measurements_of_a_volume_are_called_so_and_saved_so(
+    volume_beside, settle, tmp_path, monkeypatch
+):
+    person, widget = volume_beside
+    person.drag((16, 16), (18, 19))
+    settle(widget)
+    screen, path = Screen(widget), tmp_path / "table.csv"
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(path), ""))
+    screen.entry("More", "Measurements").trigger()
+    (table,) = widget.native.window().findChildren(QTableWidget, "measurements")
+    heads = [table.horizontalHeaderItem(at).text() for at in range(table.columnCount())]
+    unit = widget.study.grid.unit
+    assert heads[2:4] == [f"volume ({'px' if unit == 'pixel' else unit}³)", "volume change (%)"]
+    assert heads[-1] == "folds (voxels)"
+    table.window().findChild(QPushButton).click()
+    table.window().close()
+    assert path.read_text().startswith("label,name,voxels,volume,volume_change_percent")
 
 
 def test_the_readout_in_a_volume_names_all_three_ways(volume_beside, settle):

@@ -11,6 +11,7 @@ from napari_hmrf.contributions import volume_layers
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.study.ground import statement_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
+from napari_hmrf.ui.messages import CHOOSE
 
 
 class Breakable:
@@ -59,8 +60,9 @@ def test_no_image_stays_no_image_whatever_is_added(widget, small_sample, run):
     small_sample(viewer)
     widget.image = None
     for _ in range(2):
-        assert run(widget) is not None
+        assert run(widget) is None
         assert widget.image is None
+        assert widget.status == CHOOSE
     viewer.add_image(np.zeros((20, 24)), name="another")
     assert widget.image is None
 
@@ -246,12 +248,12 @@ def test_results_of_an_image_go_with_it_and_the_next_has_its_own(
     image, tissue, _ = small_sample(viewer)
     widget.tissue = tissue
     run(widget)
-    first = viewer.layers["MR deformed"]
+    first = viewer.layers["MR deformed, paper"]
     viewer.layers.remove(image)
     wait_for(lambda: first not in viewer.layers)
     widget.image = viewer.add_image(image.data, name="MR")
     run(widget)
-    assert [layer.name for layer in viewer.layers].count("MR deformed") == 1
+    assert [layer.name for layer in viewer.layers].count("MR deformed, paper") == 1
 
 
 @pytest.mark.parametrize("opened", ["before", "after"])

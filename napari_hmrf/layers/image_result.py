@@ -434,6 +434,12 @@ class ResultLayers:
             result.show(frame, layers, moving)
             self.changed.emit(result)
 
+    def show_only(self, source: Any) -> None:
+        """Show what came of a layer, and what came of no other; what is of a file stays."""
+        for result in self._results:
+            if not isinstance(result.anchor(), Vectors):
+                result.show_before(result.anchor() is not source)
+
     def remove_orphans(self) -> None:
         """Remove what is left of images that are gone, once napari is done with its own layers."""
         for result in [*self._results]:

@@ -181,7 +181,6 @@ def result_layers(
     field = (solution.displacement, solution.spacing, solution.tissue)
     checkpoint()
     folds = int((smallest_determinant(*field) <= 0).sum())
-    checkpoint()
     shown = pictures or Pictures()
     digests = solution.provenance.inputs
     for name in digests:
@@ -269,9 +268,7 @@ def _whence(frame: Frame, pictures: Pictures) -> dict[str, Any]:
 
 def _result_name(source: str, what: str, parameters: Facts, where: str) -> str:
     """Name a layer after the image it was made of, what it shows, the model and the slice."""
-    # The paper's prior and schedule need no word.
-    model = model_name(parameters).removeprefix("paper").removeprefix(", ")
-    name = f"{source} {what}".strip() + (f", {model}" if model else "")
+    name = ", ".join(filter(None, (f"{source} {what}".strip(), model_name(parameters))))
     return name + (f" ({where})" if where else "")
 
 

@@ -252,7 +252,6 @@ class LiveStudy:
         self._follower.forget()
         self._copies.forget()  # nobody listens to layers any more
         self._poll.stop()
-        self._done.pop(self.source, None)
         self.curve_layer.show(None)
         self.study = self.source = self._asked = None
         self._failed = self._report = ""

@@ -25,6 +25,8 @@ MEANWHILE = "What was deformed is hidden while you paint."
 CHANGED = "Changed since the last result: press Deform."
 CANCELLED = "Cancelled; nothing was changed."
 STAYS = "The last result stays."
+NO_IMAGE = "No image is chosen. What came of the last one is seen again when you choose it."
+HIDDEN = "Hidden, to show '{name}': {others}. Click an eye in the list of layers to see that again."
 #: What goes with a layer that was deleted.
 DRAWING_GONE = "'{name}' is gone, and what was drawn on it: napari brings no layer back."
 TISSUE_GONE = "'{name}' is gone, with all it said of stiffness: napari brings no layer back."
@@ -121,6 +123,7 @@ def progress(monitor: Monitor, what: str = "Deforming") -> str:
     return f"{what}: {percent} %" if percent else f"{what} ..."
 
 
-def saved_study(name: str, solved: bool) -> str:
-    """Of a study's file."""
-    return f"Saved {name}{'' if solved else ', without a field: press Deform to have one'}."
+def saved_study(name: str, solved: bool, pairs: str) -> str:
+    """Of a study's file, and of a layer with pairs that are not in it."""
+    apart = f" Landmarks of '{pairs}' are not in it: press 'Take as landmarks'." if pairs else ""
+    return f"Saved {name}{'' if solved else ', without a field: press Deform to have one'}.{apart}"

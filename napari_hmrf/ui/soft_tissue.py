@@ -63,7 +63,7 @@ class SoftTissue(Dock):
     Attributes
     ----------
     image : napari.layers.Image or None
-        What to deform; without, the motion alone is seen.
+        What to deform. Where there is no image at all, the motion of painted tissue is seen alone.
     extent : {"slice", "volume"}
         Whether the slice that is shown is deformed as if it had no neighbours, or all of a volume.
     tissue : napari.layers.Labels, Image, "brightness" or None

@@ -130,11 +130,11 @@ class ResultView:
     def stand_on(self, image: Any) -> None:
         """Look at the result of an image, if what is looked at is another's; at none without."""
         shown, layers = self.shown, self._viewer.layers
-        if image is None or (shown is not None and shown.source in (None, image)):
+        if shown is not None and shown.source in (None, image):
             return
         held = ((layer, result_of(layer)) for layer in reversed(layers))
         own = (each for each, of in held if of is not None and source_of(layers, of) is image)
-        self.arrows = next(own, None)
+        self.arrows = None if image is None else next(own, None)
 
     def play(self) -> None:
         """Go back and forth between 0 and 100 % until `player.stop`."""
