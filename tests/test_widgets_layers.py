@@ -226,19 +226,19 @@ def test_a_part_that_has_moved_onto_another_is_told_and_marked(widget, small_sam
     assert "at 64 pixels one part of the tissue has moved onto another" in widget.warning
     Screen(widget).press("⚠  Overlaps at 64 pixels: show where")
     settle(widget)
-    (rows, cols) = np.nonzero(viewer_of(widget).layers["MR overlaps"].data)
+    (rows, cols) = np.nonzero(viewer_of(widget).layers["MR overlaps, paper"].data)
     assert len(rows) == 64
     assert {*cols} == {7, 8, 9, 10}
     widget.percent = 0
     settle(widget)
-    (_, cols) = np.nonzero(viewer_of(widget).layers["MR overlaps"].data)
+    (_, cols) = np.nonzero(viewer_of(widget).layers["MR overlaps, paper"].data)
     assert {*cols} == {7, 8, 9, 10, 13, 14, 15, 16, 17}, "both parts, before they move"
     widget.percent = 100
     widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -1.0)))
     assert run(widget).overlaps == 0
     assert "onto another" not in widget.warning
     settle(widget)
-    assert "MR overlaps" not in viewer_of(widget).layers
+    assert "MR overlaps, paper" not in viewer_of(widget).layers
 
 
 def test_results_of_an_image_go_with_it_and_the_next_has_its_own(
