@@ -73,14 +73,14 @@ def image_covering(viewer: Any, image: Any, places: Iterable[Sequence[float]] = 
     return next((layer for layer in above if all(_holds(layer, at) for at in there)), None)
 
 
-def uncover(viewer: Any, image: Any) -> str:
-    """Show an image, and hide all images that hide any of it; returns the names of these."""
-    image.visible, hidden = True, list[str]()
+def uncover(viewer: Any, image: Any) -> list[Any]:
+    """Show an image, and hide all images that hide any of it; returns these."""
+    image.visible, hidden = True, list[Any]()
     for place in _places(viewer, image):
         while (other := image_covering(viewer, image, [place])) is not None:
             other.visible = False
-            hidden.append(f"'{other.name}'")
-    return ", ".join(hidden)
+            hidden.append(other)
+    return hidden
 
 
 def _places(viewer: Any, image: Any) -> list[tuple[float, ...]]:

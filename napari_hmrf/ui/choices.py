@@ -218,13 +218,6 @@ class Choices:
         slots = [each for each in self._edits.slots if each.what == DRAWING]
         return [slot.layer for slot in slots if self._edits.get(slot).marks]
 
-    @property
-    def _of_others(self) -> list[Any]:
-        """What goes with other images, and is no more meant for this one."""
-        slots = [each for each in self._edits.slots if each.what == CHOICE]
-        others = [self._edits.get(slot) for slot in slots if slot.layer is not self._image]
-        return [value for values in others for value in values.values()]
-
     def _on_extent(self, _: str) -> None:
         """Have napari's brush be a ball where a volume is painted."""
         for choice in (self._form.tissue.choice, self._form.motion.boundary.choice):
@@ -260,7 +253,10 @@ class Choices:
 
     def _begin_with(self, image: Any) -> None:
         """Choose what is painted on an image, and nothing any more that lies elsewhere."""
-        theirs, view = self._of_others, self._form.view()
+        edits, view = self._edits, self._form.view()
+        # What goes with other images is not meant for this one.
+        others = [each for each in edits.slots if each.what == CHOICE and each.layer is not image]
+        theirs = [value for slot in others for value in edits.get(slot).values()]
         for name, layer in self.values.items():
             # A field may lie anywhere.
             if isinstance(layer, Layer) and not (holds_field(layer) or fits(layer, image, view)):

@@ -110,6 +110,11 @@ class LandmarkChoice(Container):
         self.where.changed.connect(self._on_where)
         self.look()
 
+    @property
+    def pair(self) -> tuple[Any, Any]:
+        """The layers that are chosen, or None."""
+        return self.where.value, self.should.value
+
     def look(self) -> None:
         """Show what there are layers for."""
         self.visible = bool(self.where.offered)

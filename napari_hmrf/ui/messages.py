@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 from napari_hmrf.errors import ConvergenceError, HmrfError
 from napari_hmrf.field.animation import MARKS, Mark
 from napari_hmrf.field.deformation import magnitude
@@ -25,8 +28,8 @@ MEANWHILE = "What was deformed is hidden while you paint."
 CHANGED = "Changed since the last result: press Deform."
 CANCELLED = "Cancelled; nothing was changed."
 STAYS = "The last result stays."
-NO_IMAGE = "No image is chosen. What came of the last one is seen again when you choose it."
-HIDDEN = "Hidden, to show '{name}': {others}. Click an eye in the list of layers to see that again."
+_NO_IMAGE = "No image is chosen. What came of the last one is seen again when you choose it."
+_HIDDEN = "Hidden, to show '{}': {}. Click an eye in the list of layers to see that again."
 #: What goes with a layer that was deleted.
 DRAWING_GONE = "'{name}' is gone, and what was drawn on it: napari brings no layer back."
 TISSUE_GONE = "'{name}' is gone, with all it said of stiffness: napari brings no layer back."
@@ -121,6 +124,12 @@ def progress(monitor: Monitor, what: str = "Deforming") -> str:
         return f"{what}: {monitor.message}."
     percent = round(100 * monitor.fraction)
     return f"{what}: {percent} %" if percent else f"{what} ..."
+
+
+def chosen(image: Any, hidden: Sequence[Any]) -> str:
+    """What became of the picture when an image was chosen, or none; "" if no layer was hidden."""
+    names = ", ".join(f"'{layer.name}'" for layer in hidden)
+    return _NO_IMAGE if image is None else names and _HIDDEN.format(image.name, names)
 
 
 def saved_study(name: str, solved: bool, pairs: str) -> str:

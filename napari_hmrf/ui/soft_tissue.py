@@ -402,11 +402,7 @@ class SoftTissue(Dock):
             lambda: self._try(lambda: self.tissue_from_intensity(live.first_curve()))
         )
         points = form.motion.boundary.landmarks
-        points.take.changed.connect(
-            lambda _: self._try(
-                lambda: self.take_landmarks(points.where.value, points.should.value)
-            )
-        )
+        points.take.changed.connect(lambda _: self._try(lambda: self.take_landmarks(*points.pair)))
         form.motion.picked.connect(self._on_tool)
         form.motion.remove.changed.connect(lambda _: self.remove())
         form.motion.clear.changed.connect(lambda _: self.clear())

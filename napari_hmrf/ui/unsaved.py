@@ -106,12 +106,12 @@ class Unsaved(QObject):
     def _landmarks_apart(self, study: Study) -> str:
         """The layer that is chosen as *landmarks at*, if a pair of it was not taken; else ""."""
         form, grid = self._live.form, study.grid
-        pair, drawn = form.motion.boundary.landmarks, study.motion.drawing.marks
-        where, taken = pair.where.value, [ends_of(mark, grid.spacing) for mark in drawn]
+        where, should = form.motion.boundary.landmarks.pair
+        taken = [ends_of(mark, grid.spacing) for mark in study.motion.drawing.marks]
         if where is None:
             return ""
         try:
-            chosen = read_landmarks(where, pair.should.value, grid.place, grid.shape, form.view())
+            chosen = read_landmarks(where, should, grid.place, grid.shape, form.view())
         except HmrfError:  # it is said when they are taken
             return ""
         return where.name if any((mark.target, mark.source) not in taken for mark in chosen) else ""

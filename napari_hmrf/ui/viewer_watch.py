@@ -120,14 +120,11 @@ class ViewerWatch:
     def _on_image(self, image: Any) -> None:
         """Have the image that is chosen be seen, and what came of it; and no other's results."""
         self._results.show_only(image)
-        said = messages.NO_IMAGE
         if image is None:
             self._rest()
-        elif not self._choices.by_itself:
-            others = uncover(self._viewer, image)
-            said = messages.HIDDEN.format(name=image.name, others=others) if others else ""
         if not self._choices.by_itself:
-            self._guide.say(said, why="step")
+            hidden = () if image is None else uncover(self._viewer, image)
+            self._guide.say(messages.chosen(image, hidden), why="step")
         self._on_choice()
 
     def _rest(self) -> None:
