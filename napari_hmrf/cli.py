@@ -339,7 +339,8 @@ def _replay(options: argparse.Namespace) -> int:
     elif apart <= allowed:
         said = (
             f"the same field within its tolerance: at most {apart:.2g} px apart, where "
-            f"{allowed:.2g} px may be (one that followed a hand has other last digits)"
+            f"{allowed:.2g} px may be (last digits are others of one that followed a "
+            "hand, or was found while loops were still being compiled)"
         )
     else:
         said = f"fields differ by at most {apart:.3g} px"

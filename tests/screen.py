@@ -152,11 +152,16 @@ class Cell:
         # Qt has the editor answer the key first.
         QApplication.sendPostedEvents(self._table.itemDelegate(), int(QEvent.Type.MetaCall))
 
+    @property
+    def box(self):
+        """What it is chosen by, rather than typed."""
+        return self._table.indexWidget(self._index)
+
     def chosen(self):
         """What the box in it shows."""
-        return self._table.indexWidget(self._index).currentText()
+        return self.box.currentText()
 
     def choose(self, words):
         """Choose from the box in it, by the keys."""
         while self.chosen() != words:
-            QTest.keyClick(self._table.indexWidget(self._index), Qt.Key.Key_Down)
+            QTest.keyClick(self.box, Qt.Key.Key_Down)

@@ -242,12 +242,14 @@ def test_the_wheel_scrolls_the_dock_and_changes_nothing_that_was_not_clicked(
 ):
     frame.viewer.add_image(chequered, name="MR")
     widget = frame.open()
+    widget.make_layers()
     settle(widget)
     frame.show()
     model = widget._form.model.model.native
-    before = widget.model, widget.fields.radius.value, widget.percent
-    sliders = Screen(widget).slider
-    for field in (model, widget.fields.radius.native, sliders):
+    before = widget.model, widget.fields.radius.value, widget.percent, widget.rules
+    screen = Screen(widget)
+    action = screen.cell("holds", "Action").box
+    for field in (model, widget.fields.radius.native, screen.slider, action):
         turn = QWheelEvent(
             QPointF(5, 5), QPointF(field.mapToGlobal(QPoint(5, 5))), QPoint(0, -120),
             QPoint(0, -120), Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier,
@@ -255,7 +257,8 @@ def test_the_wheel_scrolls_the_dock_and_changes_nothing_that_was_not_clicked(
         )  # fmt: skip
         QApplication.sendEvent(field, turn)
     at_rest.pass_through()
-    assert (widget.model, widget.fields.radius.value, widget.percent) == before
+    now = widget.model, widget.fields.radius.value, widget.percent, widget.rules
+    assert now == before
 
 
 def test_a_choice_of_a_layer_that_is_gone_is_undone_to_none(widget, small_sample):

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 from screen import Screen
+from test_images_in_turn import opened
 
-from napari_hmrf import Arrow, Drawing, Landmark
+from napari_hmrf import Arrow, Drawing, Landmark, head_phantom
+from napari_hmrf.contributions import phantom_layers, volume_layers
+from napari_hmrf.samples.phantoms import phantom
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 SHAPE = (48, 56)
@@ -196,3 +199,20 @@ def test_an_image_that_is_left_has_its_colours_back_and_its_landmarks_are_said_n
     wait_for(lambda: not dock.busy)
     assert (before.colormap.name, third.colormap.name) == ("magenta", "gray")
     assert "apart before" in dock.residual
+
+
+def test_landmarks_of_one_image_measure_no_result_of_another(frame, settle):
+    viewer = frame.viewer
+    head = opened(viewer, volume_layers(head_phantom(24)))
+    dock = frame.open()
+    settle(dock)
+    dock.drawing = Drawing((Landmark((12, 12, 12), (12, 13, 12), 4.0),))
+    settle(dock)
+    assert "apart before" in dock.residual
+    flat = opened(viewer, phantom_layers(phantom("expansion", 32)))
+    settle(dock)
+    for image, said in ((flat[0], False), (head[0], True), (flat[0], False)):
+        dock.image = image
+        settle(dock)
+        assert ("apart before" in dock.residual) is said
+        assert image.visible

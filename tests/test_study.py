@@ -28,6 +28,7 @@ from napari_hmrf import (
     solve_study,
     statement_of,
 )
+from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.material_presets import PRESETS
 
 SHAPE = (20, 26)
@@ -162,3 +163,13 @@ def test_what_is_wrong_is_said_of_the_part():
         statement_of(pulled(tissue=Tissue(stiffness=np.zeros(SHAPE))))
     with pytest.raises(ProblemError, match=r"observed|confidence"):
         statement_of(pulled(motion=Motion()))
+
+
+def test_values_that_are_no_numbers_are_said():
+    image = np.full(SHAPE, 100.0)
+    image[3, 4:7] = np.nan
+    study = Study(GRID, pictures=Pictures(image=image, name="MR"), names={"image": "MR"})
+    (note,) = [each for each in Ground.of(study).notes if "NaN" in each]
+    assert note.startswith("3 values of 'MR' are NaN")
+    whole = replace(study, pictures=Pictures(image=np.nan_to_num(image)))
+    assert not [each for each in Ground.of(whole).notes if "NaN" in each]

@@ -1,4 +1,4 @@
-"""Where points of the tissue go."""
+"""Where points of the tissue go, and those of an outline, which bends."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ import scipy
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.problem import as_numbers
+
+#: Pieces of a side of a rectangle, and of an ellipse, which are bent.
+_PIECES, _ROUND = 8, 64
 
 
 def moved_points(
@@ -85,3 +88,31 @@ def looked_up_with_slopes(
         slope = (parts[0][1] - parts[0][0]) * inside
         parts = [*(part[0] + (part[1] - part[0]) * share for part in parts), slope]
     return parts[0], np.stack(parts[1:], axis=-1)
+
+
+def bendable(corners: npt.NDArray[np.float64], kind: str) -> tuple[npt.NDArray[np.float64], str]:
+    """Describe an outline by points that may each go elsewhere.
+
+    Parameters
+    ----------
+    corners : ndarray, shape (N, n)
+        In pixels, in the order along the outline; of an ellipse those of the box around it.
+    kind : str
+        "rectangle" or "ellipse"; any other is of points already.
+
+    Returns
+    -------
+    points : ndarray, shape (M, n)
+    kind : str
+        "polygon", if it was one of the two.
+    """
+    if kind == "rectangle":
+        part = np.linspace(0, 1, _PIECES, endpoint=False)[:, None]
+        ends = zip(corners, np.roll(corners, -1, axis=0), strict=True)
+        return np.concatenate([begin + part * (end - begin) for begin, end in ends]), "polygon"
+    if kind == "ellipse":
+        angles = np.linspace(0, 2 * np.pi, _ROUND, endpoint=False)[:, None]
+        along, across = (corners[1] - corners[0]) / 2, (corners[3] - corners[0]) / 2
+        middle = corners.mean(axis=0)
+        return middle + np.cos(angles) * along + np.sin(angles) * across, "polygon"
+    return corners, kind

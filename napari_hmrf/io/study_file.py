@@ -155,7 +155,8 @@ def replay(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = Non
 
     On the same machine and version a field that was solved from nothing, as by `solve_study` or
     *Deform*, is the same bit by bit, with any number of threads. One that followed edits in the
-    window began with what came before them: it is the same to the `convergence.error` of both.
+    window began with what came before them: it is the same to the `convergence.error` of both. One
+    that was solved while loops were still being compiled has other last digits.
 
     Parameters
     ----------

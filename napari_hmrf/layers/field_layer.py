@@ -17,6 +17,7 @@ from napari.layers import Image, Labels, Points, Shapes
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.moved_points import bendable
 from napari_hmrf.field.observation import PixelField
 from napari_hmrf.field.other_grid import OtherGrid
 from napari_hmrf.layers.label_colours import OBSERVED
@@ -28,8 +29,6 @@ from napari_hmrf.study.layer_names import full_resolution, naming
 Array = npt.NDArray[Any]
 #: What the metadata of a layer say that was moved.
 MOVED = "moved"
-#: Pieces of a side of a rectangle, and of an ellipse, which are bent.
-_PIECES, _ROUND = 8, 64
 
 
 def result_of(layer: Any) -> Answer | None:
@@ -195,20 +194,6 @@ def mover(layer: Any, answer: Answer) -> Callable[[], LayerData]:
         return lambda: LayerData(grid.moved_pixels(pixels, order=order), attributes, kind)
     if kind == "points":
         return lambda: LayerData(grid.moved_points(data), attributes, kind)
-    bent = [_bent(corners, each) for corners, each in zip(data, layer.shape_type, strict=True)]
+    bent = [bendable(corners, each) for corners, each in zip(data, layer.shape_type, strict=True)]
     attributes["shape_type"] = [each for _, each in bent]
     return lambda: LayerData([grid.moved_points(each) for each, _ in bent], attributes, kind)
-
-
-def _bent(corners: Array, kind: str) -> tuple[Array, str]:
-    """A shape as one that can be bent: of rectangles and ellipses, a polygon."""
-    if kind == "rectangle":
-        part = np.linspace(0, 1, _PIECES, endpoint=False)[:, None]
-        ends = zip(corners, np.roll(corners, -1, axis=0), strict=True)
-        return np.concatenate([begin + part * (end - begin) for begin, end in ends]), "polygon"
-    if kind == "ellipse":
-        angles = np.linspace(0, 2 * np.pi, _ROUND, endpoint=False)[:, None]
-        along, across = (corners[1] - corners[0]) / 2, (corners[3] - corners[0]) / 2
-        middle = corners.mean(axis=0)
-        return middle + np.cos(angles) * along + np.sin(angles) * across, "polygon"
-    return corners, kind

@@ -113,13 +113,17 @@ class Ground:
         """
         refuse_rigid(study)
         image = study.pictures.image
-        if image is not None and image.dtype.kind == "f" and not np.isfinite(image).any():
+        lacks = 0 if image is None else np.count_nonzero(~np.isfinite(image))
+        if image is not None and lacks == image.size:
             here = "is NaN everywhere in this slice. Choose another image or slice."
             raise LayerError(study.named("image"), here)
         checkpoint()
         with study.naming():
             ground = _tissue_of(study)
         base, there, notes = ground.base, ground.stiffness > 0, [*ground.notes]
+        if lacks:
+            what = f"{lacks} values of '{study.named('image')}' are NaN or infinite"
+            notes.append(f"{what}: a curve of brightness makes them no tissue")
         checkpoint()
         notes += _observe(study, base)
         ignored = int(((base.confidence > 0).any(axis=-1) & ~there).sum())

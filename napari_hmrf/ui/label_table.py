@@ -18,6 +18,7 @@ from napari_hmrf.layers.pixel_copy import CHANGES
 from napari_hmrf.layers.slice_view import View, copy_slice, frame_of
 from napari_hmrf.tissue.boundary_rules import unlisted
 from napari_hmrf.ui.events import Listening, single_shot
+from napari_hmrf.ui.forms import CalmField
 
 #: The columns that every table has.
 LABEL, NAME = range(2)
@@ -288,7 +289,7 @@ class LabelTable(QTableWidget):
         box = QComboBox()
         box.addItems(choices)
         box.textActivated.connect(item.setText)
-        box.activated.connect(box.clearFocus)  # the keys that come next are the canvas's
+        CalmField(box).watch(box)
         return box
 
     def _swatch(self, label: int) -> QIcon:

@@ -216,10 +216,10 @@ class LiveStudy:
         self._follower.forget()
         self._asked = None
         if settling or going_on:
-            stays = "" if self.latest is None else f" {messages.STAYS}"
+            stays = messages.STAYS if self.fresh else messages.BEHIND
             self._stop()
             self._go_back()
-            self.said.emit(messages.CANCELLED + stays)
+            self.said.emit(f"{messages.CANCELLED} {stays if self.latest else ''}".rstrip())
         if settling:
             self.finished.emit(None)
 

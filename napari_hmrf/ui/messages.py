@@ -28,6 +28,7 @@ MEANWHILE = "What was deformed is hidden while you paint."
 CHANGED = "Changed since the last result: press Deform."
 CANCELLED = "Cancelled; nothing was changed."
 STAYS = "The last result stays."
+BEHIND = "The last result stays, without what was edited since: press Deform, or go on."
 _NO_IMAGE = "No image is chosen. What came of the last one is seen again when you choose it."
 _HIDDEN = "Hidden, to show '{}': {}. Click an eye in the list of layers to see that again."
 #: What goes with a layer that was deleted.

@@ -133,8 +133,11 @@ class SecondImage:
                 return landmark_pairs(where, should, answer.frame, answer.shape, view)
             except HmrfError:
                 return None  # said when they are taken
-        marks = () if self._live.study is None else self._live.study.motion.drawing.marks
-        both = [(mark.source, mark.target) for mark in marks if isinstance(mark, Landmark)]
+        study = self._live.study
+        if study is None or study.grid.place != answer.frame:  # another image is worked on
+            return None
+        marks = (mark for mark in study.motion.drawing.marks if isinstance(mark, Landmark))
+        both = [(mark.source, mark.target) for mark in marks]
         if not both:
             return None
         at, to = np.array(both, dtype=float).swapaxes(0, 1)

@@ -109,6 +109,7 @@ class ResultView:
         if answer is not None:
             shown = MovingLayers(self._viewer, arrows, answer, self._results.of(arrows))
         other = before is None or shown is None or shown.layers is not before.layers
+        chosen = other or self._errands.busy("overlay")  # which may have been to be seen
         # A newer state of the same is not seen as long as somebody looks at what was before.
         self._put_back(release=other)
         if before is not None and other:
@@ -123,7 +124,7 @@ class ResultView:
         attempt(shown.copy_image, self.said.emit)
         self._offer(shown)
         if self._form.overlay.value != words.NOTHING:
-            self._lay_over(chosen=other)
+            self._lay_over(chosen)
 
     # What can be done
 
