@@ -95,6 +95,7 @@ def test_a_study_that_is_opened_again_is_the_one_that_was_saved(made, wait_for, 
     assert second.materials == first.materials
     assert second.rules == first.rules
     assert second.drawing == DRAWING
+    assert second.active, "so that what is drawn is seen"
     assert (second.plane, second.hold_edge) == ("strain", first.hold_edge)
     one, again = first.study, second.study
     assert again.grid.spacing == pytest.approx(one.grid.spacing)

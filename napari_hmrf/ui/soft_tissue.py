@@ -302,6 +302,8 @@ class SoftTissue(Dock):
     def open_study(self, path: str | Path) -> None:
         """Add the layers of a saved study, and set all as it was; errors are of `load_study`."""
         self._unsaved.open(path)
+        if self.drawing.marks:
+            self._unused = self.start()  # so that they are seen
 
     def deform(self) -> None:
         """Solve from nothing; the layers are copied now, and `finished` is emitted at the end."""
