@@ -2,27 +2,41 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.base import Backend
 from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.found import Beginning
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
+from napari_hmrf.solver.backends.poses import Poses
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Reach, Report
 from napari_hmrf.solver.optimizers.cycle import smoothing_of
+from napari_hmrf.solver.optimizers.loading import check_reach, given
 from napari_hmrf.solver.optimizers.newton import Newton, norm
+from napari_hmrf.solver.optimizers.outside import Outside
 from napari_hmrf.solver.priors import NeoHookeanPrior
+from napari_hmrf.solver.priors.elements import contrast
+from napari_hmrf.solver.priors.finite_strain import FiniteMaterial
 from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.rigid_modes import grip
 
 _TINY = 1e-300
 # What a beginning keeps of each corner's Jacobian on the way from one field to another.
 _KEPT = 0.25
 # What is this near, as a part of the tolerance, was met.
 _MET = 1.0
+# Of what is held less firmly than this cycles take long to see how it turns; or too long. From this
+# contrast on they do not see it at all.
+_GRASP, _LOOSE, _CONTRAST = 5e-3, 1e-4, 1.2e3
+# The logarithm of a growth of area that tissue takes at once, how close to balance it is then, in
+# pixels, after how many steps it takes less, and the least part that is tried by itself.
+_GROWTH, _ROUGHLY, _GROWTH_STEPS, _LEAST_GROWTH = math.log(4.0), 0.1, 80, 0.05
 
 
 def converge(
@@ -42,16 +56,30 @@ def converge(
     material = prior.material(problem)
     model = backend.finite_model(material)
     observed, held = host.prescribed(problem)
-    d = _beginning(model, start, observed, held)
-    newton = Newton(model, smoothing_of(material), report, tolerance)
-    newton.run(d, observed, held)
+    poses = model.poses(held)
+    poses.hold(observed, held)
+    d = _beginning(model, poses, start, observed, held)
+    load, _ = given(problem, prior)
+    outside = None if load is None else Outside(load)
+    grasp = grip(problem)
+    doubtful = not material.mild or grasp < _GRASP
+    newton = Newton(model, smoothing_of(material), report, doubtful, poses, outside)
+    newton.by_factors = grasp < _LOOSE or contrast(material.m) > _CONTRAST
+    try:
+        grown = _grow(newton, model, material, d, observed, held, tolerance)
+    except ConvergenceError:
+        if load is not None:
+            check_reach(d, problem)
+        raise
+    if load is not None:
+        check_reach(d, problem)
     displacement, rounding = host.gathered(d, tolerance)
     _, least = model.energy(host.planes(displacement))
     if least <= 0:
         displacement = host.field(d).copy()
         _, least = model.energy(d)
     missing = np.where(held, observed - d, 0.0)
-    reach = _reach(host.field(missing), host.field(observed), problem, tolerance, least)
+    reach = _reach(host.field(missing), host.field(observed), problem, tolerance, least, grown)
     forces = norm(model.forces(d))
     host.reuse(observed, held)
     return Outcome(
@@ -67,14 +95,52 @@ def converge(
     )
 
 
+def _grow(
+    newton: Newton,
+    model: FiniteModel,
+    material: FiniteMaterial,
+    d: Planes,
+    observed: Planes,
+    held: HeldPlanes,
+    tolerance: float,
+) -> float:
+    """Move tissue to balance, in place, as its growth goes on; which part of that it takes."""
+    if material.growth is None:
+        newton.run(d, observed, held, tolerance)
+        return 1.0
+    done, step = 0.0, min(1.0, _GROWTH / max(math.log(material.most_growth), _GROWTH))
+    while done < 1:
+        before, aim = d.copy(), min(1.0, done + step)
+        model.assemble(material.grown(aim))
+        try:
+            near = tolerance if aim == 1 else max(tolerance, _ROUGHLY)
+            newton.run(d, observed, held, near, _GROWTH_STEPS)
+        except ConvergenceError:
+            if step < _LEAST_GROWTH:
+                np.copyto(d, before)
+                model.assemble(material.grown(done))
+                newton.run(d, observed, held, tolerance)
+                break
+            np.copyto(d, before)
+            step /= 2
+        else:
+            done = aim
+    return done
+
+
 def _beginning(
-    model: FiniteModel, start: Beginning | None, observed: Planes, held: HeldPlanes
+    model: FiniteModel,
+    poses: Poses,
+    start: Beginning | None,
+    observed: Planes,
+    held: HeldPlanes,
 ) -> Planes:
     """A field that is not folded: as near to what was found before as may be, or nothing."""
     nothing: Planes = np.zeros(observed.shape)
     if start is None:
         return nothing
     last, combined = host.planes(start.displacements[0] / start.unit), host.combined(start)
+    poses.settle(last)
     if not model.energy(last)[1] > 0:
         last = nothing
     # How a drag went on before it will go on: but for where that would fold.
@@ -86,7 +152,9 @@ def _beginning(
         share = float((there * observed[held]).sum()) / square if square > 0 else 1.0
         way = (share - 1) * last
     length, _ = model.length(last, way, _KEPT, 0.0)
-    return np.asarray(last + min(1.0, length) * way)
+    there = last + min(1.0, length) * way
+    poses.settle(there)
+    return there if model.energy(there)[1] > 0 else last
 
 
 def _reach(
@@ -95,13 +163,14 @@ def _reach(
     problem: Problem,
     tolerance: float,
     least: float,
+    grown: float,
 ) -> Reach:
     """How far what was observed was met, and where not."""
     far = np.linalg.norm(missing, axis=-1)
     sites = far > _MET * tolerance
     if not sites.any():
-        return Reach(least)
+        return Reach(least, grown=grown)
     where = tuple(int(index) for index in np.unravel_index(int(np.argmax(far)), far.shape))
     most = float(far[where])
     whole = max(float(np.linalg.norm(observed[where])), most)
-    return Reach(least, 1.0 - most / whole, most * problem.unit, where, int(sites.sum()))
+    return Reach(least, 1.0 - most / whole, most * problem.unit, where, int(sites.sum()), grown)
