@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,8 @@ from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 from napari_hmrf.solver.backends.poses import Poses
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Reach, Report
 from napari_hmrf.solver.optimizers.cycle import smoothing_of
-from napari_hmrf.solver.optimizers.loading import check_reach, given
+from napari_hmrf.solver.optimizers.large_slip import LargeSlip
+from napari_hmrf.solver.optimizers.loading import check_balanced, check_reach, given
 from napari_hmrf.solver.optimizers.newton import Newton, norm
 from napari_hmrf.solver.optimizers.outside import Outside
 from napari_hmrf.solver.priors import NeoHookeanPrior
@@ -56,17 +59,28 @@ def converge(
     material = prior.material(problem)
     model = backend.finite_model(material)
     observed, held = host.prescribed(problem)
-    poses = model.poses(held)
+    load, limit = given(problem, prior).pulls, prior.limit(problem)
+    # What may slip is not held.
+    stops = held if limit is None else np.zeros_like(held)
+    poses = model.poses(stops)
     poses.hold(observed, held)
     d = _beginning(model, poses, start, observed, held)
-    load, _ = given(problem, prior)
-    outside = None if load is None else Outside(load)
     grasp = grip(problem)
     doubtful = not material.mild or grasp < _GRASP
+    outside = None if load is None else Outside(load)
     newton = Newton(model, smoothing_of(material), report, doubtful, poses, outside)
+    if material.growth is not None:
+        newton.most = _GROWTH_STEPS
     newton.by_factors = grasp < _LOOSE or contrast(material.m) > _CONTRAST
+    if limit is None:
+        settle = partial(newton.run, d, observed, held)
+    else:
+        most = np.where(held, host.planes(limit), 0.0)
+        at = np.flatnonzero(most)
+        check_balanced(problem, at, most.ravel()[at], load)
+        settle = partial(LargeSlip(newton, observed, most, load).run, d, warm=start is not None)
     try:
-        grown = _grow(newton, model, material, d, observed, held, tolerance)
+        grown = _grow(settle, model, material, d, tolerance)
     except ConvergenceError:
         if load is not None:
             check_reach(d, problem)
@@ -96,30 +110,27 @@ def converge(
 
 
 def _grow(
-    newton: Newton,
+    settle: Callable[[float], None],
     model: FiniteModel,
     material: FiniteMaterial,
     d: Planes,
-    observed: Planes,
-    held: HeldPlanes,
     tolerance: float,
 ) -> float:
     """Move tissue to balance, in place, as its growth goes on; which part of that it takes."""
     if material.growth is None:
-        newton.run(d, observed, held, tolerance)
+        settle(tolerance)
         return 1.0
     done, step = 0.0, min(1.0, _GROWTH / max(math.log(material.most_growth), _GROWTH))
     while done < 1:
         before, aim = d.copy(), min(1.0, done + step)
         model.assemble(material.grown(aim))
         try:
-            near = tolerance if aim == 1 else max(tolerance, _ROUGHLY)
-            newton.run(d, observed, held, near, _GROWTH_STEPS)
+            settle(tolerance if aim == 1 else max(tolerance, _ROUGHLY))
         except ConvergenceError:
             if step < _LEAST_GROWTH:
                 np.copyto(d, before)
                 model.assemble(material.grown(done))
-                newton.run(d, observed, held, tolerance)
+                settle(tolerance)
                 break
             np.copyto(d, before)
             step /= 2

@@ -99,7 +99,9 @@ class Newton:
         outside: Outside | None,
     ) -> None:
         self._model, self._smoothing, self._report = model, smoothing, report
-        self._doubtful, self._poses, self._outside = doubtful, poses, outside
+        self._doubtful, self._poses = doubtful, poses
+        #: What pulls besides tissue.
+        self.outside = outside
         self._tolerance = math.inf
         #: How far any site is from balance, in pixels, as estimated.
         self.estimate = math.inf
@@ -109,7 +111,11 @@ class Newton:
         self.energies: list[float] = []
         self.cycles = 0
         self.by_factors = False
+        #: Steps after which a run is given up.
+        self.most = _MOST_STEPS
         self._first = 0.0
+        # After how many steps it was pulled last.
+        self._pulled = 0
         # Whether all that is held can be met, as far as is known.
         self._met = True
         # How much of what lets the tissue buckle was left out last, or a little less; and whether
@@ -123,7 +129,6 @@ class Newton:
         y: Planes,
         held: HeldPlanes,
         tolerance: float,
-        most: int = _MOST_STEPS,
     ) -> None:
         """Move `d`, which is not folded, to balance, with what is held as near `y` as may be.
 
@@ -133,18 +138,16 @@ class Newton:
         held : ndarray of bool, planes
         tolerance : float
             In pixels.
-        most : int
-            Steps after which it gives up.
 
         Raises
         ------
         ConvergenceError
         """
-        self._tolerance, begun = tolerance, len(self.energies)
+        self._tolerance, self._met = tolerance, True
         y = np.where(held, y, d)
         relaxations, stuck, patience, near = 0, 0, _PATIENCE, _RELAXED
-        self._first = float(np.abs(y - d).max())
-        for number in range(most):
+        self._first, self._pulled = float(np.abs(y - d).max()), len(self.energies)
+        for number in range(self.most):
             if number == _MOST_PULLS and (held & (y != d)).any():
                 np.copyto(y, d)
                 self._met = False
@@ -161,7 +164,7 @@ class Newton:
                 self._met = self._met and (left == 0 or math.isinf(self.estimate))
                 break
             if pulls:
-                taken = self._pull(d, step.way, aim, held)
+                taken, self._pulled = self._pull(d, step.way, aim, held), len(self.energies) + 1
                 if taken < 1.0:
                     stays = taken < _STUCK and taken * left < _STUCK_PIXELS
                     stuck = stuck + 1 if stays and near == _AT_EASE else 0
@@ -177,7 +180,7 @@ class Newton:
                     if again is not None:
                         step, taken = again, max(taken, self._descend(d, again.way))
                 relaxations = max(relaxations - 1, 0)
-            rest = np.where(self._model.moves, self._forces(d), 0.0)
+            rest = np.where(self._model.moves, self.forces(d), 0.0)
             self._model.project(rest)
             self.residual = norm(rest)
             self.estimate = step.reach * self.residual
@@ -187,7 +190,7 @@ class Newton:
             arrived = taken == 1.0 and ((pulls and aim is y) or left == 0)
             if arrived and self._is_balanced(d, held, step):
                 return
-            if left == 0 and (taken == 0.0 or self._creeps(begun)):
+            if left == 0 and (taken == 0.0 or self._creeps(step.far)):
                 self.estimate = max(self.estimate, step.far)
                 break
         # Crushed, tissue creeps: it is as far as it goes.
@@ -218,7 +221,7 @@ class Newton:
         # Such tissue was rehearsed as it was pulled before, or is now.
         model, known = self._model, self._model.rehearsed
         if known is None or not np.array_equal(known[0], held):
-            model.linearise(d, held, self._forces(d), 1.0, model.springs)
+            model.linearise(d, held, self.forces(d), 1.0, model.springs)
             error = np.where(model.moves, host.noise(d.shape), 0.0)
             model.project(error)
             iteration = ConjugateGradients(Cycle(model, self._smoothing))
@@ -235,8 +238,8 @@ class Newton:
         self, d: Planes, gap: Planes | None, held: HeldPlanes, positive: float = 0.0
     ) -> _Linear | None:
         """Where the linear model would go from here, all of the gap closed; None if unknown."""
-        forces = self._forces(d)
-        springs = None if self._outside is None else self._outside.springs(d)
+        forces = self.forces(d)
+        springs = None if self.outside is None else self.outside.springs(d)
         if gap is not None:
             gap = self._poses.extend(gap)
         for stiff in _shares(positive or self._positive):
@@ -307,20 +310,21 @@ class Newton:
         far, most = float(np.abs(way).max()), norm(load)
         return _Linear(way, far / most if most > 0 else 0.0, far)
 
-    def _creeps(self, begun: int) -> bool:
-        """Whether it has gone on for long, and to hardly less energy."""
-        late = self.energies[begun:][-_LONG:]
-        return len(late) == _LONG and late[0] - late[-1] <= _LITTLE * abs(late[-1])
+    def _creeps(self, far: float) -> bool:
+        """Whether short steps have led on for long, and to hardly less energy."""
+        late = self.energies[self._pulled :][-_LONG:]
+        short = len(late) == _LONG and far <= _CREEPS
+        return short and late[0] - late[-1] <= _LITTLE * abs(late[-1])
 
     def _energy(self, d: Planes) -> tuple[float, float]:
         """All energy there is, and the least Jacobian of any corner."""
         energy, least = self._model.energy(d)
-        return energy if self._outside is None else energy + self._outside.energy(d), least
+        return energy if self.outside is None else energy + self.outside.energy(d), least
 
-    def _forces(self, d: Planes) -> Planes:
-        """Its derivative."""
+    def forces(self, d: Planes) -> Planes:
+        """The derivative of all energy there is; valid until the next call."""
         forces = self._model.forces(d)
-        return forces if self._outside is None else forces + self._outside.forces(d)
+        return forces if self.outside is None else forces + self.outside.forces(d)
 
     def _pull(self, d: Planes, way: Planes, y: Planes, held: HeldPlanes) -> float:
         """Go along a way as far as nothing folds, in place; which part of it that was."""
@@ -340,8 +344,16 @@ class Newton:
 
     def _descend(self, d: Planes, way: Planes) -> float:
         """Go along a way as far as the energy falls, in place; which part of it that was."""
+        before = d.copy()
+        taken = self._fall(d, way)
+        if self.outside is not None and taken > 0:
+            self.outside.follow(before, d)
+        return taken
+
+    def _fall(self, d: Planes, way: Planes) -> float:
+        """Go along a way as far as the energy falls, in place; which part of it that was."""
         before, _ = self._energy(d)
-        slope = float((self._forces(d) * way).sum())
+        slope = float((self.forces(d) * way).sum())
         length, _ = self._model.length(d, way, _KEPT, 0.0)
         taken, start = min(1.0, length), d.copy()
         for _ in range(_HALVINGS):

@@ -88,12 +88,6 @@ class NeoHookeanPrior:
                 "is a volume, but large motion is for 2-D. Take ElasticPrior() for volumes, or "
                 "solve a slice.",
             )
-        if self.penalty < math.inf:
-            raise ProblemError(
-                "confidence",
-                "is to be weighed by a finite penalty, which large motion does not take yet. Leave "
-                "the prior's penalty at inf.",
-            )
         _check_growth(problem)
         self.at_rest.resolved(problem)
         return self
