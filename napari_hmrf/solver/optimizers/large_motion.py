@@ -21,7 +21,7 @@ from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, R
 from napari_hmrf.solver.optimizers.cycle import smoothing_of
 from napari_hmrf.solver.optimizers.large_slip import LargeSlip
 from napari_hmrf.solver.optimizers.loading import check_balanced, check_reach, given
-from napari_hmrf.solver.optimizers.newton import Newton, norm
+from napari_hmrf.solver.optimizers.newton import Newton, Strategy, norm
 from napari_hmrf.solver.optimizers.outside import Outside
 from napari_hmrf.solver.priors import NeoHookeanPrior
 from napari_hmrf.solver.priors.elements import contrast
@@ -35,8 +35,8 @@ _KEPT = 0.25
 # What is this near, as a part of the tolerance, was met.
 _MET = 1.0
 # Of what is held less firmly than this cycles take long to see how it turns; or too long. From this
-# contrast on they do not see it at all.
-_GRASP, _LOOSE, _CONTRAST = 5e-3, 1e-4, 1.2e3
+# contrast on they hardly see how stiff parts turn, and from this one not at all.
+_GRASP, _LOOSE, _STIFF, _CONTRAST = 5e-3, 1e-4, 50.0, 1.2e3
 # The logarithm of a growth of area that tissue takes at once, how close to balance it is then, in
 # pixels, after how many steps it takes less, and the least part that is tried by itself.
 _GROWTH, _ROUGHLY, _GROWTH_STEPS, _LEAST_GROWTH = math.log(4.0), 0.1, 80, 0.05
@@ -65,13 +65,8 @@ def converge(
     poses = model.poses(stops)
     poses.hold(observed, held)
     d = _beginning(model, poses, start, observed, held)
-    grasp = grip(problem)
-    doubtful = not material.mild or grasp < _GRASP
-    outside = None if load is None else Outside(load)
-    newton = Newton(model, smoothing_of(material), report, doubtful, poses, outside)
-    if material.growth is not None:
-        newton.most = _GROWTH_STEPS
-    newton.by_factors = grasp < _LOOSE or contrast(material.m) > _CONTRAST
+    outside, strategy = None if load is None else Outside(load), _strategy(problem, material)
+    newton = Newton(model, smoothing_of(material), report, strategy, poses, outside)
     if limit is None:
         settle = partial(newton.run, d, observed, held)
     else:
@@ -107,6 +102,16 @@ def converge(
         ),
         reach=reach,
     )
+
+
+def _strategy(problem: Problem, material: FiniteMaterial) -> Strategy:
+    grasp, ratio = grip(problem), contrast(material.m)
+    made = Strategy(
+        doubtful=not material.mild or grasp < _GRASP,
+        stiff=ratio > _STIFF or grasp < _GRASP,
+        by_factors=grasp < _LOOSE or ratio > _CONTRAST,
+    )
+    return made if material.growth is None else made._replace(steps=_GROWTH_STEPS)
 
 
 def _grow(

@@ -63,6 +63,29 @@ _LEAST, _MORE = 0.05, 4.0
 _SHORT = 10.0
 
 
+class Strategy(NamedTuple):
+    """How an iteration goes about some tissue.
+
+    Attributes
+    ----------
+    doubtful : bool
+        Whether there may be motions that cycles hardly see: the last step must be a short one, and
+        cycles are rehearsed.
+    stiff : bool
+        Whether parts of it are so stiff, or all of it so loose, that they must be free to turn, and
+        that rounding there looks like buckling.
+    by_factors : bool
+        Whether cycles are not tried at all.
+    steps : int
+        Steps after which a run is given up.
+    """
+
+    doubtful: bool
+    stiff: bool
+    by_factors: bool
+    steps: int = _MOST_STEPS
+
+
 class _Linear(NamedTuple):
     """A step of the linear model: where to, how far for a unit of residual, and how far at most."""
 
@@ -81,8 +104,7 @@ class Newton:
     model : FiniteModel
     smoothing : Smoothing
     report : Report
-    doubtful : bool
-        Whether there may be motions that cycles hardly see: then the last step must be a short one.
+    strategy : Strategy
     poses : Poses
         Those of rigid bodies, with what is held of them.
     outside : Outside or None
@@ -94,12 +116,12 @@ class Newton:
         model: FiniteModel,
         smoothing: Smoothing,
         report: Report,
-        doubtful: bool,
+        strategy: Strategy,
         poses: Poses,
         outside: Outside | None,
     ) -> None:
         self._model, self._smoothing, self._report = model, smoothing, report
-        self._doubtful, self._poses = doubtful, poses
+        self._strategy, self._poses = strategy, poses
         #: What pulls besides tissue.
         self.outside = outside
         self._tolerance = math.inf
@@ -110,9 +132,7 @@ class Newton:
         #: The energy after each step.
         self.energies: list[float] = []
         self.cycles = 0
-        self.by_factors = False
-        #: Steps after which a run is given up.
-        self.most = _MOST_STEPS
+        self.by_factors = strategy.by_factors
         self._first = 0.0
         # After how many steps it was pulled last.
         self._pulled = 0
@@ -147,7 +167,7 @@ class Newton:
         y = np.where(held, y, d)
         relaxations, stuck, patience, near = 0, 0, _PATIENCE, _RELAXED
         self._first, self._pulled = float(np.abs(y - d).max()), len(self.energies)
-        for number in range(self.most):
+        for number in range(self._strategy.steps):
             if number == _MOST_PULLS and (held & (y != d)).any():
                 np.copyto(y, d)
                 self._met = False
@@ -211,10 +231,11 @@ class Newton:
         """Whether tissue is as near to balance as it is asked to be, as far as can be told."""
         if self.estimate > self._tolerance:
             return False
-        if not self._doubtful:
+        if not self._strategy.doubtful:
             return True
-        # What does not let tissue buckle may not let stiff parts of it turn.
-        if step.far > _SHORT * self._tolerance or step.positive > 0:
+        # What does not let tissue buckle does not let stiff parts of it turn.
+        held_back = self._strategy.stiff and step.positive > 0
+        if step.far > _SHORT * self._tolerance or held_back:
             return False
         if self.by_factors:
             return True
@@ -249,7 +270,7 @@ class Newton:
                 rest -= self._model.image(gap)
             found = None if self.by_factors else self._iterate(rest)
             # What looks like buckling may be the rounding of a large contrast.
-            sure = stiff == 1 or not self._buckles or self._doubtful
+            sure = stiff == 1 or not self._buckles or self._strategy.stiff
             if found is None and sure and Factors.fit(self._model.shape):
                 found = self._solve(rest)
             if found is not None:
