@@ -56,7 +56,7 @@ MUTATIONS = (
     ),
     Mutation("study/ground.py", "doubted = c < 1", "doubted = c <= 1", "test_pull.py"),
     Mutation(
-        "study/engine.py",
+        "field/moved_pictures.py",
         "shown += over",
         "shown = [*over, *shown]",
         "test_grab_tools.py",

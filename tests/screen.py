@@ -57,6 +57,15 @@ class Screen:
         menus = self._native.findChildren(QComboBox)
         next(each for each in menus if each.findText(entry) > -1).setCurrentText(entry)
 
+    def pick(self, entry):
+        """Choose an entry with the mouse from the first menu that offers it, as it is seen."""
+        menus = self._native.findChildren(QComboBox)
+        menu = next(each for each in menus if each.findText(entry) > -1)
+        QTest.mouseClick(menu, Qt.MouseButton.LeftButton)
+        there = menu.view().visualRect(menu.model().index(menu.findText(entry), 0)).center()
+        QTest.mouseMove(menu.view().viewport(), there)
+        QTest.mouseClick(menu.view().viewport(), Qt.MouseButton.LeftButton, pos=there)
+
     def entry(self, words, *path):
         """An entry of the menu below a button."""
         menu = self.button(words).menu()

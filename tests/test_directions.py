@@ -87,7 +87,7 @@ def test_the_table_says_which_way_its_arrows_will_point(widget, run):
     widget.boundary = layer
     run(widget)
     assert head(table, 4).startswith("left\n")
-    arrows = viewer.layers["t1 arrows"]
+    arrows = viewer.layers["t1 arrows, paper"]
     start, step = arrows.data[np.abs(arrows.data[:, 1]).max(axis=1).argmax()]
     seen = np.subtract(arrows.data_to_world(start + step), arrows.data_to_world(start))
     assert seen[1] < -0.5, "to the left on the screen"

@@ -256,7 +256,7 @@ def test_another_model_s_result_from_a_file_is_a_reference(tmp_path, pulled, run
     wait_for(lambda: not dock.busy)
     ((data, attributes, kind),) = open_solution(path)(path)
     opened = viewer.add_layer(Layer.create(data, attributes, kind))
-    dock.result = viewer.layers["MR arrows"]
+    dock.result = viewer.layers["MR arrows, paper"]
     dock.reference = opened
     wait_for(lambda: not dock.busy)
     tissue = dock.solution.tissue

@@ -71,7 +71,7 @@ def test_pull_that_was_used_is_put_down_by_the_first_press(pulling_beside, settl
 
 def test_whoever_asks_for_a_result_behind_paint_sees_it(deformed, settle, click):
     viewer, widget = deformed
-    screen, moved = Screen(widget), viewer.layers["MR deformed"]
+    screen, moved = Screen(widget), viewer.layers["MR deformed, paper"]
     asked = {
         "slider": lambda: slide(widget, 0.5),
         "play": lambda: click(widget, "Play"),
@@ -136,7 +136,7 @@ def test_of_another_image_no_result_is_told_until_it_is_chosen_again(deformed, s
     widget.image = viewer.layers["MR"]
     settle(widget)
     assert "100 %: tissue moved up to 3" in screen.words
-    assert widget.result is viewer.layers["MR arrows"]
+    assert widget.result is viewer.layers["MR arrows, paper"]
     assert widget.solution is not None
 
 
@@ -301,10 +301,10 @@ def test_the_marks_of_folds_are_taken_away_by_a_second_click(deformed, run, sett
     run(widget)
     click(widget, "\u26a0")
     settle(widget)
-    assert viewer.layers["MR folds"].visible
+    assert viewer.layers["MR folds, paper"].visible
     click(widget, "\u26a0")
     settle(widget)
-    assert "MR folds" not in viewer.layers
+    assert "MR folds, paper" not in viewer.layers
     assert widget.overlay == "nothing"
 
 

@@ -478,6 +478,28 @@ def test_undo_keys_work_in_a_field_whose_number_is_taken_and_leave_what_is_being
     assert widget.drawing != before
 
 
+@bare
+def test_keys_of_the_tools_work_after_a_choice_from_a_menu(pulling, settle):
+    person, widget = pulling
+    person.drag((30, 30), (34, 34))
+    settle(widget)
+    window, radius = widget.native.window().windowHandle(), widget.fields.radius
+    widget.make_layers()
+    assert widget.start()
+    settle(widget)
+    for entry in ("grid", "moves", "nothing"):
+        person.key(Qt.Key.Key_BracketLeft)
+        Screen(widget).pick(entry)
+        settle(widget)
+        before = radius.value
+        QTest.keyClick(window, Qt.Key.Key_BracketRight)
+        assert radius.value > before, entry
+    assert widget.overlay == "nothing"
+    assert widget.rules[0].action == "move"
+    QTest.keyClick(window, Qt.Key.Key_M)
+    assert widget.tool == "move"
+
+
 def test_an_image_that_is_removed_takes_its_steps_along(pulling_beside, at_rest):
     person, widget = pulling_beside
     person.drag((30, 30), (34, 34))

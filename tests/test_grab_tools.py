@@ -19,6 +19,7 @@ from napari_hmrf.layers.metadata import METADATA, TISSUE, described, known_of
 from napari_hmrf.layers.paint_layer import number_of
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
+from napari_hmrf.ui.motion.motion_messages import NO_WAY
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 PIN, FREE, MOVE, EXPAND = Qt.Key.Key_P, Qt.Key.Key_F, Qt.Key.Key_M, Qt.Key.Key_E
@@ -503,6 +504,23 @@ def test_a_drag_is_a_landmark_and_escape_gives_one_up(pulling, settle):
     assert not widget.drawing.marks
 
 
+def test_a_click_is_a_landmark_that_holds_and_says_so(pulling_beside, settle):
+    person, widget = pulling_beside
+    person.key(LANDMARK)
+    assert "or click what stays there" in widget.status
+    person.drag((30, 30), (30, 30))
+    assert only(widget).source == only(widget).target == (30, 30)
+    assert widget.status == NO_WAY
+    person.drag((30, 30), (30, 34))
+    assert only(widget).target == (30, 34), "it is dragged to where it should be"
+    assert widget.status != NO_WAY
+    settle(widget)
+    person.drag((50, 50), (50, 50))
+    assert widget.status == NO_WAY, "of tissue that has moved, too"
+    person.drag((30, 34), (30, 34))
+    assert widget.status != NO_WAY, "an old one leads where it did"
+
+
 def test_points_are_landmarks_beside_those_that_are_drawn(pulling_beside, settle):
     person, widget = pulling_beside
     viewer = person.viewer
@@ -530,7 +548,7 @@ def test_brushes_do_something_from_the_first_stroke_or_say_why_not(pulling_besid
     person, widget = pulling_beside
     fields = widget.fields
     person.key(EXPAND)
-    assert fields.amount.value == 1
+    assert fields.amount.value == 1.3, "a third of the radius"
     person.key(MOVE)
     person.paint((30, 28), (30, 34))
     assert "Now drag it to where it goes" in widget.status

@@ -19,6 +19,7 @@ from napari_hmrf import (
     statement_of,
 )
 from napari_hmrf.solver.optimizers import ICM, Multigrid
+from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
 
 SHAPE, RADIUS = (121, 121), 30.0
 
@@ -63,6 +64,21 @@ def test_the_inside_of_a_patch_grows_evenly(paint, amount, middle, model, even):
     assert area[far < RADIUS - 3] == pytest.approx((1 + amount / RADIUS) ** 2, rel=even)
     outline = field[(far <= RADIUS) & (far > RADIUS - 1)]
     assert np.linalg.norm(outline, axis=-1) == pytest.approx(abs(amount), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("shape", "spacing"),
+    [((90, 120), (1.0, 1.0)), ((40, 40, 48), (1.0, 1.0, 1.0)), ((16, 50, 50), (3.0, 1.0, 1.0))],
+)
+def test_what_grows_by_the_lengths_that_a_tool_begins_with_folds_nothing(shape, spacing):
+    """In a volume tissue around a ball is squeezed twice as much as around a disc."""
+    radius, step = usual_radius(shape, spacing), usual_step(shape, spacing)
+    assert step > 0.1 * radius, "and it is seen"
+    middle = tuple(size / 2 for size in shape)
+    ball = Stroke("expand", ((middle,),), radius=radius, amount=step)
+    motion = Motion(hold_edge=True, drawing=Drawing((ball,)))
+    field = solve_study(Study(Grid(shape, spacing), Tissue(stiffness=np.ones(shape)), motion))
+    assert not folds(field.displacement, spacing=spacing).any()
 
 
 def test_a_brush_and_a_layer_say_the_same():

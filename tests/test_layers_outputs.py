@@ -20,7 +20,17 @@ from napari_hmrf.solver.solution import Provenance, Solution
 
 SHAPE = (30, 40)
 #: What lies over the image, one thing at a time.
-OVER = ("grid", "labels", "folds", "stiffness", "observed", "confidence", "magnitude", "jacobian")
+OVER = (
+    "grid",
+    "labels",
+    "folds",
+    "overlaps",
+    "stiffness",
+    "observed",
+    "confidence",
+    "magnitude",
+    "jacobian",
+)
 
 
 def solution(displacement=(2.0, 0.0), spacing=(1.0, 1.0), shape=SHAPE):

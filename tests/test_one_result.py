@@ -313,6 +313,19 @@ def test_results_of_another_slice_stay_as_they_are(frame, small_sample, run, set
     assert seen(viewer) >= before
 
 
+def test_the_result_of_the_slice_that_is_shown_is_looked_at(frame, small_sample, run, settle):
+    viewer = frame.viewer
+    small_sample(viewer, (3, 20, 24))
+    dock = told_when(frame.open())
+    for number in (0, 2):
+        viewer.dims.set_current_step(0, number)
+        run(dock)
+    for number in (0, 2):
+        viewer.dims.set_current_step(0, number)
+        settle(dock)
+        assert known_of(dock.result)["slice"] == f"slice {number}"
+
+
 def test_a_reopened_dock_goes_on_with_the_result_that_is_there(in_window, run):
     person, first = in_window
     viewer = person.viewer
@@ -433,11 +446,11 @@ def folding(widget, small_sample, run):
 
 def test_folds_are_marked_when_asked_for_and_gone_with_what_folded(folding, run, settle):
     assert "folds" in folding.warning
-    assert "MR folds" not in folding._viewer.layers
+    assert "MR folds, paper" not in folding._viewer.layers
     Screen(folding).button("⚠  Folds at").click()
     assert folding.status == folding.warning
     settle(folding)
-    layer = folding._viewer.layers["MR folds"]
+    layer = folding._viewer.layers["MR folds, paper"]
     solution = folding.solution
     folded = folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
     seen = np.argwhere(folded) + solution.displacement[folded] / solution.spacing
@@ -470,7 +483,7 @@ def test_what_is_no_longer_chosen_shows_no_earlier_result(folding, run, settle):
     folding.overlay = "nothing"
     pull(folding, 1.0)
     run(folding)
-    assert "MR deformed" in seen(viewer)
+    assert "MR deformed, paper" in seen(viewer)
     assert not parts(viewer, "labels")
     folding.overlay = "labels"
     settle(folding)

@@ -8,13 +8,23 @@ import pytest
 from napari.layers import Image, Labels
 from study_reader import read_ground
 
-from napari_hmrf import Multigrid, ProblemError, solve
+from napari_hmrf import (
+    Grid,
+    Motion,
+    Multigrid,
+    ProblemError,
+    Study,
+    Tissue,
+    solve,
+    solve_study,
+)
 from napari_hmrf.field.inverse_point import inverse_point
 from napari_hmrf.layers.arrow_layer import arrow_layer, arrow_lines
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
 from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.read import Request, read_study
 from napari_hmrf.layers.slice_view import frame_of
+from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.study_model import History
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Rendering, Stroke
@@ -82,7 +92,7 @@ def test_taking_hold_of_an_arrow_without_moving_it_is_no_step(pull, history):
 def test_an_arrow_of_one_component_stays_on_its_line(pull, history):
     drag(pull, (10, 10), (14, 13), how=replace(GRIP, components="row"))
     assert history.drawing.marks[0].by == (4, 0)
-    assert pull.change(replace(pull.mark, components="col"))
+    pull.change(replace(pull.mark, components="col"))
     assert history.drawing.marks[0].by == (0, 0)
 
 
@@ -90,9 +100,11 @@ def test_the_selected_arrow_is_changed_and_removed(pull, history):
     drag(pull, (10, 10), (14, 12))
     drag(pull, (20, 20), (21, 21))
     assert pull.selected == 1
-    assert pull.change(replace(pull.mark, radius=5.0, confidence=0.25))
+    pull.change(replace(pull.mark, radius=5.0, confidence=0.25))
     assert history.drawing.marks[1] == Arrow((20, 20), (1, 2), 5.0, 0.25)
-    assert not pull.change(pull.mark), "that makes no difference"
+    before = history.edits.next_undo
+    pull.change(pull.mark)
+    assert history.edits.next_undo is before, "that makes no difference"
     assert pull.remove()
     assert len(history.drawing.marks) == 1
     assert pull.selected is None
@@ -207,6 +219,31 @@ def test_what_is_painted_to_hold_or_move_lies_under_the_drawing():
     assert (ground.base.observed[labels == 2] == (0, 3)).all()
     assert (ground.base.confidence[labels == 2] == (1, 0.5)).all()
     assert not ground.study.same_as(read_ground(Image(picture)).study)
+
+
+@pytest.mark.parametrize("shape", [(24, 30), (14, 16, 18)])
+def test_what_is_painted_as_held_is_held_but_where_it_is_drawn_over_which_is_said(shape):
+    labels = np.zeros(shape, np.uint8)
+    labels[..., :3] = 1
+    middle = tuple(size // 2 for size in shape[:-1])
+    by = (*(0,) * (len(shape) - 1), 2)
+
+    def moved(col):
+        pull = Drawing((Arrow((*middle, col), by, 3.0),))
+        motion = Motion(labels=labels, rules=(BoundaryRule(1, "fixed"),), drawing=pull)
+        tissue = Tissue(stiffness=np.ones(shape))
+        study = Study(Grid(shape, (1.0,) * len(shape)), tissue, motion)
+        ground = Ground.of(study)
+        said = [each for each in ground.notes_on(ground.statement()) if "painted as held" in each]
+        return np.abs(solve_study(study).displacement).max(axis=-1), said
+
+    far, said = moved(8)
+    assert not far[labels == 1].any(), "exactly"
+    assert not said
+    near, said = moved(4)
+    over = near[labels == 1] > 0
+    assert 0 < over.sum() < (16 if len(shape) == 2 else 64), "what lies under the patch goes along"
+    assert len(said) == 1
 
 
 def test_a_photograph_has_no_background():

@@ -1,6 +1,7 @@
 """What is done in the window is saved in one file, and is there again when that is opened."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from napari_hmrf import (
     replay,
     save_study,
 )
+from napari_hmrf.cli import main
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.io.fields import place_of
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
@@ -100,10 +102,6 @@ def test_a_study_that_is_opened_again_is_the_one_that_was_saved(made, wait_for, 
     where = first._viewer.layers["t1"].data_to_world((1, 5, 6))
     np.testing.assert_allclose(other.layers["t1"].data_to_world((0, 5, 6)), where)
     np.testing.assert_allclose(second.solution.displacement, first.solution.displacement, atol=2e-3)
-    # The field in the file is that of a drag that has come to rest; from nothing it is as near.
-    np.testing.assert_allclose(
-        replay(path).displacement, load_study(path).solution.displacement, atol=2e-3
-    )
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 2)])
@@ -192,6 +190,26 @@ def test_a_field_from_nothing_is_replayed_bit_by_bit(made, run, wait_for, tmp_pa
     assert np.array_equal(replay(path).displacement, saved.displacement)
 
 
+def test_a_field_that_followed_a_hand_is_replayed_within_its_tolerance(
+    made, wait_for, tmp_path, capsys
+):
+    viewer = ViewerModel()
+    viewer.add_image(np.full(SHAPE, 100, np.uint8), name="photo")
+    dock = made(viewer)
+    for col in (14, 20, 23):
+        dock.drawing = Drawing((Arrow(at=(18, col), by=(0.5, 2.0), radius=2.0),))
+        wait_for(lambda: not dock.busy)
+    path = dock.save_study(tmp_path / "case")
+    study, saved = load_study(path)
+    apart = np.abs(replay(path).displacement - saved.displacement).max()
+    assert 0 < apart < 0.002, "it began warm"
+    assert main(["replay", str(path)]) == 0
+    assert "the same field within its tolerance" in capsys.readouterr().out
+    other = replace(saved, displacement=saved.displacement + np.float32(0.01))
+    assert main(["replay", str(save_study(path, study, other))]) == 1
+    assert "fields differ by at most" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("tissue", "model"),
     [
@@ -268,6 +286,29 @@ def test_file_open_has_it_all_in_the_dock(make_napari_viewer, at_rest, tmp_path)
     assert dock.image is viewer.layers["photo"]
     assert dock.drawing == DRAWING
     assert Screen(dock).button("Save study ...").isEnabled()
+
+
+def test_landmarks_that_were_not_taken_are_not_in_the_file_and_that_is_said(made, tmp_path):
+    viewer = ViewerModel()
+    viewer.add_image(np.full(SHAPE, 100, np.uint8), name="photo")
+    dock = made(viewer)
+    dock.live = False
+    viewer.add_points([[10, 10], [20, 30]], name="is")
+    viewer.add_points([[11, 10], [20, 32]], name="ought")
+    path = tmp_path / "case.study"
+    dock.save_study(path)
+    assert "Landmarks" not in dock.status, "none are chosen"
+    screen = Screen(dock)
+    screen.choose("is")
+    dock.save_study(path)
+    assert "Landmarks of 'is' are not in it: press 'Take as landmarks'" in dock.status
+    screen.press("Take as landmarks")
+    dock.save_study(path)
+    assert "Landmarks" not in dock.status
+    assert len(load_study(path).study.motion.drawing.marks) == 2
+    viewer.layers["ought"].data = [[11, 10], [20, 33]]
+    dock.save_study(path)
+    assert "Landmarks of 'is' are not in it" in dock.status, "the layers say something else now"
 
 
 def test_what_was_done_so_far_is_saved_before_there_is_a_result(

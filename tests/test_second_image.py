@@ -125,6 +125,20 @@ def test_landmarks_that_the_field_does_not_know_test_it(compared, wait_for):
     assert numbers(dock.residual)[1] == pytest.approx(rms(left), rel=1e-2)
 
 
+def test_a_layer_that_is_chosen_for_both_ends_of_landmarks_changes_places(compared):
+    viewer, dock, *_ = compared
+    pair = dock._form.motion.boundary.landmarks
+    there, ought = viewer.layers["is"], viewer.layers["ought"]
+    pair.where.value = there
+    assert pair.should.value is ought, "the only other one"
+    pair.where.value = ought
+    assert (pair.where.value, pair.should.value) == (ought, there)
+    third = viewer.add_points(WHERE, name="third")
+    assert pair.should.offered == [there, third], "the same one is not offered"
+    pair.where.value = there
+    assert pair.should.value is None, "of two others nobody knows which"
+
+
 def test_landmarks_that_were_clicked_are_measured_where_no_layer_is_chosen(compared, wait_for):
     _, dock, _, _ = compared
     dock.drawing = Drawing((Landmark((20, 20), (22.0, 20.0), 2.0),))

@@ -1,15 +1,22 @@
 """A volume is pulled in a slice with the mouse, in a real window and without one, and follows."""
 
+import threading
+
 import numpy as np
 import pytest
-from patience import LONG_MS
+from patience import LONG, LONG_MS
 from person import CTRL, by_name, only
 from qtpy.QtCore import Qt
+from qtpy.QtWidgets import QFileDialog, QPushButton, QTableWidget
 from screen import Screen
 
-from napari_hmrf.layers.metadata import METADATA, TISSUE, described
+from napari_hmrf.layers.metadata import METADATA, TISSUE, described, known_of
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.tissue.boundary_rules import Material
+from napari_hmrf.ui.messages import MEANWHILE
 
+#: What is seen of a result in the tests of extents.
+EVERYTHING = {"image", "arrows", "magnitude"}
 SHAPE, SCALE = (24, 32, 32), (1.5, 1.0, 1.0)
 
 pytestmark = pytest.mark.usefixtures("without_controls")
@@ -230,6 +237,25 @@ def test_what_lies_over_a_volume_is_a_volume(volume, settle):
     widget.overlay = "nothing"
 
 
+def test_measurements_of_a_volume_are_called_so_and_saved_so(
+    volume_beside, settle, tmp_path, monkeypatch
+):
+    person, widget = volume_beside
+    person.drag((16, 16), (18, 19))
+    settle(widget)
+    screen, path = Screen(widget), tmp_path / "table.csv"
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(path), ""))
+    screen.entry("More", "Measurements").trigger()
+    (table,) = widget.native.window().findChildren(QTableWidget, "measurements")
+    heads = [table.horizontalHeaderItem(at).text() for at in range(table.columnCount())]
+    unit = widget.study.grid.unit
+    assert heads[2:4] == [f"volume ({'px' if unit == 'pixel' else unit}³)", "volume change (%)"]
+    assert heads[-1] == "folds (voxels)"
+    table.window().findChild(QPushButton).click()
+    table.window().close()
+    assert path.read_text().startswith("label,name,voxels,volume,volume_change_percent")
+
+
 def test_the_readout_in_a_volume_names_all_three_ways(volume_beside, settle):
     person, widget = volume_beside
     person.drag((16, 16), (16, 22))
@@ -279,3 +305,147 @@ def test_a_hand_that_pulls_again_waits_for_no_volume(volume_beside, settle, qtbo
     settle(widget)
     assert len(widget.drawing.marks) == 2
     assert widget.solution.displacement.shape == (*SHAPE, 3)
+
+
+@pytest.fixture
+def both_extents(volume_beside, settle):
+    """A volume with a result, as is its middle slice, which is worked on."""
+    person, widget = volume_beside
+    person.drag((16, 16), (18, 18))
+    widget.overlay = "magnitude"
+    settle(widget)
+    Screen(widget).choose("this slice")
+    settle(widget)
+    assert seen_of(person.viewer) <= {"slice 12"}, "nothing of it has moved"
+    assert widget.result is None
+    person.drag((12, 12), (12, 15))
+    settle(widget)
+    return person, widget
+
+
+def seen_of(viewer):
+    """The slices of the results of which anything is seen, "" for the volume."""
+    made = [layer for layer in viewer.layers if layer.visible and "source" in known_of(layer)]
+    return {known_of(layer)["slice"] for layer in made}
+
+
+def kinds_seen(viewer):
+    """What is seen of results."""
+    return {known_of(layer).get("kind") for layer in viewer.layers if layer.visible} & {*EVERYTHING}
+
+
+def test_of_a_volume_and_its_slice_the_result_that_is_worked_on_is_seen(both_extents, settle):
+    person, widget = both_extents
+    viewer = person.viewer
+    for extent, where in (("slice", "slice 12"), ("volume", ""), ("slice", "slice 12")):
+        widget.extent = extent
+        settle(widget)
+        assert seen_of(viewer) == {where}
+        assert kinds_seen(viewer) == EVERYTHING
+        assert known_of(widget.result)["slice"] == where
+        widget.before = True
+        assert seen_of(viewer) == set()
+        widget.before = False
+        widget.percent = 50
+        settle(widget)
+        assert seen_of(viewer) == {where}
+    widget.undo()
+    settle(widget)
+    assert seen_of(viewer) == {""}
+    assert kinds_seen(viewer) == EVERYTHING
+
+
+def test_a_result_that_is_not_worked_on_is_not_shown_by_its_arrows(both_extents, settle):
+    person, widget = both_extents
+    viewer = person.viewer
+    held = {known_of(each)["slice"]: each for each in viewer.layers if "answer" in known_of(each)}
+    viewer.layers.selection.active = held[""]
+    settle(widget)
+    assert known_of(widget.result)["slice"] == "slice 12"
+    assert seen_of(viewer) == {"slice 12"}
+
+
+def test_what_is_seen_while_one_paints_is_the_image_as_it_was(both_extents, settle):
+    person, widget = both_extents
+    viewer = person.viewer
+    widget.make_layers()
+    settle(widget)
+    widget.hand_brush(widget.boundary)
+    assert seen_of(viewer) == set()
+    assert widget.status == MEANWHILE
+
+
+@pytest.fixture
+def cancelled(volume_beside, settle, qtbot):
+    """Have a volume be dragged, and cancelled as it follows what was let go."""
+    person, widget = volume_beside
+
+    def cancel():
+        seen, go_on = [], threading.Event()
+        widget.seen.connect(seen.append)
+        person.press(16, 16)
+        person.move(19, 19)
+        qtbot.waitUntil(lambda: bool(seen), timeout=LONG_MS)
+        assert seen[-1].plane is not None
+        compute_thread.submit(lambda: go_on.wait(LONG))
+        person.release(19, 19)
+        button = Screen(widget).button("Cancel")
+        qtbot.waitUntil(button.isEnabled, timeout=LONG_MS)
+        button.click()
+        go_on.set()
+        settle(widget)
+
+    return person, widget, cancel
+
+
+def test_a_volume_that_is_cancelled_is_seen_as_it_came_to_rest_last(cancelled, settle):
+    person, widget, cancel = cancelled
+    person.drag((10, 10), (11, 12))
+    widget.overlay = "magnitude"
+    settle(widget)
+    picture = by_name(person.viewer, "MR deformed, elastic")
+    before = picture.data.copy()
+    cancel()
+    assert np.array_equal(picture.data, before)
+    assert kinds_seen(person.viewer) == EVERYTHING
+    assert known_of(picture)["inputs_changed"]
+    assert len(widget.drawing.marks) == 2
+    assert widget.status.startswith("Cancelled")
+    person.drag((20, 20), (21, 21))
+    settle(widget)
+    assert len(widget.drawing.marks) == 3
+    assert not known_of(picture)["inputs_changed"]
+    assert not np.array_equal(picture.data, before)
+
+
+def test_a_volume_whose_first_pull_is_cancelled_is_seen_as_it_was(cancelled, settle):
+    person, widget, cancel = cancelled
+    cancel()
+    assert kinds_seen(person.viewer) == set()
+    person.drag((20, 20), (21, 21))
+    settle(widget)
+    assert len(widget.drawing.marks) == 2
+    assert kinds_seen(person.viewer) == {"image", "arrows"}
+
+
+def test_while_a_volume_is_dragged_nothing_is_said_of_an_earlier_result(
+    volume_beside, settle, qtbot
+):
+    person, widget = volume_beside
+    viewer, seen = person.viewer, []
+    person.drag((16, 16), (18, 18))
+    settle(widget)
+    viewer.mouse_over_canvas = True
+    viewer.status = "Here"
+    assert "moves" in viewer.status
+    widget.seen.connect(seen.append)
+    person.press(8, 8)
+    person.move(11, 11)
+    qtbot.waitUntil(lambda: bool(seen), timeout=LONG_MS)
+    assert widget.at(viewer.cursor.position) is None
+    assert "moves" not in str(viewer.status)
+    person.release(11, 11)
+    settle(widget)
+    assert widget.at(viewer.cursor.position).displacement[1:] == pytest.approx((3, 3), abs=0.3)
+    viewer.status = "There"
+    assert "moves" in viewer.status

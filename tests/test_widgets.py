@@ -73,8 +73,8 @@ def test_opening_a_sample_leaves_one_button_to_press(widget, run, at_rest, name)
     outputs = run(widget)
     assert outputs is not None
     added = set(names(viewer)) - {"Tissue", "Boundary"}
-    assert any(layer.endswith("arrows") for layer in added)
-    assert any(layer.endswith("deformed") for layer in added)
+    assert any(layer.endswith("arrows, paper") for layer in added)
+    assert any(layer.endswith("deformed, paper") for layer in added)
     assert widget.status.startswith("Tissue moved up to ")
     assert "iterations in" in widget.details
 
@@ -94,10 +94,10 @@ def test_tissue_and_picture_move_to_where_the_boundary_pushes(widget, small_samp
     moved = outputs.solution.displacement
     assert moved[10, -3, 1] == pytest.approx(3, abs=0.05)
     assert 0.5 < moved[10, 12, 1] < 2.5
-    arrows = by_name(widget, "MR arrows").data
+    arrows = by_name(widget, "MR arrows, paper").data
     assert (arrows[:, 1, 1] > -0.05).all()
     tissue_before = (by_name(widget, "Tissue").data == 1)[10].nonzero()[0]
-    picture = by_name(widget, "MR deformed").data[10]
+    picture = by_name(widget, "MR deformed, paper").data[10]
     assert picture[tissue_before.max() + 2] != 0 or picture[tissue_before.max() + 3] != 0
 
 
@@ -113,11 +113,11 @@ def test_all_of_a_result_can_be_seen(widget, small_sample, run, at_rest):
     see_all(widget, at_rest)
     assert [name for name in names(viewer_of(widget)) if name != "Motion"] == [
         "MR",
-        "MR deformed",
+        "MR deformed, paper",
         "Tissue",
         "Boundary",
-        "MR displacement (px)",
-        "MR arrows",
+        "MR displacement (px), paper",
+        "MR arrows, paper",
     ]
     with pytest.raises(
         ValueError, match=r"'hologram' is not a valid choice.*'magnitude', 'jacobian'"
@@ -130,7 +130,7 @@ def test_running_again_updates_the_layers_in_place(widget, small_sample, run, at
     run(widget)
     see_all(widget, at_rest)
     before = state(viewer_of(widget))
-    arrows = by_name(widget, "MR arrows")
+    arrows = by_name(widget, "MR arrows, paper")
     arrows.edge_color = "red"
     arrows.name = "mine"
     longest = arrows.data[:, 1].max()
@@ -142,17 +142,17 @@ def test_running_again_updates_the_layers_in_place(widget, small_sample, run, at
     assert arrows.data[:, 1].max() > 1.5 * longest
     assert arrows.name == "mine"
     np.testing.assert_allclose(arrows.edge_color[0], (1, 0, 0, 1))
-    assert by_name(widget, "MR displacement (px)").contrast_limits[1] > 4
+    assert by_name(widget, "MR displacement (px), paper").contrast_limits[1] > 4
 
 
 def test_a_deleted_result_is_made_again(widget, small_sample, run):
     viewer = viewer_of(widget)
     small_sample(viewer)
     run(widget)
-    viewer.layers.remove("MR arrows")
+    viewer.layers.remove("MR arrows, paper")
     run(widget)
-    assert "MR arrows" in names(viewer)
-    assert names(viewer).count("MR deformed") == 1
+    assert "MR arrows, paper" in names(viewer)
+    assert names(viewer).count("MR deformed, paper") == 1
 
 
 def test_painting_goes_on_with_the_same_brush(widget, small_sample, run):
@@ -167,10 +167,10 @@ def test_the_result_is_seen_and_then_what_is_painted_next(widget, small_sample, 
     viewer = viewer_of(widget)
     _, tissue, boundary = small_sample(viewer)
     run(widget)
-    deformed = by_name(widget, "MR deformed")
+    deformed = by_name(widget, "MR deformed, paper")
     assert (deformed.visible, tissue.visible, boundary.visible) == (True, False, True)
-    assert names(viewer).index("MR deformed") < names(viewer).index("Tissue")
-    assert names(viewer)[-1] == "MR arrows"
+    assert names(viewer).index("MR deformed, paper") < names(viewer).index("Tissue")
+    assert names(viewer)[-1] == "MR arrows, paper"
     widget._form.tissue.table.add()
     assert (deformed.visible, tissue.visible, tissue.mode) == (False, True, "paint")
     assert "hidden while you paint" in widget.status
@@ -179,10 +179,11 @@ def test_the_result_is_seen_and_then_what_is_painted_next(widget, small_sample, 
 
 
 def test_a_motion_without_an_image_is_shown_all_the_same(widget, small_sample, run):
-    small_sample(viewer_of(widget))
-    widget.image = None
+    _, tissue, boundary = small_sample(ViewerModel())
+    for layer in (tissue, boundary):
+        viewer_of(widget).add_layer(layer)
     run(widget)
-    assert "Tissue arrows" in names(viewer_of(widget))
+    assert "Tissue arrows, paper" in names(viewer_of(widget))
 
 
 # Tables
@@ -489,7 +490,7 @@ def test_results_carry_the_place_and_the_units_of_the_image(widget, small_sample
         assert layer.units == image.units
         assert layer.axis_labels == image.axis_labels
         np.testing.assert_allclose(layer.data_to_world((4, 5)), image.data_to_world((4, 5)))
-    arrows = by_name(widget, "MR arrows").data
+    arrows = by_name(widget, "MR arrows, paper").data
     assert arrows[:, 1, 1].max() < 3.1 / 2.0 + 0.1  # 3 mm are 1.5 pixels
 
 
@@ -499,9 +500,9 @@ def test_of_a_stack_the_slice_shown_is_deformed_and_named(widget, small_sample, 
     viewer.dims.set_current_step(0, 3)
     run(widget)
     assert widget.status.startswith("z = 3: tissue moved up to")
-    arrows = viewer.layers["MR arrows (z = 3)"]
+    arrows = viewer.layers["MR arrows, paper (z = 3)"]
     assert (arrows.data[:, 0, 0] == 3).all()
-    deformed = viewer.layers["MR deformed (z = 3)"]
+    deformed = viewer.layers["MR deformed, paper (z = 3)"]
     assert deformed.data.shape == (1, 20, 24)
     assert deformed.data_to_world((0, 0, 0)) == (12, 0, 0)
     said = widget.status
@@ -513,8 +514,8 @@ def test_of_a_stack_the_slice_shown_is_deformed_and_named(widget, small_sample, 
     viewer.dims.set_current_step(0, 1)
     viewer.layers["Boundary"].data[1] = viewer.layers["Boundary"].data[3]
     run(widget)
-    assert "MR arrows (z = 1)" in names(viewer)
-    assert "MR arrows (z = 3)" in names(viewer)
+    assert "MR arrows, paper (z = 1)" in names(viewer)
+    assert "MR arrows, paper (z = 3)" in names(viewer)
 
 
 def test_a_colour_image_is_deformed_in_all_channels(widget, small_sample, run):
@@ -523,7 +524,7 @@ def test_a_colour_image_is_deformed_in_all_channels(widget, small_sample, run):
     colours = np.random.default_rng(0).integers(0, 255, (20, 24, 3)).astype(np.uint8)
     widget.image = viewer.add_image(colours, name="photo", rgb=True)
     run(widget)
-    moved = viewer.layers["photo deformed"]
+    moved = viewer.layers["photo deformed, paper"]
     assert moved.rgb
     assert moved.data.shape == (20, 24, 3)
 
@@ -545,8 +546,8 @@ def test_boundary_outside_tissue_and_folds_are_reported(widget, small_sample, ru
     assert chip.toolTip() == widget.warning
     chip.click()
     assert "5 boundary pixels" in widget.status
-    wait_for(lambda: "MR folds" in names(viewer_of(widget)))
-    assert 0 < by_name(widget, "MR folds").data.sum() <= outputs.folds
+    wait_for(lambda: "MR folds, paper" in names(viewer_of(widget)))
+    assert 0 < by_name(widget, "MR folds, paper").data.sum() <= outputs.folds
 
 
 def test_painting_during_a_solve_marks_the_result(widget, small_sample, busy_thread, wait_for):
@@ -559,7 +560,7 @@ def test_painting_during_a_solve_marks_the_result(widget, small_sample, busy_thr
     busy_thread.set()
     wait_for(lambda: widget.idle)
     assert widget.status == "Changed since the last result: press Deform."
-    assert viewer.layers["MR arrows"].metadata[METADATA]["inputs_changed"]
+    assert viewer.layers["MR arrows, paper"].metadata[METADATA]["inputs_changed"]
 
 
 def test_the_words_of_a_result_last_as_long_as_it_is_true(widget, small_sample, run, wait_for):
@@ -576,7 +577,9 @@ def test_the_words_of_a_result_last_as_long_as_it_is_true(widget, small_sample, 
     run(widget)
     before = widget.solution
     widget.overlay = "labels"
-    wait_for(lambda: "Tissue deformed" in names(viewer))  # drawn at once, from the same solution
+    wait_for(
+        lambda: "Tissue deformed, paper" in names(viewer)
+    )  # drawn at once, from the same solution
     assert widget.solution.provenance == before.provenance
     while viewer.layers:
         viewer.layers.pop()
@@ -842,7 +845,7 @@ def test_two_widgets_queue_and_both_finish(qtbot, small_sample, wait_for):
         widget.deform()
     wait_for(lambda: all(widget.idle for widget in widgets))
     for frame in frames:
-        assert "MR arrows" in names(frame.viewer)
+        assert "MR arrows, paper" in names(frame.viewer)
 
 
 def test_the_kinds_of_result_layers(widget, small_sample, run, at_rest):

@@ -4,12 +4,14 @@ import dask.array as da
 import numpy as np
 import pytest
 from napari.layers import Labels, Layer
+from screen import Screen
 
 from napari_hmrf import head_phantom
 from napari_hmrf.contributions import volume_layers
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.study.ground import statement_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
+from napari_hmrf.ui.messages import CHOOSE
 
 
 class Breakable:
@@ -58,8 +60,9 @@ def test_no_image_stays_no_image_whatever_is_added(widget, small_sample, run):
     small_sample(viewer)
     widget.image = None
     for _ in range(2):
-        assert run(widget) is not None
+        assert run(widget) is None
         assert widget.image is None
+        assert widget.status == CHOOSE
     viewer.add_image(np.zeros((20, 24)), name="another")
     assert widget.image is None
 
@@ -209,7 +212,7 @@ def test_nothing_is_said_to_have_changed_if_nothing_has(widget, small_sample, ru
 # Results
 
 
-def test_a_part_that_has_moved_onto_another_is_told(widget, small_sample, run):
+def test_a_part_that_has_moved_onto_another_is_told_and_marked(widget, small_sample, run, settle):
     """The right part is pushed 6.5 pixels to the left, over 2 pixels of air."""
     _, tissue, boundary = small_sample(viewer_of(widget))
     tissue.data[:, 11:13] = 0
@@ -221,9 +224,21 @@ def test_a_part_that_has_moved_onto_another_is_told(widget, small_sample, run):
         outputs.overlaps == 16 * 4
     )  # its sites from column 13 come to columns 6.5 and on; up to column 10
     assert "at 64 pixels one part of the tissue has moved onto another" in widget.warning
+    Screen(widget).press("⚠  Overlaps at 64 pixels: show where")
+    settle(widget)
+    (rows, cols) = np.nonzero(viewer_of(widget).layers["MR overlaps, paper"].data)
+    assert len(rows) == 64
+    assert {*cols} == {7, 8, 9, 10}
+    widget.percent = 0
+    settle(widget)
+    (_, cols) = np.nonzero(viewer_of(widget).layers["MR overlaps, paper"].data)
+    assert {*cols} == {7, 8, 9, 10, 13, 14, 15, 16, 17}, "both parts, before they move"
+    widget.percent = 100
     widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -1.0)))
     assert run(widget).overlaps == 0
     assert "onto another" not in widget.warning
+    settle(widget)
+    assert "MR overlaps, paper" not in viewer_of(widget).layers
 
 
 def test_results_of_an_image_go_with_it_and_the_next_has_its_own(
@@ -233,12 +248,12 @@ def test_results_of_an_image_go_with_it_and_the_next_has_its_own(
     image, tissue, _ = small_sample(viewer)
     widget.tissue = tissue
     run(widget)
-    first = viewer.layers["MR deformed"]
+    first = viewer.layers["MR deformed, paper"]
     viewer.layers.remove(image)
     wait_for(lambda: first not in viewer.layers)
     widget.image = viewer.add_image(image.data, name="MR")
     run(widget)
-    assert [layer.name for layer in viewer.layers].count("MR deformed") == 1
+    assert [layer.name for layer in viewer.layers].count("MR deformed, paper") == 1
 
 
 @pytest.mark.parametrize("opened", ["before", "after"])

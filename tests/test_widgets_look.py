@@ -77,7 +77,7 @@ def column_of_edge(layer, row=10):
 
 def test_the_newest_result_is_looked_at_and_the_image_it_came_from(look):
     viewer = viewer_of(look)
-    assert look.result is viewer.layers["MR arrows"]
+    assert look.result is viewer.layers["MR arrows, paper"]
     assert look.image is viewer.layers["MR"]
     assert look.percent == 100
     assert "100 %: tissue moved up to 3 px" in look._form.result.how_far.value
@@ -97,11 +97,11 @@ def test_without_a_result_it_says_how_to_get_one_and_looks_at_it_when_it_comes(
     assert not look.playing
     run(widget)
     wait_for(lambda: not look.busy)
-    assert look.result is viewer_of(widget).layers["MR arrows"]
+    assert look.result is viewer_of(widget).layers["MR arrows, paper"]
     assert look._form.result.slider.enabled
     assert look.status.startswith("Tissue moved up to 3")
     assert look.overlay == "jacobian", "what was asked for before there was a result is kept"
-    assert "MR Jacobian (area ratio)" in names(viewer_of(widget))
+    assert "MR Jacobian (area ratio), paper" in names(viewer_of(widget))
 
 
 def test_a_renamed_image_is_the_one_that_moves(look, set_to):
@@ -109,7 +109,9 @@ def test_a_renamed_image_is_the_one_that_moves(look, set_to):
     viewer.layers["MR"].name = "T1"
     viewer.add_image(np.zeros((7, 7)), name="small")
     set_to(look, percent=0)
-    np.testing.assert_array_equal(viewer.layers["MR deformed"].data, viewer.layers["T1"].data)
+    np.testing.assert_array_equal(
+        viewer.layers["MR deformed, paper"].data, viewer.layers["T1"].data
+    )
 
 
 # The slider
@@ -118,7 +120,7 @@ def test_a_renamed_image_is_the_one_that_moves(look, set_to):
 def test_half_of_the_deformation_is_the_image_moved_by_half_the_displacement(look, set_to):
     viewer = viewer_of(look)
     solution = known_of(look.result)["solution"]
-    image, moved = viewer.layers["MR"], viewer.layers["MR deformed"]
+    image, moved = viewer.layers["MR"], viewer.layers["MR deformed, paper"]
     whole, layers = moved.data.copy(), names(viewer)
     set_to(look, percent=50)
     expected = warp(image.data, solution.displacement / 2, tissue=solution.tissue)
@@ -140,13 +142,13 @@ def end_of(grid):
 def test_labels_and_grid_move_along(look, set_to):
     viewer = viewer_of(look)
     set_to(look, overlay="labels")
-    labels = viewer.layers["Tissue deformed"]
+    labels = viewer.layers["Tissue deformed, paper"]
     assert column_of_edge(labels) == 24 - 1  # pushed 3 px, to where the image ends
     set_to(look, percent=0)
     assert column_of_edge(labels) == 21
     set_to(look, overlay="grid")
     assert labels not in viewer.layers, "one thing at a time"
-    grid = viewer.layers["MR grid"]
+    grid = viewer.layers["MR grid, paper"]
     assert end_of(grid) == 21, "as much of it as of the image"
     set_to(look, percent=100)
     assert end_of(grid) == pytest.approx(21 + 3, abs=0.1)
@@ -154,7 +156,7 @@ def test_labels_and_grid_move_along(look, set_to):
     assert grid not in viewer.layers
     set_to(look, overlay="grid")
     set_to(look, percent=100)
-    assert end_of(viewer.layers["MR grid"]) == pytest.approx(21 + 3, abs=0.1)
+    assert end_of(viewer.layers["MR grid, paper"]) == pytest.approx(21 + 3, abs=0.1)
 
 
 def test_playing_goes_back_and_forth_until_it_is_stopped(look, wait_for, monkeypatch):
@@ -173,7 +175,11 @@ def test_playing_goes_back_and_forth_until_it_is_stopped(look, wait_for, monkeyp
     assert not look.playing
     assert look._form.result.play.text == "Play"
     wait_for(lambda: not look.busy)
-    assert known_of(viewer_of(look).layers["MR deformed"])["percent"] == look.percent == seen[-1]
+    assert (
+        known_of(viewer_of(look).layers["MR deformed, paper"])["percent"]
+        == look.percent
+        == seen[-1]
+    )
 
 
 def test_the_slider_in_the_hand_stops_playing(look, wait_for):
@@ -187,24 +193,24 @@ def test_the_slider_in_the_hand_stops_playing(look, wait_for):
 
 def test_an_image_that_was_not_moved_yet_is_moved_now(look, set_to):
     viewer = viewer_of(look)
-    whole = viewer.layers["MR deformed"].data.copy()
-    viewer.layers.remove("MR deformed")
+    whole = viewer.layers["MR deformed, paper"].data.copy()
+    viewer.layers.remove("MR deformed, paper")
     set_to(look, percent=99)
-    assert "MR deformed" in names(viewer)
+    assert "MR deformed, paper" in names(viewer)
     set_to(look, percent=100)
-    np.testing.assert_array_equal(viewer.layers["MR deformed"].data, whole)
+    np.testing.assert_array_equal(viewer.layers["MR deformed, paper"].data, whole)
 
 
 def test_a_slow_computation_does_not_hold_up_the_window(look, busy_thread, wait_for):
-    before = viewer_of(look).layers["MR deformed"].data
+    before = viewer_of(look).layers["MR deformed, paper"].data
     for percent in (10, 20, 30, 40):
         look.percent = percent  # which would never end if it waited for the thread
         QApplication.processEvents()
-    assert viewer_of(look).layers["MR deformed"].data is before
+    assert viewer_of(look).layers["MR deformed, paper"].data is before
     assert look.busy
     busy_thread.set()
     wait_for(lambda: not look.busy)
-    assert known_of(viewer_of(look).layers["MR deformed"])["percent"] == 40
+    assert known_of(viewer_of(look).layers["MR deformed, paper"])["percent"] == 40
 
 
 def test_a_new_result_is_shown_whole_and_nothing_of_the_old_one_comes_back(
@@ -214,10 +220,10 @@ def test_a_new_result_is_shown_whole_and_nothing_of_the_old_one_comes_back(
     look.rules = (look.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
     outputs = run(look)
     wait_for(lambda: not look.busy and look.percent == 100)
-    moved = viewer_of(look).layers["MR deformed"]
+    moved = viewer_of(look).layers["MR deformed, paper"]
     np.testing.assert_array_equal(moved.data, outputs.layers["image"].data)
     assert "up to 1 px" in look._form.result.how_far.value
-    assert viewer_of(look).layers["MR displacement (px)"].contrast_limits == [0, 1]
+    assert viewer_of(look).layers["MR displacement (px), paper"].contrast_limits == [0, 1]
     set_to(look, percent=99)
     set_to(look, percent=100)
     np.testing.assert_array_equal(moved.data, outputs.layers["image"].data)
@@ -228,9 +234,11 @@ def test_a_new_result_is_shown_whole_and_nothing_of_the_old_one_comes_back(
 
 def test_before_is_seen_as_long_as_the_button_is_held(look, set_to, qtbot):
     viewer = viewer_of(look)
-    image, moved, arrows = (viewer.layers[name] for name in ("MR", "MR deformed", "MR arrows"))
+    image, moved, arrows = (
+        viewer.layers[name] for name in ("MR", "MR deformed, paper", "MR arrows, paper")
+    )
     set_to(look, overlay="labels")
-    labels = viewer.layers["Tissue deformed"]
+    labels = viewer.layers["Tissue deformed, paper"]
     labels.visible = False
     button = look._form.result.before.native
     qtbot.mousePress(button, Qt.MouseButton.LeftButton)
@@ -248,16 +256,16 @@ def test_before_is_seen_as_long_as_the_button_is_held(look, set_to, qtbot):
 def test_an_overlay_is_hidden_as_long_as_the_image_is_seen_as_it_was(look, set_to):
     viewer = viewer_of(look)
     set_to(look, overlay="grid")
-    layer = viewer.layers["MR grid"]
+    layer = viewer.layers["MR grid, paper"]
     look.before = True
     assert not layer.visible
     look.before = False
     assert (look.overlay, layer.visible) == ("grid", True)
     set_to(look, overlay="magnitude")
-    layer = viewer.layers["MR displacement (px)"]
+    layer = viewer.layers["MR displacement (px), paper"]
     look.before = True
     set_to(look, overlay="jacobian")
-    assert layer.name == "MR Jacobian (area ratio)"
+    assert layer.name == "MR Jacobian (area ratio), paper"
     assert layer.visible, "what is chosen is to be seen"
     assert not look.before
 
@@ -267,25 +275,25 @@ def test_a_moment_that_is_still_to_be_drawn_is_not_drawn_over_what_came_since(lo
     set_to(look, overlay="grid", percent=50)
     look.percent = 20
     set_to(look, overlay="labels")
-    labels = viewer.layers["Tissue deformed"]
+    labels = viewer.layers["Tissue deformed, paper"]
     assert known_of(labels)["percent"] == look.percent == 20
-    assert "MR grid" not in names(viewer)
+    assert "MR grid, paper" not in names(viewer)
 
 
 def test_an_overlay_that_is_deleted_is_no_longer_chosen(look, run, set_to):
     viewer = viewer_of(look)
     set_to(look, overlay="grid")
-    viewer.layers.remove("MR grid")
+    viewer.layers.remove("MR grid, paper")
     assert look.overlay == "nothing"
     run(look)
     set_to(look)
-    assert "MR grid" not in names(viewer)
+    assert "MR grid, paper" not in names(viewer)
 
 
 def test_an_overlay_that_is_hidden_by_hand_is_drawn_anew_and_stays_hidden(look, run, set_to):
     viewer = viewer_of(look)
     set_to(look, overlay="magnitude")
-    layer = viewer.layers["MR displacement (px)"]
+    layer = viewer.layers["MR displacement (px), paper"]
     layer.visible = False
     look.rules = (look.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
     run(look)
@@ -323,18 +331,18 @@ def test_colours_show_how_far_how_the_area_changes_and_the_strain(look, set_to):
     viewer = viewer_of(look)
     solution = known_of(look.result)["solution"]
     set_to(look, overlay="magnitude")
-    layer = viewer.layers["MR displacement (px)"]
+    layer = viewer.layers["MR displacement (px), paper"]
     assert layer.data.dtype == np.float32
     np.testing.assert_allclose(layer.data, lengths_of(solution, 1.0))
     assert layer.contrast_limits == [0, 3]
     set_to(look, overlay="jacobian")
-    assert layer.name == "MR Jacobian (area ratio)"
+    assert layer.name == "MR Jacobian (area ratio), paper"
     inside = layer.data[10, 5:19]
     assert ((inside > 1.02) & (inside < 1.4)).all(), "the block is pulled apart"
     low, high = layer.contrast_limits
     assert low + high == pytest.approx(2), "no change is in the middle"
     set_to(look, overlay="columns")
-    assert layer.name == "MR strain from column to column (%)"
+    assert layer.name == "MR strain from column to column (%), paper"
     np.testing.assert_allclose(layer.data[10, 5:19], 50 * (inside**2 - 1), atol=2)
     layer.name = "mine"
     set_to(look, overlay="equivalent")
@@ -355,8 +363,8 @@ def test_paint_tints_no_colours_of_a_result_whenever_it_comes(look, run, set_to,
     set_to(look, overlay=overlay)
     for paint in ("Tissue", "Boundary"):
         assert not viewer.layers[paint].visible, "where colours are clear the image is seen"
-    (name,) = {"MR Jacobian (area ratio)", "Tissue deformed"} & set(names(viewer))
-    assert names(viewer)[-2:] == [name, "MR arrows"], "arrows are seen on colours, too"
+    (name,) = {"MR Jacobian (area ratio), paper", "Tissue deformed, paper"} & set(names(viewer))
+    assert names(viewer)[-2:] == [name, "MR arrows, paper"], "arrows are seen on colours, too"
     for layer in (viewer.layers["Tissue"], viewer.layers["Boundary"]):
         viewer.layers.move(viewer.layers.index(layer), len(viewer.layers))
     look.rules = (look.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
@@ -369,18 +377,18 @@ def test_one_thing_at_a_time_lies_over_the_image(look, set_to):
     viewer = viewer_of(look)
     before = names(viewer)
     for name, shown in (
-        ("grid", "MR grid"),
-        ("stiffness", "MR stiffness (kPa)"),
-        ("jacobian", "MR Jacobian (area ratio)"),
-        ("labels", "Tissue deformed"),
-        ("observed", "MR motion given where tissue was"),
-        ("confidence", "MR confidence (0 to 1)"),
+        ("grid", "MR grid, paper"),
+        ("stiffness", "MR stiffness (kPa), paper"),
+        ("jacobian", "MR Jacobian (area ratio), paper"),
+        ("labels", "Tissue deformed, paper"),
+        ("observed", "MR motion given where tissue was, paper"),
+        ("confidence", "MR confidence (0 to 1), paper"),
     ):
         set_to(look, overlay=name)
         assert set(names(viewer)) - set(before) == {shown}
         assert viewer.layers[shown].visible
         assert look.overlay == name
-    limits = viewer.layers["MR confidence (0 to 1)"].contrast_limits
+    limits = viewer.layers["MR confidence (0 to 1), paper"].contrast_limits
     assert limits == [0, 1], "its own scale, not that of what was seen before"
     set_to(look, overlay="nothing")
     assert names(viewer) == before
@@ -425,7 +433,7 @@ def test_numbers_can_be_read_beside_a_scale_to_both_sides(largest):
 
 def test_colours_move_with_the_tissue(look, set_to):
     set_to(look, overlay="magnitude")
-    layer = viewer_of(look).layers["MR displacement (px)"]
+    layer = viewer_of(look).layers["MR displacement (px), paper"]
     assert column_of_edge_of_colours(layer) == 23
     set_to(look, percent=0)
     assert column_of_edge_of_colours(layer) == 21
@@ -437,14 +445,14 @@ def column_of_edge_of_colours(layer):
 
 def test_colours_are_those_of_the_moment_that_is_seen_on_one_scale(look, set_to):
     set_to(look, overlay="magnitude")
-    layer = viewer_of(look).layers["MR displacement (px)"]
+    layer = viewer_of(look).layers["MR displacement (px), paper"]
     solution = known_of(look.result)["solution"]
     for percent in (50, 10, 0, 100):
         set_to(look, percent=percent)
         np.testing.assert_allclose(layer.data, lengths_of(solution, percent / 100), rtol=1e-5)
         assert layer.contrast_limits == [0, 3], "what grows is seen to grow"
     set_to(look, overlay="columns", percent=50)
-    values = viewer_of(look).layers["MR strain from column to column (%)"].data
+    values = viewer_of(look).layers["MR strain from column to column (%), paper"].data
     half = replace(solution, displacement=solution.displacement / 2)
     assert np.nanmax(values) == np.nanmax(coloured(half, "columns").values)
 
@@ -458,7 +466,10 @@ def lengths_of(solution, part):
 
 
 def test_what_was_given_lies_where_its_tissue_is_seen(look, set_to):
-    for overlay, name in (("stiffness", "MR stiffness (kPa)"), ("confidence", "MR confidence")):
+    for overlay, name in (
+        ("stiffness", "MR stiffness (kPa), paper"),
+        ("confidence", "MR confidence"),
+    ):
         set_to(look, overlay=overlay, percent=100)
         (layer,) = (each for each in viewer_of(look).layers if each.name.startswith(name))
         moved = layer.data
@@ -472,13 +483,13 @@ def test_what_was_given_lies_where_its_tissue_is_seen(look, set_to):
 
 def test_the_canvas_says_what_colours_and_marks_show_and_in_which_unit(look, set_to):
     set_to(look, overlay="equivalent")
-    layer = viewer_of(look).layers["MR equivalent strain (%)"]
+    layer = viewer_of(look).layers["MR equivalent strain (%), paper"]
     if not hasattr(layer, "name_overlay"):
         pytest.skip("napari before 0.9 writes no layer's name on the canvas")
     assert layer.name_overlay.visible
     assert layer.name_overlay.position == layer.colorbar.position
     set_to(look, overlay="observed")
-    assert viewer_of(look).layers["MR motion given where tissue was"].name_overlay.visible
+    assert viewer_of(look).layers["MR motion given where tissue was, paper"].name_overlay.visible
 
 
 def test_folds_are_told_and_marked(widget, small_sample, run, set_to):
@@ -489,7 +500,7 @@ def test_folds_are_told_and_marked(widget, small_sample, run, set_to):
     set_to(widget, overlay="jacobian")
     assert f"at {outputs.folds} pixels" in widget.warning
     assert "(it folds)" in widget.warning
-    layer = viewer_of(widget).layers["MR Jacobian (area ratio)"]
+    layer = viewer_of(widget).layers["MR Jacobian (area ratio), paper"]
     solution = outputs.solution
     folded = coloured(solution, "jacobian").values <= 0
     assert folded.sum() == outputs.folds
@@ -520,6 +531,14 @@ def test_the_status_bar_tells_what_is_under_the_cursor(look):
     assert "stiffness 20 kPa (gel)" in viewer.status
 
 
+@pytest.mark.parametrize("jacobian", [-0.25, 0.25])
+def test_at_a_fold_it_is_said_of_what_the_jacobian_is(jacobian):
+    probe = Probe((1, 2), (0.0, 3.0), 3.0, jacobian, 5.0)
+    said = at_point("px", probe, Directions())
+    assert f"Jacobian {jacobian:.3f}" in said
+    assert said.endswith("(folds: that of the worst corner)") == (jacobian < 0)
+
+
 def test_rigid_tissue_under_the_cursor_is_a_word():
     assert stiffness_of("skull", np.inf, "kPa") == "rigid (skull)"
     assert stiffness_of("", np.inf, "kPa") == "rigid", "of an image of stiffness"
@@ -545,7 +564,7 @@ def test_a_point_of_the_moved_image_is_asked_where_its_tissue_came_from(look, se
     set_to(look, percent=0)
     assert look.at((10, 22.5)) is None
     assert look.at((10, 21)).length == pytest.approx(3, abs=0.05)
-    viewer_of(look).layers["MR deformed"].visible = False
+    viewer_of(look).layers["MR deformed, paper"].visible = False
     assert look.at((-5, 3)) is None
 
 
@@ -589,8 +608,8 @@ def test_a_slice_of_a_stack_moves_in_its_place(make_stack, set_to):
     look, outputs = make_stack
     viewer = viewer_of(look)
     set_to(look, percent=50, overlay="jacobian")
-    assert "MR Jacobian (area ratio) (z = 2)" in names(viewer)
-    moved = viewer.layers["MR deformed (z = 2)"]
+    assert "MR Jacobian (area ratio), paper (z = 2)" in names(viewer)
+    moved = viewer.layers["MR deformed, paper (z = 2)"]
     assert moved.data.shape == (1, 20, 24)
     solution = outputs.solution
     expected = warp(
@@ -621,7 +640,7 @@ def test_the_result_of_a_slice_may_go_at_any_time(make_stack, wait_for):
     look, _ = make_stack
     viewer = viewer_of(look)
     wait_for(lambda: not look.busy)
-    viewer.layers.remove("MR arrows (z = 2)")
+    viewer.layers.remove("MR arrows, paper (z = 2)")
     wait_for(lambda: not look.busy)
     assert look.result is None
     assert look._form.result.how_far.value == ""
@@ -657,11 +676,11 @@ def test_a_saved_result_can_be_looked_at_with_and_without_an_image(
     set_to(look, overlay="stiffness")
     assert look.status.startswith("What was given is not in the file")
     set_to(look, overlay="magnitude")
-    assert "displacement (px)" in names(viewer)
+    assert "displacement (px), paper" in names(viewer)
     set_to(look, percent=40)
     viewer.add_image(np.arange(72.0).reshape(8, 9), name="late")
     set_to(look, percent=50)
-    assert known_of(viewer.layers["late deformed"])["percent"] == 50
+    assert known_of(viewer.layers["late deformed, paper"])["percent"] == 50
 
 
 def test_a_photograph_moves_in_colour(widget, small_sample, run, set_to):
@@ -672,8 +691,8 @@ def test_a_photograph_moves_in_colour(widget, small_sample, run, set_to):
     widget.tissue, widget.boundary = viewer.layers["Tissue"], viewer.layers["Boundary"]
     run(widget)
     set_to(widget, percent=50)
-    assert viewer.layers["photo deformed"].rgb
-    assert viewer.layers["photo deformed"].data.shape == (20, 24, 3)
+    assert viewer.layers["photo deformed, paper"].rgb
+    assert viewer.layers["photo deformed, paper"].data.shape == (20, 24, 3)
 
 
 # Pictures
@@ -735,11 +754,11 @@ def test_layers_may_go_at_any_time(look, set_to, wait_for):
     viewer = viewer_of(look)
     look.play()
     wait_for(lambda: look.percent < 98)
-    viewer.layers.remove("MR deformed")
+    viewer.layers.remove("MR deformed, paper")
     QApplication.processEvents()
     viewer.layers.remove("MR")
     look.overlay = "jacobian"
-    viewer.layers.remove("MR arrows")
+    viewer.layers.remove("MR arrows, paper")
     wait_for(lambda: not look.busy)
     assert look.result is None
     assert not look.playing
@@ -747,16 +766,16 @@ def test_layers_may_go_at_any_time(look, set_to, wait_for):
 
 
 def test_whoever_deletes_the_arrows_is_told_that_the_result_was_in_them(look, run, wait_for):
-    viewer_of(look).layers.remove("MR arrows")
+    viewer_of(look).layers.remove("MR arrows, paper")
     wait_for(lambda: not look.busy)
     told = look.status
-    assert "The result was in the layer 'MR arrows', which was deleted" in told
+    assert "The result was in the layer 'MR arrows, paper', which was deleted" in told
     assert "Press Deform" in told
     assert "eye" in told
     run(look)
     wait_for(lambda: not look.busy)
     assert look.status.startswith("Tissue moved up to")
-    assert look.result is viewer_of(look).layers["MR arrows"]
+    assert look.result is viewer_of(look).layers["MR arrows, paper"]
 
 
 @pytest.fixture
@@ -771,7 +790,7 @@ def framed(frame, small_sample, run, wait_for):
 
 def test_closing_the_dock_leaves_the_whole_deformation_behind(framed, frame, set_to, at_rest):
     viewer, look = framed
-    moved = viewer.layers["MR deformed"]
+    moved = viewer.layers["MR deformed, paper"]
     whole = moved.data.copy()
     set_to(look, percent=20)
     assert not np.array_equal(moved.data, whole)
@@ -797,7 +816,7 @@ def test_a_dock_that_was_closed_says_nothing_and_can_be_opened_again(
     assert "Jacobian" not in str(viewer.status)
     again = quick(frame.open())
     wait_for(lambda: not again.busy)
-    assert again.result is viewer.layers["MR arrows"]
+    assert again.result is viewer.layers["MR arrows, paper"]
     assert "Shift+B" in [str(key) for key in viewer.keymap]
     viewer.status = "Ready"
     viewer.status = "looked again"
@@ -805,7 +824,7 @@ def test_a_dock_that_was_closed_says_nothing_and_can_be_opened_again(
 
 
 def test_what_others_drew_since_is_not_put_back(look, set_to):
-    moved = viewer_of(look).layers["MR deformed"]
+    moved = viewer_of(look).layers["MR deformed, paper"]
     set_to(look, percent=20)
     newer = np.zeros_like(moved.data)
     moved.data = newer
@@ -865,17 +884,17 @@ def test_what_is_added_says_what_it_is(look, set_to):
         set_to(look, overlay=name)
         (layer,) = (each for each in viewer.layers if known_of(each).get("kind") == name)
         assert type(layer) is kind
-    facts = viewer.layers["MR largest stretch (%)"].metadata[METADATA]
+    facts = viewer.layers["MR largest stretch (%), paper"].metadata[METADATA]
     assert facts["source"] == "MR"
     assert "percent" not in facts, "all of the deformation"
     set_to(look, percent=30)
-    facts = viewer.layers["MR largest stretch (%)"].metadata[METADATA]
+    facts = viewer.layers["MR largest stretch (%), paper"].metadata[METADATA]
     assert facts["percent"] == 30
 
 
 def test_what_was_deformed_is_not_offered_as_stiffness(deformed):
     offered = deformed._form.tissue.choice.offered
-    image = viewer_of(deformed).layers["MR deformed"]
+    image = viewer_of(deformed).layers["MR deformed, paper"]
     assert image not in offered
     assert viewer_of(deformed).layers["MR"] in offered
 

@@ -364,12 +364,12 @@ def test_an_image_of_stiffness_has_one_poisson_ratio(widget, small_sample, run):
 def test_results_say_which_model_made_them(widget, small_sample, run):
     small_sample(viewer_of(widget))
     run(widget)
-    assert "MR arrows" in names(widget)
+    assert "MR arrows, paper" in names(widget)
     assert ", paper, moved up to" in widget.details
     elastic(widget)
     run(widget)
     assert {"MR arrows, elastic", "MR deformed, elastic"} < set(names(widget))
-    assert "MR arrows" not in names(widget)
+    assert "MR arrows, paper" not in names(widget)
     assert "iterations in" in widget.details
     assert ", within 0.0" in widget.details
     known = viewer_of(widget).layers["MR arrows, elastic"].metadata[METADATA]
@@ -378,13 +378,13 @@ def test_results_say_which_model_made_them(widget, small_sample, run):
     assert known["provenance"]["model"] == "elastic"
     widget.model = "paper, converged"
     run(widget)
-    assert "MR arrows, converged" in names(widget)
+    assert "MR arrows, paper, converged" in names(widget)
 
 
 def test_a_name_of_the_users_stays(widget, small_sample, run):
     small_sample(viewer_of(widget))
     run(widget)
-    viewer_of(widget).layers["MR arrows"].name = "mine"
+    viewer_of(widget).layers["MR arrows, paper"].name = "mine"
     for energy in ("elastic", "paper", "elastic"):
         widget.model = energy
         run(widget)

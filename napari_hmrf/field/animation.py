@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -13,8 +13,13 @@ from napari_hmrf.field.deformation import deformation_grid, pixels_between
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.quantities import Quantity, values_of
 from napari_hmrf.field.resample import emptiness
+from napari_hmrf.field.strain import folds
+from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.solver.solution import Solution
 
+#: What tissue may do at some sites, which are marked.
+Mark = Literal["folds", "overlaps"]
+MARKS: tuple[Mark, ...] = get_args(Mark)
 #: Lines of the grid across the longer side.
 _LINES = 30
 #: Moments kept, in bytes; a second pass then costs nothing.
@@ -54,12 +59,10 @@ class Motion:
     image : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4), optional
         Before it moves.
     overlay : ndarray, shape ([D,] H, W), optional
-        Before it moves: labels, or a quantity of the tissue, NaN where there is none.
+        Before it moves: labels, or a quantity of the tissue, NaN where there is none. Where it is
+        of bool, its sites are marked where they are: a picture has none left where tissue folds.
     grid : bool
         Whether the deformation grid moves, too; of a slice only.
-    marks : ndarray, shape ([D,] H, W), bool, optional
-        Sites to be marked where they are: `overlay` of a moment. A picture has no such sites left
-        where tissue folds.
     quantity : Quantity, optional
         Of which `overlay` holds the values at 1; on the way they are those of the tissue there.
     """
@@ -69,7 +72,6 @@ class Motion:
     overlay: npt.NDArray[Any] | None = None
     grid: bool = False
     quantity: Quantity | None = None
-    marks: npt.NDArray[np.bool_] | None = None
 
     def at(self, fraction: float) -> Moment:
         """Move everything by a part of the displacement; on the compute thread only.
@@ -92,8 +94,8 @@ class Motion:
                 self._warper.replace(len(self._pictures) - 1, _overlaid(values))
             moved = self._warper(solution.displacement, solution.tissue, fraction)
             parts = dict(zip(self._pictures, moved, strict=True))
-        if self.marks is not None:
-            parts["overlay"] = moved_marks(solution, self.marks, fraction)
+        if self.overlay is not None and self.overlay.dtype == bool:
+            parts["overlay"] = _moved_marks(solution, self.overlay, fraction)
         moment = Moment(**parts, grid=moved_grid(solution, fraction) if self.grid else None)
         while self._kept and (len(self._kept) + 1) * moment.nbytes > _KEPT:
             del self._kept[next(iter(self._kept))]
@@ -120,7 +122,7 @@ class Motion:
         if self.image is not None:
             fill = emptiness(self.image, self.solution.tissue.ndim)
             pictures["image"] = Picture(self.image, order=1, fill=fill)
-        if self.overlay is not None:
+        if self.overlay is not None and self.overlay.dtype != bool:
             pictures["overlay"] = _overlaid(self.overlay)
         return pictures
 
@@ -140,16 +142,37 @@ def _overlaid(values: npt.NDArray[Any]) -> Picture:
     return Picture(values, order=0, fill=np.nan if values.dtype.kind == "f" else 0)
 
 
-def moved_marks(
-    solution: Solution, marks: npt.NDArray[np.bool_], fraction: float = 1.0
+def _moved_marks(
+    solution: Solution, marks: npt.NDArray[np.bool_], fraction: float
 ) -> npt.NDArray[np.uint8]:
     """Mark the pixels nearest to where some sites are after a part of the deformation."""
-    step = fraction * solution.displacement[marks] / solution.spacing
-    places = np.rint(np.argwhere(marks) + step).astype(int)
-    inside = ((places >= 0) & (places < marks.shape)).all(axis=1)
+    _, places = _moved_sites(solution, marks, fraction)
     moved = np.zeros(marks.shape, np.uint8)
-    moved[tuple(places[inside].T)] = 1
+    moved[tuple(places.T)] = 1
     return moved
+
+
+def marked_sites(solution: Solution, mark: Mark) -> npt.NDArray[np.bool_]:
+    """Find where tissue folds, or the sites of all its parts that have moved onto each other."""
+    tissue = solution.tissue
+    if mark == "folds":
+        return folds(solution.displacement, spacing=solution.spacing, tissue=tissue)
+    *_, overlaps = inverse_map_and_overlaps(solution.displacement, solution.spacing, tissue)
+    sites, places = _moved_sites(solution, tissue)
+    found = np.zeros(tissue.shape, bool)
+    found[tuple(sites[overlaps[tuple(places.T)]].T)] = True
+    return found
+
+
+def _moved_sites(
+    solution: Solution, marks: npt.NDArray[np.bool_], fraction: float = 1.0
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Marked sites, (N, n), and the pixels nearest to where they are then, if these are inside."""
+    sites = np.argwhere(marks)
+    step = fraction * solution.displacement[marks] / solution.spacing
+    places = np.rint(sites + step).astype(np.intp)
+    inside = ((places >= 0) & (places < marks.shape)).all(axis=1)
+    return sites[inside], places[inside]
 
 
 def moved_grid(solution: Solution, fraction: float = 1.0) -> npt.NDArray[np.float32]:

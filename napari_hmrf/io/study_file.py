@@ -153,7 +153,9 @@ def is_study_file(path: str | os.PathLike[str]) -> bool:
 def replay(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> Solution:
     """Solve a saved study again, on the backend that its field came from.
 
-    On the same machine and version the field is the same bit by bit, with any number of threads.
+    On the same machine and version a field that was solved from nothing, as by `solve_study` or
+    *Deform*, is the same bit by bit, with any number of threads. One that followed edits in the
+    window began with what came before them: it is the same to the `convergence.error` of both.
 
     Parameters
     ----------

@@ -21,6 +21,7 @@ from napari_hmrf.arguments import checked_path
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.field.measurement import Measurement
+from napari_hmrf.field.units import as_seen
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material, read_stiffness
 
 T = TypeVar("T")
@@ -76,6 +77,53 @@ def measurement_titles(*, volume: bool) -> list[str]:
     return [
         f"{words.get(name, name)}{'_percent' * (name in _PER_CENT)}" for name in Measurement._fields
     ]
+
+
+def measurements_in_words(
+    rows: Sequence[Measurement], unit: str, *, volume: bool = False
+) -> tuple[list[str], list[list[str]]]:
+    """Say measurements for people to read.
+
+    Parameters
+    ----------
+    rows : sequence of Measurement
+    unit : str
+        Of lengths.
+    volume : bool
+        Whether they are of a volume: its columns are called so.
+
+    Returns
+    -------
+    titles : list of str
+        Of the columns.
+    cells : list of list of str
+        Of each row.
+    """
+    size, content, site = ("volume", "³", "voxels") if volume else ("area", "²", "px")
+    columns = {
+        "tissue": "name",
+        "label": "label",
+        f"{size} ({unit}{content})": "area",
+        f"{size} change (%)": "area_change",
+        f"moved, mean ({unit})": "mean_displacement",
+        f"moved, most ({unit})": "largest_displacement",
+        "strain, mean (%)": "mean_strain",
+        "strain, most (%)": "largest_strain",
+        f"folds ({site})": "folds",
+    }
+    axes = 3 if volume else 2
+    return [*columns], [[_in_words(row, name, axes) for name in columns.values()] for row in rows]
+
+
+def _in_words(row: Measurement, name: str, axes: int) -> str:
+    """Four digits; of large areas all before the point, and nothing of what nobody sees."""
+    value = getattr(row, name)
+    if not isinstance(value, float):
+        return str(value)
+    if name != "area":
+        pixel = (row.area / row.pixels) ** (1 / axes)
+        value = as_seen(value, [pixel if name.endswith("displacement") else 1.0])
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
 
 
 def save_measurements(

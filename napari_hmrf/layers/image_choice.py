@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 from napari.layers import Image
 
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, known_of, role_of
+from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, known_of, role_of
 from napari_hmrf.layers.slice_view import View, fits
 from napari_hmrf.study.layer_names import full_resolution
 
 #: Ways of drawing an image that leave nothing to be seen of what lies beneath.
 _OPAQUE = ("opaque", "translucent", "translucent_no_depth")
+#: Along each axis it is asked of so many places whether they are seen.
+_ALONG = 5
 
 
 def image_in_front(viewer: Any, images: Iterable[Any], worked_on: Iterable[Any] = ()) -> Any:
@@ -42,9 +44,17 @@ def image_in_front(viewer: Any, images: Iterable[Any], worked_on: Iterable[Any] 
 
 
 def painted_on(image: Any, layers: Iterable[Any], view: View | None = None) -> list[Any]:
-    """Those of some layers that are tissues or boundaries on the pixels of an image."""
-    painted = [layer for layer in layers if role_of(layer) in (TISSUE, BOUNDARY)]
-    return [layer for layer in painted if fits(layer, image, view)]
+    """Those of some layers, lowest first, that are tissues or boundaries on an image's pixels.
+
+    What came with the image of a sample lies above it, and goes with no other.
+    """
+    found, there = list[Any](), list(layers)
+    for at, layer in enumerate(there):
+        if role_of(layer) in (TISSUE, BOUNDARY) and fits(layer, image, view):
+            below = (each for each in reversed(there[:at]) if role_of(each) == IMAGE)
+            if next((each for each in below if fits(layer, each, view)), image) is image:
+                found.append(layer)
+    return found
 
 
 def image_covering(viewer: Any, image: Any, places: Iterable[Sequence[float]] = ()) -> Any:
@@ -56,19 +66,30 @@ def image_covering(viewer: Any, image: Any, places: Iterable[Sequence[float]] = 
     image : napari.layers.Image
         In the viewer.
     places : iterable of sequence of float
-        In the world, that must all be hidden; by default the corners of the image.
+        In the world, that must all be hidden; by default some all over the image.
     """
-    there, layers = tuple(places) or _corners(viewer, image), list(viewer.layers)
+    there, layers = tuple(places) or _places(viewer, image), list(viewer.layers)
     above = filter(_is_opaque, reversed(layers[layers.index(image) + 1 :]))
     return next((layer for layer in above if all(_holds(layer, at) for at in there)), None)
 
 
-def _corners(viewer: Any, image: Any) -> list[tuple[float, ...]]:
-    """The corners of an image as a viewer shows it, in the world."""
+def uncover(viewer: Any, image: Any) -> list[Any]:
+    """Show an image, and hide all images that hide any of it; returns these."""
+    image.visible, hidden = True, list[Any]()
+    for place in _places(viewer, image):
+        while (other := image_covering(viewer, image, [place])) is not None:
+            other.visible = False
+            hidden.append(other)
+    return hidden
+
+
+def _places(viewer: Any, image: Any) -> list[tuple[float, ...]]:
+    """The corners of an image as a viewer shows it, and places between, in the world."""
     extent, missing = image.extent.world, viewer.dims.ndim - image.ndim
     ends: list[Any] = [[at] for at in viewer.dims.point]
     for axis in viewer.dims.displayed:
-        ends[axis] = extent[:, axis - missing] if axis >= missing else viewer.dims.range[axis][:2]
+        low, high = extent[:, axis - missing] if axis >= missing else viewer.dims.range[axis][:2]
+        ends[axis] = np.linspace(low, high, _ALONG)
     return list(product(*ends))
 
 

@@ -52,8 +52,8 @@ class _Held:
 class Result:
     """The layers of one result.
 
-    A layer is seen if somebody wants to see it, if it is of the newest result, and if the image is
-    not looked at as it was before it moved.
+    A layer is seen if somebody wants to see it, if it is of the newest result, if the image is not
+    looked at as it was before it moved, and if no other extent of it is worked on.
 
     Parameters
     ----------
@@ -68,6 +68,8 @@ class Result:
     ----------
     is_before : bool
         Whether the image is seen as it was.
+    is_away : bool
+        Whether it is hidden, as another extent of the image is worked on.
     """
 
     #: Whether all of the deformation is seen.
@@ -80,7 +82,7 @@ class Result:
         #: Returns what was deformed, as long as it is kept anywhere.
         self.anchor: Callable[[], Any] = weakref.ref(anchor)
         self.where = where
-        self.is_before = False
+        self.is_before = self.is_away = False
         self._frame: Frame | None = None
         self._held: dict[Part, _Held] = {}
 
@@ -230,6 +232,11 @@ class Result:
             self.is_before = before
             self._set_eyes()
 
+    def make_way(self, place: Frame) -> None:
+        """Be hidden if this would be seen through a place that is worked on; else be seen again."""
+        self.is_away = self._frame is not None and self._frame.plane != place.plane
+        self._set_eyes()
+
     def remove(self) -> None:
         """Take the layers out of the viewer, but for those that somebody has named."""
         for part, layer, held in self._there():
@@ -248,7 +255,8 @@ class Result:
         """Have each layer be seen or not, as it should."""
         for part, layer, held in self._there():
             held.wanted = self.wants(part)
-            hidden = self.is_before or not (self._is_whole or part not in (PAINTED, CONFIDENCE))
+            partly = not self._is_whole and part in (PAINTED, CONFIDENCE)
+            hidden = self.is_before or self.is_away or partly
             held.seen = held.wanted and held.current and not hidden
             if layer.visible != held.seen:
                 layer.visible = held.seen
@@ -395,6 +403,13 @@ class ResultLayers:
         result.take("arrows", arrows)
         return result
 
+    def stand_on(self, source: Any, place: Frame) -> None:
+        """Have the result of a place be seen, if there is one, and none of another extent."""
+        for result in [each for each in self._results if each.anchor() is source]:
+            result.make_way(place)
+            if result.is_away or result.where == place.slice_name:
+                self.changed.emit(result)
+
     def show(
         self, source: Any, frame: Frame, layers: Mapping[Part, LayerData], *, moving: bool = False
     ) -> None:
@@ -419,10 +434,15 @@ class ResultLayers:
             result.show(frame, layers, moving)
             self.changed.emit(result)
 
+    def show_only(self, source: Any) -> None:
+        """Show what came of a layer, and what came of no other; what is of a file stays."""
+        for result in self._results:
+            if not isinstance(result.anchor(), Vectors):
+                result.show_before(result.anchor() is not source)
+
     def remove_orphans(self) -> None:
         """Remove what is left of images that are gone, once napari is done with its own layers."""
-        known, layers = self._results, self._viewer.layers
-        self._results = [result for result in known if result.anchor() in layers]
-        for result in known:
-            if result not in self._results:
+        for result in [*self._results]:
+            if result.anchor() not in self._viewer.layers:
+                self._results.remove(result)
                 result.remove()

@@ -32,11 +32,10 @@ def boundary_colours() -> Any:
     return colormaps.CyclicLabelColormap(colors=["transparent", *_BOUNDARY])
 
 
-def fold_colours() -> Any:
-    """The colormap of a Labels layer of folds."""
-    return colormaps.DirectLabelColormap(
-        color_dict={None: "transparent", 0: "transparent", 1: "red"}
-    )
+def mark_look() -> dict[str, Any]:
+    """How a Labels layer of sites that are marked lies over an image, as that of folds."""
+    colours = {None: "transparent", 0: "transparent", 1: "red"}
+    return {"colormap": colormaps.DirectLabelColormap(color_dict=colours), "opacity": 1.0}
 
 
 def quantity_colours(signed: bool, folds: bool = False) -> Any:

@@ -140,10 +140,8 @@ def _radii(
     wanted = usual_radius(shape, frame.spacing) if radius is None else radius
     # Those of one pixel lead to one place: they are one patch, and not in each other's way.
     _, first, which = np.unique(np.rint(at), axis=0, return_index=True, return_inverse=True)
-    if len(first) == 1:
-        return [wanted] * len(at)
     lengths = at[first] * frame.spacing
-    away = KDTree(lengths).query(lengths, k=2)[0][:, 1]
+    away = KDTree(lengths).query(lengths, k=2)[0][:, 1]  # infinite of a single one
     return [min(wanted, half) for half in (away / 2)[which.reshape(-1)].tolist()]
 
 

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.field.animation import Motion, moved_grid, moved_marks
+from napari_hmrf.field.animation import MARKS, Mark, Motion, marked_sites, moved_grid
 from napari_hmrf.field.colormaps import reach_of
 from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.field.deformation import (
@@ -26,7 +26,6 @@ from napari_hmrf.field.deformation import (
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.quantities import QUANTITIES, Coloured, Quantity, coloured, title_and_unit
 from napari_hmrf.field.resample import emptiness, resample
-from napari_hmrf.field.strain import folds
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.layers import label_colours
@@ -46,12 +45,10 @@ Kind = Literal["image", "arrows"]
 ARROWS = 250
 #: What there is to lie over the image.
 Name = (
-    Quantity
-    | Literal["grid", "labels", "difference", "folds", "stiffness", "observed", "confidence"]
+    Quantity | Mark | Literal["grid", "labels", "difference", "stiffness", "observed", "confidence"]
 )
 #: Arrows of what is given that fit beside each other across the image.
 _ACROSS = 40
-#: Of what does not move with the tissue.
 
 
 class LayerData(NamedTuple):
@@ -183,9 +180,7 @@ def result_layers(
     solution = replace(solution, frame={**(solution.frame or {}), **frame.as_dict()})
     field = (solution.displacement, solution.spacing, solution.tissue)
     checkpoint()
-    nearest = smallest_determinant(*field)
-    checkpoint()
-    folds = int((nearest <= 0).sum())
+    folds = int((smallest_determinant(*field) <= 0).sum())
     shown = pictures or Pictures()
     digests = solution.provenance.inputs
     for name in digests:
@@ -273,9 +268,7 @@ def _whence(frame: Frame, pictures: Pictures) -> dict[str, Any]:
 
 def _result_name(source: str, what: str, parameters: Facts, where: str) -> str:
     """Name a layer after the image it was made of, what it shows, the model and the slice."""
-    # The paper's prior and schedule need no word.
-    model = model_name(parameters).removeprefix("paper").removeprefix(", ")
-    name = f"{source} {what}".strip() + (f", {model}" if model else "")
+    name = ", ".join(filter(None, (f"{source} {what}".strip(), model_name(parameters))))
     return name + (f" ({where})" if where else "")
 
 
@@ -288,7 +281,8 @@ class Overlay(NamedTuple):
     layer : LayerData
         When all of the deformation is seen.
     picture : ndarray, shape ([D,] H, W), optional
-        Its pixels before they move with the tissue; None if they do not, or if it is of lines.
+        Its pixels before they move with the tissue, of bool where these are sites that are marked;
+        None if they do not, or if it is of lines.
     """
 
     name: Name
@@ -309,15 +303,13 @@ def overlay_of(answer: Answer, name: Name, compared: Comparison | None = None) -
     Returns
     -------
     Overlay or None
-        None if the result has nothing of that name: no folds, no labels, no reference, or no
-        problem.
+        None if the result has nothing of that name: no folds, no overlaps, no labels, no reference,
+        or no problem.
     """
     if name == "grid":
         look = {"vector_style": "line", "edge_color": "cyan", "edge_width": max(answer.shape) / 500}
         grid = moved_grid(answer.solution)
         return Overlay(name, answer.layer(name, grid, name, look, "vectors"))
-    if name == "folds":
-        return _folds_over(answer)
     if name == "observed":
         made = _motion_layer(answer)
         return None if made is None else Overlay(name, made)
@@ -335,6 +327,9 @@ def _pixels_of(answer: Answer, name: Name, compared: Comparison | None) -> tuple
         title, unit = title_and_unit(name, answer.solution.tissue.ndim)
         shown = coloured(answer.solution, name)
         return shown.values, f"{title} ({unit or answer.unit})", _colours(shown)
+    if name in MARKS:
+        sites = marked_sites(answer.solution, name)
+        return (sites, name, label_colours.mark_look(), "labels") if sites.any() else None
     if name == "labels" and pictures.labels is not None:
         look, source = pictures.labels_look, pictures.labels_name
         return pictures.labels, "deformed", look, "labels", source
@@ -364,17 +359,6 @@ def _colours(shown: Coloured) -> dict[str, Any]:
     """How every pixel of tissue is coloured."""
     scale = label_colours.quantity_colours(shown.signed, shown.folded)
     return {"colormap": scale, "contrast_limits": shown.limits, **label_colours.OVER}
-
-
-def _folds_over(answer: Answer) -> Overlay | None:
-    """Where the tissue folds over itself; None if it does not."""
-    solution = answer.solution
-    folded = folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
-    if not folded.any():
-        return None
-    look = {"colormap": label_colours.fold_colours(), "opacity": 1.0}
-    moved = moved_marks(solution, folded)
-    return Overlay("folds", answer.layer("folds", moved, "folds", look, "labels"), folded)
 
 
 def _motion_layer(answer: Answer) -> LayerData | None:

@@ -208,8 +208,8 @@ def check_size(
         raise LayerError(
             layer,
             f"lies elsewhere than '{reference.name}': it has {own_size} pixels, that has {size}; "
-            "or their scale, translation, rotation, shear, affine or units differ. Give both the "
-            "same, or resample one.",
+            "or their scale, translation, rotation, shear, affine or units differ. Choose another "
+            "in its menu, or ----- for none; or resample one.",
         )
 
 
@@ -240,11 +240,11 @@ def copy_slice(layer: Any, own: Frame) -> npt.NDArray[Any]:
 
 
 def fits(layer: Any, reference: Any, view: View | None = None) -> bool:
-    """Whether a layer has the pixels of a reference; True, too, of slices that it does not have."""
+    """Whether a layer has the pixels of a reference: of the slice shown, or else of the first."""
     try:
         own, frame = frame_of(layer, view), frame_of(reference, view)
     except (HmrfError, ValueError):
-        return True
+        return view is not None and not view.volume and fits(layer, reference)
     shape = plane_shape(reference, frame)
     sized = isinstance(layer, Vectors) or plane_shape(layer, own) == shape
     return sized and frame.same_place(own, shape)

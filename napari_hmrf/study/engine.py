@@ -19,9 +19,9 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.field.inverse_point import farthest_of, inverse_point
-from napari_hmrf.field.live_warp import Picture, Warper
+from napari_hmrf.field.live_warp import Picture
+from napari_hmrf.field.moved_pictures import MovedPictures
 from napari_hmrf.field.moved_points import moved_points
-from napari_hmrf.field.resample import emptiness
 from napari_hmrf.solver.live_solver import LiveSolver, Update
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import Prior
@@ -80,9 +80,7 @@ class Engine:
         self._grounds: dict[CoarseGrid, tuple[Study, Ground]] = {}
         self._rendering: Rendering | None = None
         self._over: Pictures = ()
-        self._warper: tuple[Array | None, Pictures, Warper] | None = None
-        # Of a volume: across which axis, of which image.
-        self._slicer: tuple[int, Array, Warper] | None = None
+        self._pictures = MovedPictures()
 
     # From any thread
 
@@ -206,38 +204,16 @@ class Engine:
         self, asked: Deformation, solution: Solution | None
     ) -> tuple[Array | None, tuple[Array, ...]]:
         """The image, and what lies over it, where a solution takes them."""
-        image, over, plane = asked.study.pictures.image, self._over, asked.plane
-        if plane is not None:
-            return None if image is None else self._moved_plane(asked, image, plane, solution), ()
-        if solution is None:
-            return image, tuple(np.array(picture.image) for picture in over)
-        if image is None and not over:
+        image, plane = asked.study.pictures.image, asked.plane
+        if plane is None:
+            return self._pictures.whole(image, self._over, solution)
+        if image is None:
             return None, ()
-        d, tissue = solution.displacement, solution.tissue
-        known = self._warper
-        if known is None or known[0] is not image or known[1] != over:
-            shown = [] if image is None else [Picture(image, fill=emptiness(image, tissue.ndim))]
-            shown += over
-            known = self._warper = (image, over, Warper(shown, spacing=solution.spacing))
-        moved = known[2](d, tissue)
-        return moved.pop(0) if image is not None else None, tuple(moved)
-
-    def _moved_plane(
-        self, asked: Deformation, image: Array, plane: Plane, solution: Solution | None
-    ) -> Array:
-        """A slice of a volume where a solution on its coarse grid takes it."""
         if solution is None or asked.ground is None:
-            return np.asarray(image.take(plane.number, plane.axis))
-        axis, spacing = plane.axis, asked.study.grid.spacing
-        order = (axis, *(each for each in range(3) if each != axis))
-        known = self._slicer
-        if known is None or known[0] != axis or known[1] is not image:
-            picture = Picture(np.moveaxis(image, axis, 0), fill=emptiness(image, 3))
-            warper = Warper(picture, spacing=[spacing[each] for each in order])
-            known = self._slicer = (axis, image, warper)
-        d = np.moveaxis(solution.displacement[..., order], axis, 0)
-        tissue = np.moveaxis(asked.ground.stiffness > 0, axis, 0)
-        return known[2].slice(plane.number, d, tissue, every=plane.grid.step)[0]
+            return np.asarray(image.take(plane.number, plane.axis)), ()
+        where = plane.axis, plane.number, solution.displacement, asked.ground.stiffness > 0
+        spacing, every = asked.study.grid.spacing, plane.grid.step
+        return self._pictures.plane(image, *where, spacing, every), ()
 
 
 class _StillError(HmrfError):

@@ -41,6 +41,11 @@ _PENALTY = 1.0
 #: K of what is certain beside it: no tissue takes as much, so that it is held exactly.
 _FIRM = 1e4
 
+_OVER = (
+    "what is drawn moves tissue that is painted as held: where they overlap, what is drawn counts; "
+    "make it smaller, or put it further away"
+)
+
 
 @dataclass(frozen=True, eq=False)
 class Statement:
@@ -165,8 +170,10 @@ class Ground:
         notes = [*self.notes]
         if statement.at_rest.any():
             notes.append(left_at_rest(statement.at_rest))
-        if motion.labels is not None and not motion.drawing.marks:
-            notes.append(_lack(problem))
+        if motion.labels is not None:
+            still = (self.base.confidence > 0) & (self.base.observed == 0)
+            over = (still & problem.known & (problem.observed != 0))[motion.labels != 0].any()
+            notes.append(_OVER if over else "" if motion.drawing.marks else _lack(problem))
         if (image := self.study.pictures.image) is not None:
             notes.append(air_that_is_tissue(image, self.body))
         notes += caveats(problem, statement.prior, statement.optimizer)

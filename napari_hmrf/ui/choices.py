@@ -7,15 +7,16 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
-from napari.layers import Labels, Vectors
+from napari.layers import Labels, Layer, Vectors
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.edit_history import CHOICE, CURVE, DRAWING, MODEL, Slot, steps_of
 from napari_hmrf.layers.field_layer import holds_field
 from napari_hmrf.layers.image_choice import image_in_front, painted_on
 from napari_hmrf.layers.image_result import ResultLayers
-from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, change, known_of, role_of
+from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, change, role_of
 from napari_hmrf.layers.read import Request
+from napari_hmrf.layers.slice_view import fits
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
@@ -77,7 +78,7 @@ class Choices:
         self.by_itself = False
         # Whether somebody chose an image, or none, or had one deformed.
         self._by_hand = False
-        # Whether there is no image as the one that was worked on is gone.
+        # Whether there is no image any more.
         self._lost = False
         motion.boundary.choice.changed.connect(self._on_boundary)
         form.image.changed.connect(self._on_image)
@@ -161,7 +162,7 @@ class Choices:
             if before is not None and form.image.value is None:
                 others = (form.tissue.choice.value, form.motion.boundary.confidence.value)
                 images = [layer for layer in form.image.offered if layer not in others]
-                self._lost, self._by_hand = not images, self._by_hand and bool(images)
+                self._by_hand = self._by_hand and bool(images)
                 if images:
                     form.image.value = images[0]
                 else:  # the next one begins as the first did
@@ -172,13 +173,9 @@ class Choices:
         self.look()
         viewer, offered = self._viewer, self._form.image.offered
         worked_on = self._drawn_on or shared(viewer, ResultLayers).sources
-        image, layers = image_in_front(viewer, offered, worked_on), list(viewer.layers)
         with self.nobody_chooses():
-            if image is not None:
-                known = Slot(CHOICE, image) in self._edits.slots  # by a dock that was closed
-                self._form.image.value = image
-                layers = [] if known else painted_on(image, layers, self._form.view())
-            for layer in layers:
+            self._form.image.value = image = image_in_front(viewer, offered, worked_on)
+            for layer in reversed(viewer.layers) if image is None else ():
                 self._take_painted(layer)
 
     def begin(self) -> None:
@@ -186,7 +183,7 @@ class Choices:
         self._by_hand = True
 
     def take(self, layer: Any) -> None:
-        """Choose a layer that came: what is painted, and an image unless work has begun on one.
+        """Choose a layer that came: an image unless work has begun on one, and what lies on that.
 
         A sample's image is chosen all the same, unless something is drawn on the one there is.
         """
@@ -196,16 +193,18 @@ class Choices:
         with self.nobody_chooses():
             if layer in image.offered and (sample or (free and not self._by_hand)):
                 image.value = layer
-            self._take_painted(layer)
+            there = self._viewer.layers
+            if image.value is None or layer in painted_on(image.value, there, self._form.view()):
+                self._take_painted(layer)
 
     def _take_painted(self, layer: Any) -> None:
-        role, boundary = role_of(layer), self._form.motion.boundary.choice
-        if role == TISSUE and layer in self._form.tissue.choice.offered:
-            self._form.tissue.choice.value = layer
-        elif role == BOUNDARY:
-            if layer.data.any():  # what comes painted says all that is held
-                self._let_edge_go()
-            boundary.value = layer
+        """Choose what is painted, where nothing is chosen yet."""
+        choice = self.fields.get(role_of(layer) or "")
+        if choice is None or choice.value is not None or layer not in choice.offered:
+            return
+        if role_of(layer) == BOUNDARY and layer.data.any():  # it says all that is held
+            self._let_edge_go()
+        choice.value = layer
 
     def _let_edge_go(self) -> None:
         """Have the edge not be held, as a part of choosing a boundary."""
@@ -218,13 +217,6 @@ class Choices:
         """The images on any slice of which something is drawn."""
         slots = [each for each in self._edits.slots if each.what == DRAWING]
         return [slot.layer for slot in slots if self._edits.get(slot).marks]
-
-    @property
-    def _of_others(self) -> list[Any]:
-        """What goes with other images, and is no more meant for this one."""
-        slots = [each for each in self._edits.slots if each.what == CHOICE]
-        others = [self._edits.get(slot) for slot in slots if slot.layer is not self._image]
-        return [value for values in others for value in values.values()]
 
     def _on_extent(self, _: str) -> None:
         """Have napari's brush be a ball where a volume is painted."""
@@ -242,27 +234,36 @@ class Choices:
     def _on_image(self, image: Any) -> None:
         """Choose what goes with an image: what was chosen for it before, if it was."""
         self._by_hand = self._by_hand or not self.by_itself
-        self._lost = self._lost and image is None
         before, self._image = self._image, image
         if before is image:
             return
-        self._form.tissue.offer(self._edits.get(Slot(CURVE, image)))
-        if image is None:
-            return
-        known = self._edits.get(Slot(CHOICE, image))
-        if known is not None:
-            self.values = known
-            return
-        meant = known_of(image).get("extent", "slice") if self._form.extent.has_slices else "slice"
-        if before is None:  # what was chosen before an image stays with it
-            self.values = {"extent": meant}
-            return
-        self.values = {**self._beginning, "extent": meant}
+        # What was chosen for an image that is gone, or before there was one, is for the next.
+        stays = before is None or (image is None and self.by_itself)
+        self._lost = image is None
         with self.nobody_chooses():
-            theirs = self._of_others
-            for layer in painted_on(image, self._viewer.layers, self._form.view()):
-                if layer not in theirs:
-                    self._take_painted(layer)
+            if not stays:
+                self.values = self._beginning
+            self._form.extent.look_at(image)
+            self._form.tissue.offer(self._edits.get(Slot(CURVE, image)))
+            known = self._edits.get(Slot(CHOICE, image))
+            if known is not None:
+                self.values = known
+            elif image is not None:
+                self._begin_with(image)
+
+    def _begin_with(self, image: Any) -> None:
+        """Choose what is painted on an image, and nothing any more that lies elsewhere."""
+        edits, view = self._edits, self._form.view()
+        # What goes with other images is not meant for this one.
+        others = [each for each in edits.slots if each.what == CHOICE and each.layer is not image]
+        theirs = [value for slot in others for value in edits.get(slot).values()]
+        for name, layer in self.values.items():
+            # A field may lie anywhere.
+            if isinstance(layer, Layer) and not (holds_field(layer) or fits(layer, image, view)):
+                self.fields[name].value = None
+        for layer in reversed(painted_on(image, self._viewer.layers, view)):
+            if layer not in theirs:
+                self._take_painted(layer)
 
     # What is a step, and what is undone
 

@@ -69,7 +69,6 @@ class DockForm:
             layers, is_picture, "image", "The image to deform; of a stack, the slice that is shown"
         )
         self.extent = ExtentChoice()
-        self.image.changed.connect(self.extent.look_at)
         self.make = PushButton(
             text="Layers to paint on",
             tooltip="Adds a tissue and a boundary layer on the image's pixels",

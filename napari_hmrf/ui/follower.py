@@ -48,11 +48,6 @@ class Seen(NamedTuple):
     marks: Marks | None = None
 
     @property
-    def painted(self) -> npt.NDArray[np.uint8] | None:
-        """What brushes have painted, as of `show_painted`; None if nothing is."""
-        return None if self.marks is None else self.moved.overlay[0]
-
-    @property
     def confidence(self) -> npt.NDArray[np.float32] | None:
         """How sure is what is held or moved, 0 to 1; None if that was not painted."""
         return self.moved.overlay[1] if len(self.moved.overlay) > 1 else None

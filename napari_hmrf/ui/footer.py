@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from magicgui.widgets import CheckBox, PushButton
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QPushButton, QSizePolicy, QVBoxLayout, QWhatsThis, QWidget
@@ -66,10 +68,7 @@ class Footer(QWidget):
         layout.setContentsMargins(2, 2, 2, 2)
         layout.setSpacing(2)
         # magicgui's containers end with the last reference.
-        self._rows = [
-            row(self.live, self.undo, self.redo, self.help),
-            row(self.deform, self.cancel),
-        ]
+        self._rows = row(self.live, self.undo, self.redo, self.help), row(self.deform, self.cancel)
         self.chip.setStyleSheet(_CHIP)
         self.chip.hide()
         words = self._status.native
@@ -121,13 +120,10 @@ class LiveChoice(CheckBox):
         super().__init__(value=True, text="Live", tooltip=_LIVE)
         # Once somebody has decided, the size of the image decides nothing.
         self._decided = False
-        self.changed.connect(self._on_changed)
+        self.changed.connect(partial(setattr, self, "_decided", True), max_args=0)
 
     def judge(self, pixels: int) -> None:
         """Decide by the size, unless somebody else has decided."""
         if not self._decided:
             with self.changed.blocked():
                 self.value = pixels <= LARGEST
-
-    def _on_changed(self, _: bool) -> None:
-        self._decided = True

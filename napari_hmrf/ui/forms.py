@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox, Label
 from qtpy.QtCore import QEvent, QObject, Qt
 from qtpy.QtGui import QKeySequence
-from qtpy.QtWidgets import QAbstractSpinBox, QMenu, QPushButton, QSizePolicy
+from qtpy.QtWidgets import QAbstractSpinBox, QComboBox, QMenu, QPushButton, QSizePolicy
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.ui.messages import in_short
@@ -66,11 +66,11 @@ def menu(label: str, words: Mapping[Any, str], tooltip: str, **options: Any) -> 
     return ComboBox(label=label, choices=choices, tooltip=tooltip, **options)
 
 
-def add_entry(menu: QMenu, title: str, about: str, answer: Callable[..., Any]) -> Any:
+def add_entry(menu: QMenu, title: str, about: str, answer: Callable[[], Any]) -> Any:
     """An entry of a menu, with what it does; a layer's name may be its title."""
     action = menu.addAction(title.replace("&", "&&"))
     action.setToolTip(about)
-    action.triggered.connect(answer)
+    action.triggered.connect(lambda: answer())
     return action
 
 
@@ -151,12 +151,14 @@ class CalmField(QObject):
     """Filters events of fields, and leaves some to what they lie in.
 
     The wheel scrolls that, unless a field was clicked; and the usual keys take back what was done
-    last, as they do beside the fields, unless a number is being typed.
+    last, as they do beside the fields, unless a number is being typed. A menu would take all keys
+    after a choice from it, those of the tools, too: by the mouse it is given none.
     """
 
     def watch(self, field: Any) -> None:
         """Filter the events of a field."""
-        field.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        by_tab, by_both = Qt.FocusPolicy.TabFocus, Qt.FocusPolicy.StrongFocus
+        field.setFocusPolicy(by_tab if isinstance(field, QComboBox) else by_both)
         field.installEventFilter(self)
         if isinstance(field, QAbstractSpinBox):
             field.editingFinished.connect(partial(field.lineEdit().setModified, False))

@@ -137,4 +137,4 @@ class Guide:
         if not sentence:
             self.invite()
         elif self._why != "refused":
-            self.say(f"{self._said} {sentence}" if self._why == "step" else sentence)
+            self.say(f"{self._said} {sentence}".lstrip() if self._why == "step" else sentence)

@@ -181,7 +181,8 @@ class LabelTable(QTableWidget):
         self._mark()
         self._heard = Listening(
             (layer.events.selected_label, self._mark),
-            *((getattr(layer.events, name), self._on_painted) for name in _EVENTS),
+            # Restarted at every stroke: looking at a large image takes longer than a stroke.
+            *((getattr(layer.events, name), lambda _: self._timer.start()) for name in _EVENTS),
         )
         self._tell(by_itself=True)
 
@@ -242,10 +243,6 @@ class LabelTable(QTableWidget):
             self._contents.give_to(self._layer, self.role)
             self.changed.emit(by_itself)
 
-    def _on_painted(self, *_: Any) -> None:
-        # Restarted at every stroke: looking at a large image takes longer than a stroke.
-        self._timer.start()
-
     # How it is seen
 
     def _fill(self) -> None:
@@ -291,6 +288,7 @@ class LabelTable(QTableWidget):
         box = QComboBox()
         box.addItems(choices)
         box.textActivated.connect(item.setText)
+        box.activated.connect(box.clearFocus)  # the keys that come next are the canvas's
         return box
 
     def _swatch(self, label: int) -> QIcon:

@@ -84,7 +84,7 @@ class LandmarkChoice(Container):
     Attributes
     ----------
     where, should : LayerChoice
-        A layer of points, and one of as many; or a Shapes layer of lines alone.
+        A layer of points, and another one of as many; or a Shapes layer of lines alone.
     take : PushButton
         Has them become landmarks of the drawing.
     """
@@ -98,7 +98,7 @@ class LandmarkChoice(Container):
         )
         self.should = LayerChoice(
             layers,
-            lambda layer: isinstance(layer, Points),
+            lambda layer: isinstance(layer, Points) and layer is not self.where.value,
             "should be at",
             "Points: where these should be, in the same order; where both agree, tissue is held",
         )
@@ -110,16 +110,21 @@ class LandmarkChoice(Container):
         self.where.changed.connect(self._on_where)
         self.look()
 
+    @property
+    def pair(self) -> tuple[Any, Any]:
+        """The layers that are chosen, or None."""
+        return self.where.value, self.should.value
+
     def look(self) -> None:
         """Show what there are layers for."""
-        lines = isinstance(self.where.value, Shapes)
         self.visible = bool(self.where.offered)
-        self.should.visible = not lines
+        self.should.visible = not isinstance(self.where.value, Shapes)
         self.take.enabled = self.where.value is not None
         align_labels(self)
 
     def _on_where(self, layer: Any) -> None:
-        others = [each for each in self.should.offered if each is not layer]
+        self.should.reset_choices()  # no layer is both: where there are two, they change places
+        others = self.should.offered
         if isinstance(layer, Points) and self.should.value is None and len(others) == 1:
             self.should.value = others[0]
         self.look()
@@ -145,8 +150,7 @@ class ExtentChoice(ComboBox):
         return bool(self.value == "volume")
 
     def look_at(self, image: Any) -> None:
-        """Offer what there is of an image."""
+        """Offer what there is of an image, and choose what it is meant for."""
         self.has_slices = image is not None and layer_extents(image)[-3:-2] > (1,)
         self.visible = self.has_slices
-        if not self.has_slices:
-            self.value = "slice"
+        self.value = known_of(image).get("extent", "slice") if self.has_slices else "slice"

@@ -13,6 +13,7 @@ from napari.utils.notifications import show_error, show_warning
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.animation import MARKS
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.pixel_copy import LayerCopies
@@ -116,6 +117,13 @@ class LiveStudy:
         return None if self.source is None else self._done.get(self.source)
 
     @property
+    def _latest_here(self) -> Done | None:
+        """The latest result, if it is of the slice or the volume that is worked on."""
+        latest, study = self.latest, self.study
+        here = latest is not None and study is not None and latest.moved.study.grid == study.grid
+        return latest if here else None
+
+    @property
     def busy(self) -> bool:
         """Whether anything that was asked for is not seen yet."""
         # What is drawn at rest waits for as long as a drag is held.
@@ -210,6 +218,7 @@ class LiveStudy:
         if settling or going_on:
             stays = "" if self.latest is None else f" {messages.STAYS}"
             self._stop()
+            self._go_back()
             self.said.emit(messages.CANCELLED + stays)
         if settling:
             self.finished.emit(None)
@@ -243,7 +252,6 @@ class LiveStudy:
         self._follower.forget()
         self._copies.forget()  # nobody listens to layers any more
         self._poll.stop()
-        self._done.pop(self.source, None)
         self.curve_layer.show(None)
         self.study = self.source = self._asked = None
         self._failed = self._report = ""
@@ -351,9 +359,7 @@ class LiveStudy:
             self.look()
         self._done[self.source], self._failed = done, ""
         self._report = messages.report(done)
-        for made in done.outputs.layers.values():
-            made.attributes["metadata"][METADATA]["inputs_changed"] = not self.fresh
-        self.pointer.display.finish(done)
+        self._show(done)
         self._describe()
         settled = self.settling
         if settled:
@@ -364,6 +370,21 @@ class LiveStudy:
         self.followed.emit(done.outputs)
         if settled:
             self.finished.emit(done.outputs)
+
+    def _show(self, done: Done | None) -> None:
+        """Show a result that has come to rest, or none; its layers say whether it is up to date."""
+        for made in () if done is None else done.outputs.layers.values():
+            made.attributes["metadata"][METADATA]["inputs_changed"] = not self.fresh
+        self.pointer.display.finish(done)
+
+    def _go_back(self) -> None:
+        """Show the latest result again, in place of what there was of a study that is given up."""
+        moved, latest = self.pointer.display.moved, self._latest_here
+        rest = None if latest is None else latest.moved
+        if moved is not None and moved.solution is not None and moved is not rest:
+            self._resting.stop()
+            self._show(latest)
+            self.pointer.draw()
 
     def _on_poll(self) -> None:
         footer, monitor = self.form.footer, self._follower.monitor
@@ -399,11 +420,8 @@ class LiveStudy:
 
     def _describe(self) -> None:
         """Say of the latest result what is to be known, if it is of what is worked on."""
-        footer, done, study = self.form.footer, self.latest, self.study
-        if done is None or study is None or done.moved.study.grid != study.grid:
-            footer.warn("")
-        else:
-            footer.warn(*messages.warnings_of(done))
+        done = self._latest_here
+        self.form.footer.warn(*(("",) if done is None else messages.warnings_of(done)))
 
     def _cannot(self, error: Exception) -> None:
         """The tissue does not follow; the last result stays."""
@@ -428,13 +446,13 @@ class LiveStudy:
         self.finished.emit(None)
 
     def _on_chip(self) -> None:
-        """Say what there is to know, and mark where tissue folds, or no longer."""
+        """Say what there is to know, and mark where tissue folds or overlaps, or no longer."""
         self.said.emit(self.form.footer.warning)
-        overlay = self.form.result.overlay
-        if overlay.value == "folds":
+        overlay, latest = self.form.result.overlay, self.latest
+        if overlay.value in MARKS:
             overlay.value = NOTHING
-        elif self.latest is not None and self.latest.outputs.folds:
-            overlay.value = "folds"
+        elif latest is not None:
+            overlay.value = next(iter(messages.marks_of(latest.outputs)), overlay.value)
 
     def _stop(self) -> None:
         """Show that nothing goes on any more."""

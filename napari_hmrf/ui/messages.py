@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 from napari_hmrf.errors import ConvergenceError, HmrfError
+from napari_hmrf.field.animation import MARKS, Mark
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import as_seen, unit_symbol
+from napari_hmrf.layers.result_layers import Outputs
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors.elastic import Plane
@@ -23,6 +28,8 @@ MEANWHILE = "What was deformed is hidden while you paint."
 CHANGED = "Changed since the last result: press Deform."
 CANCELLED = "Cancelled; nothing was changed."
 STAYS = "The last result stays."
+_NO_IMAGE = "No image is chosen. What came of the last one is seen again when you choose it."
+_HIDDEN = "Hidden, to show '{}': {}. Click an eye in the list of layers to see that again."
 #: What goes with a layer that was deleted.
 DRAWING_GONE = "'{name}' is gone, and what was drawn on it: napari brings no layer back."
 TISSUE_GONE = "'{name}' is gone, with all it said of stiffness: napari brings no layer back."
@@ -60,6 +67,12 @@ ABOUT_POISSON = (
 
 #: What people can do something about, or have to wait for.
 _WAITS = ("waiting for", "compiling", "starting to compile")
+_WARNINGS: dict[Mark, str] = {
+    "folds": "the tissue is pushed through itself (it folds), which no tissue does. Move it less; "
+    "far from all that is held also by a wider patch or boundary.",
+    "overlaps": "one part of the tissue has moved onto another and hides it; parts do not feel "
+    "each other across a gap.",
+}
 #: So few folded pixels are noise of the rounding, and nothing to warn of.
 HANDFUL = 5
 
@@ -83,22 +96,17 @@ def report(done: Done) -> str:
 
 def warnings_of(done: Done) -> tuple[str, str]:
     """What to beware of, in sentences and in a few words; "" if nothing."""
-    outputs, parts, short = done.outputs, list[str](), ""
     sites = "voxels" if len(done.moved.study.grid.shape) == 3 else "pixels"
-    if outputs.folds > HANDFUL:
-        short = f"Folds at {outputs.folds} {sites}: show where"
-        parts.append(
-            f"Warning: at {outputs.folds} {sites} the tissue is pushed through itself (it folds), "
-            "which no tissue does. Move it less; far from all that is held also by a wider patch "
-            "or boundary."
-        )
-    if outputs.overlaps > HANDFUL:
-        parts.append(
-            f"Warning: at {outputs.overlaps} {sites} one part of the tissue has moved onto another "
-            "and hides it; parts do not feel each other across a gap."
-        )
+    found = marks_of(done.outputs).items()
+    parts = [f"Warning: at {number} {sites} {_WARNINGS[mark]}" for mark, number in found]
     parts += (f"{note[0].upper()}{note[1:]}." for note in done.notes)
-    return " ".join(parts), short
+    short = [f"{mark.capitalize()} at {number} {sites}: show where" for mark, number in found]
+    return " ".join(parts), next(iter(short), "")
+
+
+def marks_of(outputs: Outputs) -> dict[Mark, int]:
+    """At how many sites tissue does what is to be marked; of what is noise, nothing."""
+    return {mark: number for mark in MARKS if (number := getattr(outputs, mark)) > HANDFUL}
 
 
 def in_short(error: Exception) -> str:
@@ -118,6 +126,13 @@ def progress(monitor: Monitor, what: str = "Deforming") -> str:
     return f"{what}: {percent} %" if percent else f"{what} ..."
 
 
-def saved_study(name: str, solved: bool) -> str:
-    """Of a study's file."""
-    return f"Saved {name}{'' if solved else ', without a field: press Deform to have one'}."
+def chosen(image: Any, hidden: Sequence[Any]) -> str:
+    """What became of the picture when an image was chosen, or none; "" if no layer was hidden."""
+    names = ", ".join(f"'{layer.name}'" for layer in hidden)
+    return _NO_IMAGE if image is None else names and _HIDDEN.format(image.name, names)
+
+
+def saved_study(name: str, solved: bool, pairs: str) -> str:
+    """Of a study's file, and of a layer with pairs that are not in it."""
+    apart = f" Landmarks of '{pairs}' are not in it: press 'Take as landmarks'." if pairs else ""
+    return f"Saved {name}{'' if solved else ', without a field: press Deform to have one'}.{apart}"

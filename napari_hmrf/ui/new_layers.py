@@ -56,11 +56,10 @@ def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View)
     if not boundary_there:
         frame = frame_of(image, view)
         push = usual_step(plane_shape(image, frame), frame.spacing)
-        rules = (
-            BoundaryRule(1, "fixed", name="holds"),
-            BoundaryRule(2, "expand", amount=push, name="grows"),
-        )
-        boundary = blank("Boundary", described(BOUNDARY, rules), colormap=boundary_colours())
+        holds = BoundaryRule(1, "fixed", name="holds")
+        grows = BoundaryRule(2, "expand", amount=push, name="grows")
+        known = described(BOUNDARY, (holds, grows))
+        boundary = blank("Boundary", known, colormap=boundary_colours())
         layers.append(boundary)
     lacking = not isinstance(tissue, Labels) or (tissue_there and not boundary_there)
     first = boundary if lacking else tissue

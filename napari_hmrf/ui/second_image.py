@@ -66,7 +66,7 @@ class SecondImage:
         moved = [] if image is None else [image, *self._results.pictures_of(image)]
         self._draw(self._form.second.value, moved)
         self._points.release()
-        pair = {self._pair.where.value, self._pair.should.value} - {None}
+        pair = {*self._pair.pair} - {None}
         self._points = Listening(*((layer.events.data, self._on_points) for layer in pair))
         self._measure()
 
@@ -126,7 +126,7 @@ class SecondImage:
 
     def _pairs(self, answer: Answer) -> LandmarkPairs | None:
         """The landmarks of the layers that are chosen, or else of the drawing."""
-        where, should = self._pair.where.value, self._pair.should.value
+        where, should = self._pair.pair
         if where is not None:
             view = View.of(self._viewer.dims)
             try:

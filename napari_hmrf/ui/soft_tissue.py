@@ -63,7 +63,7 @@ class SoftTissue(Dock):
     Attributes
     ----------
     image : napari.layers.Image or None
-        What to deform; without, the motion alone is seen.
+        What to deform. Where there is no image at all, the motion of painted tissue is seen alone.
     extent : {"slice", "volume"}
         Whether the slice that is shown is deformed as if it had no neighbours, or all of a volume.
     tissue : napari.layers.Labels, Image, "brightness" or None
@@ -99,8 +99,8 @@ class SoftTissue(Dock):
         without its result.
     overlay : str
         What lies over the image: "nothing"; moving with the tissue a `Quantity`, "grid", "labels",
-        "difference" (from the reference), "folds", "stiffness" or "confidence"; where it was,
-        "observed".
+        "difference" (from the reference), "folds", "overlaps", "stiffness" or "confidence"; where
+        it was, "observed".
     reference, comparison : napari.layers.Vectors or None, Comparison or None
         A field or another result, and how far this one is from it, once that is computed.
     more : ResultMenu
@@ -402,11 +402,7 @@ class SoftTissue(Dock):
             lambda: self._try(lambda: self.tissue_from_intensity(live.first_curve()))
         )
         points = form.motion.boundary.landmarks
-        points.take.changed.connect(
-            lambda _: self._try(
-                lambda: self.take_landmarks(points.where.value, points.should.value)
-            )
-        )
+        points.take.changed.connect(lambda _: self._try(lambda: self.take_landmarks(*points.pair)))
         form.motion.picked.connect(self._on_tool)
         form.motion.remove.changed.connect(lambda _: self.remove())
         form.motion.clear.changed.connect(lambda _: self.clear())

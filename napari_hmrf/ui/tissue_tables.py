@@ -263,7 +263,7 @@ class MaterialMenu(QPushButton):
     def _offer(self, menu: QMenu, preset: Preset) -> None:
         about = f"<p>{escape(preset.source, quote=False)}</p>"  # as rich text it is wrapped
         title = f"{preset.name} {preset.unit if preset in PRESETS else ''}".strip()
-        add_entry(menu, title, about, lambda _=False: self.take(preset))
+        add_entry(menu, title, about, lambda: self.take(preset))
 
     def _load(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Load materials", "", _FILES)

@@ -32,11 +32,13 @@ from napari_hmrf.layers.edit_history import (
     UnsavedWork,
     steps_of,
 )
+from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.read import study_layers
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.study.models import details_of, family_of
 from napari_hmrf.study.study import Study
+from napari_hmrf.tissue.drawing.drawing import ends_of
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.events import Listening, single_shot
 from napari_hmrf.ui.forms import Prose, row
@@ -94,11 +96,25 @@ class Unsaved(QObject):
 
     def save(self, path: str | Path) -> Path:
         """Save the study as it is, and its field if that is up to date."""
-        solution = self._dock.solution if self._live.fresh else None
-        written = save_study(path, self._dock.study, solution)
-        self._dock.say(messages.saved_study(written.name, solution is not None))
+        solution, study = self._dock.solution if self._live.fresh else None, self._dock.study
+        written = save_study(path, study, solution)
+        apart = self._landmarks_apart(study)
+        self._dock.say(messages.saved_study(written.name, solution is not None, apart))
         self._settle(self._pointer.history.slot, written)
         return written
+
+    def _landmarks_apart(self, study: Study) -> str:
+        """The layer that is chosen as *landmarks at*, if a pair of it was not taken; else ""."""
+        form, grid = self._live.form, study.grid
+        where, should = form.motion.boundary.landmarks.pair
+        taken = [ends_of(mark, grid.spacing) for mark in study.motion.drawing.marks]
+        if where is None:
+            return ""
+        try:
+            chosen = read_landmarks(where, should, grid.place, grid.shape, form.view())
+        except HmrfError:  # it is said when they are taken
+            return ""
+        return where.name if any((mark.target, mark.source) not in taken for mark in chosen) else ""
 
     def save_as(self) -> None:
         """Ask where to save the study, and save it."""

@@ -9,6 +9,7 @@ from napari.layers import Labels
 from psygnal import Signal
 
 from napari_hmrf.field.frame import PLACE
+from napari_hmrf.layers.image_choice import uncover
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of
 from napari_hmrf.layers.pixel_copy import CHANGES
@@ -57,7 +58,7 @@ class ViewerWatch:
         live.moved_on.connect(self._on_other)
         self._slice = self._slice_shown
         self._form.edited.connect(self._on_choice)
-        self._form.image.changed.connect(self._on_choice)
+        self._form.image.changed.connect(self._on_image)
         self._answers: dict[str, Any] = {
             "inserted": self._on_inserted,
             "removed": self._on_removed,
@@ -116,6 +117,23 @@ class ViewerWatch:
         self._live.touch()
         self._guide.show()
 
+    def _on_image(self, image: Any) -> None:
+        """Have the image that is chosen be seen, and what came of it; and no other's results."""
+        self._results.show_only(image)
+        if image is None:
+            self._rest()
+        if not self._choices.by_itself:
+            hidden = () if image is None else uncover(self._viewer, image)
+            self._guide.say(messages.chosen(image, hidden), why="step")
+        self._on_choice()
+
+    def _rest(self) -> None:
+        """Work on nothing."""
+        self._live.cancel()
+        self._live.forget()
+        self._guide.say("")
+        self._leaving.start()
+
     # What is shown
 
     def _on_slice(self, *_: Any) -> None:
@@ -159,9 +177,7 @@ class ViewerWatch:
         if layer is display.arrows.former and not display.quiet:
             self._guide.say(ARROWS_GONE, why="step")
         if layer is live.source:
-            live.cancel()
-            live.forget()
-            self._guide.say("")
+            self._rest()
         elif was_read and live.settling:
             live.cancel()
         self._leaving.start()

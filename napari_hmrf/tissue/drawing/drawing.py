@@ -68,7 +68,7 @@ class Drawing:
         self._check(number)
         return Drawing((*self.marks[:number], *self.marks[number + 1 :]))
 
-    def at(self, point: Point, reach: float, spacing: Sequence[float] | None = None) -> Hit | None:
+    def at(self, point: Point, reach: float, spacing: Sequence[float]) -> Hit | None:
         """Find the end of an arrow or a landmark that can be picked up at a place.
 
         Parameters
@@ -77,8 +77,8 @@ class Drawing:
             (row, col) or (plane, row, col) in pixels.
         reach : float
             How near is near enough, in the unit of `spacing`.
-        spacing : sequence of float, optional
-            Size of a pixel along each axis; by default 1.
+        spacing : sequence of float
+            Size of a pixel along each axis.
 
         Returns
         -------
@@ -86,7 +86,6 @@ class Drawing:
             The nearest; of several equally near ones a head before a base, and a later mark before
             an earlier one.
         """
-        spacing = (1.0,) * len(point) if spacing is None else spacing
         ends = (
             (math.hypot(*between(point, end, spacing)), order, -number)
             for number, mark in enumerate(self.marks)
@@ -95,17 +94,16 @@ class Drawing:
         away, order, number = min(ends, default=(math.inf, 0, 0))
         return Hit(-number, "base" if order else "head") if away <= reach else None
 
-    def painted_at(self, point: Point, spacing: Sequence[float] | None = None) -> int | None:
+    def painted_at(self, point: Point, spacing: Sequence[float]) -> int | None:
         """Find the stroke that lies uppermost at a place; None if none does.
 
         Parameters
         ----------
         point : tuple of float
             (row, col) or (plane, row, col) in pixels.
-        spacing : sequence of float, optional
-            Size of a pixel along each axis; by default 1.
+        spacing : sequence of float
+            Size of a pixel along each axis.
         """
-        spacing = (1.0,) * len(point) if spacing is None else spacing
         for number in reversed(range(len(self.marks))):
             mark = self.marks[number]
             if isinstance(mark, Stroke) and covers(mark, point, spacing):

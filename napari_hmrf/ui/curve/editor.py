@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import numpy as np
 from magicgui.widgets import Container, LineEdit, PushButton
 from psygnal import Signal
 
-from napari_hmrf.tissue.stiffness_curve import Point, StiffnessCurve
+from napari_hmrf.tissue.stiffness_curve import Between, Point, StiffnessCurve
 from napari_hmrf.ui.curve.plot import CurvePlot
 from napari_hmrf.ui.forms import align_labels, attempt, menu, number_of
 
 _JOINED = {
-    ("straight", True): "straight, logarithmic",
-    ("smooth", True): "smooth, logarithmic",
-    ("straight", False): "straight, linear",
-    ("smooth", False): "smooth, linear",
+    (between, scale == "logarithmic"): f"{between}, {scale}"
+    for scale in ("logarithmic", "linear")
+    for between in get_args(Between)
 }
 
 

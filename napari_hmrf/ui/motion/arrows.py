@@ -109,9 +109,8 @@ class ArrowsLayer:
         layer, frame = self.layer, self._frame
         if layer is None or frame is None:
             return
-        across = 0
-        if len(frame.plane) == 3:
-            across, _ = plane_shown(frame, View.of(self._viewer.dims))
+        is_volume, view = len(frame.plane) == 3, View.of(self._viewer.dims)
+        across = plane_shown(frame, view)[0] if is_volume else 0
         own = arrow_lines(drawing, frame.spacing, selected, across)
         lines, colours = map(np.concatenate, zip(*below, own, strict=True))
         placed = frame.put_vectors(lines)

@@ -17,7 +17,6 @@ from napari_hmrf.layers.paint_layer import confidence_layer, number_of, painted_
 from napari_hmrf.layers.result_layers import Kind, LayerData, picture_layer
 from napari_hmrf.layers.viewer_layers import shared, still_there
 from napari_hmrf.study.engine import Deformation
-from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.canvas import box_of, covered
@@ -75,11 +74,6 @@ class Display:
         return None if self.seen is None else self.seen.moved
 
     @property
-    def ground(self) -> Ground | None:
-        """What tissue follows on; None while something is read, or compiled."""
-        return None if self.seen is None else self.seen.moved.ground
-
-    @property
     def result(self) -> Result | None:
         """The layers of the result of what is shown."""
         moved = self.moved
@@ -102,6 +96,7 @@ class Display:
             if study is not None:
                 self.seen = Seen(Deformation(study, image=study.pictures.image))
                 self.arrows.place(study.grid.place, study.grid.shape)
+                self._results.stand_on(image, study.grid.place)
 
     @property
     def covering(self) -> Any:
@@ -109,9 +104,8 @@ class Display:
         image, result = still_there(self._viewer, self._image), self.result
         picture = None if result is None else result.layer("image")
         lowest = picture if picture is not None and picture.visible else image
-        if lowest is None:
-            return None
-        return image_covering(self._viewer, lowest, [self._viewer.cursor.position])
+        place = [self._viewer.cursor.position]
+        return None if lowest is None else image_covering(self._viewer, lowest, place)
 
     def show(self, seen: Seen, hand: Hand) -> None:
         """Show another state of the tissue."""
@@ -142,10 +136,17 @@ class Display:
             np.moveaxis(self._whole, moved.plane.axis, 0)[moved.plane.number] = moved.image
         return self._whole
 
-    def finish(self, done: Done) -> None:
-        """Show all layers of a state that has come to rest."""
+    def finish(self, done: Done | None) -> None:
+        """Show all layers of a state that has come to rest; None: the image as it was alone."""
+        seen = self.seen
+        assert seen is not None
+        image, layers = seen.moved.study.pictures.image, {} if done is None else done.outputs.layers
+        still = replace(seen.moved, solution=None, image=image, overlay=(), plane=None)
+        moved = still if done is None else done.moved
+        self.seen = Seen(moved, seen.marks if moved.overlay else None)
+        self._picture_of(moved)
         with self.own_doing():
-            self._show_result(done.outputs.layers)
+            self._show_result(layers)
             self.arrows.raise_up()
 
     def _show_result(self, layers: Mapping[Kind, LayerData], moving: bool = False) -> None:
@@ -170,7 +171,7 @@ class Display:
     def _take_paint(self, seen: Seen, hand: Hand) -> None:
         self._stroke_waits.stop()
         if seen.moved.plane is None:  # else it stays as it was until all of the volume has followed
-            self._painted = seen.painted
+            self._painted = None if seen.marks is None else seen.moved.overlay[0]
         self._stroke = hand.mark if hand.holding and isinstance(hand.mark, Stroke) else None
 
     def _picture(self) -> npt.NDArray[np.uint8] | None:
@@ -216,8 +217,8 @@ class Display:
         seen, stroke = self.seen, hand.mark
         if seen is not None and seen.marks is not None:
             below.append(seen.marks)
-        if isinstance(stroke, Stroke) and not hand.holding and seen and self.ground:
-            below.append(way_of(stroke, self.ground.base.spacing, seen.moved.goes_to))
+        if isinstance(stroke, Stroke) and not hand.holding and seen and seen.moved.ground:
+            below.append(way_of(stroke, seen.moved.study.grid.spacing, seen.moved.goes_to))
         self.arrows.show(drawing, hand.selected, below, quick=hand.holding)
 
     def leave(self) -> None:

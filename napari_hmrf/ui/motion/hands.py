@@ -129,24 +129,15 @@ class Hand:
         self._history.do(self._history.drawing.without(number), f"removed {name_of(mark)}")
         return True
 
-    def change(self, how: Any) -> bool:
-        """Make the selected mark as another one is, but where it lies.
-
-        Returns
-        -------
-        bool
-            Whether that made a difference.
-        """
+    def change(self, how: Any) -> None:
+        """Make the selected mark as another one is, but where it lies."""
         mark, number = self.mark, self.selected
         if mark is None or number is None or self.holding:
-            return False
-        changed = self._changed(mark, how)
-        if changed == mark:
-            return False
-        drawing = self._history.drawing.replaced(number, changed)
-        self._ours = drawing  # before those who listen ask what is selected
-        self._history.do(drawing, f"changed {name_of(changed)}")
-        return True
+            return
+        if (changed := self._changed(mark, how)) != mark:
+            drawing = self._history.drawing.replaced(number, changed)
+            self._ours = drawing  # before those who listen ask what is selected
+            self._history.do(drawing, f"changed {name_of(changed)}")
 
     def _changed(self, mark: Any, how: Any) -> Mark:
         raise NotImplementedError

@@ -17,6 +17,7 @@ REMOVED_ALL = "Removed all; undo brings it back."
 CANCELLED = "Cancelled; everything is as before."
 OPEN = "Go on to where you began: what is to expand is a closed ring, or a patch."
 NO_STEP = "Now drag it to where it goes, or say above how far; till then it is held."
+NO_WAY = "This landmark holds what is there: drag the dot to where it should be."
 NO_OUTSIDE = (
     "Nothing was painted: an open line has no outside to expand to. Close it to a ring, paint a "
     "patch, or take 'Push'."

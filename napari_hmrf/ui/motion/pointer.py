@@ -14,7 +14,7 @@ from napari_hmrf.layers.edit_history import DRAWING, Place, Slot, ViewerSteps
 from napari_hmrf.layers.paint_layer import tissue_colours
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_model import History, Step
-from napari_hmrf.tissue.drawing import Drawing, Stroke
+from napari_hmrf.tissue.drawing import Drawing, Landmark, Mark, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.follower import Seen
@@ -78,6 +78,8 @@ class Pointer:
         self.tool: Tool = BY_NAME["pull"]
         # Whether what is selected was picked up, and not just made.
         self._picked = False
+        # What was held when the button was pressed.
+        self._pressed: Mark | None = None
         self.display = Display(native, viewer, self)
         self._open_hand()
         # The text in a corner of the canvas, and what we said there.
@@ -204,7 +206,8 @@ class Pointer:
         if seen.moved.error is not None:
             self._show_error(seen)
             return
-        before, known = self.display.seen, self.display.ground
+        before = self.display.seen
+        known = None if before is None else before.moved.ground
         if ground is not None and ground is not known:
             self._fields.offer(ground.palette)
             self.display.tissues = tissue_colours(ground.palette, self.tissue)
@@ -247,6 +250,7 @@ class Pointer:
             return
         hand, self._picked = self.hand, False
         taken = hand.press(point, reach, self._fields.how, moved.came_from)
+        self._pressed = hand.mark
         self._show_how()
         if not taken:
             self.said.emit(motion_messages.NOTHING)
@@ -286,9 +290,9 @@ class Pointer:
     def release(self) -> None:
         """Let go."""
         self.display.arrows.end_drag()
-        held = self.hand.holding
+        held, done = self.hand.holding, ""
         try:
-            self.hand.release()
+            done = self.hand.release()
         except HmrfError:
             self._in_error = False
             self.refused.emit(motion_messages.NO_OUTSIDE)
@@ -298,6 +302,8 @@ class Pointer:
             pushed = isinstance(mark, Stroke) and mark.action == "move" and not mark.moves_nowhere
             if pushed:  # nothing more is waited for
                 self.said.emit("")
+            elif done and isinstance(mark, Landmark) and mark == self._pressed:
+                self.said.emit(motion_messages.NO_WAY)
             self.draw()
 
     def turn(self) -> None:

@@ -11,7 +11,7 @@ from napari_hmrf.tissue.boundary_rules import Material, stiffness_in_words
 from napari_hmrf.tissue.drawing import Arrow, Landmark, Mark, Stroke
 from napari_hmrf.tissue.drawing.marks import Action
 from napari_hmrf.tissue.material_presets import PRESETS, Palette
-from napari_hmrf.ui.forms import length, narrow, share
+from napari_hmrf.ui.forms import length, menu, narrow, share
 from napari_hmrf.ui.motion.tools import BY_NAME, Tool
 
 #: The lowest confidence that is asked for; below, it says nothing.
@@ -56,21 +56,19 @@ class ToolFields(Container):
         )
         self.components = ComboBox(
             choices=_components(self._ways),
-            value="both",
             label="moves",
             tooltip="In which directions this says where tissue goes; in the other it is free",
         )
-        self.preset = ComboBox(
-            choices=[(each.name, each) for each in PRESETS],
-            value=PRESETS[0],
-            label="tissues of",
-            tooltip="Published tissues to paint with, as the tissue layer has no table of its own; "
-            "what is not painted behaves as the first of them",
+        self.preset = menu(
+            "tissues of",
+            {each: each.name for each in PRESETS},
+            "Published tissues to paint with, as the tissue layer has no table of its own; what is "
+            "not painted behaves as the first of them",
         )
         tip = "Of the tissue's own table, or of the presets"
         self.material = ComboBox(choices=[], label="becomes", tooltip=tip)
-        for menu in (self.preset, self.components):
-            narrow(menu)
+        for offered in (self.preset, self.components):
+            narrow(offered)
         self._own_table = False
         # Each is called by its attribute: so the tools say which they need.
         fields = {name: each for name, each in vars(self).items() if isinstance(each, Widget)}
@@ -176,11 +174,8 @@ class ToolFields(Container):
 
     def offer(self, palette: Palette) -> None:
         """Have these tissues to be painted; the one chosen stays, if it is among them."""
-        unit = palette.unit
-        choices = [
-            (f"{row.name or row.label} ({_stiffness(row, unit)})", row.label)
-            for row in palette.materials
-        ]
+        rows = palette.materials
+        choices = [(_in_words(row, palette.unit), row.label) for row in rows]
         labels = [label for _, label in choices]
         before = self.material.value
         with self.material.changed.blocked():
@@ -188,15 +183,16 @@ class ToolFields(Container):
             self.material.choices = []
             self.material.choices = choices
             # What is painted first is a tissue, the last of them: it is what is special.
-            solid = [row.label for row in palette.materials if row.is_deformable]
+            solid = [row.label for row in rows if row.is_deformable]
             usual = (solid or labels)[-1]
             self.material.value = before if before in labels else usual
         self._own_table = palette.own
         self.show_for(self._tool)
 
 
-def _stiffness(row: Material, unit: str) -> str:
-    return stiffness_in_words(row.stiffness, unit) if row.stiffness > 0 else "no tissue"
+def _in_words(row: Material, unit: str) -> str:
+    stiffness = stiffness_in_words(row.stiffness, unit) if row.stiffness > 0 else "no tissue"
+    return f"{row.name or row.label} ({stiffness})"
 
 
 def _components(ways: Directions) -> list[tuple[str, str]]:

@@ -50,7 +50,7 @@ TOOLS: tuple[Tool, ...] = (
         "Landmark",
         "L",
         ("radius", "confidence"),
-        "Drag from where something is to where it should be.",
+        "Drag from where something is to where it should be, or click what stays there.",
     ),
     Tool("pin", "Hold", "P", _HELD, "Paint what does not move."),
     Tool("free", "Free", "F", ("radius",), "Paint what nothing holds, whatever else says so."),

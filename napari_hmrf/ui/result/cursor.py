@@ -18,6 +18,9 @@ from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_messages import FULL
 
+#: Said of the Jacobian at a fold, which is 0 or below; elsewhere it is the mean of the corners.
+_FOLDS = " (folds: that of the worst corner)"
+
 
 class UnderCursor:
     """Reads a result at the cursor, and says it behind what napari's status bar says.
@@ -36,20 +39,22 @@ class UnderCursor:
         self._viewer, self._shown = viewer, shown
         # What is said behind what napari says.
         self._line = ""
-        viewer.events.status.connect(self._say)
+        viewer.events.status.connect(self.say)
 
     def release(self) -> None:
         """Listen no more."""
-        self._viewer.events.status.disconnect(self._say)
+        self._viewer.events.status.disconnect(self.say)
 
     def look(self) -> None:
         """What is seen is another, so that something else may be below a mouse that rests."""
         cursor = self._viewer.cursor
         cursor.events.position(value=cursor.position)  # napari reads its layers again
-        self._say()
+        self.say()
 
     def at(self, position: Any) -> Probe | None:
-        """What happens to the tissue that is seen at a point of the world; None beside it.
+        """What happens to the tissue that is seen at a point of the world.
+
+        None beside it, and while it is on its way: the result there is was then seen before.
 
         Parameters
         ----------
@@ -58,7 +63,7 @@ class UnderCursor:
         """
         shown = self._shown()
         arrows = None if shown is None else shown.layers.layer("arrows")
-        if shown is None or arrows is None:
+        if shown is None or arrows is None or shown.layers.moving:
             return None
         place = place_at(arrows, shown.answer, position, View.of(self._viewer.dims))
         return None if place is None else shown.points.at(place, shown.layers.percent / FULL)
@@ -78,24 +83,20 @@ class UnderCursor:
                 more.insert(0, f"{title} {strain:g} %")
         return at_point(answer.unit, found, ways, more, shown.percent)
 
-    def _say(self, *_: Any) -> None:
+    def say(self, *_: Any) -> None:
         """Say what is under the cursor behind what napari has said last."""
         status = self._viewer.status
-        said = _words(status).removesuffix(self._line)
+        known = status if isinstance(status, dict) else {"coordinates": status}
+        said = str(known.get("coordinates", "")).removesuffix(self._line)
         # napari tells of its layers, too, before anybody has pointed at anything; and says nothing
         # when the mouse leaves, before it knows that it has left.
         pointed = bool(said) and self._viewer.mouse_over_canvas
         line = self.line_at(self._viewer.cursor.position) if pointed else ""
         self._line = f"  |  {line}" if line else ""
         joined = said + self._line
-        with self._viewer.events.status.blocker(self._say):
-            self._viewer.status = (
-                {**status, "coordinates": joined} if isinstance(status, dict) else joined
-            )
-
-
-def _words(status: Any) -> str:
-    return str(status.get("coordinates", "") if isinstance(status, dict) else status)
+        now = {**known, "coordinates": joined} if known is status else joined
+        with self._viewer.events.status.blocker(self.say):
+            self._viewer.status = now
 
 
 def _stiffness(shown: MovingLayers, found: Probe) -> str:
@@ -103,23 +104,18 @@ def _stiffness(shown: MovingLayers, found: Probe) -> str:
     answer = shown.answer
     if answer.problem is None:
         return ""
-    at = found.site
-    value, unit = answer.problem.stiffness[at], stiffness_unit(answer)
+    value, unit = answer.problem.stiffness[found.site], stiffness_unit(answer)
     labels, rows = answer.pictures.labels, tissue_recorded(shown.arrows)[0] or ()
     # A brush may have made it other tissue than the label says.
     same = [row for row in rows if np.float32(row.stiffness) == value]
-    same.sort(key=lambda row: labels is None or row.label != labels[at])
+    same.sort(key=lambda row: labels is None or row.label != labels[found.site])
     if not same:
         return stiffness_of("", float(f"{value:.3g}"), unit)
     return stiffness_of(same[0].name, same[0].stiffness, unit)
 
 
 def at_point(
-    unit: str,
-    found: Probe,
-    ways: Directions,
-    more: Sequence[str] = (),
-    percent: int = FULL,
+    unit: str, found: Probe, ways: Directions, more: Sequence[str] = (), percent: int = FULL
 ) -> str:
     """What is under the cursor, in a line short enough for the status bar.
 
@@ -129,7 +125,7 @@ def at_point(
     length = _rounded(found.length)
     parts = [
         f"moves {length:g} {unit}" + (f" ({ways.step(step)})" if length else ""),
-        f"Jacobian {found.jacobian:.3f}" + (" (folds)" if found.jacobian <= 0 else ""),
+        f"Jacobian {found.jacobian:.3f}" + (_FOLDS if found.jacobian <= 0 else ""),
     ]
     line = ", ".join([*parts, *filter(None, more)])
     return line if percent == FULL else f"at {FULL} %: {line}"

@@ -98,9 +98,8 @@ class MovingLayers:
         else:
             self.layers.put("overlay", made.layer, self.source, show)
             quantity = made.name if made.name in QUANTITIES else None
-            is_grid, folds = made.name == "grid", made.name == "folds"
-            picture, marks = (None, made.picture) if folds else (made.picture, None)
-            self.motion = Motion(solution, self.image, picture, is_grid, quantity, marks)
+            picture, is_grid = made.picture, made.name == "grid"
+            self.motion = Motion(solution, self.image, picture, is_grid, quantity)
 
     def ready(self) -> bool:
         """Have a layer that can be moved; whether there is one."""

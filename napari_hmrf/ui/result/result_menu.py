@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,11 +14,10 @@ from qtpy.QtCore import Qt
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.measurement import Measurement, measure
-from napari_hmrf.field.units import as_seen
 from napari_hmrf.io.fields import export_field, saved_field
 from napari_hmrf.io.figures import save_result_pictures
 from napari_hmrf.io.moving_pictures import save_moving_picture
-from napari_hmrf.io.tables import save_measurements
+from napari_hmrf.io.tables import measurements_in_words, save_measurements
 from napari_hmrf.layers.field_layer import MOVED, can_move, mover, picture_of, tissue_labels
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_recorded
 from napari_hmrf.layers.result_layers import LayerData
@@ -39,18 +37,6 @@ _WITH_IT = (
     "A new layer, moved with the tissue. Of a volume in its place the slice of this result moves; "
     "of a film, of channels, and of a stack without units all slices do"
 )
-#: What is above each column, and what of a `Measurement` is in it.
-_COLUMNS = {
-    "tissue": "name",
-    "label": "label",
-    "area ({unit}²)": "area",
-    "area change (%)": "area_change",
-    "moved, mean ({unit})": "mean_displacement",
-    "moved, most ({unit})": "largest_displacement",
-    "strain, mean (%)": "mean_strain",
-    "strain, most (%)": "largest_strain",
-    "folds (px)": "folds",
-}
 
 
 class ResultMenu:
@@ -124,13 +110,12 @@ class ResultMenu:
 
     def save_field(self, path: str | Path, *, forward: bool = False) -> None:
         """Write the field for other tools, as `export_field`; how good its inverse is is said."""
-        solution = self._shown.answer.solution
-        work = partial(export_field, path, solution, forward=forward)
-        self._errands.send(
-            f"{path}",
-            work,
-            lambda residual: self._say(saved_field(path, None if forward else residual)),
-        )
+        work = partial(export_field, path, self._shown.answer.solution, forward=forward)
+
+        def tell(residual: Any) -> None:
+            self._say(saved_field(path, None if forward else residual))
+
+        self._errands.send(f"{path}", work, tell)
 
     def save_film(self, path: str | Path) -> None:
         """Write the image as it moves, there and back; as `save_moving_picture`."""
@@ -184,17 +169,16 @@ class ResultMenu:
         menu, shown = self._button.menu(), self._look()
         menu.clear()
         about = "How far each tissue moved, how its area changed, and its strain"
-        add_entry(
-            menu, "Measurements ...", about, lambda: attempt(self._show_measurements, self._say)
-        )
+        measure = partial(attempt, self._show_measurements, self._say)
+        add_entry(menu, "Measurements ...", about, measure)
         along = menu.addMenu("Move along")
         along.setToolTipsVisible(True)
         source = None if shown is None else shown.source
         layers = [each for each in self._viewer.layers if can_move(each) and each is not source]
         rows = [(str(each.name), [each]) for each in layers]
         for title, chosen in [*rows, ("All of these", layers)][: None if len(rows) > 1 else -1]:
-            move = partial(self.move_along, *chosen)
-            add_entry(along, title, _WITH_IT, lambda _=False, move=move: attempt(move, self._say))
+            move = partial(attempt, partial(self.move_along, *chosen), self._say)
+            add_entry(along, title, _WITH_IT, move)
         along.setEnabled(bool(layers))
         forth = partial(self.save_field, forward=True)
         for title, about, save, name, kinds in (
@@ -203,7 +187,7 @@ class ResultMenu:
             ("as film", _FILM, self.save_film, "film.gif", _FILMS),
         ):
             ask = partial(self._ask, save, f"Save {title}", name, kinds)
-            add_entry(menu, f"Save {title} ...", about, lambda _=False, ask=ask: ask())
+            add_entry(menu, f"Save {title} ...", about, ask)
 
     def _on_save(self, *_: Any) -> None:
         title = "Where to make a folder of pictures"
@@ -216,17 +200,18 @@ class ResultMenu:
         self.saved.emit(paths)
 
     def _show_measurements(self) -> None:
-        rows, unit = self.measure(), self._shown.answer.unit
+        rows, answer = self.measure(), self._shown.answer
+        unit, volume = answer.unit, len(answer.shape) == 3
         seen = QtWidgets.QDialog(self._button.window(), windowTitle="What happened to each tissue")
         seen.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        table, button = _table_of(rows, unit), QtWidgets.QPushButton("Save .csv ...")
+        table = _table_of(*measurements_in_words(rows, unit, volume=volume))
+        button = QtWidgets.QPushButton("Save .csv ...")
         layout = QtWidgets.QVBoxLayout(seen)
         layout.addWidget(table)
         layout.addWidget(button, alignment=Qt.AlignmentFlag.AlignRight)
         seen.resize(table.horizontalHeader().length() + 40, 100 + 32 * (len(rows) + 1))
-        save = partial(save_measurements, rows=rows, unit=unit)
-        title = "Save measurements"
-        ask = partial(self._ask, save, title, "measurements.csv", "Tables (*.csv)")
+        save = partial(save_measurements, rows=rows, unit=unit, volume=volume)
+        ask = partial(self._ask, save, "Save measurements", "measurements.csv", "Tables (*.csv)")
         button.clicked.connect(lambda _: ask())
         seen.show()
 
@@ -236,26 +221,15 @@ class ResultMenu:
             attempt(partial(save, path), self._say)
 
 
-def _table_of(rows: Sequence[Measurement], unit: str) -> QtWidgets.QTableWidget:
+def _table_of(titles: list[str], cells: list[list[str]]) -> QtWidgets.QTableWidget:
     """Measurements in a table that stays as it is."""
-    table = QtWidgets.QTableWidget(len(rows), len(_COLUMNS))
+    table = QtWidgets.QTableWidget(len(cells), len(titles))
     table.setObjectName("measurements")
-    table.setHorizontalHeaderLabels([title.format(unit=unit) for title in _COLUMNS])
+    table.setHorizontalHeaderLabels(titles)
     table.verticalHeader().hide()
     table.setEditTriggers(table.EditTrigger.NoEditTriggers)
-    for number, row in enumerate(rows):
-        for column, name in enumerate(_COLUMNS.values()):
-            table.setItem(number, column, QtWidgets.QTableWidgetItem(_in_words(row, name)))
+    for number, row in enumerate(cells):
+        for column, words in enumerate(row):
+            table.setItem(number, column, QtWidgets.QTableWidgetItem(words))
     table.resizeColumnsToContents()
     return table
-
-
-def _in_words(row: Measurement, name: str) -> str:
-    """Four digits; of large areas all before the point, and nothing of what nobody sees."""
-    value = getattr(row, name)
-    if not isinstance(value, float):
-        return str(value)
-    if name != "area":
-        pixel = math.sqrt(row.area / row.pixels)
-        value = as_seen(value, [pixel if name.endswith("displacement") else 1.0])
-    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"

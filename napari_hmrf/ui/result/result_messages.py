@@ -37,6 +37,7 @@ _ABOUT: dict[Name, str] = {
     "labels": "tissue labels",
     "difference": "from the reference ({unit})",
     "folds": "folds",
+    "overlaps": "overlaps",
     "stiffness": "given: stiffness",
     "observed": "given: motion",
     "confidence": "given: confidence",
@@ -46,6 +47,7 @@ _FROM_A_FILE = "What was given is not in the file of a result. Press Deform to m
 LACKING: dict[Name, str] = {
     "labels": "No labels of tissue have moved with this result.",
     "folds": "The tissue folds nowhere.",
+    "overlaps": "No part of the tissue has moved onto another.",
     **dict.fromkeys(("stiffness", "observed", "confidence"), _FROM_A_FILE),
 }
 OVERLAY_TIP = (

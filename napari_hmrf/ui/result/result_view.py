@@ -130,11 +130,11 @@ class ResultView:
     def stand_on(self, image: Any) -> None:
         """Look at the result of an image, if what is looked at is another's; at none without."""
         shown, layers = self.shown, self._viewer.layers
-        if image is None or (shown is not None and shown.source in (None, image)):
+        if shown is not None and shown.source in (None, image):
             return
         held = ((layer, result_of(layer)) for layer in reversed(layers))
         own = (each for each, of in held if of is not None and source_of(layers, of) is image)
-        self.arrows = next(own, None)
+        self.arrows = None if image is None else next(own, None)
 
     def play(self) -> None:
         """Go back and forth between 0 and 100 % until `player.stop`."""
@@ -193,17 +193,20 @@ class ResultView:
         if shown is None or result is not shown.layers:
             if arrows is not None and arrows.visible:
                 self.arrows = arrows
-        elif not result.moving and not result.holds("arrows"):
+        elif result.is_away or not (result.moving or result.holds("arrows")):
             self.arrows = None
-        elif not result.moving and (arrows is None or result_of(arrows) is not shown.answer):
+        elif not result.moving:
             self.arrows = arrows
-        elif moves or self._form.slider.value != words.FULL:
-            self._draw_whole()  # all of it is there again
+        else:
+            self.cursor.say()
+            if moves or self._form.slider.value != words.FULL:
+                self._draw_whole()  # all of it is there again
 
     def _on_active(self, *_: Any) -> None:
         """Look at another result that is selected: of another image, slice or file."""
         active = self._viewer.layers.selection.active
-        if active not in (None, self.arrows) and result_of(active) is not None:
+        answer = None if active in (None, self.arrows) else result_of(active)
+        if answer is not None and not self._results.of(active).is_away:
             self.arrows = active
 
     def _on_chosen(self, *_: Any) -> None:
