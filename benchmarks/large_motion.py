@@ -10,6 +10,7 @@ many random problems are met.
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -27,6 +28,7 @@ from napari_hmrf import (
     growth,
     phantom,
     solve,
+    weight,
 )
 from napari_hmrf.solver.backends.cpu import elastic_model, finite_model
 from napari_hmrf.solver.backends.thread import compute_thread
@@ -63,20 +65,40 @@ def exact(size: int = 48) -> None:
         # A block as high as it is long creases on its inner side, in more ways than one.
         "bend 60": turned(size // 3, size, 60),
     }
-    worst = 0.0
+    problems = {}
     for name, end in ends.items():
         height = len(end) if end.ndim == 2 else size
         m = np.ones((height, size))
         m[: height // 2] = 5
+        problems[name] = bar(height, size, np.broadcast_to(end, (height, 2)), m)
+    problems |= _loaded(size)
+    worst = 0.0
+    for name, problem in problems.items():
         for nu in (0.3, 0.45):
             for plane in ("stress", "strain"):
-                problem = bar(height, size, np.broadcast_to(end, (height, 2)), m)
                 prior = NeoHookeanPrior(nu, plane=plane)  # type: ignore[arg-type]
                 found = solve(problem, prior, backend="cpu")
                 off = float(np.abs(found.displacement - solved(problem, prior, 6)).max())
                 worst = max(worst, off)
-                print(f"{name:10} nu {nu:4} plane {plane:6} {off:.5f} px off", flush=True)
+                print(f"{name:16} nu {nu:4} plane {plane:6} {off:.5f} px off", flush=True)
     print(f"worst {worst:.5f} px", flush=True)
+
+
+def _loaded(size: int) -> dict[str, Problem]:
+    """A disc that grows to twice its area within a frame, and a beam that sinks by its weight."""
+    row, col = np.indices((size, size))
+    disc = np.hypot(row - size / 2, col - size / 2) < size / 5
+    c = np.zeros((size, size, 2))
+    c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
+    m = np.where(disc, 5.0, 1.0)
+    strain = growth((math.sqrt(2) - 1) * disc)
+    height = size // 3
+    beam = bar(height, size, np.zeros((height, 2)), 1.0)
+    heavy = weight(beam.stiffness, (2e-3, 0.0))
+    return {
+        "area + 100 %": Problem(0 * c, c, m, loads=strain),
+        "beam that sinks": Problem(beam.observed, beam.confidence, beam.stiffness, loads=heavy),
+    }
 
 
 def textbook(size: int = 48, stretch: float = 0.3) -> None:

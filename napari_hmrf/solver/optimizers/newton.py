@@ -143,13 +143,7 @@ class Newton:
         self._positive = 0.0
         self._buckles = False
 
-    def run(
-        self,
-        d: Planes,
-        y: Planes,
-        held: HeldPlanes,
-        tolerance: float,
-    ) -> None:
+    def run(self, d: Planes, y: Planes, held: HeldPlanes, tolerance: float) -> None:
         """Move `d`, which is not folded, to balance, with what is held as near `y` as may be.
 
         Parameters
@@ -194,17 +188,9 @@ class Newton:
                         stuck, patience = 0, 1
                         self._let_be(d, y, held, step.way)
             else:
-                taken = self._descend(d, step.way)
-                if taken < _HARDLY and step.positive < 1:
-                    again = self._step(d, None, held, positive=1.0)
-                    if again is not None:
-                        step, taken = again, max(taken, self._descend(d, again.way))
+                step, taken = self._relax(d, held, step)
                 relaxations = max(relaxations - 1, 0)
-            rest = np.where(self._model.moves, self.forces(d), 0.0)
-            self._model.project(rest)
-            self.residual = norm(rest)
-            self.estimate = step.reach * self.residual
-            self.energies.append(self._energy(d)[0])
+            self._judge(d, step)
             if taken == 1.0 and min(self.estimate, step.far) <= near and not pulls:
                 relaxations = 0
             arrived = taken == 1.0 and ((pulls and aim is y) or left == 0)
@@ -214,8 +200,10 @@ class Newton:
                 self.estimate = max(self.estimate, step.far)
                 break
         # Crushed, tissue creeps: it is as far as it goes.
-        if not self._met or self.estimate <= _CREEPS:
-            return
+        if self._met and self.estimate > _CREEPS:
+            self._give_up()
+
+    def _give_up(self) -> None:
         if math.isinf(self.estimate):
             raise ConvergenceError(
                 "cycles cannot be sure of this tissue. Crop the image, or bring the softest and "
@@ -226,6 +214,14 @@ class Newton:
             "steps of large motion. Move, press or grow it less, or bring the softest and the "
             "stiffest tissue closer together"
         )
+
+    def _judge(self, d: Planes, step: _Linear) -> None:
+        """Find what a step has left."""
+        rest = np.where(self._model.moves, self.forces(d), 0.0)
+        self._model.project(rest)
+        self.residual = norm(rest)
+        self.estimate = step.reach * self.residual
+        self.energies.append(self._energy(d)[0])
 
     def _is_balanced(self, d: Planes, held: HeldPlanes, step: _Linear) -> bool:
         """Whether tissue is as near to balance as it is asked to be, as far as can be told."""
@@ -362,6 +358,15 @@ class Newton:
             if self._model.energy(d)[1] > 0:
                 return taken
             taken /= 2
+
+    def _relax(self, d: Planes, held: HeldPlanes, step: _Linear) -> tuple[_Linear, float]:
+        """Go downwards by a step or, if that leads nowhere, by one without what buckles."""
+        taken = self._descend(d, step.way)
+        if taken < _HARDLY and step.positive < 1:
+            again = self._step(d, None, held, positive=1.0)
+            if again is not None:
+                return again, max(taken, self._descend(d, again.way))
+        return step, taken
 
     def _descend(self, d: Planes, way: Planes) -> float:
         """Go along a way as far as the energy falls, in place; which part of it that was."""

@@ -53,6 +53,19 @@ BARRIER, BARRIER_BEGIN = 10.0, 0.5
 _AT_REST = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0])
 
 
+def grown_areas(growth: FloatArray) -> Float64Array:
+    """How many times its area each site's tissue has when it is free, in the plane.
+
+    Parameters
+    ----------
+    growth : ndarray, shape (H, W), (H, W, 2, 2) or (H, W, 3, 3)
+        As `Loads` has it.
+    """
+    if growth.ndim == 2:
+        return np.asarray((1.0 + growth.astype(np.float64)) ** 2)
+    return np.asarray(np.linalg.det(np.eye(2) + growth[..., -2:, -2:].astype(np.float64)))
+
+
 class Moduli(NamedTuple):
     """What the elements resist with, relative to the stiffest.
 
@@ -104,13 +117,9 @@ class FiniteMaterial(ElasticMaterial):
 
     @property
     def most_growth(self) -> float:
-        """How many times its area, or less than 1 over it, any tissue has when it is free."""
-        moduli = self.moduli()
-        shear, *_, row, mixed, col = moduli.numbers
-        area = 1 / (row * col - mixed**2)
-        there = np.asarray(shear) > 0
-        areas = np.broadcast_to(area, there.shape)[there]
-        return float(max(areas.max(initial=1.0), 1 / areas.min(initial=1.0)))
+        """How many times its area any tissue has, or had, when it is free."""
+        areas = np.ones(1) if self.growth is None else grown_areas(self.growth)[self.m > 0]
+        return float(max(areas.max(), 1 / areas.min()))
 
     def moduli(self, stand_in: float = 0.0) -> Moduli:
         """The moduli of the elements.

@@ -16,7 +16,12 @@ import numpy.typing as npt
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.priors.elastic import ElasticPrior, Plane
 from napari_hmrf.solver.priors.elements import ElementShape, Float64Array
-from napari_hmrf.solver.priors.finite_strain import FiniteElements, FiniteMaterial, Moduli
+from napari_hmrf.solver.priors.finite_strain import (
+    FiniteElements,
+    FiniteMaterial,
+    Moduli,
+    grown_areas,
+)
 from napari_hmrf.solver.priors.growth import Load
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.real_arrays import first_index
@@ -154,10 +159,9 @@ class NeoHookeanPrior:
 def _check_growth(problem: Problem) -> None:
     """Refuse tensors of which nothing would be left in some direction."""
     growth = None if problem.loads is None else problem.loads.growth
-    if growth is None or growth.ndim == problem.stiffness.ndim:
-        return  # one number, which is above -1
-    plane = growth[..., -2:, -2:].astype(np.float64) + np.eye(2)
-    wrong = problem.tissue & (np.linalg.det(plane) <= 0)
+    if growth is None:
+        return
+    wrong = problem.tissue & ~(grown_areas(growth) > 0)
     if wrong.any():
         raise ProblemError(
             "growth",

@@ -149,6 +149,8 @@ class CpuFiniteModel:
 
     def assemble(self, material: FiniteMaterial) -> None:
         """Take a material of the same grid."""
+        if self.material is not None and self.material == material:
+            return
         if self.material is None or not self.material.is_tissue_of(material):
             self.rehearsed = None
         self.material = material
@@ -351,6 +353,5 @@ def the_model(material: FiniteMaterial) -> CpuFiniteModel:
     if not _last or _last[0].shape != material.m.shape:
         _last[:] = ()  # its memory, first
         _last.append(CpuFiniteModel(tuple(material.m.shape)))
-    if _last[0].material != material:
-        _last[0].assemble(material)
+    _last[0].assemble(material)
     return _last[0]
