@@ -14,6 +14,24 @@ Field = npt.NDArray[np.float64]
 _SIGNS = np.array([[-1, -1, 1, 1], [-1, 1, -1, 1], [1, -1, -1, 1]], dtype=float)
 
 
+def bar(height: int, width: int, end: Field, m: npt.ArrayLike = 1.0) -> Problem:
+    """A bar whose left end stays, and whose right end moves as said (height, 2)."""
+    c = np.zeros((height, width, 2))
+    c[:, 0] = c[:, -1] = 1
+    y = np.zeros_like(c)
+    y[:, -1] = end
+    return Problem(y, c, np.broadcast_to(m, (height, width)))
+
+
+def turned(height: int, width: int, degrees: float) -> Field:
+    """Where the right end of a bar goes if its middle line is bent to an arc."""
+    angle = np.deg2rad(degrees)
+    radius = (width - 1) / angle
+    off = np.arange(height) - (height - 1) / 2
+    row = radius - (radius - off) * np.cos(angle) - off
+    return np.stack([row, (radius - off) * np.sin(angle) - (width - 1)], axis=-1)
+
+
 def solved(problem: Problem, prior: NeoHookeanPrior, parts: int = 20) -> Field:
     """The field of a problem whose pixels are of size 1, pulled there in so many parts."""
     height, width = problem.shape

@@ -36,11 +36,13 @@ class Loads:
         site, (H, W) or (D, H, W): the same along all three axes, that across an image included. Or
         a symmetric tensor a site, in the order of the axes: (H, W, 2, 2), which is nothing across
         the image; (H, W, 3, 3), whose first axis is across; (D, H, W, 3, 3). Across an image counts
-        in plane strain only, where a slice that cannot thicken pushes outwards instead. In void it
-        does not matter; rigid tissue does not grow.
+        in plane strain, where a slice that cannot thicken pushes outwards instead; in large motion
+        a slice that thickens is as much stiffer, too. In void it does not matter; rigid tissue does
+        not grow.
     force : array_like, shape (H, W, 2) or (D, H, W, 3), optional
         What pulls at each site, components in the order of the axes: in an image a force per
-        thickness, stiffness times length; in a volume a force, stiffness times length squared.
+        thickness, stiffness times length; in a volume a force, stiffness times length squared. It
+        stays as it is, wherever the site gets to.
 
     Raises
     ------

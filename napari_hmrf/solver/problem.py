@@ -46,14 +46,15 @@ class Problem:
     stiffness : array_like, shape (H, W) or (D, H, W)
         Young's modulus, m in the equations, in any unit: only ratios matter, unless a force pulls
         (see `loads`). ``0`` means no tissue (void): no clique touches such a site and it has no
-        displacement. ``inf`` means rigid tissue, for `ElasticPrior`: what touches of it moves as
-        one body.
+        displacement. ``inf`` means rigid tissue, for `ElasticPrior` and `NeoHookeanPrior`: what
+        touches of it moves as one body.
     spacing : sequence of float, shape (2,) or (3,)
         Size of a pixel in (row, col) direction, or of a voxel in (plane, row, col) direction, in
         any unit of length; by default 1 along each axis.
     loads : Loads, optional
-        Growth, and forces, for `ElasticPrior`. Forces are in the unit of stiffness times a length
-        in the unit of `spacing` (per thickness, in an image), or times its square (in a volume).
+        Growth, and forces, for `ElasticPrior` and `NeoHookeanPrior`. Forces are in the unit of
+        stiffness times a length in the unit of `spacing` (per thickness, in an image), or times its
+        square (in a volume).
 
     Raises
     ------

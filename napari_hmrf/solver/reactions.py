@@ -8,7 +8,7 @@ import numpy.typing as npt
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.bodies import Bodies, bodies_of
-from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 
@@ -27,7 +27,7 @@ def reactions(
     problem : Problem
     solution : Solution
         Of this problem.
-    prior : ElasticPrior, optional
+    prior : ElasticPrior or NeoHookeanPrior, optional
         By which it was solved; by default elastic tissue, as of `solve`.
 
     Returns
@@ -43,8 +43,8 @@ def reactions(
         If the solution is of another problem or prior, or the prior is not elastic.
     """
     prior = ElasticPrior() if prior is None else prior
-    if not isinstance(prior, ElasticPrior):
-        raise ArgumentError("reactions are known of ElasticPrior only: the paper's has no forces")
+    if not isinstance(prior, ElasticPrior | NeoHookeanPrior):
+        raise ArgumentError("reactions are known of elastic tissue only: the paper's has no forces")
     given = dict(prior.parameters)
     if problem.is_volume:
         given.pop("plane", None)
@@ -57,7 +57,10 @@ def reactions(
     forces = prior.forces(problem, solution.displacement)
     if problem.rigid.any():
         planes, known = host.planes(forces), host.planes(problem.known).astype(np.bool_)
-        bodies = Bodies(bodies_of(problem.stiffness), prior.material(problem), known)
+        moved = None
+        if isinstance(prior, NeoHookeanPrior):
+            moved = host.planes(solution.displacement / np.float64(problem.unit))
+        bodies = Bodies(bodies_of(problem.stiffness), prior.material(problem), known, moved)
         bodies.carry(planes)
         forces = host.field(planes)
     return np.where(problem.known, forces * prior.force_unit(problem), 0.0)

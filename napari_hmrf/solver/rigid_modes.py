@@ -41,7 +41,7 @@ class Firm(NamedTuple):
 
     tissue: npt.NDArray[np.bool_]
     held: npt.NDArray[np.bool_]
-    #: As `grip` says it, of a volume.
+    #: As `grip` says it.
     grip: float = 0.0
 
     def covers(self, tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> bool:
@@ -109,12 +109,8 @@ def grip(problem: Problem) -> float:
     free = _first_motion(problem, pieces, count, ways)
     if free is not None:
         raise refusal(free)
-    found = 0.0
-    if problem.is_volume:
-        sizes = np.bincount(pieces.ravel(), minlength=count + 1)[1:]
-        found = min(
-            float(stops[0]) / sizes[cluster].sum() ** (2 / 3) for cluster, _, stops, _ in ways
-        )
+    sizes, share = np.bincount(pieces.ravel(), minlength=count + 1)[1:], 1 - 1 / pieces.ndim
+    found = min(float(stops[0] / sizes[cluster].sum() ** share) for cluster, _, stops, _ in ways)
     _firm[:] = [Firm(problem.tissue, held, found)]
     return found
 

@@ -237,6 +237,7 @@ def _reach(given: Mapping[str, Any] | None) -> Reach | None:
         float(given["missing"]),
         None if where is None else tuple(int(index) for index in where),
         int(given["sites"]),
+        float(given.get("grown", 1.0)),
     )
 
 

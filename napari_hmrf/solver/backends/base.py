@@ -19,6 +19,7 @@ from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.linear import LinearModel
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 from napari_hmrf.solver.priors.elements import ElasticMaterial
+from napari_hmrf.solver.priors.finite_strain import FiniteMaterial
 from napari_hmrf.solver.quadtree import Level
 
 FloatArray = npt.NDArray[np.float32]
@@ -143,7 +144,7 @@ class Backend(Protocol[FieldType]):
         """Bring the paper's cliques to the device, on all levels of multigrid."""
         ...
 
-    def finite_model(self, material: ElasticMaterial) -> FiniteModel:
+    def finite_model(self, material: FiniteMaterial) -> FiniteModel:
         """Bring tissue that moves far to the device; the processor's backend alone takes it."""
         ...
 

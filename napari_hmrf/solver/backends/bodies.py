@@ -76,9 +76,17 @@ class Bodies:
         Indices of each body's sites along each axis, as `bodies_of` finds them.
     material : ElasticMaterial
     held : ndarray of bool, planes
+    moved : ndarray, planes, optional
+        Where they have got to; by default they are where they were drawn.
     """
 
-    def __init__(self, sites: list[BodySites], material: ElasticMaterial, held: HeldPlanes) -> None:
+    def __init__(
+        self,
+        sites: list[BodySites],
+        material: ElasticMaterial,
+        held: HeldPlanes,
+        moved: Planes | None = None,
+    ) -> None:
         self._sites, grid = sites, held.shape[1:]
         self._sides = np.array(material.shape.sides)
         #: Whether cycles hold them, and fields of their motions make up for it.
@@ -89,6 +97,9 @@ class Bodies:
             at = np.concatenate([first + k * math.prod(grid) for k in range(len(grid))])
             centre = tuple(float(index.mean()) for index in of_body)
             places = self._sides * (np.stack(of_body, axis=-1) - centre)
+            if moved is not None:
+                places = places + moved.reshape(-1)[at].reshape(len(grid), -1).T
+                places -= places.mean(axis=0)
             steps_and_turns = self._steps_and_turns(places)
             motions, mix = np.linalg.qr(steps_and_turns)
             stopped = held.ravel()[at]
@@ -204,8 +215,20 @@ def few(bodies: list[BodySites], shape: tuple[int, ...]) -> bool:
 
 def rigid_sites(m: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
     """Which sites are part of a rigid body: those of elements with an infinite corner."""
-    rigid = of_corners(np.isinf(m), np.logical_or)
-    return np.asarray(around_sites(in_elements(m) & rigid, np.logical_or))
+    return np.asarray(around_sites(_rigid(m), np.logical_or))
+
+
+def rigid_elements(m: npt.NDArray[np.float32], bodies: list[BodySites]) -> npt.NDArray[np.int32]:
+    """The number of the body that each element belongs to, from 1; 0 if to none."""
+    numbers = np.zeros(m.shape, dtype=np.int32)
+    for number, sites in enumerate(bodies, 1):
+        numbers[sites] = number
+    return np.where(_rigid(m), numbers[(slice(None, -1),) * m.ndim], 0)
+
+
+def _rigid(m: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
+    """Which elements have an infinite corner."""
+    return np.asarray(in_elements(m) & of_corners(np.isinf(m), np.logical_or))
 
 
 def _turns(axes: int) -> list[Float64Array]:

@@ -8,7 +8,10 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.solver.backends.bodies import BodySites
 from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, Planes
+from napari_hmrf.solver.backends.poses import Poses
+from napari_hmrf.solver.priors.finite_strain import FiniteMaterial
 
 
 class FiniteModel(Protocol):
@@ -22,6 +25,13 @@ class FiniteModel(Protocol):
     @property
     def bounds(self) -> tuple[float, float]:
         """As of a `LinearModel`."""
+        ...
+
+    #: What is held, and how much less cycles reported of it than was true; None if not known.
+    rehearsed: tuple[HeldPlanes, float] | None
+
+    def assemble(self, material: FiniteMaterial) -> None:
+        """Take another material of the same grid."""
         ...
 
     @property
@@ -46,19 +56,53 @@ class FiniteModel(Protocol):
     def forces(self, d: Planes) -> Planes:
         """The derivative of the energy by all components; valid until the next call.
 
-        Forces from outside, once there are any, are to be taken off here, and off the energy.
+        Forces from outside are no business of the model's.
         """
         ...
 
-    def linearise(self, d: Planes, held: HeldPlanes, positive: bool = False) -> None:
+    def linearise(
+        self,
+        d: Planes,
+        held: HeldPlanes,
+        forces: Planes,
+        positive: float = 0.0,
+        springs: Planes | None = None,
+    ) -> None:
         """Make the linear model that of small motion around a displacement, with what is held.
 
-        If `positive`, without directions in which the tissue buckles.
+        Parameters
+        ----------
+        d : ndarray, planes
+        held : ndarray of bool, planes
+        forces : ndarray, planes
+            The derivative of all energy there is: it turns rigid bodies further, or back.
+        positive : float
+            How much of what lets tissue buckle is left out: 1 for all, and it does not.
+        springs : ndarray, planes, optional
+            What else resists motion of each component.
         """
+        ...
+
+    @property
+    def springs(self) -> Planes | None:
+        """Those that it was made with."""
+        ...
+
+    @property
+    def bodies(self) -> list[BodySites]:
+        """The sites of each rigid body."""
+        ...
+
+    def poses(self, held: HeldPlanes) -> Poses:
+        """The poses of bodies, with what is held of them."""
+        ...
+
+    def project(self, values: Planes) -> None:
+        """Replace displacements or forces by those of bodies that move as one, in place."""
         ...
 
     def balance(self, load: Planes) -> Balance:
-        """A load, as iterations take it, 0 where nothing moves."""
+        """A load, as iterations take it: 0 where nothing moves, and of bodies as one."""
         ...
 
     def image(self, way: Planes) -> Planes:

@@ -90,6 +90,8 @@ class Reach:
         That site; None if all of it was met.
     sites : int
         How many sites are not where they were observed.
+    grown : float
+        By which part of its growth tissue has grown: 1 but where it would have been crushed.
     """
 
     least_jacobian: float
@@ -97,6 +99,7 @@ class Reach:
     missing: float = 0.0
     where: tuple[int, ...] | None = None
     sites: int = 0
+    grown: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,27 +2,44 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.base import Backend
 from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.found import Beginning
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
+from napari_hmrf.solver.backends.poses import Poses
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Reach, Report
 from napari_hmrf.solver.optimizers.cycle import smoothing_of
-from napari_hmrf.solver.optimizers.newton import Newton, norm
+from napari_hmrf.solver.optimizers.large_slip import LargeSlip
+from napari_hmrf.solver.optimizers.loading import check_balanced, check_reach, given
+from napari_hmrf.solver.optimizers.newton import Newton, Strategy, norm
+from napari_hmrf.solver.optimizers.outside import Outside
 from napari_hmrf.solver.priors import NeoHookeanPrior
+from napari_hmrf.solver.priors.elements import contrast
+from napari_hmrf.solver.priors.finite_strain import FiniteMaterial
 from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.rigid_modes import grip
 
 _TINY = 1e-300
 # What a beginning keeps of each corner's Jacobian on the way from one field to another.
 _KEPT = 0.25
 # What is this near, as a part of the tolerance, was met.
 _MET = 1.0
+# Of what is held less firmly than this cycles take long to see how it turns; or too long. From this
+# contrast on they hardly see how stiff parts turn, and from this one not at all.
+_GRASP, _LOOSE, _STIFF, _CONTRAST = 5e-3, 1e-4, 50.0, 1.2e3
+# The logarithm of a growth of area that tissue takes at once, how close to balance it is then, in
+# pixels, after how many steps it takes less, and the least part that is tried by itself.
+_GROWTH, _ROUGHLY, _GROWTH_STEPS, _LEAST_GROWTH = math.log(4.0), 0.1, 80, 0.05
 
 
 def converge(
@@ -42,16 +59,36 @@ def converge(
     material = prior.material(problem)
     model = backend.finite_model(material)
     observed, held = host.prescribed(problem)
-    d = _beginning(model, start, observed, held)
-    newton = Newton(model, smoothing_of(material), report, tolerance)
-    newton.run(d, observed, held)
+    load, limit = given(problem, prior).pulls, prior.limit(problem)
+    # What may slip is not held.
+    stops = held if limit is None else np.zeros_like(held)
+    poses = model.poses(stops)
+    poses.hold(observed, held)
+    d = _beginning(model, poses, start, observed, held)
+    outside, strategy = None if load is None else Outside(load), _strategy(problem, material)
+    newton = Newton(model, smoothing_of(material), report, strategy, poses, outside)
+    if limit is None:
+        settle = partial(newton.run, d, observed, held)
+    else:
+        most = np.where(held, host.planes(limit), 0.0)
+        at = np.flatnonzero(most)
+        check_balanced(problem, at, most.ravel()[at], load)
+        settle = partial(LargeSlip(newton, observed, most, load).run, d, warm=start is not None)
+    try:
+        grown = _grow(settle, model, material, d, tolerance)
+    except ConvergenceError:
+        if load is not None:
+            check_reach(d, problem)
+        raise
+    if load is not None:
+        check_reach(d, problem)
     displacement, rounding = host.gathered(d, tolerance)
     _, least = model.energy(host.planes(displacement))
     if least <= 0:
         displacement = host.field(d).copy()
         _, least = model.energy(d)
     missing = np.where(held, observed - d, 0.0)
-    reach = _reach(host.field(missing), host.field(observed), problem, tolerance, least)
+    reach = _reach(host.field(missing), host.field(observed), problem, tolerance, least, grown)
     forces = norm(model.forces(d))
     host.reuse(observed, held)
     return Outcome(
@@ -67,14 +104,59 @@ def converge(
     )
 
 
+def _strategy(problem: Problem, material: FiniteMaterial) -> Strategy:
+    grasp, ratio = grip(problem), contrast(material.m)
+    made = Strategy(
+        doubtful=not material.mild or grasp < _GRASP,
+        stiff=ratio > _STIFF or grasp < _GRASP,
+        by_factors=grasp < _LOOSE or ratio > _CONTRAST,
+    )
+    return made if material.growth is None else made._replace(steps=_GROWTH_STEPS)
+
+
+def _grow(
+    settle: Callable[[float], None],
+    model: FiniteModel,
+    material: FiniteMaterial,
+    d: Planes,
+    tolerance: float,
+) -> float:
+    """Move tissue to balance, in place, as its growth goes on; which part of that it takes."""
+    if material.growth is None:
+        settle(tolerance)
+        return 1.0
+    done, step = 0.0, min(1.0, _GROWTH / max(math.log(material.most_growth), _GROWTH))
+    while done < 1:
+        before, aim = d.copy(), min(1.0, done + step)
+        model.assemble(material.grown(aim))
+        try:
+            settle(tolerance if aim == 1 else max(tolerance, _ROUGHLY))
+        except ConvergenceError:
+            if step < _LEAST_GROWTH:
+                np.copyto(d, before)
+                model.assemble(material.grown(done))
+                settle(tolerance)
+                break
+            np.copyto(d, before)
+            step /= 2
+        else:
+            done = aim
+    return done
+
+
 def _beginning(
-    model: FiniteModel, start: Beginning | None, observed: Planes, held: HeldPlanes
+    model: FiniteModel,
+    poses: Poses,
+    start: Beginning | None,
+    observed: Planes,
+    held: HeldPlanes,
 ) -> Planes:
     """A field that is not folded: as near to what was found before as may be, or nothing."""
     nothing: Planes = np.zeros(observed.shape)
     if start is None:
         return nothing
     last, combined = host.planes(start.displacements[0] / start.unit), host.combined(start)
+    poses.settle(last)
     if not model.energy(last)[1] > 0:
         last = nothing
     # How a drag went on before it will go on: but for where that would fold.
@@ -86,7 +168,9 @@ def _beginning(
         share = float((there * observed[held]).sum()) / square if square > 0 else 1.0
         way = (share - 1) * last
     length, _ = model.length(last, way, _KEPT, 0.0)
-    return np.asarray(last + min(1.0, length) * way)
+    there = last + min(1.0, length) * way
+    poses.settle(there)
+    return there if model.energy(there)[1] > 0 else last
 
 
 def _reach(
@@ -95,13 +179,14 @@ def _reach(
     problem: Problem,
     tolerance: float,
     least: float,
+    grown: float,
 ) -> Reach:
     """How far what was observed was met, and where not."""
     far = np.linalg.norm(missing, axis=-1)
     sites = far > _MET * tolerance
     if not sites.any():
-        return Reach(least)
+        return Reach(least, grown=grown)
     where = tuple(int(index) for index in np.unravel_index(int(np.argmax(far)), far.shape))
     most = float(far[where])
     whole = max(float(np.linalg.norm(observed[where])), most)
-    return Reach(least, 1.0 - most / whole, most * problem.unit, where, int(sites.sum()))
+    return Reach(least, 1.0 - most / whole, most * problem.unit, where, int(sites.sum()), grown)

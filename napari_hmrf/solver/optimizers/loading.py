@@ -13,7 +13,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.linear import Planes
 from napari_hmrf.solver.loads import are_same
-from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import MAX_REACH, Problem
 from napari_hmrf.solver.rigid_modes import free_motions
 
@@ -33,10 +33,10 @@ class Given(NamedTuple):
 
 class _Known(NamedTuple):
     problem: Problem
-    prior: ElasticPrior
+    prior: ElasticPrior | NeoHookeanPrior
     given: Given
 
-    def serves(self, problem: Problem, prior: ElasticPrior) -> bool:
+    def serves(self, problem: Problem, prior: ElasticPrior | NeoHookeanPrior) -> bool:
         """Whether tissue and loads are the same again, whatever is observed."""
         mine = self.problem
         return (
@@ -53,7 +53,7 @@ _last: list[_Known] = []
 
 def given(problem: Problem, prior: Prior) -> Given:
     """What the loads of a problem are for multigrid; not to be written to."""
-    if not isinstance(prior, ElasticPrior) or problem.loads is None:
+    if isinstance(prior, SeilerPrior) or problem.loads is None:
         return Given(None, 0.0)
     if _last and _last[0].serves(problem, prior):
         return _last[0].given

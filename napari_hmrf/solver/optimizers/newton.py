@@ -10,20 +10,25 @@ further stays where it got to.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 import scipy
 
 from napari_hmrf.errors import ConvergenceError
+from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.dissection import Singular
 from napari_hmrf.solver.backends.factors import Factors
 from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
+from napari_hmrf.solver.backends.poses import Poses
 from napari_hmrf.solver.neighbours import around_sites
 from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
+from napari_hmrf.solver.optimizers.doubt import BELIEVABLE, Rehearsal
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
+from napari_hmrf.solver.optimizers.outside import Outside
 
 # What every corner keeps of its Jacobian in a step; of a pull that this cuts short, the part that
 # is gone; and the Jacobian below which nothing is pulled any further.
@@ -35,8 +40,9 @@ _INNER, _OF_TOLERANCE, _ROUNDED = 0.03, 0.3, 2e-5
 _CYCLES, _FEW, _MORE_CYCLES = 40, 20_000, 200
 # A step that gets hardly further than this part of its way is tried without what buckles.
 _HARDLY = 0.1
-# Of the fall of energy that a step promises; what is rounding; and how often a step is halved.
-_ARMIJO, _ROUNDING, _HALVINGS = 1e-4, 1e-12, 12
+# Of the fall of energy that a step promises; what is rounding, of energy and for each component;
+# and how often a step is halved.
+_ARMIJO, _ROUNDING, _OF_SITE, _HALVINGS = 1e-4, 1e-12, 1e-3, 12
 # Tissue is relaxed when it is this close to balance, in pixels, or after so many steps; and before
 # it is said that it cannot be pulled.
 _RELAXED, _RELAXATIONS = 0.3, 6
@@ -48,6 +54,36 @@ _STUCK, _STUCK_PIXELS, _PATIENCE, _IN_THE_WAY = 0.05, 0.1, 2, 0.3
 _AS_ONE = 0.2
 # Steps after which nothing is pulled any more, and after which it is given up.
 _MOST_PULLS, _MOST_STEPS = 150, 400
+# Tissue creeps that in so many steps loses this part of its energy only; that is as good as at rest
+# this close to balance, in pixels.
+_LONG, _LITTLE, _CREEPS = 30, 1e-7, 0.1
+# The least part to leave out of what lets tissue buckle, but none, and how many times more next.
+_LEAST, _MORE = 0.05, 4.0
+# A short step, in tolerances.
+_SHORT = 10.0
+
+
+class Strategy(NamedTuple):
+    """How an iteration goes about some tissue.
+
+    Attributes
+    ----------
+    doubtful : bool
+        Whether there may be motions that cycles hardly see: the last step must be a short one, and
+        cycles are rehearsed.
+    stiff : bool
+        Whether parts of it are so stiff, or all of it so loose, that they must be free to turn, and
+        that rounding there looks like buckling.
+    by_factors : bool
+        Whether cycles are not tried at all.
+    steps : int
+        Steps after which a run is given up.
+    """
+
+    doubtful: bool
+    stiff: bool
+    by_factors: bool
+    steps: int = _MOST_STEPS
 
 
 class _Linear(NamedTuple):
@@ -56,8 +92,8 @@ class _Linear(NamedTuple):
     way: Planes
     reach: float
     far: float
-    #: Whether directions in which the tissue buckles were made stiff for it.
-    positive: bool = False
+    #: How much of what lets the tissue buckle was left out for it.
+    positive: float = 0.0
 
 
 class Newton:
@@ -68,15 +104,27 @@ class Newton:
     model : FiniteModel
     smoothing : Smoothing
     report : Report
-    tolerance : float
-        In pixels.
+    strategy : Strategy
+    poses : Poses
+        Those of rigid bodies, with what is held of them.
+    outside : Outside or None
+        What pulls besides tissue.
     """
 
     def __init__(
-        self, model: FiniteModel, smoothing: Smoothing, report: Report, tolerance: float
+        self,
+        model: FiniteModel,
+        smoothing: Smoothing,
+        report: Report,
+        strategy: Strategy,
+        poses: Poses,
+        outside: Outside | None,
     ) -> None:
         self._model, self._smoothing, self._report = model, smoothing, report
-        self._tolerance = tolerance
+        self._strategy, self._poses = strategy, poses
+        #: What pulls besides tissue.
+        self.outside = outside
+        self._tolerance = math.inf
         #: How far any site is from balance, in pixels, as estimated.
         self.estimate = math.inf
         #: The norm of the forces that are left.
@@ -84,30 +132,45 @@ class Newton:
         #: The energy after each step.
         self.energies: list[float] = []
         self.cycles = 0
-        self.by_factors = False
+        self.by_factors = strategy.by_factors
         self._first = 0.0
+        # After how many steps it was pulled last.
+        self._pulled = 0
         # Whether all that is held can be met, as far as is known.
         self._met = True
-        # Whether cycles have met a direction in which the tissue buckles.
+        # How much of what lets the tissue buckle was left out last, or a little less; and whether
+        # cycles have met a direction in which it does.
+        self._positive = 0.0
         self._buckles = False
 
-    def run(self, d: Planes, y: Planes, held: HeldPlanes) -> None:
+    def run(self, d: Planes, y: Planes, held: HeldPlanes, tolerance: float) -> None:
         """Move `d`, which is not folded, to balance, with what is held as near `y` as may be.
+
+        Parameters
+        ----------
+        d, y : ndarray, planes
+        held : ndarray of bool, planes
+        tolerance : float
+            In pixels.
 
         Raises
         ------
         ConvergenceError
         """
+        self._tolerance, self._met = tolerance, True
         y = np.where(held, y, d)
         relaxations, stuck, patience, near = 0, 0, _PATIENCE, _RELAXED
-        self._first = float(np.abs(y - d).max())
-        for number in range(_MOST_STEPS):
+        self._first, self._pulled = float(np.abs(y - d).max()), len(self.energies)
+        for number in range(self._strategy.steps):
             if number == _MOST_PULLS and (held & (y != d)).any():
                 np.copyto(y, d)
                 self._met = False
             gap = np.where(held, y - d, 0.0)
             left = float(np.abs(gap).max())
             pulls = left > 0 and relaxations == 0
+            aim = self._poses.aim(d, y)
+            if aim is not y:
+                gap = np.where(held, aim - d, 0.0)
             self._say(number, left)
             step = self._step(d, gap if pulls else None, held)
             if step is None:
@@ -115,12 +178,8 @@ class Newton:
                 self._met = self._met and (left == 0 or math.isinf(self.estimate))
                 break
             if pulls:
-                length, _ = self._model.length(d, step.way, _KEPT, _FLOOR)
-                taken = 1.0 if length >= 1 else _SHARE * length
-                d += taken * step.way
-                if taken == 1.0:
-                    np.copyto(d, y, where=held)
-                else:
+                taken, self._pulled = self._pull(d, step.way, aim, held), len(self.energies) + 1
+                if taken < 1.0:
                     stays = taken < _STUCK and taken * left < _STUCK_PIXELS
                     stuck = stuck + 1 if stays and near == _AT_EASE else 0
                     near = _AT_EASE if stays else _RELAXED
@@ -129,48 +188,89 @@ class Newton:
                         stuck, patience = 0, 1
                         self._let_be(d, y, held, step.way)
             else:
-                taken = self._descend(d, step.way)
-                if taken < _HARDLY and not step.positive:
-                    again = self._step(d, None, held, positive=True)
-                    if again is not None:
-                        step, taken = again, max(taken, self._descend(d, again.way))
+                step, taken = self._relax(d, held, step)
                 relaxations = max(relaxations - 1, 0)
-            rest = np.where(self._model.moves, self._model.forces(d), 0.0)
-            self.residual = norm(rest)
-            self.estimate = step.reach * self.residual
-            self.energies.append(self._model.energy(d)[0])
+            self._judge(d, step)
             if taken == 1.0 and min(self.estimate, step.far) <= near and not pulls:
                 relaxations = 0
-            if taken == 1.0 and (pulls or left == 0) and self.estimate <= self._tolerance:
+            arrived = taken == 1.0 and ((pulls and aim is y) or left == 0)
+            if arrived and self._is_balanced(d, held, step):
                 return
-            if taken == 0.0 and left == 0:
+            if left == 0 and (taken == 0.0 or self._creeps(step.far)):
+                self.estimate = max(self.estimate, step.far)
                 break
-        # Crushed by what cannot be met, tissue creeps: it is as far as it goes.
-        if self._met and math.isinf(self.estimate):
+        # Crushed, tissue creeps: it is as far as it goes.
+        if self._met and self.estimate > _CREEPS:
+            self._give_up()
+
+    def _give_up(self) -> None:
+        if math.isinf(self.estimate):
             raise ConvergenceError(
                 "cycles cannot be sure of this tissue. Crop the image, or bring the softest and "
                 "the stiffest tissue closer together"
             )
-        if self._met and not self.estimate <= self._tolerance:
-            raise ConvergenceError(
-                f"the tissue is still {self.estimate:.2g} px from balance after "
-                f"{len(self.energies)} steps of large motion. Pull it less far at a time, or bring "
-                "the softest and the stiffest tissue closer together"
+        raise ConvergenceError(
+            f"the tissue is still {self.estimate:.2g} px from balance after {len(self.energies)} "
+            "steps of large motion. Move, press or grow it less, or bring the softest and the "
+            "stiffest tissue closer together"
+        )
+
+    def _judge(self, d: Planes, step: _Linear) -> None:
+        """Find what a step has left."""
+        rest = np.where(self._model.moves, self.forces(d), 0.0)
+        self._model.project(rest)
+        self.residual = norm(rest)
+        self.estimate = step.reach * self.residual
+        self.energies.append(self._energy(d)[0])
+
+    def _is_balanced(self, d: Planes, held: HeldPlanes, step: _Linear) -> bool:
+        """Whether tissue is as near to balance as it is asked to be, as far as can be told."""
+        if self.estimate > self._tolerance:
+            return False
+        if not self._strategy.doubtful:
+            return True
+        # What does not let tissue buckle does not let stiff parts of it turn.
+        held_back = self._strategy.stiff and step.positive > 0
+        if step.far > _SHORT * self._tolerance or held_back:
+            return False
+        if self.by_factors:
+            return True
+        # Such tissue was rehearsed as it was pulled before, or is now.
+        model, known = self._model, self._model.rehearsed
+        if known is None or not np.array_equal(known[0], held):
+            model.linearise(d, held, self.forces(d), 1.0, model.springs)
+            error = np.where(model.moves, host.noise(d.shape), 0.0)
+            model.project(error)
+            iteration = ConjugateGradients(Cycle(model, self._smoothing))
+            doubt = Rehearsal().run(
+                iteration, error, lambda d: model.balance(-model.image(d)), self._report
             )
+            known = model.rehearsed = held.copy(), doubt
+        if known[1] <= BELIEVABLE:
+            return True
+        self.by_factors = Factors.fit(model.shape)
+        return not self.by_factors
 
     def _step(
-        self, d: Planes, gap: Planes | None, held: HeldPlanes, positive: bool = False
+        self, d: Planes, gap: Planes | None, held: HeldPlanes, positive: float = 0.0
     ) -> _Linear | None:
         """Where the linear model would go from here, all of the gap closed; None if unknown."""
-        for stiff in (True,) if positive else (False, True):
-            self._model.linearise(d, held, stiff)
-            rest = -self._model.forces(d)
+        forces = self.forces(d)
+        springs = None if self.outside is None else self.outside.springs(d)
+        if gap is not None:
+            gap = self._poses.extend(gap)
+        for stiff in _shares(positive or self._positive):
+            self._model.linearise(d, held, forces, stiff, springs)
+            rest = -forces
             if gap is not None:
                 rest -= self._model.image(gap)
             found = None if self.by_factors else self._iterate(rest)
-            if found is None and (stiff or not self._buckles) and Factors.fit(self._model.shape):
+            # What looks like buckling may be the rounding of a large contrast.
+            sure = stiff == 1 or not self._buckles or self._strategy.stiff
+            if found is None and sure and Factors.fit(self._model.shape):
                 found = self._solve(rest)
             if found is not None:
+                self._positive = stiff / _MORE if stiff > _LEAST else 0.0
                 way = found.way if gap is None else found.way + gap
                 return found._replace(way=way, positive=stiff)
         return None
@@ -215,27 +315,78 @@ class Newton:
         def tell(part: float) -> None:
             self._report(Monitor(f"factorising, {part:.0%}", part))
 
-        load = np.where(self._model.moves, load, 0.0)
+        load, moves = np.where(self._model.moves, load, 0.0), self._model.moves
         try:
-            way = Factors(self._model.tangents, self._model.moves, tell).solve(load)
+            way = Factors(self._model.tangents, moves, tell, self._model.springs).solve(load)
         except Singular:
             return None
+        self._model.project(way)
         if not np.isfinite(way).all() or float((way * load).sum()) < 0:
             return None
         self.by_factors = True
         far, most = float(np.abs(way).max()), norm(load)
         return _Linear(way, far / most if most > 0 else 0.0, far)
 
+    def _creeps(self, far: float) -> bool:
+        """Whether short steps have led on for long, and to hardly less energy."""
+        late = self.energies[self._pulled :][-_LONG:]
+        short = len(late) == _LONG and far <= _CREEPS
+        return short and late[0] - late[-1] <= _LITTLE * abs(late[-1])
+
+    def _energy(self, d: Planes) -> tuple[float, float]:
+        """All energy there is, and the least Jacobian of any corner."""
+        energy, least = self._model.energy(d)
+        return energy if self.outside is None else energy + self.outside.energy(d), least
+
+    def forces(self, d: Planes) -> Planes:
+        """The derivative of all energy there is; valid until the next call."""
+        forces = self._model.forces(d)
+        return forces if self.outside is None else forces + self.outside.forces(d)
+
+    def _pull(self, d: Planes, way: Planes, y: Planes, held: HeldPlanes) -> float:
+        """Go along a way as far as nothing folds, in place; which part of it that was."""
+        length, _ = self._model.length(d, way, _KEPT, _FLOOR)
+        taken, start = 1.0 if length >= 1 else _SHARE * length, d.copy()
+        while True:
+            np.copyto(d, start + taken * way)
+            if taken == 1.0:
+                np.copyto(d, y, where=held)
+            if not self._model.bodies:
+                return taken
+            # Bodies turn where the way is straight.
+            self._poses.settle(d)
+            if self._model.energy(d)[1] > 0:
+                return taken
+            taken /= 2
+
+    def _relax(self, d: Planes, held: HeldPlanes, step: _Linear) -> tuple[_Linear, float]:
+        """Go downwards by a step or, if that leads nowhere, by one without what buckles."""
+        taken = self._descend(d, step.way)
+        if taken < _HARDLY and step.positive < 1:
+            again = self._step(d, None, held, positive=1.0)
+            if again is not None:
+                return again, max(taken, self._descend(d, again.way))
+        return step, taken
+
     def _descend(self, d: Planes, way: Planes) -> float:
         """Go along a way as far as the energy falls, in place; which part of it that was."""
-        before, _ = self._model.energy(d)
-        slope = float((self._model.forces(d) * way).sum())
+        before = d.copy()
+        taken = self._fall(d, way)
+        if self.outside is not None and taken > 0:
+            self.outside.follow(before, d)
+        return taken
+
+    def _fall(self, d: Planes, way: Planes) -> float:
+        """Go along a way as far as the energy falls, in place; which part of it that was."""
+        before, _ = self._energy(d)
+        slope = float((self.forces(d) * way).sum())
         length, _ = self._model.length(d, way, _KEPT, 0.0)
         taken, start = min(1.0, length), d.copy()
         for _ in range(_HALVINGS):
             d += taken * way
-            energy, least = self._model.energy(d)
-            promise = _ARMIJO * taken * slope + _ROUNDING * abs(before)
+            self._poses.settle(d)
+            energy, least = self._energy(d)
+            promise = _ARMIJO * taken * slope + _ROUNDING * (abs(before) + _OF_SITE * d.size)
             if least > 0 and energy <= before + promise:
                 return taken
             np.copyto(d, start)
@@ -262,6 +413,8 @@ class Newton:
             mean = ways.mean(axis=1, keepdims=True)
             if norm(ways - mean) <= _AS_ONE * norm(ways):
                 stops |= piece
+        for body in self._model.bodies:
+            stops[body] |= stops[body].any()
         stay = np.zeros_like(held)
         stay[:, 2:-2, 2:-2] = stops
         np.copyto(y, d, where=stay)
@@ -270,6 +423,15 @@ class Newton:
         done = part_done(max(self._first, 1e-3), max(left, 1e-3), 1e-3) if self._first else 1.0
         what = f"{left:.2g} px to pull" if left else "relaxing"
         self._report(Monitor(f"step {number + 1}, {what}", done))
+
+
+def _shares(first: float) -> Iterator[float]:
+    """How much to leave out of what lets tissue buckle, until it does not."""
+    share = first
+    while share < 1:
+        yield share
+        share = max(_MORE * share, _LEAST)
+    yield 1.0
 
 
 def norm(values: Planes) -> float:

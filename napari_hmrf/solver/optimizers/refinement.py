@@ -1,10 +1,7 @@
 """Solving one linear system to a tolerance: by cycles, and by factors where cycles cannot be sure.
 
-A Krylov iteration judges itself by the modes that it has met. Where parts of stiff tissue are so
-thin or so close together that coarse levels weld them, to move them costs so little that it is not
-met before all else has converged. So where tissue is not mild, the iteration first *rehearses*: it
-solves for a random field, whose answer is known. If what it reports is true of that, it is trusted
-with the problem; if not, or if it stalls, the system is factorised.
+Where tissue is not mild, the iteration first *rehearses* (`doubt`). If what it reports is true
+of that, it is trusted with the problem; if not, or if it stalls, the system is factorised.
 """
 
 from __future__ import annotations
@@ -23,25 +20,19 @@ from napari_hmrf.solver.backends.linear import Balance, LinearModel, Planes
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
+from napari_hmrf.solver.optimizers.doubt import BELIEVABLE, Rehearsal
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 from napari_hmrf.solver.volume_memory import IN_DOUBLE, ORDINARY, fits
 
-# A rehearsal ends at this part of its field, as reported; and what it reports may be this much less
-# than what is true.
-_REHEARSED = 0.003
-# In double precision it goes on for longer, until it has met what costs next to nothing.
+# In double precision a rehearsal goes on for longer, until it has met what costs next to nothing.
 _REHEARSED_DOUBLE = 1e-5
 # So many times as many cycles may take, as there is no shorter way.
 _IN_DOUBLE = 8
-_BELIEVABLE = 3.0
 # How much more doubtful a problem may be than its rehearsal was, and any volume is.
 _MARGIN = 4.0
 # And how much more one is that is not mild.
 _VOLUME_MARGIN = 1.5
-_REHEARSAL_CYCLES = 40
-# What a round of a rehearsal must leave of its error at most, for another one.
-_GAIN = 0.5
 # Sites whose factors take no longer than a rehearsal and a few cycles.
 _FEW = 1024
 # Motions of touching parts of bodies that factors do not know to cost anything, at most.
@@ -106,7 +97,7 @@ class Refinement:
 
     def doubt_again(self) -> None:
         """Rehearse once more if something else is held: what holds less may move otherwise."""
-        if self._doubt is not None and self._doubt <= _BELIEVABLE:
+        if self._doubt is not None and self._doubt <= BELIEVABLE:
             self._doubt = None
 
     def run(
@@ -158,13 +149,13 @@ class Refinement:
                 self._doubt = 1.0
                 if not self._mild:
                     self._doubt = self._rehearse(d.shape)
-                    while self._doubt > _BELIEVABLE and self._take_care():
+                    while self._doubt > BELIEVABLE and self._take_care():
                         self._doubt = self._rehearse(d.shape)
                     balance = self._model.balance(d, load)  # what it was is overwritten
             found.doubt = self._doubt
             found.least = self._iteration.least
             found.care = self._iteration.care
-        if found.doubt is None or found.doubt > _BELIEVABLE:
+        if found.doubt is None or found.doubt > BELIEVABLE:
             return False
         model, volume = self._model, len(self._model.shape) == 3
         moves = found.entrained
@@ -259,37 +250,11 @@ class Refinement:
         error[~self._model.moves] = 0
         compute_thread.look()
         self._project(error)
-        most = float(np.abs(error).max())
-        doubt, cycles, rounds, left = math.inf, 0, 0, most
-        patience, part = _REHEARSAL_CYCLES, _REHEARSED
+        length = Rehearsal()
         if self._iteration.in_double:
-            patience, part = self._cycles_at_most, _REHEARSED_DOUBLE
-        while most > 0 and doubt > _BELIEVABLE and cycles < patience:
-            # What is left of the error is what was not met: from there it is.
-            balance, step = self._model.balance(error, None), None
-            target = part * most / balance.unit
-
-            def enough(latest: Step, target: float = target) -> bool:
-                nonlocal step, cycles
-                step, cycles = latest, cycles + 1
-                self._report(Monitor(f"rehearsal, cycle {cycles}", 0.0))
-                return latest.error <= target or cycles >= patience
-
-            try:
-                self._iteration.run(balance, error, enough)
-            except FloatingPointError:
-                return math.inf
-            if step is None:
-                return math.inf
-            before, left = left, float(np.abs(error).max())
-            if step.error <= target:
-                doubt = left / (balance.unit * step.error)
-            # Else single precision has carried no further from there. A motion may be met late, but
-            # once there have been two rounds each must gain something.
-            rounds += 1
-            if rounds > 1 and left > _GAIN * before:
-                break
-        return doubt if most > 0 else 1.0
+            length = Rehearsal(_REHEARSED_DOUBLE, self._cycles_at_most)
+        model = self._model
+        return length.run(self._iteration, error, lambda d: model.balance(d, None), self._report)
 
     def _project(self, d: Planes) -> None:
         if self._model.bodies is not None:

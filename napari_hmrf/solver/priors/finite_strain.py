@@ -18,62 +18,169 @@ barrier that stands before a corner that is about to fold:
     plane stress:  g = (mu + lambda/2) (ln((mu + lambda J^2/2) / (mu + lambda/2)) / 2 - ln J)
     below J_0:     b = -(J - J_0)^2 ln(J / J_0)
 
-For small motion this is linear elasticity. Where growth comes in, it divides z, and multiplies U by
-its area; forces from outside are no business of an element's.
+For small motion this is linear elasticity. Tissue that would grow by the strain e_g if it were free
+has the energy of what is left of its deformation once its growth is undone, of so much more tissue:
+
+    (a, b) -> (a, b) (1 + e_g)^-1,    J, J_k -> J / det(1 + e_g),    U -> det(1 + e_g) U
+
+Growth across the image makes more tissue in plane stress; in plane strain, where it is not free, J
+is divided by it in g, too. Forces from outside are no business of an element's.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
+from napari_hmrf.solver.loads import is_equal
 from napari_hmrf.solver.priors.elements import (
+    ElasticMaterial,
     ElementShape,
     Float64Array,
     Lame,
     differences,
+    lame_parameters,
+    of_elements,
 )
+from napari_hmrf.solver.priors.growth import element_strains
+from napari_hmrf.solver.real_arrays import FloatArray
 
 #: How strong the barrier is, in units of mu, and below which Jacobian it stands.
 BARRIER, BARRIER_BEGIN = 10.0, 0.5
 _AT_REST = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0])
 
 
+def grown_areas(growth: FloatArray) -> Float64Array:
+    """How many times its area each site's tissue has when it is free, in the plane.
+
+    Parameters
+    ----------
+    growth : ndarray, shape (H, W), (H, W, 2, 2) or (H, W, 3, 3)
+        As `Loads` has it.
+    """
+    if growth.ndim == 2:
+        return np.asarray((1.0 + growth.astype(np.float64)) ** 2)
+    return np.asarray(np.linalg.det(np.eye(2) + growth[..., -2:, -2:].astype(np.float64)))
+
+
 class Moduli(NamedTuple):
-    """What the elements resist with, relative to the stiffest; 0 in void.
+    """What the elements resist with, relative to the stiffest.
 
     Attributes
     ----------
-    shear, first : ndarray
-        Lame's parameters mu and lambda, the latter as of a volume.
-    twist : ndarray
-        Against the square of the twist.
+    numbers : tuple of ndarray, shape (H - 1, W - 1), or float
+        Seven of each element: Lame's parameters mu, 0 in void, and lambda, the latter as of a
+        volume; what resists a change of volume at rest, mu + lambda/2; what resists half the square
+        of the twist; and what undoes growth, (1 + e_g)^-1: along rows, mixed, along columns.
     bulges : bool
         Whether tissue is free to become thicker: plane stress.
+    stored : float
+        Energy that no motion changes.
     """
 
-    shear: Float64Array
-    first: Float64Array
-    twist: Float64Array
+    numbers: tuple[Float64Array | float, ...]
     bulges: bool
+    stored: float
 
 
-def moduli_of(lame: Lame, shape: ElementShape) -> Moduli:
-    """The moduli of elements that resist small motion as Lame's parameters in the plane say."""
+@dataclass(frozen=True, eq=False)
+class FiniteMaterial(ElasticMaterial):
+    """What the kernels need to know of tissue that moves far.
+
+    Attributes
+    ----------
+    growth : ndarray or None
+        As `Loads` has it.
+    """
+
+    growth: FloatArray | None = None
+
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, FiniteMaterial)
+            and super().__eq__(other)
+            and is_equal(self.growth, other.growth)
+        )
+
+    __hash__ = None
+
+    def is_tissue_of(self, other: FiniteMaterial) -> bool:
+        """Whether the other is the same tissue, whatever has grown."""
+        return ElasticMaterial.__eq__(self, other)
+
+    def grown(self, part: float) -> FiniteMaterial:
+        """Return tissue that grows by a part of its growth."""
+        return self if self.growth is None else replace(self, growth=self.growth * np.float32(part))
+
+    @property
+    def most_growth(self) -> float:
+        """How many times its area any tissue has, or had, when it is free."""
+        areas = np.ones(1) if self.growth is None else grown_areas(self.growth)[self.m > 0]
+        return float(max(areas.max(), 1 / areas.min()))
+
+    def moduli(self, stand_in: float = 0.0) -> Moduli:
+        """The moduli of the elements.
+
+        Parameters
+        ----------
+        stand_in : float
+            How stiff rigid tissue is instead; its elements are none if that is 0.
+        """
+        m = self.relative(stand_in)
+        lame = lame_parameters(m, self.poisson, self.strain)
+        if self.growth is None:
+            return moduli_of(lame, self.shape)
+        strains, across = element_strains(self.growth, m.ndim)
+        grows = (lame.shear > 0) & np.isfinite(of_elements(self.m.astype(np.float64)))
+        return moduli_of(lame, self.shape, strains * grows, across * grows)
+
+
+def moduli_of(
+    lame: Lame,
+    shape: ElementShape,
+    growth: Float64Array | None = None,
+    across: Float64Array | float = 0.0,
+) -> Moduli:
+    """The moduli of elements that resist small motion as Lame's parameters in the plane say.
+
+    Parameters
+    ----------
+    lame : Lame
+    shape : ElementShape
+    growth : ndarray, shape (2, 2, H - 1, W - 1), optional
+        The strain that each element would have if it were free.
+    across : ndarray or float
+        The same, across the image.
+    """
     bulges = shape.twist_volume > 0
     first, shear = lame
     # What a twist costs must not depend on how far its element has turned: of oblong pixels the
     # mean of both directions counts.
-    twist = (shape.twist_rows + shape.twist_cols) * (
-        shear + (shape.twist_volume * first + shear) / 2
-    )
+    of_twist = shear + (shape.twist_volume * first + shear) / 2
     if bulges:
         stretches = shear > 0
         free = np.where(stretches, 2 * shear - first, 1.0)
         first = np.where(stretches, 2 * shear * first / free, 0.0)
-    return Moduli(shear, first, twist, bulges)
+    whole = shear + first / 2
+    if growth is None:
+        twist = (shape.twist_rows + shape.twist_cols) * of_twist
+        return Moduli((shear, first, whole, twist, 1.0, 0.0, 1.0), bulges, 0.0)
+    row, mixed, col = 1 + growth[0, 0], growth[0, 1], 1 + growth[1, 1]
+    area = row * col - mixed**2
+    row, mixed, col = col / area, -mixed / area, row / area
+    sides = shape.twist_rows * (row**2 + mixed**2) + shape.twist_cols * (mixed**2 + col**2)
+    more, stored = area * (1 + across), 0.0
+    if not bulges:
+        # A slice that cannot thicken is pressed by so much.
+        left = 1 / (1 + across)
+        none = shear * (left**2 - 1) / 2 + first * (left**2 - 1) / 4 - whole * np.log(left)
+        stored = float((more * none).sum())
+        first = first * left**2
+    resists = more * shear, more * first, more * whole, more * sides * of_twist
+    return Moduli((*resists, row, mixed, col), bulges, stored)
 
 
 class FiniteElements:
@@ -87,7 +194,15 @@ class FiniteElements:
 
     def __init__(self, moduli: Moduli, shape: ElementShape) -> None:
         self._moduli, self._shape = moduli, shape
-        self._there = moduli.shear > 0
+        self._shear, self._first, self._whole, self._twist, *growth = np.broadcast_arrays(
+            *moduli.numbers
+        )
+        self._there = self._shear > 0
+        row, mixed, col = growth
+        # What growth leaves of a Jacobian, and of z.
+        self._area = row * col - mixed**2
+        undone = np.moveaxis(np.array([[row, mixed], [mixed, col]]), (0, 1), (-2, -1))
+        self._sides = np.einsum("ijkl,pq->ijkplq", undone, np.eye(2)).reshape(*row.shape, 4, 4)
 
     def energy(self, d: Float64Array) -> float:
         """The energy of a displacement (H, W, 2) in pixels; infinite if anything is folded."""
@@ -95,25 +210,27 @@ class FiniteElements:
         mean, corners = self._jacobians(z)
         if (corners[:, self._there] <= 0).any():
             return np.inf
-        shear, first, twist, bulges = self._moduli
-        stretch = (z[..., :4] ** 2).sum(axis=-1) - 2
-        whole = shear + first / 2
+        mean, corners = self._area * mean, self._area * corners
+        shear, first, whole = self._shear, self._first, self._whole
+        sides = np.einsum("ijab,ijb->ija", self._sides, z[..., :4])
+        stretch = (sides**2).sum(axis=-1) - 2
         with np.errstate(all="ignore"):  # in void
-            if bulges:
+            if self._moduli.bulges:
                 volume = whole * (np.log((shear + first * mean**2 / 2) / whole) / 2 - np.log(mean))
             else:
                 volume = first / 4 * (mean**2 - 1) - whole * np.log(mean)
             below = np.minimum(corners, BARRIER_BEGIN)
             wall = -((below - BARRIER_BEGIN) ** 2) * np.log(below / BARRIER_BEGIN)
-        each = shear / 2 * stretch + volume + twist / 2 * (z[..., 4:] ** 2).sum(axis=-1)
+        each = shear / 2 * stretch + volume + self._twist / 2 * (z[..., 4:] ** 2).sum(axis=-1)
         each += shear * BARRIER / 4 * wall.sum(axis=0)
-        return float(each[self._there].sum())
+        return float(each[self._there].sum()) + self._moduli.stored
 
     def forces(self, d: Float64Array) -> Float64Array:
         """The derivative of the energy by each site's displacement, (H, W, 2)."""
         z = self._deformed(d)
-        _, slopes, _ = self._slopes(z)
-        pull = self._own() * z + np.einsum("kij,kab,ijb->ija", slopes, _quadratic(self._shape), z)
+        slopes, _ = self._slopes(z)
+        pull = np.einsum("ijab,ijb->ija", self._own(), z)
+        pull += np.einsum("kij,kab,ijb->ija", slopes, _quadratic(self._shape), z)
         pull = np.where(self._there[..., None], pull * self._scale(), 0.0)
         total: Float64Array = np.zeros(d.shape)
         for sign_row, sign_col, sites in _CORNERS:
@@ -124,12 +241,12 @@ class FiniteElements:
     def tangents(self, d: Float64Array) -> Float64Array:
         """The second derivatives by (D_r, D_c, D_x) of each element, (H - 1, W - 1, 6, 6)."""
         z = self._deformed(d)
-        _, slopes, bends = self._slopes(z)
+        slopes, bends = self._slopes(z)
         quadratic = _quadratic(self._shape)
         way = np.einsum("kab,ijb->kija", quadratic, z)
         made = np.einsum("kij,kab->ijab", slopes, quadratic)
         made += np.einsum("kij,kija,kijb->ijab", bends, way, way)
-        made += self._own()[..., None] * np.eye(6)
+        made += self._own()
         scale = self._scale()
         made = made * scale * scale[:, None]
         return np.where(self._there[..., None, None], made, 0.0)
@@ -149,22 +266,25 @@ class FiniteElements:
         return np.array([rows, rows, cols, cols, 1.0, 1.0])
 
     def _own(self) -> Float64Array:
-        """What resists stretch and twist."""
-        shear, twist = self._moduli.shear, self._moduli.twist
-        return np.stack([*[shear] * 4, *[twist] * 2], axis=-1)
+        """What resists stretch and twist, (H - 1, W - 1, 6, 6)."""
+        made = np.zeros((*self._shear.shape, 6, 6))
+        square = np.einsum("ijab,ijbc->ijac", self._sides, self._sides)
+        made[..., :4, :4] = self._shear[..., None, None] * square
+        made[..., 4:, 4:] = self._twist[..., None, None] * np.eye(2)
+        return made
 
     def _jacobians(self, z: Float64Array) -> tuple[Float64Array, Float64Array]:
         all_of_them = np.einsum("ija,kab,ijb->kij", z, _quadratic(self._shape), z) / 2
         return all_of_them[0], all_of_them[1:]
 
-    def _slopes(self, z: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """The Jacobians (5, H - 1, W - 1), and the energy's derivatives by them."""
+    def _slopes(self, z: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """The energy's derivatives by the Jacobians, two of (5, H - 1, W - 1)."""
         mean, corners = self._jacobians(z)
-        shear, first, _, bulges = self._moduli
-        whole = shear + first / 2
+        mean, corners = self._area * mean, self._area * corners
+        shear, first, whole = self._shear, self._first, self._whole
         below = np.minimum(corners, BARRIER_BEGIN)
         with np.errstate(all="ignore"):  # in void
-            if bulges:
+            if self._moduli.bulges:
                 thick = shear + first * mean**2 / 2
                 slope = -whole * shear / (mean * thick)
                 bend = whole * shear * (thick + first * mean**2) / (mean * thick) ** 2
@@ -175,9 +295,9 @@ class FiniteElements:
             walls = -gap * (2 * log + gap / below)
             steep = -2 * log - 4 * gap / below + (gap / below) ** 2
         weight = shear * BARRIER / 4
-        slopes = np.concatenate([slope[None], weight * walls])
-        bends = np.concatenate([bend[None], weight * steep])
-        return np.concatenate([mean[None], corners]), slopes, bends
+        slopes = self._area * np.concatenate([slope[None], weight * walls])
+        bends = self._area**2 * np.concatenate([bend[None], weight * steep])
+        return slopes, bends
 
 
 # The sign of a corner along rows and columns, and the sites that are such corners of elements.

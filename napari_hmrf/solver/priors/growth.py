@@ -64,7 +64,7 @@ def growth_load(
     forces, energy = np.zeros((*grid, axes)), 0.0
     for sites in slabs(grid):
         lame = lame_of(sites)
-        strains, beyond = _strains(growth[sites], axes)
+        strains, beyond = element_strains(growth[sites], axes)
         change = sum(strains[along, along] for along in range(axes))
         if across:
             change = change + beyond
@@ -87,8 +87,16 @@ def slabs(grid: tuple[int, ...]) -> Iterator[slice]:
         yield slice(begin, min(begin + step, length - 1) + 1)
 
 
-def _strains(growth: FloatArray, axes: int) -> tuple[Float64Array, Float64Array]:
-    """The strain of each element, its two axes first, and that across an image."""
+def element_strains(growth: FloatArray, axes: int) -> tuple[Float64Array, Float64Array]:
+    """The strain of each element, its two axes first, and that across an image.
+
+    Parameters
+    ----------
+    growth : ndarray
+        As `Loads` has it.
+    axes : int
+        Of the grid.
+    """
     if growth.ndim == axes:
         mean = of_elements(growth.astype(np.float64))
         made = np.eye(axes).reshape(axes, axes, *(1,) * axes) * mean

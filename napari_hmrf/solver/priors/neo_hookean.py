@@ -15,9 +15,16 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.priors.elastic import ElasticPrior, Plane
-from napari_hmrf.solver.priors.elements import ElasticMaterial, ElementShape, Float64Array
-from napari_hmrf.solver.priors.finite_strain import FiniteElements, Moduli, moduli_of
+from napari_hmrf.solver.priors.elements import ElementShape, Float64Array
+from napari_hmrf.solver.priors.finite_strain import (
+    FiniteElements,
+    FiniteMaterial,
+    Moduli,
+    grown_areas,
+)
+from napari_hmrf.solver.priors.growth import Load
 from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.real_arrays import first_index
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +41,7 @@ class NeoHookeanPrior:
     plane : {"stress", "strain"}
         As of `ElasticPrior`.
     penalty : float
-        As of `ElasticPrior`; so far only ``inf``: held exactly wherever confidence is above 0.
+        As of `ElasticPrior`.
     """
 
     poisson: float | npt.NDArray[np.float32] = 0.45
@@ -78,7 +85,7 @@ class NeoHookeanPrior:
         Raises
         ------
         ProblemError
-            Of a volume, of loads, of rigid tissue, of a finite penalty, and as of `ElasticPrior`.
+            Of a volume, of growth that turns tissue inside out, and as of `ElasticPrior`.
         """
         if problem.is_volume:
             raise ProblemError(
@@ -86,49 +93,58 @@ class NeoHookeanPrior:
                 "is a volume, but large motion is for 2-D. Take ElasticPrior() for volumes, or "
                 "solve a slice.",
             )
-        if problem.loads is not None:
-            raise ProblemError(
-                "loads",
-                "are there, which large motion does not take yet. Take ElasticPrior(), or leave "
-                "them out.",
-            )
-        if problem.rigid.any():
-            raise ProblemError(
-                "stiffness",
-                "is infinite (rigid) somewhere, which large motion does not take yet. Give that "
-                "tissue a number, such as a hundred times that of the tissue around it.",
-            )
-        if self.penalty < math.inf:
-            raise ProblemError(
-                "confidence",
-                "is to be weighed by a finite penalty, which large motion does not take yet. Leave "
-                "the prior's penalty at inf.",
-            )
+        _check_growth(problem)
         self.at_rest.resolved(problem)
         return self
 
-    def material(self, problem: Problem) -> ElasticMaterial:
+    def material(self, problem: Problem) -> FiniteMaterial:
         """What the kernels need to know of a problem's tissue."""
-        return self.at_rest.material(problem)
+        same = self.at_rest.material(problem)
+        growth = None if problem.loads is None else problem.loads.growth
+        return FiniteMaterial(same.m, same.poisson, same.strain, same.shape, growth)
 
     def moduli(self, problem: Problem) -> Moduli:
-        """What each element resists with; 0 in void."""
-        return moduli_of(self.at_rest.lame(problem), self._shape(problem))
+        """What each element resists with; 0 in void and where it is rigid."""
+        return self.material(problem).moduli()
+
+    def limit(self, problem: Problem) -> Float64Array | None:
+        """As of `ElasticPrior`."""
+        return self.at_rest.limit(problem)
+
+    def force_unit(self, problem: Problem) -> float:
+        """As of `ElasticPrior`."""
+        return self.at_rest.force_unit(problem)
+
+    def load(self, problem: Problem) -> Load | None:
+        """What pulls at each site, whatever becomes of it: dead loads; None if nothing does."""
+        if problem.loads is None or problem.loads.force is None:
+            return None
+        return Load(problem.loads.force / np.float64(self.force_unit(problem)), 0.0)
 
     def energy(self, problem: Problem, displacement: npt.ArrayLike) -> float:
-        """U, in pixels squared, of a displacement (H, W, 2) in the unit of ``problem.spacing``."""
-        return self._elements(problem).energy(_pixels(problem, displacement))
+        """U, in pixels squared, of a displacement (H, W, 2) in the unit of ``problem.spacing``.
+
+        What tissue stores, less the work of forces.
+        """
+        d, load = _pixels(problem, displacement), self.load(problem)
+        stored = self._elements(problem).energy(d)
+        return stored if load is None else stored - float((load.forces * d).sum())
 
     def forces(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
         """The derivative of the energy by each site's displacement (H, W, 2), in pixels."""
-        return self._elements(problem).forces(_pixels(problem, displacement))
+        load = self.load(problem)
+        forces = self._elements(problem).forces(_pixels(problem, displacement))
+        return forces if load is None else forces - load.forces
 
     def tangents(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
         """The second derivatives by the differences of each element, (H - 1, W - 1, 6, 6)."""
         return self._elements(problem).tangents(_pixels(problem, displacement))
 
     def corner_jacobians(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
-        """The Jacobian at the four corners of each element, (4, H - 1, W - 1); 1 in void."""
+        """The Jacobian at the four corners of each element, (4, H - 1, W - 1); 1 in void.
+
+        What has grown to twice its area has 2.
+        """
         return self._elements(problem).corner_jacobians(_pixels(problem, displacement))
 
     def _elements(self, problem: Problem) -> FiniteElements:
@@ -138,6 +154,20 @@ class NeoHookeanPrior:
         shape = self.at_rest.shape(problem.spacing)
         assert isinstance(shape, ElementShape)
         return shape
+
+
+def _check_growth(problem: Problem) -> None:
+    """Refuse tensors of which nothing would be left in some direction."""
+    growth = None if problem.loads is None else problem.loads.growth
+    if growth is None:
+        return
+    wrong = problem.tissue & ~(grown_areas(growth) > 0)
+    if wrong.any():
+        raise ProblemError(
+            "growth",
+            f"leaves nothing of tissue in some direction, first at {first_index(wrong)}. Give "
+            "tensors whose strain is above -1 in all directions.",
+        )
 
 
 def _pixels(problem: Problem, displacement: npt.ArrayLike) -> Float64Array:

@@ -23,6 +23,7 @@ from napari_hmrf.solver.backends.linear import LinearModel
 from napari_hmrf.solver.priors import line_weights
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 from napari_hmrf.solver.priors.elements import ElasticMaterial
+from napari_hmrf.solver.priors.finite_strain import FiniteMaterial
 from napari_hmrf.solver.quadtree import Level, nearest_pixels
 
 # Pessimistic guesses, for cutting the work into batches: measured is 1.5 to 4 ns on two cores, and
@@ -230,7 +231,7 @@ class CpuBackend:
 
         return the_model(material)
 
-    def finite_model(self, material: ElasticMaterial) -> FiniteModel:
+    def finite_model(self, material: FiniteMaterial) -> FiniteModel:
         """Bring tissue that moves far to the device."""
         from napari_hmrf.solver.backends.cpu.finite_model import the_model
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from functools import cached_property
+from collections.abc import Iterator, Sequence
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,8 @@ import numpy.typing as npt
 from napari_hmrf.solver.backends.bodies import Bodies, BodySites, bodies_of, few
 from napari_hmrf.solver.backends.cpu import assembly, elastic, elastic_exact, forces, small, vectors
 from napari_hmrf.solver.backends.cpu.entraining import entrain
-from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, paces_of
+from napari_hmrf.solver.backends.cpu.level import Vector, paces_of
+from napari_hmrf.solver.backends.cpu.small_levels import SmallLevel, SmallLevels, divided
 from napari_hmrf.solver.backends.entrained import Entrained
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
@@ -26,17 +27,11 @@ from napari_hmrf.solver.priors.elements import (
     stiffest,
 )
 
-# A level of fewer sites is visited by one thread, but for the first two: a small problem takes all
-# kernels that a large one does, so that a rehearsal compiles them.
-_SMALL = 8000
-_LARGE = 2
-
-
 # A step that leaves all where it is.
 _NO_STEP = np.zeros(3, dtype=np.float32)
 
 
-class CpuElasticLevel(CpuLevel):
+class CpuElasticLevel(SmallLevel):
     """One level's elements and springs.
 
     Attributes
@@ -57,13 +52,15 @@ class CpuElasticLevel(CpuLevel):
     ) -> None:
         super().__init__(grid, memory)
         self.shape, self.spans = shape, spans
-        self.lame, self.pins = self.vector(), self.vector()
+        self.pins = self.vector()
         self.weight = None if finest else self.vector()
+        if memory is not None:
+            next(memory)  # what a cycle leaves
+        self.lame = self.vector()
         self.moving, self.reach = self.inverse, spans
         self._memory = None
         #: Among how many threads its rows are divided.
         self.parts = forces.parts(grid[0])
-        self.together: _SmallLevels | None = None
 
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on the finest level, and bodies that are entrained."""
@@ -98,11 +95,6 @@ class CpuElasticLevel(CpuLevel):
             for vector in (self.correction, self._other):
                 vector.fill(0)
 
-    @property
-    def spare_correction(self) -> Vector:
-        """Where `relax` writes, in turn with `correction`."""
-        return self._other
-
     def holding(self) -> CpuElasticLevel:
         """Return this level, which takes the rest, once more, with all that touches it held."""
         assert self.together is not None
@@ -111,13 +103,6 @@ class CpuElasticLevel(CpuLevel):
         made.weight.fill(0)
         made.hold(self.pins > 0)
         return made
-
-    def finish(self, steps: Steps, coarsest: Steps) -> None:
-        """Find the correction with all coarser levels, or as the coarsest."""
-        if self.together is None:
-            super().finish(steps, coarsest)
-        else:
-            self.correction = self.together.cycle(steps, coarsest)
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Chebyshev-Jacobi steps on `correction` for `load`."""
@@ -150,43 +135,8 @@ class CpuElasticLevel(CpuLevel):
         return float(self._rows.sum())
 
 
-class _SmallLevels:
-    """The memory of levels that are visited in one go, and that visit."""
-
-    def __init__(self, grids: list[tuple[int, ...]], shape: Vector) -> None:
-        sizes = [2 * (height + 4) * (width + 4) for height, width in grids]
-        starts = np.cumsum([0, *(small.ARRAYS * size for size in sizes)])
-        self._values = np.zeros(starts[-1], dtype=np.float32)
-        self._table = np.array([(*grid, start) for grid, start in zip(grids, starts, strict=False)])
-        self._shape = shape
-        self.levels = []
-        for grid, start, size in zip(grids, starts, sizes, strict=False):
-            arrays = self._values[start : start + small.ARRAYS * size]
-            memory = iter(arrays.reshape(small.ARRAYS, 2, grid[0] + 4, grid[1] + 4))
-            spans = np.zeros((grid[0], 2), dtype=np.int64)
-            self.levels.append(CpuElasticLevel(grid, shape, False, spans, memory))
-        first = self.levels[0]
-        self._pair = first.correction, first.spare_correction
-        first.together, first.takes_rest = self, True
-
-    def copy(self) -> _SmallLevels:
-        """Return the same levels once more."""
-        made = _SmallLevels([tuple(grid) for grid in self._table[:, :2].tolist()], self._shape)
-        np.copyto(made._values, self._values)
-        return made
-
-    def cycle(self, steps: Steps, coarsest: Steps) -> Vector:
-        """Return the first level's correction for its load."""
-        small.cycle(
-            self._values,
-            self._table,
-            self._shape,
-            paces_of(steps, from_zero=True),
-            paces_of(steps, from_zero=False),
-            paces_of(coarsest, from_zero=True),
-        )
-        number = len(coarsest) if len(self.levels) == 1 else 2 * len(steps)
-        return self._pair[0 if number % 2 == 1 else 1]
+def _cycle(shape: Vector, values: Vector, table: npt.NDArray[np.int64], *paces: Vector) -> None:
+    small.cycle(values, table, shape, *paces)
 
 
 class CpuElasticModel(HostModel):
@@ -199,20 +149,29 @@ class CpuElasticModel(HostModel):
 
     def __init__(self, material: ElasticMaterial) -> None:
         self._shape = np.array(material.shape, dtype=np.float32)
-        every = grids(material.m.shape)
-        few = next((k for k, (height, width) in enumerate(every) if height * width < _SMALL), 0)
-        large, little = every[: max(few, _LARGE)], every[max(few, _LARGE) :]
+        large, little = divided(grids(material.m.shape))
         self.levels = [
             CpuElasticLevel(grid, self._shape, number == 0, np.zeros((grid[0], 2), dtype=np.int64))
             for number, grid in enumerate(large)
         ]
         if little:
-            self.levels += _SmallLevels(little, self._shape).levels
+            self.levels += self._small(little)
         self._rest = self.levels[0].vector()
         self._exact_lame: Planes = np.zeros(self._rest.shape)
         self._entrained = np.zeros((0, *self._rest.shape), dtype=np.float32)
         self._rows: npt.NDArray[np.float64] = np.zeros((2, self.levels[0].grid[0]))
         self.assemble(material)
+
+    def _small(self, grids: Sequence[tuple[int, ...]]) -> list[CpuElasticLevel]:
+        """The levels that are visited in one go."""
+        shape = self._shape
+
+        def level(grid: tuple[int, ...], memory: Iterator[Vector]) -> CpuElasticLevel:
+            return CpuElasticLevel(
+                grid, shape, False, np.zeros((grid[0], 2), dtype=np.int64), memory
+            )
+
+        return SmallLevels(grids, int(small.PLANES), level, partial(_cycle, shape)).levels
 
     def assemble(self, material: ElasticMaterial) -> None:
         """Take another material of the same grid."""

@@ -7,31 +7,40 @@ same model again, of tangents averaged. The levels' memory stays.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.cpu import finite_strain, tangents, vectors
+from napari_hmrf.solver.backends.bodies import Bodies, BodySites, bodies_of, rigid_elements
+from napari_hmrf.solver.backends.cpu import finite_strain, finite_tangents, tangents, vectors
 from napari_hmrf.solver.backends.cpu.forces import parts
-from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, paces_of
+from napari_hmrf.solver.backends.cpu.level import Vector, paces_of
+from napari_hmrf.solver.backends.cpu.small_levels import SmallLevel, SmallLevels, divided
 from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, Planes, Steps
+from napari_hmrf.solver.backends.poses import Poses
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
-from napari_hmrf.solver.priors.elements import ElasticMaterial, lame_parameters
-from napari_hmrf.solver.priors.finite_strain import BARRIER, BARRIER_BEGIN, moduli_of
+from napari_hmrf.solver.priors.elements import CYCLE_STAND_IN, lame_parameters
+from napari_hmrf.solver.priors.finite_strain import (
+    BARRIER,
+    BARRIER_BEGIN,
+    FiniteMaterial,
+    moduli_of,
+)
 
-# A level of fewer sites is visited by one thread, with all below, but for the first two.
-_SMALL, _LARGE = 8000, 2
 # How far the spectrum of strained tissue exceeds that of tissue at rest: usually, and at most.
 _STRAINED, _WORST = 1.3, 2.0
-_CYCLED, _ALL = 14, 21
+# Numbers of an element: of its tangent for cycles, of all of it, and of what it resists with.
+_CYCLED, _ALL, _OF_SOLID = int(tangents.PLANES), 21, 7
 # How much of its spread counts, where an element shares its sites with others.
 _CALM = 0.75
+# How many times stiffer yet rigid tissue is for factors; what they get wrong the next step rights.
+_FIRMER = 100.0
 
 
-class TangentLevel(CpuLevel):
+class TangentLevel(SmallLevel):
     """One level's tangents and springs; see `CpuLevel`.
 
     Attributes
@@ -40,29 +49,43 @@ class TangentLevel(CpuLevel):
         The tangents that cycles go by, and their damping.
     solved : ndarray, shape (21, H + 4, W + 4), or None
         Those that are solved for, on the finest level.
-    coupled : bool
-        Whether any twist is coupled to a stretch.
     """
 
-    def __init__(self, grid: tuple[int, ...], finest: bool, memory: Any = None) -> None:
-        super().__init__(grid, None if memory is None else iter(memory.vectors))
+    def __init__(
+        self,
+        grid: tuple[int, ...],
+        memory: Iterator[Vector] | None = None,
+        *,
+        finest: bool = False,
+    ) -> None:
+        super().__init__(grid, memory)
         self.pins = self.vector()
         self.weight = None if finest else self.vector()
-        if memory is None:
-            self._left = self.vector()
-            self.cycled = np.zeros((_CYCLED, *self.inverse.shape[1:]), dtype=np.float32)
-        else:
-            self._left, self.cycled = memory.rest, memory.cycled
+        self._left = self.vector()
+        shape = self.inverse.shape[1:]
+        self.cycled = _planes(_CYCLED, shape) if memory is None else self.vector()
         self._memory = None
-        self.solved = np.zeros((_ALL, *self.inverse.shape[1:]), np.float32) if finest else None
+        self.solved = _planes(_ALL, shape) if finest else None
         self.spans = np.zeros((grid[0], 2), dtype=np.int64)
         self.parts = parts(grid[0])
-        self.together: _SmallLevels | None = None
 
-    def hold(self, held: HeldPlanes) -> None:
-        """Hold components on the finest level."""
+    def hold(self, held: HeldPlanes, springs: Planes | None = None) -> None:
+        """Hold components on the finest level, and put others on springs."""
         tangents.diagonal(self.cycled, self.inverse)
+        self.weight = None if springs is None else springs.astype(np.float32)
+        if self.weight is None:
+            vectors.hold(self.inverse, held, self.pins, self.spans)
+            return
+        np.add(self.inverse, self.weight, out=self.inverse, where=self.inverse > 0)
         vectors.hold(self.inverse, held, self.pins, self.spans)
+        self.pins += self.weight * self.inverse
+
+    @property
+    def _springs(self) -> tuple[Vector, np.float32]:
+        """As of `CpuLevel`; those of the finest level come and go."""
+        if self.weight is None:
+            return self.inverse, np.float32(0)
+        return self.weight, np.float32(1)
 
     def hold_as(self, finer: TangentLevel) -> None:
         """Put the sites near those that the finer level holds on springs."""
@@ -85,63 +108,15 @@ class TangentLevel(CpuLevel):
         tangents.rest(self.correction, *about, self._left, self.parts)
         self._restrict(self._left, coarse.load)
 
-    def finish(self, steps: Steps, coarsest: Steps) -> None:
-        """Find the correction with all coarser levels, or as the coarsest."""
-        if self.together is None:
-            super().finish(steps, coarsest)
-        else:
-            self.correction = self.together.cycle(steps, coarsest)
-
-    @property
-    def spare_correction(self) -> Vector:
-        """Where `relax` writes, in turn with `correction`."""
-        return self._other
-
     def apply(self, direction: Vector, image: Vector) -> float:
         """Image = A direction, of what is solved; their scalar product."""
-        about = direction, self.solved, self.inverse, True, image, self._rows
+        about = direction, self.solved, self.inverse, True, *self._springs, image, self._rows
         tangents.apply(*about, self.parts)
         return float(self._rows.sum())
 
 
-class _Memory:
-    """Where a small level lies."""
-
-    def __init__(self, values: npt.NDArray[np.float32], grid: tuple[int, ...]) -> None:
-        planes = values.reshape(tangents.PLANES, grid[0] + 4, grid[1] + 4)
-        arrays = [planes[2 * number : 2 * number + 2] for number in range(7)]
-        inverse, load, correction, other, pins, weight, self.rest = arrays
-        self.vectors = [inverse, load, correction, other, pins, weight]
-        self.cycled = planes[14:]
-
-
-class _SmallLevels:
-    """The memory of levels that are visited in one go, and that visit."""
-
-    def __init__(self, every: Sequence[tuple[int, ...]]) -> None:
-        sizes = [tangents.PLANES * (height + 4) * (width + 4) for height, width in every]
-        starts = np.cumsum([0, *sizes])
-        self._values = np.zeros(starts[-1], dtype=np.float32)
-        self._table = np.array([(*grid, start) for grid, start in zip(every, starts, strict=False)])
-        self.levels = []
-        for grid, start, size in zip(every, starts, sizes, strict=False):
-            memory = _Memory(self._values[start : start + size], grid)
-            self.levels.append(TangentLevel(grid, False, memory))
-        first = self.levels[0]
-        self._pair = first.correction, first.spare_correction
-        first.together, first.takes_rest = self, True
-
-    def cycle(self, steps: Steps, coarsest: Steps) -> Vector:
-        """Return the first level's correction for its load."""
-        tangents.cycle(
-            self._values,
-            self._table,
-            paces_of(steps, from_zero=True),
-            paces_of(steps, from_zero=False),
-            paces_of(coarsest, from_zero=True),
-        )
-        number = len(coarsest) if len(self.levels) == 1 else 2 * len(steps)
-        return self._pair[0 if number % 2 == 1 else 1]
+def _planes(count: int, shape: tuple[int, ...]) -> Vector:
+    return np.zeros((count, *shape), dtype=np.float32)
 
 
 class CpuFiniteModel:
@@ -153,74 +128,132 @@ class CpuFiniteModel:
     """
 
     def __init__(self, grid: tuple[int, ...]) -> None:
-        every = grids(grid)
-        few = next((k for k, (height, width) in enumerate(every) if height * width < _SMALL), 0)
-        large, little = every[: max(few, _LARGE)], every[max(few, _LARGE) :]
-        self.levels = [TangentLevel(each, number == 0) for number, each in enumerate(large)]
+        large, little = divided(grids(grid))
+        self.levels = [TangentLevel(each, finest=number == 0) for number, each in enumerate(large)]
         if little:
-            self.levels += _SmallLevels(little).levels
+            self.levels += SmallLevels(little, _CYCLED, TangentLevel, tangents.cycle).levels
         self.shape = grid
         size = tuple(side + 4 for side in grid)
-        self._moduli: Planes = np.zeros((3, *size))
+        self._solid: Planes = np.zeros((_OF_SOLID, *size))
         self._pull: Planes = np.zeros((2, *size))
         self._energies, self._least = np.zeros((2, grid[0]))
         self._none: Planes = np.zeros((0, 0))
         self._parts = parts(grid[0])
-        self.material: ElasticMaterial | None = None
+        self.material: FiniteMaterial | None = None
+        #: What components are on besides tissue, since the last `linearise`.
+        self.springs: Planes | None = None
+        #: How far cycles were found to be right, and with what held.
+        self.rehearsed: tuple[HeldPlanes, float] | None = None
+        #: The sites of each rigid body.
+        self.bodies: list[BodySites] = []
 
-    def assemble(self, material: ElasticMaterial) -> None:
+    def assemble(self, material: FiniteMaterial) -> None:
         """Take a material of the same grid."""
+        if self.material is not None and self.material == material:
+            return
+        if self.material is None or not self.material.is_tissue_of(material):
+            self.rehearsed = None
         self.material = material
-        lame = lame_parameters(material.relative(1.0), material.poisson, material.strain)
-        shear, first, twist, bulges = moduli_of(lame, material.shape)
-        for plane, values in zip(self._moduli, (shear, first, twist), strict=True):
+        moduli = material.moduli(CYCLE_STAND_IN)
+        for plane, values in zip(self._solid, moduli.numbers, strict=True):
             plane[2:-3, 2:-3] = values
+        self._stored = moduli.stored
         rows, cols = np.sqrt(material.shape.rows), np.sqrt(material.shape.cols)
-        self._about = float(rows), float(cols), bulges, BARRIER, BARRIER_BEGIN
+        self._about = float(rows), float(cols), moduli.bulges, BARRIER, BARRIER_BEGIN
         usual, _ = smoother_bounds(material)
         self._calm = _CALM * self._spread(material)
         self.bounds = _STRAINED * usual, _WORST * usual
         for level in self.levels:
             level.cycled.fill(0)
-        self.levels[0].solved.fill(0)  # type: ignore[union-attr]
+        self._solved.fill(0)
+        self.bodies = bodies_of(material.m) if material.rigid else []
+        self._elements = rigid_elements(material.m, self.bodies)
+        self._stiff = np.zeros((_ALL, 0), dtype=np.float32)
+        self.levels[0].bodies = None
 
-    def _spread(self, material: ElasticMaterial) -> float:
+    @property
+    def _solved(self) -> Vector:
+        """The tangents of elements that are solved for."""
+        solved = self.levels[0].solved
+        assert solved is not None
+        return solved[:, 2:-3, 2:-3]
+
+    def _spread(self, material: FiniteMaterial) -> float:
         """How wide the spectrum of an element at rest is."""
         nu = material.largest_poisson
         one = lame_parameters(np.ones((2, 2)), nu, material.strain)
-        shear, first, twist, bulges = moduli_of(one, material.shape)
-        about = *self._about[:2], bulges, *self._about[3:]
-        size = np.zeros((5, 5))
-        moduli = [size.copy() for _ in range(3)]
-        for plane, value in zip(moduli, (shear, first, twist), strict=True):
-            plane[2, 2] = value[0, 0]
-        solved, cycled = np.zeros((21, 5, 5), np.float32), np.zeros((14, 5, 5), np.float32)
-        finite_strain.tangents(np.zeros((2, 5, 5)), *moduli, about, False, 1.0, solved, cycled, 1)
-        return float(finite_strain.spread(cycled[:13, 2, 2].astype(np.float64)))
+        solid = np.zeros((_OF_SOLID, 5, 5))
+        for plane, values in zip(solid, moduli_of(one, material.shape).numbers, strict=True):
+            plane[2:3, 2:3] = values
+        solved, cycled = _planes(_ALL, (5, 5)), _planes(_CYCLED, (5, 5))
+        still: Planes = np.zeros((2, 5, 5))
+        finite_tangents.tangents(still, solid, self._about, 0.0, 1.0, solved, cycled, 1)
+        return float(finite_tangents.spread(cycled[:13, 2, 2].astype(np.float64)))
 
     def energy(self, d: Planes) -> tuple[float, float]:
         """The energy of a displacement, and the least Jacobian of any corner."""
         self._work(finite_strain.energy, d, self._energies, self._least)
-        return float(self._energies.sum()), float(self._least.min())
+        return float(self._energies.sum()) + self._stored, float(self._least.min())
 
     def forces(self, d: Planes) -> Planes:
         """The derivative of the energy by all components; valid until the next call."""
         self._work(finite_strain.forces, d, self._pull)
         return self._pull
 
-    def linearise(self, d: Planes, held: HeldPlanes, positive: bool = False) -> None:
+    def linearise(
+        self,
+        d: Planes,
+        held: HeldPlanes,
+        forces: Planes,
+        positive: float = 0.0,
+        springs: Planes | None = None,
+    ) -> None:
         """Make the levels those of small motion around a displacement, with what is held."""
-        finest = self.levels[0]
-        self._work(finite_strain.tangents, d, positive, self._calm, finest.solved, finest.cycled)
+        finest, self.springs = self.levels[0], springs
+        about = positive, self._calm, finest.solved, finest.cycled
+        self._work(finite_tangents.tangents, d, *about)
+        if self.bodies:
+            assert self.material is not None
+            finest.bodies = Bodies(self.bodies, self.material, held, d)
+            self._turn(d, forces, positive)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             tangents.coarsen(fine.cycled, coarse.cycled)
-        finest.hold(held)
+        finest.hold(held, springs)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             coarse.hold_as(fine)
 
+    def _turn(self, d: Planes, forces: Planes, positive: float) -> None:
+        """Have bodies resist a turn by as much as what pulls at them changes with it."""
+        # As a stress that is the same in all directions does, whatever a body's stiffness.
+        solved, shape = self._solved, self.material.shape  # type: ignore[union-attr]
+        self._stiff = solved[:, self._elements > 0]
+        for number, (row, col) in enumerate(self.bodies, 1):
+            at = np.s_[:, row + 2, col + 2]
+            places = np.stack([row, col]) * np.array(shape.sides)[:, None] + d[at]
+            places -= places.mean(axis=1, keepdims=True)
+            here = self._elements == number
+            more = -float((forces[at] * places).sum()) / (2 * int(here.sum()))
+            if more < 0:
+                more *= 1 - positive
+            for numbers, share in (((0, 2), shape.rows), ((3, 5), shape.cols)):
+                for each in numbers:
+                    solved[each][here] += share * more
+
+    def poses(self, held: HeldPlanes) -> Poses:
+        """The poses of bodies, with what is held of them."""
+        assert self.material is not None
+        return Poses(self.bodies, self.material.shape.sides, held)
+
+    def project(self, values: Planes) -> None:
+        """Replace displacements or forces by those of bodies that move as one, in place."""
+        bodies = self.levels[0].bodies
+        if bodies is not None:
+            bodies.project(values)
+
     def balance(self, rest: Planes) -> Balance:
-        """A load, as iterations take it, 0 where nothing moves."""
+        """A load, as iterations take it: 0 where nothing moves, and of bodies as one."""
         rest = np.where(self.levels[0].inverse > 0, rest, 0.0)
+        self.project(rest)
         most = float(np.abs(rest).max())
         unit = most if most > 0 else 1.0
         scaled = (rest / unit).astype(np.float32)
@@ -240,8 +273,8 @@ class CpuFiniteModel:
         self, d: Planes, way: Planes, part: float, floor: float, each: bool = False
     ) -> tuple[float, npt.NDArray[np.float64]]:
         """How far along a way all corners keep a part of their Jacobian, and stay above a floor."""
-        lengths = np.full(self._moduli.shape[1:], np.inf) if each else self._none
-        about = d, way, self._moduli[0], self._about, part, floor
+        lengths = np.full(self._solid.shape[1:], np.inf) if each else self._none
+        about = d, way, self._solid, self._about, part, floor
         finite_strain.length(*about, self._least, lengths, self._parts)
         return float(self._least.min()), lengths[2:-3, 2:-3] if each else lengths
 
@@ -254,9 +287,11 @@ class CpuFiniteModel:
     @property
     def tangents(self) -> Tangents:
         """The linear model as factors take it."""
-        solved = self.levels[0].solved
-        assert solved is not None
-        return Tangents(solved[:, 2:-3, 2:-3])
+        if not self.bodies:
+            return Tangents(self._solved)
+        numbers = self._solved.copy()
+        numbers[:, self._elements > 0] += _FIRMER * self._stiff
+        return Tangents(numbers)
 
     def clear(self) -> None:
         """Make all corrections zero: numbers may have overflowed."""
@@ -264,7 +299,7 @@ class CpuFiniteModel:
             level.clear()
 
     def _work(self, kernel: Any, d: Planes, *others: Any) -> None:
-        kernel(d, *self._moduli, self._about, *others, self._parts)
+        kernel(d, self._solid, self._about, *others, self._parts)
 
 
 class Tangents:
@@ -313,11 +348,10 @@ _last: list[CpuFiniteModel] = []
 in_child_of_fork(_last.clear)
 
 
-def the_model(material: ElasticMaterial) -> CpuFiniteModel:
+def the_model(material: FiniteMaterial) -> CpuFiniteModel:
     """Return the model of a material: the last one, if it is the same tissue again."""
     if not _last or _last[0].shape != material.m.shape:
         _last[:] = ()  # its memory, first
         _last.append(CpuFiniteModel(tuple(material.m.shape)))
-    if _last[0].material != material:
-        _last[0].assemble(material)
+    _last[0].assemble(material)
     return _last[0]

@@ -1,9 +1,9 @@
 """Tissue that is bent already as compiled loops: what multigrid asks of its levels.
 
 Arrays are as in `backends.cpu.elastic`; an element has a tangent of its own instead of Lame's
-parameters (see `backends.cpu.finite_strain`): all 21 numbers of it for what is solved, the first 13
-for cycles. A row of elements is gone through twice, once for what each of them pulls with and once
-for its sites, so that both vectorise.
+parameters (see `backends.cpu.finite_tangents`): all 21 numbers of it for what is solved, the first
+13 for cycles. A row of elements is gone through twice, once for what each of them pulls with and
+once for its sites, so that both vectorise.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -12,18 +12,12 @@ from __future__ import annotations
 import numpy as np
 from numba import float32, prange
 
-from napari_hmrf.solver.backends.cpu import vectors
+from napari_hmrf.solver.backends.cpu import small_cycle
 from napari_hmrf.solver.backends.cpu.compiled import callee, parallel, strict
 from napari_hmrf.solver.backends.cpu.vectors import row_product
 
-# A level's arrays of two planes, in this order, before its tangents.
-INVERSE, LOAD, CORRECTION, OTHER, PINS, WEIGHT, REST = np.arange(7)
-#: Planes of a level: the arrays, 13 of its tangents, and their damping.
-PLANES = 28
-_OF_ARRAYS = 14
-
-_restrict = callee(vectors.restrict.py_func)
-_interpolate = callee(vectors.interpolate.py_func)
+#: Planes of a level's model: 13 numbers of its tangents, and their damping.
+PLANES = np.int64(14)
 
 
 @callee
@@ -92,7 +86,7 @@ def _pull(above, here, component, j):
 
 
 @callee
-def _apply_part(d, tangent, inverse, coupled, out, row_totals, first, last):
+def _apply_part(d, tangent, inverse, coupled, weight, springs, out, row_totals, first, last):
     width = d.shape[2]
     above = np.zeros((6, width), dtype=np.float32)
     here = np.zeros((6, width), dtype=np.float32)
@@ -106,6 +100,7 @@ def _apply_part(d, tangent, inverse, coupled, out, row_totals, first, last):
         for component in range(2):
             for j in range(2, width - 2):
                 pull = _pull(above, here, component, j)
+                pull += springs * weight[component, i, j] * d[component, i, j]
                 moves = inverse[component, i, j] > float32(0)
                 out[component, i, j] = pull if moves else float32(0)
         row_totals[i - 2] = row_product(d, out, i)
@@ -113,12 +108,12 @@ def _apply_part(d, tangent, inverse, coupled, out, row_totals, first, last):
 
 
 @parallel
-def apply(d, tangent, inverse, coupled, out, row_totals, count):
-    """Out = A d where sites move, 0 elsewhere; `row_totals` gets the product of d and out."""
+def apply(d, tangent, inverse, coupled, weight, springs, out, row_totals, count):
+    """Out = (A + W) d where sites move, 0 elsewhere; `row_totals` gets the product of d and out."""
     height = d.shape[1] - 4
     for number in prange(count):
         first, last = number * height // count, (number + 1) * height // count
-        _apply_part(d, tangent, inverse, coupled, out, row_totals, first, last)
+        _apply_part(d, tangent, inverse, coupled, weight, springs, out, row_totals, first, last)
 
 
 @callee
@@ -177,15 +172,6 @@ def rest(d, load, tangent, inverse, weight, springs, out, count):
         _rest_part(d, load, tangent, inverse, weight, springs, out, first, last)
 
 
-@callee
-def _start(load, inverse, scale, out):
-    for component in range(2):
-        for i in range(2, load.shape[1] - 2):
-            for j in range(2, load.shape[2] - 2):
-                step = scale * inverse[component, i, j] * load[component, i, j]
-                out[component, i, j] = step
-
-
 @parallel
 def start(load, inverse, scale, out):
     """The first step from zero: out = scale D^-1 load."""
@@ -233,63 +219,22 @@ def diagonal(tangent, out):
 
 
 @callee
-def _plane(values, table, k, number):
-    """Array `number` of level k, (2, H + 4, W + 4)."""
-    height, width, first = table[k, 0] + 4, table[k, 1] + 4, table[k, 2]
-    size = 2 * height * width
-    return values[first + number * size : first + (number + 1) * size].reshape((2, height, width))
+def _smooth(d, load, tangent, inverse, weight, springs, out, scale, ahead, back):
+    """As `smooth`, by one thread."""
+    pace, last = (scale, ahead, back), d.shape[1] - 4
+    _smooth_part(d, load, tangent, inverse, weight, springs, out, pace, 0, last)
 
 
 @callee
-def _tangent(values, table, k):
-    """The tangents of level k, (14, H + 4, W + 4)."""
-    height, width, first = table[k, 0] + 4, table[k, 1] + 4, table[k, 2]
-    size = height * width
-    begin = first + _OF_ARRAYS * size
-    return values[begin : begin + 14 * size].reshape((14, height, width))
+def _rest(d, load, tangent, inverse, weight, springs, out):
+    """As `rest`, by one thread."""
+    _rest_part(d, load, tangent, inverse, weight, springs, out, 0, d.shape[1] - 4)
 
 
-@callee
-def _relax(values, table, k, steps, begun, turned):
-    """Steps of smoothing on level k; whether the correction is in the other array after them."""
-    inverse, load, weight = (
-        _plane(values, table, k, INVERSE),
-        _plane(values, table, k, LOAD),
-        _plane(values, table, k, WEIGHT),
-    )
-    tangent = _tangent(values, table, k)
-    for number in range(begun, len(steps)):
-        d = _plane(values, table, k, OTHER if turned else CORRECTION)
-        out = _plane(values, table, k, CORRECTION if turned else OTHER)
-        pace = steps[number, 0], steps[number, 1], steps[number, 2]
-        last, one = d.shape[1] - 4, float32(1)
-        _smooth_part(d, load, tangent, inverse, weight, one, out, pace, 0, last)
-        turned = not turned
-    return turned
+_cycle = small_cycle.cycle_of(PLANES, _smooth, _rest)
 
 
 @strict
 def cycle(values, table, down, up, coarsest):
-    """A V-cycle over levels, finest first, for the load of the first; as `small.cycle`."""
-    last = len(table) - 1
-    for k in range(last + 1):
-        steps = coarsest if k == last else down
-        load, inverse = _plane(values, table, k, LOAD), _plane(values, table, k, INVERSE)
-        _start(load, inverse, steps[0, 0], _plane(values, table, k, CORRECTION))
-        turned = _relax(values, table, k, steps, 1, False)
-        if k < last:
-            left, d = _plane(values, table, k, REST), _plane(values, table, k, CORRECTION)
-            if turned:
-                d = _plane(values, table, k, OTHER)
-            weight, tangent = _plane(values, table, k, WEIGHT), _tangent(values, table, k)
-            bottom = d.shape[1] - 4
-            _rest_part(d, load, tangent, inverse, weight, float32(1), left, 0, bottom)
-            _restrict(left, _plane(values, table, k + 1, LOAD))
-    for back in range(last):
-        k = last - 1 - back
-        below = (len(coarsest) if back == 0 else len(down) + len(up)) % 2 == 1
-        coarse = _plane(values, table, k + 1, CORRECTION if below else OTHER)
-        turned = len(down) % 2 == 0
-        d = _plane(values, table, k, OTHER if turned else CORRECTION)
-        _interpolate(coarse, d, _plane(values, table, k, INVERSE))
-        _relax(values, table, k, up, 0, turned)
+    """A V-cycle over levels, as `small_cycle.cycle_of` says."""
+    _cycle(values, table, float32(1), down, up, coarsest)

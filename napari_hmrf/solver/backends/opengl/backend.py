@@ -42,6 +42,7 @@ from napari_hmrf.solver.backends.opengl.volume_passes import VolumePasses, check
 from napari_hmrf.solver.priors import line_weights
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 from napari_hmrf.solver.priors.elements import ElasticMaterial
+from napari_hmrf.solver.priors.finite_strain import FiniteMaterial
 from napari_hmrf.solver.quadtree import Level
 
 # Bytes that a solve holds for each site of level 0: stiffness 8, its ratios 32 and mask 2,
@@ -207,7 +208,7 @@ class OpenGLBackend:
 
         return GLSeilerModel(self._passes_for(material.m), material)
 
-    def finite_model(self, material: ElasticMaterial) -> FiniteModel:
+    def finite_model(self, material: FiniteMaterial) -> FiniteModel:
         """Refuse: there are no shaders for large motion."""
         raise BackendError("large motion is solved by the compiled loops only")
 

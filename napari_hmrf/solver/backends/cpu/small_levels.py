@@ -1,0 +1,113 @@
+"""Small levels, which are visited in one go by one thread (see `small_cycle`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.backends.cpu import small_cycle
+from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, paces_of
+from napari_hmrf.solver.backends.linear import Steps
+
+Grids = Sequence[tuple[int, ...]]
+
+# A level of fewer sites is visited by one thread, but for the first two: a small problem takes all
+# kernels that a large one does, so that a rehearsal compiles them.
+_SMALL, _LARGE = 8000, 2
+
+
+def divided(grids: Grids) -> tuple[Grids, Grids]:
+    """The grids of the levels that are visited one by one, and those of the small ones."""
+    few = next((k for k, (height, width) in enumerate(grids) if height * width < _SMALL), 0)
+    large = max(few, _LARGE)
+    return grids[:large], grids[large:]
+
+
+class SmallLevel(CpuLevel):
+    """A level that may be the first of small ones.
+
+    Attributes
+    ----------
+    together : SmallLevels or None
+        These.
+    """
+
+    together: SmallLevels | None = None
+
+    @property
+    def spare_correction(self) -> Vector:
+        """Where `relax` writes, in turn with `correction`."""
+        return self._other
+
+    def finish(self, steps: Steps, coarsest: Steps) -> None:
+        """Find the correction with all coarser levels, or as the coarsest."""
+        if self.together is None:
+            super().finish(steps, coarsest)
+        else:
+            self.correction = self.together.cycle(steps, coarsest)
+
+
+class SmallLevels:
+    """The memory of levels that are visited in one go, and that visit.
+
+    Parameters
+    ----------
+    grids : sequence of tuple of int
+    planes : int
+        Of what a level's model knows of it.
+    level : callable
+        Makes a level of a grid, and of its arrays in the order that `small_cycle` has them in.
+    cycle : callable
+        The visit: ``cycle(values, table, down, up, coarsest)``.
+    """
+
+    def __init__(
+        self,
+        grids: Grids,
+        planes: int,
+        level: Callable[[tuple[int, ...], Iterator[Vector]], Any],
+        cycle: Callable[..., None],
+    ) -> None:
+        self._grids, self._planes, self._level, self._cycle = grids, planes, level, cycle
+        shapes = [tuple(side + 4 for side in grid) for grid in grids]
+        arrays = 2 * int(small_cycle.MODEL)
+        starts = np.cumsum([0, *((arrays + planes) * height * width for height, width in shapes)])
+        self._values: Vector = np.zeros(starts[-1], dtype=np.float32)
+        self._table = np.array([(*grid, start) for grid, start in zip(grids, starts, strict=False)])
+        self.levels = []
+        for grid, shape, start in zip(grids, shapes, starts, strict=False):
+            size = (arrays + planes) * shape[0] * shape[1]
+            values = self._values[start : start + size].reshape(-1, *shape)
+            self.levels.append(level(grid, _arrays(values, arrays)))
+        first = self.levels[0]
+        self._pair = first.correction, first.spare_correction
+        first.together, first.takes_rest = self, True
+
+    def copy(self) -> SmallLevels:
+        """Return the same levels once more."""
+        made = SmallLevels(self._grids, self._planes, self._level, self._cycle)
+        np.copyto(made._values, self._values)
+        return made
+
+    def cycle(self, steps: Steps, coarsest: Steps) -> Vector:
+        """Return the first level's correction for its load."""
+        self._cycle(
+            self._values,
+            self._table,
+            paces_of(steps, from_zero=True),
+            paces_of(steps, from_zero=False),
+            paces_of(coarsest, from_zero=True),
+        )
+        number = len(coarsest) if len(self.levels) == 1 else 2 * len(steps)
+        found: Vector = self._pair[0 if number % 2 == 1 else 1]
+        return found
+
+
+def _arrays(values: npt.NDArray[np.float32], shared: int) -> Iterator[Vector]:
+    """A level's arrays of two planes, and last what its model knows of it."""
+    for number in range(0, shared, 2):
+        yield values[number : number + 2]
+    yield values[shared:]

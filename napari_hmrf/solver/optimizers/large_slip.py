@@ -1,0 +1,109 @@
+"""Large motion of tissue whose observations may slip: what is held, what slips, and the field.
+
+First the kink of each observation's energy is rounded, ever less; then it is plain what is held and
+what slips, and that is solved for as it is, without any rounding.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ConvergenceError
+from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
+from napari_hmrf.solver.optimizers.newton import Newton
+from napari_hmrf.solver.optimizers.outside import Outside, SoftObservations
+
+# The widths of the kink, in pixels: of where it begins as a part of the longest way, how much less
+# each is than the one before, and the last as a part of the tolerance.
+_BEGIN, _LESS, _LAST = 0.2, 0.1, 0.1
+# What is this many widths away slips.
+_SLIPS = 30.0
+# By which part of its limit what is held may need more, and how often states are exchanged.
+_MORE, _EXCHANGES = 1e-3, 8
+
+
+class LargeSlip:
+    """The search for what slips.
+
+    Parameters
+    ----------
+    newton : Newton
+    y : ndarray, planes
+        What was observed, in pixels.
+    limit : ndarray, planes
+        The greatest force of each component.
+    load : ndarray, planes, or None
+        What else pulls.
+    """
+
+    def __init__(self, newton: Newton, y: Planes, limit: Planes, load: Planes | None) -> None:
+        self._newton, self._y, self._limit, self._load = newton, y, limit, load
+        self._observed: HeldPlanes = limit > 0
+
+    def run(self, d: Planes, tolerance: float, warm: bool = False) -> None:
+        """Move `d` in place to the field of least energy.
+
+        Parameters
+        ----------
+        d : ndarray, planes
+        tolerance : float
+            In pixels.
+        warm : bool
+            Whether `d` is nearly that: then forces there tell what slips.
+
+        Raises
+        ------
+        ConvergenceError
+        """
+        newton, begun = self._newton, d.copy()
+        if warm:
+            needed = self._needed(d, self._observed)
+            slips = np.abs(needed) >= (1 - _MORE) * self._limit
+            if self._sharpen(d, np.where(slips, np.sign(needed), 0.0), tolerance):
+                return
+            np.copyto(d, begun)
+        far = float(np.abs(np.where(self._observed, self._y - d, 0.0)).max())
+        last = _LAST * tolerance
+        width = max(_BEGIN * far, last)
+        nothing = np.zeros_like(self._observed)
+        soft = SoftObservations(self._y, self._limit, self._load)
+        while True:
+            soft.sharpen(d, width)
+            newton.outside = soft
+            newton.run(d, d, nothing, max(tolerance, _BEGIN * width))
+            if width == last:
+                break
+            width = max(_LESS * width, last)
+        off = np.where(self._observed, self._y - d, 0.0)
+        sides = np.where(np.abs(off) > _SLIPS * width, np.sign(off), 0.0)
+        found, known = d.copy(), (newton.estimate, newton.residual)
+        if not self._sharpen(d, sides, tolerance):
+            # Then that is as near as can be told.
+            np.copyto(d, found)
+            newton.outside = soft
+            newton.estimate, newton.residual = known
+
+    def _sharpen(self, d: Planes, sides: npt.NDArray[np.float64], tolerance: float) -> bool:
+        """Solve for what slips to one side or the other, in place; whether that is consistent."""
+        newton = self._newton
+        for _ in range(_EXCHANGES):
+            held, pulls = self._observed & (sides == 0), sides * self._limit
+            newton.outside = Outside(pulls if self._load is None else pulls + self._load)
+            try:
+                newton.run(d, self._y, held, tolerance)
+            except ConvergenceError:
+                return False
+            needed = self._needed(d, held)
+            passed = sides * (d - self._y) > tolerance
+            wrong = (np.abs(needed) > (1 + _MORE) * self._limit) | passed
+            missed = held & (np.abs(self._y - d) > tolerance)
+            if not (wrong | missed).any():
+                return True
+            sides = np.where(wrong, np.where(passed, 0.0, np.sign(needed)), sides)
+        return False
+
+    def _needed(self, d: Planes, held: HeldPlanes) -> Planes:
+        """The force that it takes to keep components where they are; 0 elsewhere."""
+        self._newton.outside = None if self._load is None else Outside(self._load)
+        return np.where(held, self._newton.forces(d), 0.0)

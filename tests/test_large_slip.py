@@ -1,0 +1,116 @@
+"""Claims about tissue that moves far while what is observed of it may slip."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from napari_hmrf import (
+    ElasticPrior,
+    Multigrid,
+    NeoHookeanPrior,
+    Problem,
+    ProblemError,
+    growth,
+    solve,
+    weight,
+)
+
+SIZE = 30
+ROW, COL = np.indices((SIZE, SIZE))
+DISC = np.hypot(ROW - 14, COL - 10) < 5
+
+
+def dragged(way: float, confidence: float = 1.0, **options: Any) -> Problem:
+    """A disc that is seen to move to the right, in tissue that was seen to stay at its edge."""
+    c, y = np.zeros((2, SIZE, SIZE, 2))
+    c[[0, -1]] = c[:, [0, -1]] = 1
+    c[DISC], y[DISC] = confidence, (0, way)
+    return Problem(y, c, np.where(COL > 15, 4.0, 1.0), **options)
+
+
+def energy(prior: NeoHookeanPrior, problem: Problem, d: npt.ArrayLike) -> float:
+    """All of it, with that of what is observed."""
+    off = np.abs(problem.observed - np.asarray(d, dtype=np.float64)) / problem.unit
+    limit = prior.limit(problem)
+    assert limit is not None
+    return prior.energy(problem, d) + float((limit * off).sum())
+
+
+@pytest.mark.parametrize("penalty", [0.03, 0.3, 1.0])
+def test_each_site_is_held_or_slips_with_the_force_it_has(penalty) -> None:
+    problem = dragged(8.0, 0.7, loads=weight(np.ones((SIZE, SIZE)), (1e-3, 0.0)))
+    prior = NeoHookeanPrior(penalty=penalty)
+    found = solve(problem, prior, optimizer=Multigrid(1e-5), backend="cpu")
+    limit = prior.limit(problem)
+    assert limit is not None
+    off = problem.observed - found.displacement
+    forces = prior.forces(problem, found.displacement)
+    held = problem.known & (np.abs(off) < 1e-5)
+    slips = problem.known & ~held
+    assert slips.any(), "nothing slips"
+    assert (np.abs(forces[held]) <= 1.01 * limit[held]).all()
+    assert np.abs(forces - np.sign(off) * limit)[slips].max() < 1e-3 * limit.max()
+    assert np.abs(forces[~problem.known]).max() < 1e-3 * limit.max()
+    assert found.reach.sites == slips.any(axis=-1).sum()
+
+
+@pytest.mark.parametrize("plane", ["stress", "strain"])
+def test_little_motion_slips_as_that_of_linear_elasticity(plane) -> None:
+    problem, precise = dragged(1e-4), Multigrid(1e-10)
+    finite = solve(
+        problem, NeoHookeanPrior(plane=plane, penalty=3e-6), optimizer=precise, backend="cpu"
+    )
+    linear = solve(
+        problem, ElasticPrior(plane=plane, penalty=3e-6), optimizer=precise, backend="cpu"
+    )
+    assert finite.reach.sites > 0, "nothing slips"
+    off = np.abs(finite.displacement - linear.displacement).max()
+    assert off < 1e-5 * np.abs(linear.displacement).max()
+
+
+def test_what_slips_takes_less_energy_than_what_is_held() -> None:
+    problem, slipping = dragged(8.0), NeoHookeanPrior(penalty=0.5)
+    found = solve(problem, slipping, backend="cpu").displacement
+    held = solve(problem, NeoHookeanPrior(), backend="cpu").displacement
+    assert energy(slipping, problem, found) < 0.99 * energy(slipping, problem, held)
+    firm = solve(problem, NeoHookeanPrior(penalty=100.0), backend="cpu").displacement
+    assert np.abs(firm - held).max() < 0.002
+
+
+def test_what_cannot_be_met_slips_and_folds_nothing() -> None:
+    problem, prior = dragged(25.0), NeoHookeanPrior(penalty=2.0)
+    found = solve(problem, prior, backend="cpu")
+    assert prior.corner_jacobians(problem, found.displacement).min() > 0
+    assert found.reach.part < 1
+    assert found.reach.missing > 1
+
+
+def test_growth_pushes_what_may_slip() -> None:
+    prior = NeoHookeanPrior(penalty=0.05)
+    problem = dragged(0.0, loads=growth(0.4 * DISC))
+    found = solve(problem, prior, backend="cpu")
+    assert found.reach.sites > 0
+    assert found.reach.grown == 1
+    assert prior.corner_jacobians(problem, found.displacement).min() > 0
+
+
+def test_a_drag_that_slips_goes_on_from_the_last_fields() -> None:
+    prior, live, frames = NeoHookeanPrior(penalty=0.3), Multigrid(0.01), []
+    for way in (4.0, 5.0, 6.0, 7.0):
+        last = frames[:2] or None
+        frames.insert(0, solve(dragged(way), prior, optimizer=live, backend="cpu", initial=last))
+    cold = solve(dragged(7.0), prior, backend="cpu")
+    assert frames[0].iterations < cold.iterations
+    assert np.abs(frames[0].displacement - cold.displacement).max() < 0.02
+
+
+def test_nothing_rigid_may_slip() -> None:
+    c = np.ones((8, 8, 2))
+    m = np.ones((8, 8))
+    m[3:5, 3:5] = np.inf
+    with pytest.raises(ProblemError, match="nothing that is observed may slip"):
+        solve(Problem(0 * c, c, m), NeoHookeanPrior(penalty=1.0), backend="cpu")
