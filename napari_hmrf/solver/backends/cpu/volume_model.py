@@ -77,8 +77,9 @@ class CpuVolumeLevel(CpuLevel):
         """Hold components on the finest level."""
         # Fresh memory takes longer to get than to fill, and a loop would get it all at once.
         self.clear()
-        self.inverse.fill(0)
-        self.checkpoint()
+        for component in self.inverse:
+            component.fill(0)
+            self.checkpoint()
         volume.diagonal(self.lame, self.share, self.shape, self.inverse)
         self.checkpoint()
         vectors.hold(rows(self.inverse), rows(held), rows(self.pins), self.spans)
