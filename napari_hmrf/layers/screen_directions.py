@@ -6,12 +6,12 @@ and results.
 
 from __future__ import annotations
 
-from itertools import permutations
 from typing import Any, NamedTuple
 
 import numpy as np
 from napari.layers import Image, Labels
 
+from napari_hmrf.field.drawn_slice import nearest_axes, rotation_of
 from napari_hmrf.field.frame import PATIENT_AXES, Frame, as_tuples
 from napari_hmrf.layers.compat import camera_of
 
@@ -82,23 +82,14 @@ class Directions(NamedTuple):
             canvas = ("down", "right") if viewer is None else camera_of(viewer).orientation2d
             pairs[-2:] = [(str(way), _OPPOSITE[str(way)]) for way in canvas]
         pairs = [pair or ("deeper", "shallower") for pair in pairs]
-        linear = np.array(frame.matrix)[:-1, :-1][np.ix_(axes, axes)]
-        linear = linear / np.linalg.norm(linear, axis=0)
-        # Each axis has the name of the way of the world's that it is nearest to.
-        main = max(
-            permutations(range(len(axes))),
-            key=lambda each: np.abs(np.diag(linear[list(each)])).sum(),
-        )
-        seen = linear[list(main)]
+        main, seen = nearest_axes(np.array(frame.matrix)[:-1, :-1][np.ix_(axes, axes)])
         forward = np.sign(np.diag(seen))
         ways = [pairs[at][int(sign < 0)] for at, sign in zip(main, forward, strict=True)]
         deep, rows, cols = ("", *ways)[-3:]
         if np.abs(np.diag(seen)).min() < _ASIDE:
             return cls("", "", deep=deep, order=order)
-        left, _, right = np.linalg.svd(seen * forward[:, None])
-        turn = np.round(left @ right, 9) + 0.0
-        level = np.array_equal(turn, np.eye(len(turn)))
-        return cls(rows, cols, () if level else as_tuples(turn), deep, order)
+        turn = as_tuples(rotation_of(seen * forward[:, None]))
+        return cls(rows, cols, turn, deep, order)
 
     def seen(self, by: tuple[float, ...]) -> tuple[float, ...]:
         """A displacement by its components along the ways named, ([deep,] rows, columns).

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from napari.layers import Points, Shapes, Vectors
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.drawn_slice import pixel_drawn, sliders_at
 from napari_hmrf.field.frame import Frame, as_tuples, is_flat
 from napari_hmrf.field.units import unit_factor
 from napari_hmrf.study.layer_names import LayerError, full_resolution
@@ -64,37 +65,19 @@ class View:
         return tuple((start * factor, step * factor) for (start, step), factor in found)
 
     def pixel(self, layer: Any, position: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Which pixel of a layer, or frame, is drawn at a place of the world.
-
-        Napari draws no turn out of the slice: rows and columns lie where the transform restricted
-        to the displayed axes has them, and its inverse restricted to the others, rounded, says
-        which slice.
-        """
-        matrix, inverse, drawn, others = self._parts(layer)
+        """Which pixel of a layer, or frame, is drawn at a place of the world."""
         world = np.nan_to_num(np.asarray(position)[-layer.ndim :] * self.factors(layer))
-        found = np.empty(layer.ndim)
-        # Of a volume that is seen edge-on there is no one pixel.
-        seen = np.linalg.pinv(matrix[np.ix_(drawn, drawn)])
-        found[drawn] = seen @ (world - matrix[:-1, -1])[drawn]
-        across = inverse[np.ix_(others, others)] @ world[others] + inverse[others, -1]
-        found[others] = np.round(across)
-        return found
+        return pixel_drawn(matrix_of(layer), self._drawn(layer), world)
 
     def point_at(self, layer: Any, pixel: npt.ArrayLike) -> dict[int, float]:
         """Where the sliders of the axes that are not drawn show a pixel of a layer, or frame."""
-        _, inverse, _, others = self._parts(layer)
-        ahead = np.asarray(pixel)[others] - inverse[others, -1]
-        world = np.linalg.pinv(inverse[np.ix_(others, others)]) @ ahead
-        missing = len(self.point) - layer.ndim
-        found = zip(others, world / self.factors(layer)[others], strict=True)
-        return {axis + missing: float(at) for axis, at in found}
+        found = sliders_at(matrix_of(layer), self._drawn(layer), pixel)
+        missing, factors = len(self.point) - layer.ndim, self.factors(layer)
+        return {axis + missing: at / factors[axis] for axis, at in found.items()}
 
-    def _parts(self, layer: Any) -> tuple[Any, Any, list[int], list[int]]:
-        """The transform of a layer and its inverse, the axes that are drawn, and the others."""
-        matrix, missing = matrix_of(layer), len(self.point) - layer.ndim
-        drawn = [axis - missing for axis in self.displayed if axis >= missing]
-        others = [axis for axis in range(layer.ndim) if axis not in drawn]
-        return matrix, np.linalg.inv(matrix), drawn, others
+    def _drawn(self, layer: Any) -> list[int]:
+        missing = len(self.point) - layer.ndim
+        return [axis - missing for axis in self.displayed if axis >= missing]
 
 
 def matrix_of(layer: Any) -> npt.NDArray[np.float64]:

@@ -462,12 +462,10 @@ class LiveStudy:
         if len(place.plane) == 2 or dims.ndisplay == 3:
             return ""
         across, _ = plane_shown(place, view)
-        index = list(place.index)
-        index[place.plane[across]] = latest.outputs.fullest[mark][across]
-        there = view.point_at(place, index)
+        plane = place.plane_at(across, latest.outputs.fullest[mark][across])
+        there = view.point_at(plane, plane.index)
         dims.set_point([*there], [*there.values()])
-        plane = (*place.plane[:across], *place.plane[across + 1 :])
-        return messages.MOST.format(replace(place, plane=plane, index=tuple(index)).slice_seen)
+        return messages.MOST.format(plane.slice_seen)
 
     def _stop(self) -> None:
         """Show that nothing goes on any more."""
