@@ -128,7 +128,7 @@ def _changes(solution: Solution) -> tuple[Float64Array, Float64Array]:
 
 
 def _cells(moved: Float64Array, mask: BoolArray) -> Float64Array:
-    """The area, or volume, of the cells between sites, which was 1; NaN beside what is no tissue."""
+    """The area, or volume, of the cells between sites, which was 1; NaN where one is no tissue."""
     # Exact if tissue moves linearly along their edges, and below 0 where it is turned over: so they
     # add up to what lies within their outer border, which determinants at the sites do not.
     corners = [moved[each] for each in _corners(mask.ndim)]
