@@ -124,8 +124,8 @@ MUTATIONS = (
     ),
     Mutation(
         "layers/screen_directions.py",
-        "ways[at] if sign > 0",
-        "ways[at] if sign < 0",
+        "int(sign < 0)",
+        "int(sign > 0)",
         "test_directions.py",
     ),
     Mutation(

@@ -26,6 +26,7 @@ from napari_hmrf import (
     warp,
 )
 from napari_hmrf.cli import main
+from napari_hmrf.solver.solution import Provenance, Solution
 
 SHAPE = (40, 40)
 
@@ -50,6 +51,36 @@ def test_tissue_that_is_stretched_by_a_tenth_has_a_tenth_more_area():
     # Green-Lagrange's 0.105 along one axis is sqrt(2/3 (4 + 1 + 1) / 9) of that without volume.
     assert one.mean_strain == pytest.approx(100 * 0.105 * 2 / 3, abs=0.02)
     assert one.folds == 0
+
+
+@pytest.mark.parametrize("shape", [(24, 24), (12, 16, 16)])
+def test_a_change_of_area_or_volume_is_the_true_one_where_tissue_folds(shape):
+    sites = np.stack(np.indices(shape), axis=-1).astype(float)
+    away = sites - np.divide(shape, 2)
+    bump = np.exp(-(away**2).sum(axis=-1) / 8)
+    # Nothing moves at the border: all that is within stays as large as it was, folds or not.
+    displacement = bump[..., None] * np.array([2.0, 7.0, 4.0])[-len(shape) :]
+    inner = (slice(1, -1),) * len(shape)
+    held = np.zeros_like(displacement)
+    held[inner] = displacement[inner]
+    tissue = np.ones(shape, bool)
+    solution = Solution(held, np.zeros(1), (), tissue, (1.0,) * len(shape), Provenance("cpu", ""))
+    (all_of_it,) = measure(solution, np.ones(shape, int))
+    assert all_of_it.folds > 10
+    assert all_of_it.area_change == pytest.approx(0, abs=1e-6)
+    halves = np.where(sites[..., -1] < shape[-1] // 2, 1, 2)
+    one, other = measure(solution, halves)
+    assert one.area_change == pytest.approx(-other.area_change, abs=1e-6)
+    assert abs(one.area_change) > 0.5
+
+
+def test_tissue_too_thin_for_cells_changes_as_its_pixels_do():
+    held = np.zeros((1, 10, 2), np.float32)
+    held[0, :, 1] = 0.2 * np.arange(10)
+    tissue = np.ones((1, 10), bool)
+    solution = Solution(held, np.zeros(1), (), tissue, (1.0, 1.0), Provenance("cpu", ""))
+    (found,) = measure(solution, np.ones((1, 10), int))
+    assert found.area_change == pytest.approx(20, abs=1e-3)
 
 
 def test_labels_of_another_size_are_refused():

@@ -10,6 +10,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QFileDialog, QPushButton, QTableWidget
 from screen import Screen
 
+from napari_hmrf import count_folds
 from napari_hmrf.layers.metadata import METADATA, TISSUE, described, known_of
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.tissue.boundary_rules import Material
@@ -276,6 +277,29 @@ def test_a_volume_is_saved_and_opened_again(volume_beside, settle, tmp_path):
     assert widget.extent == "volume"
     assert widget.drawing == drawing
     assert widget.study.grid.shape == SHAPE
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1)])
+def test_the_chip_goes_to_the_slice_in_which_most_of_it_folds(volume_beside, settle, order):
+    person, widget = volume_beside
+    dims = person.viewer.dims
+    go_to(person, 6)
+    person.drag((16, 8), (16, 30))
+    settle(widget)
+    go_to(person, 20)
+    dims.order = order
+    settle(widget)
+    solution = widget.solution
+    number = count_folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
+    Screen(widget).button(f"⚠  Folds at {number} voxels: show where").click()
+    settle(widget)
+    marked = by_name(person.viewer, "MR folds, elastic").data
+    across = order[0]
+    most = marked.sum(axis=tuple(axis for axis in range(3) if axis != across))
+    seen = round(dims.point[across] / (SCALE[across]))
+    assert most[seen] == most.max() > 0
+    assert widget.status.endswith(f"The slice that is seen now has most of them: slice {seen}.")
+    assert widget.status.startswith(widget.warning)
 
 
 def test_deform_solves_a_volume_from_nothing(volume_beside, settle):

@@ -95,7 +95,7 @@ class Motion:
             moved = self._warper(solution.displacement, solution.tissue, fraction)
             parts = dict(zip(self._pictures, moved, strict=True))
         if self.overlay is not None and self.overlay.dtype == bool:
-            parts["overlay"] = _moved_marks(solution, self.overlay, fraction)
+            parts["overlay"] = moved_marks(solution, self.overlay, fraction)
         moment = Moment(**parts, grid=moved_grid(solution, fraction) if self.grid else None)
         while self._kept and (len(self._kept) + 1) * moment.nbytes > _KEPT:
             del self._kept[next(iter(self._kept))]
@@ -142,8 +142,8 @@ def _overlaid(values: npt.NDArray[Any]) -> Picture:
     return Picture(values, order=0, fill=np.nan if values.dtype.kind == "f" else 0)
 
 
-def _moved_marks(
-    solution: Solution, marks: npt.NDArray[np.bool_], fraction: float
+def moved_marks(
+    solution: Solution, marks: npt.NDArray[np.bool_], fraction: float = 1.0
 ) -> npt.NDArray[np.uint8]:
     """Mark the pixels nearest to where some sites are after a part of the deformation."""
     _, places = _moved_sites(solution, marks, fraction)
@@ -162,6 +162,13 @@ def marked_sites(solution: Solution, mark: Mark) -> npt.NDArray[np.bool_]:
     found = np.zeros(tissue.shape, bool)
     found[tuple(sites[overlaps[tuple(places.T)]].T)] = True
     return found
+
+
+def fullest_planes(marks: npt.NDArray[Any]) -> tuple[int, ...]:
+    """Across each axis, the number of the plane in which most pixels are marked."""
+    axes = range(marks.ndim)
+    planes = (marks.sum(axis=tuple(set(axes) - {axis})) for axis in axes)
+    return tuple(int(each.argmax()) for each in planes)
 
 
 def _moved_sites(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import product
 from typing import Any
 
@@ -194,6 +194,13 @@ class Frame:
                 return f"{'volume' if len(self.plane) == 3 else 'slice'} {numbers[axis]}"
             names.append(f"{label if named else f'axis {axis}'} = {numbers[axis]}")
         return ", ".join(names)
+
+    def plane_at(self, across: int, number: int) -> Frame:
+        """A plane of this volume: of those across one of its axes, the one of that number."""
+        index = list(self.index)
+        index[self.plane[across]] = number
+        plane = (*self.plane[:across], *self.plane[across + 1 :])
+        return replace(self, plane=plane, index=tuple(index))
 
     @property
     def pixels(self) -> tuple[int | slice, ...]:

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.field.deformation import jacobian_determinant
+from napari_hmrf.field.deformation import determinant, jacobian_determinant
 from napari_hmrf.field.strain import equivalent_strain, folds, magnitude, strain_values
+from napari_hmrf.field.warp import BoolArray, Float64Array, moved_sites
 from napari_hmrf.solver.problem import as_numbers, grid_in_words
 from napari_hmrf.solver.solution import Solution
+
+# Planes of cells that are looked at together.
+_SLAB = 8
 
 
 class Measurement(NamedTuple):
@@ -27,7 +32,8 @@ class Measurement(NamedTuple):
     area : float
         Before it moved, in the squared unit of the spacing; of a volume its volume, in the cubed.
     area_change : float
-        In per cent; of a volume, of its volume.
+        In per cent; of a volume, of its volume. It is that of the cells between the pixels, each
+        of which counts for the tissues at its corners; what is turned over counts below 0.
     mean_displacement, largest_displacement : float
         In the unit of the spacing.
     mean_strain, largest_strain : float
@@ -81,7 +87,7 @@ def measure(
         )
     spacing = solution.spacing
     length, folded = magnitude(d), folds(d, spacing=spacing, tissue=tissue)
-    area = jacobian_determinant(d, spacing=spacing, tissue=tissue)
+    change, weight = _changes(solution)
     strain = strain_values(equivalent_strain, d, spacing=spacing, tissue=tissue)
     pixel = float(np.prod(spacing))
     found = []
@@ -93,7 +99,7 @@ def measure(
                 name=(names or {}).get(int(label), ""),
                 pixels=int(there.sum()),
                 area=float(there.sum() * pixel),
-                area_change=float(100 * (np.nanmean(area[there]) - 1)),
+                area_change=float(100 * (np.average(change[there], weights=weight[there]) - 1)),
                 mean_displacement=float(length[there].mean()),
                 largest_displacement=float(length[there].max()),
                 mean_strain=float(100 * np.nanmean(strain[there])),
@@ -102,3 +108,44 @@ def measure(
             )
         )
     return tuple(found)
+
+
+def _changes(solution: Solution) -> tuple[Float64Array, Float64Array]:
+    """The factor by which the cells around each site change, and how many cells these are."""
+    d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
+    moved, mask = moved_sites(d, spacing, tissue)
+    total, count = np.zeros(mask.shape), np.zeros(mask.shape)
+    for begin in range(0, len(mask) - 1, _SLAB):
+        slab = slice(begin, begin + _SLAB + 1)
+        cells = _cells(moved[slab], mask[slab])
+        for corner in _corners(mask.ndim):
+            total[slab][corner] += np.nan_to_num(cells)
+            count[slab][corner] += np.isfinite(cells)
+    # Tissue that is too thin to have cells has its own determinants, and counts in full.
+    alone = jacobian_determinant(d, spacing=spacing, tissue=tissue)
+    change = np.divide(total, count, out=alone.astype(np.float64), where=count > 0)
+    return change, np.where(count, count, 2**mask.ndim)
+
+
+def _cells(moved: Float64Array, mask: BoolArray) -> Float64Array:
+    """The area, or volume, of the cells between sites, which was 1; NaN where one is no tissue."""
+    # Exact if tissue moves linearly along their edges, and below 0 where it is turned over: so they
+    # add up to what lies within their outer border, which determinants at the sites do not.
+    corners = [moved[each] for each in _corners(mask.ndim)]
+    if mask.ndim == 2:
+        a, b, c, d = corners
+        found = determinant([d - a, c - b]) / -2
+    else:
+        a, b, c, d, e, f, g, h = corners
+        # As Grandy, "Efficient computation of volume of hexahedral cells", 1997.
+        found = determinant([(h - e) + (d - a), h - c, g - a])
+        found += determinant([d - a, (h - c) + (f - a), h - b])
+        found += determinant([h - e, f - a, (h - b) + (g - a)])
+        found /= 12
+    whole = np.logical_and.reduce([mask[each] for each in _corners(mask.ndim)])
+    return np.where(whole, found, np.nan)
+
+
+def _corners(ndim: int) -> list[tuple[slice, ...]]:
+    """What picks, of all sites, those at each corner of the cells."""
+    return [*product((slice(None, -1), slice(1, None)), repeat=ndim)]

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from napari.layers import Labels
 from psygnal import Signal
 
@@ -193,11 +192,8 @@ class ViewerSteps:
                 return
             dims.ndisplay = 2
             dims.order = (*(axis for axis in range(dims.ndim) if axis not in axes), *axes)
-        view = View.of(dims)
-        there = np.asarray(layer.data_to_world(np.array(index, dtype=float)))
-        there = there / view.factors(layer)
-        others = [axis for axis in range(layer.ndim) if axis not in plane]
-        dims.set_point([axis + missing for axis in others], there[others].tolist())
+        there = View.of(dims).point_at(layer, index)
+        dims.set_point([*there], [*there.values()])
 
     def _on_changed(self, slot: Any, value: Any) -> None:
         """Have the layer carry its table; whoever shows it listens for itself."""

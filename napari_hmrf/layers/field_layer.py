@@ -152,11 +152,9 @@ def place_at(layer: Any, result: Answer, position: Any, view: View) -> tuple[flo
     tuple of float or None
         ([depth,] row, col), whole numbers at the middle of a pixel.
     """
-    point = np.asarray(position, dtype=float)[-layer.ndim :]
-    if len(point) < layer.ndim:
+    if len(position) < layer.ndim:
         return None
-    seen = layer.world_to_data(np.nan_to_num(point * view.factors(layer)))
-    found = np.asarray(seen, dtype=float)
+    found = view.pixel(layer, position)
     index = np.floor(np.nan_to_num(found) + 0.5)
     frame = result.frame
     if any(index[axis] != frame.index[axis] for axis in frame.others):

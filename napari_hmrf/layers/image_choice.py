@@ -70,7 +70,8 @@ def image_covering(viewer: Any, image: Any, places: Iterable[Sequence[float]] = 
     """
     there, layers = tuple(places) or _places(viewer, image), list(viewer.layers)
     above = filter(_is_opaque, reversed(layers[layers.index(image) + 1 :]))
-    return next((layer for layer in above if all(_holds(layer, at) for at in there)), None)
+    view = View.of(viewer.dims)
+    return next((each for each in above if all(_holds(each, at, view) for at in there)), None)
 
 
 def uncover(viewer: Any, image: Any) -> list[Any]:
@@ -100,10 +101,10 @@ def _is_opaque(layer: Any) -> bool:
     return seen and layer.opacity == 1 and not (layer.rgb and layer.data.shape[-1] == 4)
 
 
-def _holds(layer: Any, place: Sequence[float]) -> bool:
-    """Whether a place in the world is one of a layer's pixels."""
+def _holds(layer: Any, place: Sequence[float], view: View) -> bool:
+    """Whether a viewer shows one of a layer's pixels at a place in the world."""
     if layer.ndim > len(place):
         return False
-    pixel = np.rint(layer.world_to_data(place[len(place) - layer.ndim :]))
+    pixel = np.rint(view.pixel(layer, place))
     extents = np.array(full_resolution(layer).shape[: layer.ndim])
     return bool(((pixel >= 0) & (pixel < extents)).all())

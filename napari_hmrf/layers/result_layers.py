@@ -13,7 +13,15 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.field.animation import MARKS, Mark, Motion, marked_sites, moved_grid
+from napari_hmrf.field.animation import (
+    MARKS,
+    Mark,
+    Motion,
+    fullest_planes,
+    marked_sites,
+    moved_grid,
+    moved_marks,
+)
 from napari_hmrf.field.colormaps import reach_of
 from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.field.deformation import (
@@ -138,12 +146,15 @@ class Outputs:
     overlaps : int
         Pixels at which one part of the tissue has moved onto another; only counted where there
         are pictures.
+    fullest : dict of mark to tuple of int
+        Of folds and of overlaps, the plane with most of them, across each axis.
     """
 
     solution: Solution
     layers: dict[Kind, LayerData]
     folds: int
     overlaps: int = 0
+    fullest: Mapping[Mark, tuple[int, ...]] = field(default_factory=dict)
 
 
 def result_layers(
@@ -180,7 +191,8 @@ def result_layers(
     solution = replace(solution, frame={**(solution.frame or {}), **frame.as_dict()})
     field = (solution.displacement, solution.spacing, solution.tissue)
     checkpoint()
-    folds = int((smallest_determinant(*field) <= 0).sum())
+    folded = smallest_determinant(*field) <= 0
+    fullest: dict[Mark, tuple[int, ...]] = {"folds": fullest_planes(moved_marks(solution, folded))}
     shown = pictures or Pictures()
     digests = solution.provenance.inputs
     for name in digests:
@@ -192,7 +204,7 @@ def result_layers(
     if pictures is not None:  # a file that is opened need not wait for the compiler of the loops
         checkpoint()
         origin, covered, twice = inverse_map_and_overlaps(*field)
-        overlaps = int(twice.sum())
+        overlaps, fullest["overlaps"] = int(twice.sum()), fullest_planes(twice)
         if (image := pictures.image) is not None:
             checkpoint()
             fill = emptiness(image, solution.tissue.ndim)
@@ -200,7 +212,7 @@ def result_layers(
             layers["image"] = answer.layer("image", moved, "deformed", pictures.look)
     checkpoint()
     layers["arrows"] = _arrow_layer(answer)
-    return Outputs(solution, layers, folds, overlaps)
+    return Outputs(solution, layers, int(folded.sum()), overlaps, fullest)
 
 
 def _arrow_layer(answer: Answer) -> LayerData:

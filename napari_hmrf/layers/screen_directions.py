@@ -6,16 +6,16 @@ and results.
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from napari.layers import Image, Labels
 
-from napari_hmrf.field.frame import PATIENT_AXES, Frame
+from napari_hmrf.field.drawn_slice import nearest_axes, rotation_of
+from napari_hmrf.field.frame import PATIENT_AXES, Frame, as_tuples
 from napari_hmrf.layers.compat import camera_of
 
-#: Columns whose direction is less than this aside from that of the rows have no way of their own.
+#: Pixels that step less than this along the way they would have the name of have none.
 _ASIDE = 0.5
 #: Ways that are opposite.
 _PAIRS = (
@@ -39,7 +39,8 @@ class Directions(NamedTuple):
 
     Components of a displacement keep the order and the sign of the pixels: a medical image that is
     stored mirrored is seen mirrored back, and its columns then run to the left. Of a layer that is
-    turned by an angle, people read and type the components along the ways of the screen itself.
+    turned by an angle, within its slices or out of them, people read and type the components along
+    the ways of the screen, or of the patient, themselves.
 
     Attributes
     ----------
@@ -48,14 +49,14 @@ class Directions(NamedTuple):
         Likewise across the slices of a volume; "" of a slice.
     order : tuple of int
         The axes of the displacements, in the order ([deep,] rows, columns).
-    turn : float
-        By how much the rows are turned from the way they have the name of, towards that of the
-        columns, in radians.
+    turn : n x n numbers
+        The rotation of the axes, in this order, from the ways they have the names of; nothing
+        where they are not turned.
     """
 
     rows: str = "down"
     cols: str = "right"
-    turn: float = 0.0
+    turn: tuple[tuple[float, ...], ...] = ()
     deep: str = ""
     order: tuple[int, ...] = (0, 1)
 
@@ -73,29 +74,22 @@ class Directions(NamedTuple):
             missing = viewer.dims.ndim - frame.ndim
             axes = [axis - missing for axis in viewer.dims.displayed[-2:]]
         across = [axis for axis in frame.plane if axis not in axes]
-        order = tuple(frame.plane.index(axis) for axis in (*across, *axes))
-        deep = "".join(_way_across(frame, axis) for axis in across)
-        linear = np.array(frame.matrix)[:-1, :-1][np.ix_(axes, axes)]
-        linear = linear / np.linalg.norm(linear, axis=0)
-        # Where the world's rows and columns run in the patient, or on the canvas.
-        names = [frame.axis_labels[axis] for axis in axes]
-        if all(name in PATIENT_AXES for name in names):
-            ways = [PATIENT_AXES[name][0] for name in names]
-        else:
+        axes = [*across, *axes]
+        order = tuple(frame.plane.index(axis) for axis in axes)
+        # Where the world's axes run in the patient, or on the canvas.
+        pairs = [PATIENT_AXES.get(frame.axis_labels[axis], ()) for axis in axes]
+        if not all(pairs[-2:]):
             canvas = ("down", "right") if viewer is None else camera_of(viewer).orientation2d
-            ways = [str(way) for way in canvas]
-        main = int(np.abs(linear[:, 0]).argmax())
-        seen = linear[[main, 1 - main]]
-        if abs(seen[1, 1]) < _ASIDE:
-            return cls("", "", deep=deep, order=order)
+            pairs[-2:] = [(str(way), _OPPOSITE[str(way)]) for way in canvas]
+        pairs = [pair or ("deeper", "shallower") for pair in pairs]
+        main, seen = nearest_axes(np.array(frame.matrix)[:-1, :-1][np.ix_(axes, axes)])
         forward = np.sign(np.diag(seen))
-        rows, cols = (
-            ways[at] if sign > 0 else _OPPOSITE[ways[at]]
-            for at, sign in zip((main, 1 - main), forward, strict=True)
-        )
-        seen = seen * forward[:, None]
-        turn = math.atan2(seen[1, 0] - seen[0, 1], seen[0, 0] + seen[1, 1])
-        return cls(rows, cols, round(turn, 9) + 0.0, deep, order)
+        ways = [pairs[at][int(sign < 0)] for at, sign in zip(main, forward, strict=True)]
+        deep, rows, cols = ("", *ways)[-3:]
+        if np.abs(np.diag(seen)).min() < _ASIDE:
+            return cls("", "", deep=deep, order=order)
+        turn = as_tuples(rotation_of(seen * forward[:, None]))
+        return cls(rows, cols, turn, deep, order)
 
     def seen(self, by: tuple[float, ...]) -> tuple[float, ...]:
         """A displacement by its components along the ways named, ([deep,] rows, columns).
@@ -103,16 +97,14 @@ class Directions(NamedTuple):
         One of fewer axes says nothing across the slices.
         """
         known = (*(0.0,) * (len(self.order) - len(by)), *by)[-len(self.order) :]
-        *deep, row, col = (known[axis] for axis in self.order)
-        if self.turn:
-            cosine, sine = math.cos(self.turn), math.sin(self.turn)
-            row, col = cosine * row - sine * col, sine * row + cosine * col
-        return (*deep, row, col)
+        seen = tuple(known[axis] for axis in self.order)
+        return as_tuples(np.array(self.turn) @ seen) if self.turn else seen
 
     def along(self, seen: tuple[float, ...]) -> tuple[float, ...]:
         """The inverse of `seen`; of two components there is none across the slices."""
-        known = (*(0.0,) * (len(self.order) - len(seen)), *seen)
-        back = self._replace(turn=-self.turn, order=tuple(range(len(known)))).seen(known)
+        back = (*(0.0,) * (len(self.order) - len(seen)), *seen)
+        if self.turn:
+            back = as_tuples(np.array(self.turn).T @ back)
         return tuple(back[self.order.index(axis)] for axis in range(len(back)))
 
     def about(self, axis: int) -> str:
@@ -153,13 +145,6 @@ class Directions(NamedTuple):
             if length
         ]
         return ", ".join(parts) or "0"
-
-
-def _way_across(frame: Frame, axis: int) -> str:
-    """Which way of a patient the slices across an axis follow each other, or deeper."""
-    names = PATIENT_AXES.get(frame.axis_labels[axis])
-    backwards = frame.matrix[axis][axis] < 0
-    return "deeper" if names is None else names[int(backwards)]
 
 
 def _to(way: str) -> str:

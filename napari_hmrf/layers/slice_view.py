@@ -10,6 +10,7 @@ import numpy.typing as npt
 from napari.layers import Points, Shapes, Vectors
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.drawn_slice import pixel_drawn, sliders_at
 from napari_hmrf.field.frame import Frame, as_tuples, is_flat
 from napari_hmrf.field.units import unit_factor
 from napari_hmrf.study.layer_names import LayerError, full_resolution
@@ -63,6 +64,34 @@ class View:
         found = zip(self.sliders[-layer.ndim :], self.factors(layer).tolist(), strict=False)
         return tuple((start * factor, step * factor) for (start, step), factor in found)
 
+    def pixel(self, layer: Any, position: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Which pixel of a layer, or frame, is drawn at a place of the world."""
+        world = np.nan_to_num(np.asarray(position)[-layer.ndim :] * self.factors(layer))
+        return pixel_drawn(matrix_of(layer), self._drawn(layer), world)
+
+    def point_at(self, layer: Any, pixel: npt.ArrayLike) -> dict[int, float]:
+        """Where the sliders of the axes that are not drawn show a pixel of a layer, or frame."""
+        found = sliders_at(matrix_of(layer), self._drawn(layer), pixel)
+        missing, factors = len(self.point) - layer.ndim, self.factors(layer)
+        return {axis + missing: at / factors[axis] for axis, at in found.items()}
+
+    def _drawn(self, layer: Any) -> list[int]:
+        missing = len(self.point) - layer.ndim
+        return [axis - missing for axis in self.displayed if axis >= missing]
+
+
+def matrix_of(layer: Any) -> npt.NDArray[np.float64]:
+    """From the pixels of a layer, or frame, to the world, homogeneous."""
+    if isinstance(layer, Frame):
+        return np.array(layer.matrix)
+    ndim = int(layer.ndim)
+    corners = np.concatenate([np.zeros((1, ndim)), np.eye(ndim)])
+    origin, *ends = (np.asarray(layer.data_to_world(corner), float) for corner in corners)
+    matrix = np.eye(ndim + 1)
+    matrix[:ndim, :ndim] = np.stack(ends, axis=1) - origin[:, None]
+    matrix[:ndim, ndim] = origin
+    return matrix
+
 
 def frame_of(layer: Any, view: View | None = None) -> Frame:
     """The slice of a layer that a viewer shows, or all of the volume in which it lies.
@@ -79,12 +108,7 @@ def frame_of(layer: Any, view: View | None = None) -> Frame:
         If the transform holds no numbers, or the viewer shows the layer at an angle, across
         an axis it lacks, or beyond its ends.
     """
-    ndim = int(layer.ndim)
-    corners = np.concatenate([np.zeros((1, ndim)), np.eye(ndim)])
-    origin, *ends = (np.asarray(layer.data_to_world(corner), float) for corner in corners)
-    matrix = np.eye(ndim + 1)
-    matrix[:ndim, :ndim] = np.stack(ends, axis=1) - origin[:, None]
-    matrix[:ndim, ndim] = origin
+    matrix = matrix_of(layer)
     if not np.isfinite(matrix).all() or is_flat(matrix[:-1, :-1]):
         raise LayerError(
             layer,
@@ -143,18 +167,17 @@ def _index_on(
     index, others = [0] * ndim, [axis for axis in range(ndim) if axis not in plane]
     if view is None or not others:
         return tuple(index)
-    size = np.abs(matrix[:-1, :-1]).max()
+    size, extents = np.abs(matrix[:-1, :-1]).max(), layer_extents(layer)
     if np.abs(matrix[np.ix_(others, plane)]).max() > 1e-9 * size:
+        whole = "choose 'the whole volume', " if extents[-3:-2] > (1,) and not view.volume else ""
         raise LayerError(
             layer,
             "is shown at an angle: its rotation or affine mixes the axes of the slice with the "
-            "others. Show the axes it was taken in, or resample it.",
+            f"others. To deform it, {whole}show the axes it was taken in, or resample it.",
         )
-    point = np.array(view.point[len(view.point) - ndim :]) * view.factors(layer)
-    pixel = np.asarray(layer.world_to_data(np.nan_to_num(point)))
-    extents = layer_extents(layer)
+    pixel = view.pixel(layer, view.point)
     for axis in others:
-        index[axis] = round(float(pixel[axis]))
+        index[axis] = int(pixel[axis])
         if extents and not 0 <= index[axis] < extents[axis]:
             raise LayerError(
                 layer,
@@ -176,9 +199,7 @@ def plane_shown(frame: Frame, view: View) -> tuple[int, int]:
     missing = len(view.point) - frame.ndim
     shown = {axis - missing for axis in view.displayed[-2:]}
     across = next(at for at, axis in enumerate(frame.plane) if axis not in shown)
-    world = np.nan_to_num(np.array(view.point[missing:]) * view.factors(frame))
-    pixel = np.linalg.solve(np.array(frame.matrix), [*world, 1.0])
-    return across, round(float(pixel[frame.plane[across]]))
+    return across, int(view.pixel(frame, view.point)[frame.plane[across]])
 
 
 def layer_extents(layer: Any) -> tuple[int, ...]:

@@ -13,7 +13,7 @@ from napari.utils.notifications import show_error, show_warning
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.field.animation import MARKS
+from napari_hmrf.field.animation import MARKS, Mark
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.pixel_copy import LayerCopies
@@ -447,12 +447,25 @@ class LiveStudy:
 
     def _on_chip(self) -> None:
         """Say what there is to know, and mark where tissue folds or overlaps, or no longer."""
-        self.said.emit(self.form.footer.warning)
-        overlay, latest = self.form.result.overlay, self.latest
+        overlay, latest, went = self.form.result.overlay, self.latest, ""
+        marks = [] if latest is None else [*messages.marks_of(latest.outputs)]
         if overlay.value in MARKS:
             overlay.value = NOTHING
-        elif latest is not None:
-            overlay.value = next(iter(messages.marks_of(latest.outputs)), overlay.value)
+        elif latest is not None and marks:
+            overlay.value = marks[0]
+            went = self._go_to_most(latest, marks[0])
+        self.said.emit(f"{self.form.footer.warning} {went}".rstrip())
+
+    def _go_to_most(self, latest: Done, mark: Mark) -> str:
+        """Show the slice of a volume in which most sites are marked, and say which that is."""
+        dims, place, view = self._viewer.dims, latest.moved.study.grid.place, self.form.view()
+        if len(place.plane) == 2 or dims.ndisplay == 3:
+            return ""
+        across, _ = plane_shown(place, view)
+        plane = place.plane_at(across, latest.outputs.fullest[mark][across])
+        there = view.point_at(plane, plane.index)
+        dims.set_point([*there], [*there.values()])
+        return messages.MOST.format(plane.slice_seen)
 
     def _stop(self) -> None:
         """Show that nothing goes on any more."""

@@ -74,6 +74,8 @@ _WARNINGS: dict[Mark, str] = {
     "overlaps": "one part of the tissue has moved onto another and hides it; parts do not feel "
     "each other across a gap.",
 }
+#: Where a volume is seen now.
+MOST = "The slice that is seen now has most of them: {}."
 #: So few folded pixels are noise of the rounding, and nothing to warn of.
 HANDFUL = 5
 

@@ -225,7 +225,7 @@ class ArrowsLayer:
         flat = len(event.dims_displayed) == 2 and self._viewer.dims.ndisplay == 2
         if self._frame is None or not flat:
             return None
-        at = np.asarray(layer.world_to_data(event.position), dtype=float)
+        at = View.of(self._viewer.dims).pixel(layer, event.position)
         return tuple(at[list(self._frame.plane)].tolist())
 
     def _reach(self, layer: Any, event: Any) -> float:
@@ -234,5 +234,6 @@ class ArrowsLayer:
         here = np.asarray(event.position, dtype=float)
         there = here.copy()
         there[list(event.dims_displayed)[-1]] += _NEAR / event.camera_zoom
-        apart = np.asarray(layer.world_to_data(there)) - np.asarray(layer.world_to_data(here))
+        view = View.of(self._viewer.dims)
+        apart = view.pixel(layer, there) - view.pixel(layer, here)
         return math.hypot(*(apart[list(self._frame.plane)] * self._frame.spacing))
