@@ -107,7 +107,7 @@ def converge(
 def _strategy(problem: Problem, material: FiniteMaterial) -> Strategy:
     grasp, ratio = grip(problem), contrast(material.m)
     made = Strategy(
-        doubtful=not material.mild or grasp < _GRASP,
+        doubtful=not material.mild or material.rigid or grasp < _GRASP,
         stiff=ratio > _STIFF or grasp < _GRASP,
         by_factors=grasp < _LOOSE or ratio > _CONTRAST,
     )
