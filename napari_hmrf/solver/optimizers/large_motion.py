@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -107,7 +108,7 @@ def converge(
 def _strategy(problem: Problem, material: FiniteMaterial) -> Strategy:
     grasp, ratio = grip(problem), contrast(material.m)
     made = Strategy(
-        doubtful=not material.mild or grasp < _GRASP,
+        doubtful=not material.mild or material.rigid or grasp < _GRASP,
         stiff=ratio > _STIFF or grasp < _GRASP,
         by_factors=grasp < _LOOSE or ratio > _CONTRAST,
     )
@@ -132,13 +133,17 @@ def _grow(
         try:
             settle(tolerance if aim == 1 else max(tolerance, _ROUGHLY))
         except ConvergenceError:
-            if step < _LEAST_GROWTH:
-                np.copyto(d, before)
-                model.assemble(material.grown(done))
-                settle(tolerance)
-                break
             np.copyto(d, before)
-            step /= 2
+            if step >= _LEAST_GROWTH:
+                step /= 2
+                continue
+            if done == 0:
+                raise
+            # What it has grown by so far was reached before, roughly.
+            model.assemble(material.grown(done))
+            with suppress(ConvergenceError):
+                settle(tolerance)
+            break
         else:
             done = aim
     return done

@@ -58,7 +58,7 @@ _MOST_PULLS, _MOST_STEPS = 150, 400
 # this close to balance, in pixels.
 _LONG, _LITTLE, _CREEPS = 30, 1e-7, 0.1
 # The least part to leave out of what lets tissue buckle, but none, and how many times more next.
-_LEAST, _MORE = 0.05, 4.0
+_LEAST, _MORE = 0.05, 2.0
 # A short step, in tolerances.
 _SHORT = 10.0
 
@@ -94,6 +94,8 @@ class _Linear(NamedTuple):
     far: float
     #: How much of what lets the tissue buckle was left out for it.
     positive: float = 0.0
+    #: What it was found by, if not by cycles.
+    factors: Factors | None = None
 
 
 class Newton:
@@ -221,6 +223,11 @@ class Newton:
         self._model.project(rest)
         self.residual = norm(rest)
         self.estimate = step.reach * self.residual
+        if step.factors is not None:
+            # To ask them for what is left costs next to nothing.
+            left = step.factors.solve(rest)
+            self._model.project(left)
+            self.estimate = float(np.abs(left).max())
         self.energies.append(self._energy(d)[0])
 
     def _is_balanced(self, d: Planes, held: HeldPlanes, step: _Linear) -> bool:
@@ -230,11 +237,12 @@ class Newton:
         if not self._strategy.doubtful:
             return True
         # What does not let tissue buckle does not let stiff parts of it turn.
-        held_back = self._strategy.stiff and step.positive > 0
-        if step.far > _SHORT * self._tolerance or held_back:
+        if self._strategy.stiff and step.positive > 0:
             return False
-        if self.by_factors:
+        if step.factors is not None:
             return True
+        if step.far > _SHORT * self._tolerance:
+            return False
         # Such tissue was rehearsed as it was pulled before, or is now.
         model, known = self._model, self._model.rehearsed
         if known is None or not np.array_equal(known[0], held):
@@ -315,9 +323,12 @@ class Newton:
         def tell(part: float) -> None:
             self._report(Monitor(f"factorising, {part:.0%}", part))
 
-        load, moves = np.where(self._model.moves, load, 0.0), self._model.moves
+        moves = self._model.moves
+        load = np.where(moves, load, 0.0)
+        self._model.project(load)
         try:
-            way = Factors(self._model.tangents, moves, tell, self._model.springs).solve(load)
+            factors = Factors(self._model.tangents, moves, tell, self._model.springs)
+            way = factors.solve(load)
         except Singular:
             return None
         self._model.project(way)
@@ -325,7 +336,7 @@ class Newton:
             return None
         self.by_factors = True
         far, most = float(np.abs(way).max()), norm(load)
-        return _Linear(way, far / most if most > 0 else 0.0, far)
+        return _Linear(way, far / most if most > 0 else 0.0, far, factors=factors)
 
     def _creeps(self, far: float) -> bool:
         """Whether short steps have led on for long, and to hardly less energy."""

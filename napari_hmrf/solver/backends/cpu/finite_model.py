@@ -37,7 +37,7 @@ _CYCLED, _ALL, _OF_SOLID = int(tangents.PLANES), 21, 7
 # How much of its spread counts, where an element shares its sites with others.
 _CALM = 0.75
 # How many times stiffer yet rigid tissue is for factors; what they get wrong the next step rights.
-_FIRMER = 100.0
+_FIRMER = 20.0
 
 
 class TangentLevel(SmallLevel):
@@ -224,20 +224,28 @@ class CpuFiniteModel:
 
     def _turn(self, d: Planes, forces: Planes, positive: float) -> None:
         """Have bodies resist a turn by as much as what pulls at them changes with it."""
-        # As a stress that is the same in all directions does, whatever a body's stiffness.
-        solved, shape = self._solved, self.material.shape  # type: ignore[union-attr]
-        self._stiff = solved[:, self._elements > 0]
+        rigid = self._elements > 0
+        # What tangents have been given to be positive would hold bodies as they are.
+        shear = self._solid[finite_strain.SHEAR, 2:-3, 2:-3]
+        self._resist(rigid, -positive * finite_tangents.LEAST * shear[rigid])
+        self._stiff = self._solved[:, rigid]
+        sides = self.material.shape.sides  # type: ignore[union-attr]
         for number, (row, col) in enumerate(self.bodies, 1):
             at = np.s_[:, row + 2, col + 2]
-            places = np.stack([row, col]) * np.array(shape.sides)[:, None] + d[at]
+            places = np.stack([row, col]) * np.array(sides)[:, None] + d[at]
             places -= places.mean(axis=1, keepdims=True)
             here = self._elements == number
             more = -float((forces[at] * places).sum()) / (2 * int(here.sum()))
             if more < 0:
                 more *= 1 - positive
-            for numbers, share in (((0, 2), shape.rows), ((3, 5), shape.cols)):
-                for each in numbers:
-                    solved[each][here] += share * more
+            self._resist(here, more)
+
+    def _resist(self, elements: npt.NDArray[np.bool_], more: Any) -> None:
+        """Add a stress that is the same in all directions, which turns resist, too."""
+        shape = self.material.shape  # type: ignore[union-attr]
+        for numbers, share in (((0, 2), shape.rows), ((3, 5), shape.cols)):
+            for number in numbers:
+                self._solved[number][elements] += share * more
 
     def poses(self, held: HeldPlanes) -> Poses:
         """The poses of bodies, with what is held of them."""

@@ -28,8 +28,8 @@ from napari_hmrf.solver.backends.cpu.finite_strain import (
     volumes,
 )
 
-# What a tangent that is made positive keeps of mu at least.
-_LEAST = 0.05
+#: What a tangent that is made positive keeps of mu at least.
+LEAST = 0.05
 # Elements all of whose corners keep this Jacobian, and that are not stretched, are as at rest.
 _CALM, _STRETCHED = 0.9, 2.3
 
@@ -42,7 +42,7 @@ def _positive(a0, a1, b0, b1, shear, of_mean, bend):
     half = math.sqrt(0.5)
     p0, p1, q0, q1 = half * (a0 + b1), half * (a1 - b0), half * (a0 - b1), half * (a1 + b0)
     p, q = math.hypot(p0, p1), math.hypot(q0, q1)
-    least = _LEAST * shear
+    least = LEAST * shear
     across_p, across_q = max(shear + of_mean, least), max(shear - of_mean, least)
     one = shear + of_mean + bend * p * p
     two = shear - of_mean + bend * q * q
