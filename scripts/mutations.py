@@ -123,7 +123,7 @@ MUTATIONS = (
         "test_layers_inputs.py",
     ),
     Mutation(
-        "layers/screen_directions.py",
+        "field/directions.py",
         "int(sign < 0)",
         "int(sign > 0)",
         "test_directions.py",

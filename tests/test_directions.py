@@ -6,9 +6,10 @@ from napari.components import ViewerModel
 from napari.layers import Image
 from screen import head
 
+from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.metadata import BOUNDARY, described
-from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.layers.screen_directions import ways_of
 from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.soft_tissue import SoftTissue
@@ -52,12 +53,10 @@ def test_a_view_with_its_axes_exchanged_or_turned_over_counts_too():
     image = viewer.add_image(np.zeros((20, 30)), scale=(1, -1))
     viewer.dims.order = (1, 0)
     frame = frame_of(image, View.of(viewer.dims))
-    assert Directions.of(frame, viewer)[:2] == ("up", "right"), (
-        "the image's columns are the rows now"
-    )
+    assert ways_of(frame, viewer)[:2] == ("up", "right"), "the image's columns are the rows now"
     camera = getattr(viewer, "scene", viewer).camera
     camera.orientation2d = ("up", "right")
-    assert Directions.of(frame, viewer) == Directions("down", "right"), "and nothing is turned"
+    assert ways_of(frame, viewer) == Directions("down", "right"), "and nothing is turned"
 
 
 def test_words_name_the_opposite_way_below_zero_and_none_at_an_angle():

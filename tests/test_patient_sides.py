@@ -15,10 +15,11 @@ from screen import head as table_head
 
 from napari_hmrf import Arrow, Drawing
 from napari_hmrf.contributions import open_scan
+from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.frame import PATIENT_AXES
 from napari_hmrf.io.fields import Place
 from napari_hmrf.io.images import ImageFile, save_image
-from napari_hmrf.layers.screen_directions import Directions, Sides
+from napari_hmrf.layers.screen_directions import Sides, ways_of
 from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.soft_tissue import SoftTissue
@@ -196,10 +197,10 @@ def test_letters_do_not_depend_on_the_camera_or_on_how_a_file_is_stored(tmp_path
     ((data, attributes, _),) = open_scan(path)(path)
     image = viewer.add_image(data, **attributes)
     frame = frame_of(image, View.of(viewer.dims))
-    ways = Directions.of(frame, viewer)
+    ways = ways_of(frame, viewer)
     camera = getattr(viewer, "scene", viewer).camera
     camera.orientation2d = ("up", "left")
-    assert Directions.of(frame, viewer) == ways
+    assert ways_of(frame, viewer) == ways
     (at,) = np.argwhere(np.asarray(data) == 200)  # to the left, the front and the top
     centre = np.array(data.shape) // 2
     said = ways.step(ways.seen(tuple(np.sign(at - centre)[list(frame.plane)].astype(float))))

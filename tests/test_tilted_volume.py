@@ -7,7 +7,7 @@ from person import only
 from screen import Screen
 
 from napari_hmrf.field.frame import PATIENT_AXES
-from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.layers.screen_directions import ways_of
 from napari_hmrf.layers.slice_view import View, frame_of, plane_shown
 
 SHAPE, SIZE = (8, 24, 24), (2.0, 0.8, 0.8)
@@ -87,7 +87,7 @@ def test_components_are_along_the_patient_s_own_ways(order):
     viewer = ViewerModel()
     image = viewer.add_image(numbered(), **PLACE)
     viewer.dims.order = order
-    ways = Directions.of(frame_of(image, View.of(viewer.dims, volume=True)), viewer)
+    ways = ways_of(frame_of(image, View.of(viewer.dims, volume=True)), viewer)
     by = TURNED.T @ (0, -3.1, 6.35)  # along the axes of the image
     said = ways.step(tuple(round(part, 2) + 0.0 for part in ways.seen(tuple(by))))
     assert set(said.split(", ")) == {"3.1 A", "6.35 L"}

@@ -12,7 +12,7 @@ from napari_hmrf.field.deformation import arrows_in_slices
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.read import Request, read_study, study_layers
 from napari_hmrf.layers.result_layers import layer_on, overlay_of, result_layers
-from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.layers.screen_directions import ways_of
 from napari_hmrf.layers.slice_view import View, frame_of, plane_shown
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.study.ground import solve_study
@@ -91,10 +91,10 @@ def test_the_slice_that_is_looked_at(viewer, order, point, expected):
 
 def test_steps_of_a_volume_are_said_as_they_are_seen(viewer):
     frame = frame_of(viewer.layers[0], whole(viewer))
-    ways = Directions.of(frame, viewer)
+    ways = ways_of(frame, viewer)
     assert ways.step(ways.seen((1.0, 2.0, -3.0))) == "1 deeper, 2 down, 3 left"
     viewer.dims.order = (1, 0, 2)
-    ways = Directions.of(frame, viewer)
+    ways = ways_of(frame, viewer)
     assert ways.step(ways.seen((1.0, 2.0, -3.0))) == "2 deeper, 1 down, 3 left"
     assert ways.along((4.0, 5.0)) == (4.0, 0.0, 5.0)
     assert ways.along(ways.seen((1.0, 2.0, -3.0))) == (1.0, 2.0, -3.0)
@@ -106,7 +106,7 @@ def test_steps_in_a_patient_have_the_letters_of_its_sides():
     labels = ("superior", "posterior", "left")
     image = viewer.add_image(np.zeros(SHAPE), axis_labels=labels, units=UNITS)
     frame = frame_of(image, whole(viewer))
-    ways = Directions.of(frame, viewer)
+    ways = ways_of(frame, viewer)
     assert ways.step(ways.seen((1.0, -2.0, 3.0))) == "1 S, 2 A, 3 L"
 
 

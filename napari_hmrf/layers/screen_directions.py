@@ -1,156 +1,29 @@
-"""Which way the rows and columns of a slice run: on the screen, or in the patient where known.
-
-Scans say how they lie in the patient. Layers carry it in the names of their axes, and so do studies
-and results.
-"""
+"""Which way rows and columns run in a viewer, and which side of the patient is at each edge."""
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numpy as np
 from napari.layers import Image, Labels
 
-from napari_hmrf.field.drawn_slice import nearest_axes, rotation_of
-from napari_hmrf.field.frame import PATIENT_AXES, Frame, as_tuples
+from napari_hmrf.field.directions import Directions
+from napari_hmrf.field.frame import PATIENT_AXES, Frame
 from napari_hmrf.layers.compat import camera_of
 
-#: Pixels that step less than this along the way they would have the name of have none.
-_ASIDE = 0.5
-#: Ways that are opposite.
-_PAIRS = (
-    ("up", "down"),
-    ("left", "right"),
-    ("S", "I"),
-    ("A", "P"),
-    ("R", "L"),
-    ("deeper", "shallower"),
-)
-_OPPOSITE = {way: other for pair in _PAIRS for way, other in (pair, pair[::-1])} | {"": ""}
-#: Which side of the patient a letter stands for.
-_SIDES = {"S": "head", "I": "feet", "A": "front", "P": "back", "R": "right", "L": "left"}
 
+def ways_of(frame: Frame, viewer: Any) -> Directions:
+    """The directions of a slice in a viewer, which may itself be turned upside down.
 
-class Directions(NamedTuple):
-    """Where a step of one pixel goes: the nearest way of the patient, or of the screen.
-
-    Of an image that knows how it lies in the patient ways are letters, as at the edges of the
-    canvas: its left is not that of the screen. They are "" if the pixels are sheared.
-
-    Components of a displacement keep the order and the sign of the pixels: a medical image that is
-    stored mirrored is seen mirrored back, and its columns then run to the left. Of a layer that is
-    turned by an angle, within its slices or out of them, people read and type the components along
-    the ways of the screen, or of the patient, themselves.
-
-    Attributes
+    Parameters
     ----------
-    rows, cols : {"down", "up", "right", "left", "S", "I", "A", "P", "R", "L", ""}
-    deep : str
-        Likewise across the slices of a volume; "" of a slice.
-    order : tuple of int
-        The axes of the displacements, in the order ([deep,] rows, columns).
-    turn : n x n numbers
-        The rotation of the axes, in this order, from the ways they have the names of; nothing
-        where they are not turned.
+    frame : Frame
+    viewer : napari.Viewer or ViewerModel
     """
-
-    rows: str = "down"
-    cols: str = "right"
-    turn: tuple[tuple[float, ...], ...] = ()
-    deep: str = ""
-    order: tuple[int, ...] = (0, 1)
-
-    @classmethod
-    def of(cls, frame: Frame, viewer: Any = None) -> Directions:
-        """Those of a slice in a viewer, which may itself be turned upside down.
-
-        Parameters
-        ----------
-        frame : Frame
-        viewer : napari.Viewer or ViewerModel, optional
-        """
-        axes = list(frame.plane[-2:])
-        if len(frame.plane) == 3 and viewer is not None:
-            missing = viewer.dims.ndim - frame.ndim
-            axes = [axis - missing for axis in viewer.dims.displayed[-2:]]
-        across = [axis for axis in frame.plane if axis not in axes]
-        axes = [*across, *axes]
-        order = tuple(frame.plane.index(axis) for axis in axes)
-        # Where the world's axes run in the patient, or on the canvas.
-        pairs = [PATIENT_AXES.get(frame.axis_labels[axis], ()) for axis in axes]
-        if not all(pairs[-2:]):
-            canvas = ("down", "right") if viewer is None else camera_of(viewer).orientation2d
-            pairs[-2:] = [(str(way), _OPPOSITE[str(way)]) for way in canvas]
-        pairs = [pair or ("deeper", "shallower") for pair in pairs]
-        main, seen = nearest_axes(np.array(frame.matrix)[:-1, :-1][np.ix_(axes, axes)])
-        forward = np.sign(np.diag(seen))
-        ways = [pairs[at][int(sign < 0)] for at, sign in zip(main, forward, strict=True)]
-        deep, rows, cols = ("", *ways)[-3:]
-        if np.abs(np.diag(seen)).min() < _ASIDE:
-            return cls("", "", deep=deep, order=order)
-        turn = as_tuples(rotation_of(seen * forward[:, None]))
-        return cls(rows, cols, turn, deep, order)
-
-    def seen(self, by: tuple[float, ...]) -> tuple[float, ...]:
-        """A displacement by its components along the ways named, ([deep,] rows, columns).
-
-        One of fewer axes says nothing across the slices.
-        """
-        known = (*(0.0,) * (len(self.order) - len(by)), *by)[-len(self.order) :]
-        seen = tuple(known[axis] for axis in self.order)
-        return as_tuples(np.array(self.turn) @ seen) if self.turn else seen
-
-    def along(self, seen: tuple[float, ...]) -> tuple[float, ...]:
-        """The inverse of `seen`; of two components there is none across the slices."""
-        back = (*(0.0,) * (len(self.order) - len(seen)), *seen)
-        if self.turn:
-            back = as_tuples(np.array(self.turn).T @ back)
-        return tuple(back[self.order.index(axis)] for axis in range(len(back)))
-
-    def about(self, axis: int) -> str:
-        """What a number along an axis says: "How far down, along the rows; below 0: up"."""
-        along, way = ("the rows", "the columns")[axis], self[:2][axis]
-        if not way:
-            return f"How far along {along}, in the order of the pixels"
-        along = (
-            "as it is seen, whichever way the layer is turned" if self.turn else f"along {along}"
-        )
-        return f"How far {_to(way)}, {along}; below 0: {_to(_OPPOSITE[way])}"
-
-    def label(self, axis: int) -> str:
-        """Of numbers along the rows (0) or the columns (1): "down", "right", "to R"."""
-        way = self[:2][axis] or ("along rows", "along columns")[axis]
-        return f"to {way}" if way in _SIDES else way
-
-    def only(self, axis: int) -> str:
-        """Speaking of one axis alone, which is the image's: "A-P only (rows)"."""
-        name, both = ("rows", "columns")[axis], self.both(axis)
-        return f"{both} only ({name})" if both else f"across the image's {name} only"
-
-    def both(self, axis: int) -> str:
-        """An axis without a sense: "up and down", "A-P"; "" at an angle."""
-        way = self[:2][axis]
-        if not way or self.turn:
-            return ""
-        return ("-" if way in _SIDES else " and ").join(next(p for p in _PAIRS if way in p))
-
-    def step(self, seen: tuple[float, ...]) -> str:
-        """A step along the ways named in words: "5 down, 10 right", "5 P, 10 R"."""
-        if not self.rows:
-            return f"({', '.join(f'{length:g}' for length in seen)})"
-        ways = (self.deep, self.rows, self.cols)[-len(seen) :]
-        parts = [
-            f"{abs(length):g} {way if length > 0 else _OPPOSITE[way]}"
-            for length, way in zip(seen, ways, strict=True)
-            if length
-        ]
-        return ", ".join(parts) or "0"
-
-
-def _to(way: str) -> str:
-    if way in _SIDES:
-        return f"to {way}, the patient's {_SIDES[way]}"
-    return f"to the {way}" if way in ("right", "left") else way
+    drawn, missing = frame.plane[-2:], viewer.dims.ndim - frame.ndim
+    if len(frame.plane) == 3:
+        drawn = tuple(axis - missing for axis in viewer.dims.displayed[-2:])
+    down, right = (str(way) for way in camera_of(viewer).orientation2d)
+    return Directions.of(frame, drawn, (down, right))
 
 
 class Sides(NamedTuple):

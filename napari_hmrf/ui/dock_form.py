@@ -18,7 +18,7 @@ from qtpy.QtWidgets import (
 )
 from superqt import QCollapsible
 
-from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.field.directions import Directions
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.footer import Footer

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 from magicgui.widgets import CheckBox, PushButton
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QPushButton, QSizePolicy, QVBoxLayout, QWhatsThis, QWidget
@@ -120,10 +118,13 @@ class LiveChoice(CheckBox):
         super().__init__(value=True, text="Live", tooltip=_LIVE)
         # Once somebody has decided, the size of the image decides nothing.
         self._decided = False
-        self.changed.connect(partial(setattr, self, "_decided", True), max_args=0)
+        self.changed.connect(self._on_changed)
 
     def judge(self, pixels: int) -> None:
         """Decide by the size, unless somebody else has decided."""
         if not self._decided:
             with self.changed.blocked():
                 self.value = pixels <= LARGEST
+
+    def _on_changed(self, _: bool) -> None:
+        self._decided = True

@@ -18,7 +18,7 @@ from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.read import Request, read_study
-from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.layers.screen_directions import ways_of
 from napari_hmrf.layers.slice_view import plane_shown
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.live_solver import TOLERANCE
@@ -289,7 +289,7 @@ class LiveStudy:
             self.form.footer.live.judge(math.prod(study.grid.shape[-2:]))
             self._follower.rehearse(study)
             self.moved_on.emit(study)
-        ways = Directions.of(place.place, self._viewer)
+        ways = ways_of(place.place, self._viewer)
         self.curve_layer.show(study, source)
         self.form.show_place(unit_symbol(place.unit), ways)
         return self._with_drawing(study)
@@ -446,14 +446,16 @@ class LiveStudy:
         self.finished.emit(None)
 
     def _on_chip(self) -> None:
-        """Say what there is to know, and mark where tissue folds or overlaps, or no longer."""
+        """Say what there is to know, and mark folds, then overlaps, then neither."""
         overlay, latest, went = self.form.result.overlay, self.latest, ""
         marks = [] if latest is None else [*messages.marks_of(latest.outputs)]
-        if overlay.value in MARKS:
-            overlay.value = NOTHING
-        elif latest is not None and marks:
+        if overlay.value in marks:
+            del marks[: marks.index(overlay.value) + 1]
+        if latest is not None and marks:
             overlay.value = marks[0]
             went = self._go_to_most(latest, marks[0])
+        elif overlay.value in MARKS:
+            overlay.value = NOTHING
         self.said.emit(f"{self.form.footer.warning} {went}".rstrip())
 
     def _go_to_most(self, latest: Done, mark: Mark) -> str:

@@ -6,7 +6,7 @@ from typing import cast
 
 from magicgui.widgets import ComboBox, Container, Widget
 
-from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.field.directions import Directions
 from napari_hmrf.tissue.boundary_rules import Material, stiffness_in_words
 from napari_hmrf.tissue.drawing import Arrow, Landmark, Mark, Stroke
 from napari_hmrf.tissue.drawing.marks import Action

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.quantities import QUANTITIES
 from napari_hmrf.field.tissue_point import Probe
 from napari_hmrf.layers.field_layer import place_at
 from napari_hmrf.layers.metadata import tissue_recorded
 from napari_hmrf.layers.result_layers import stiffness_unit
-from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.layers.screen_directions import ways_of
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
 from napari_hmrf.ui.result.moving_layers import MovingLayers
@@ -74,7 +75,7 @@ class UnderCursor:
         if found is None or shown is None:
             return ""
         answer, overlay = shown.answer, shown.overlay
-        ways = Directions.of(answer.frame, self._viewer)
+        ways = ways_of(answer.frame, self._viewer)
         more = [_stiffness(shown, found)]
         if overlay is not None and overlay.picture is not None and overlay.name in QUANTITIES:
             title, unit = QUANTITIES[overlay.name]

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from napari_hmrf.field.comparison import Comparison
+from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.units import as_seen
 from napari_hmrf.layers.result_layers import Answer, Name
-from napari_hmrf.layers.screen_directions import Directions
 
 NO_RESULT = "There is no result to look at yet: drag tissue, or press Deform."
 LOST = (

@@ -13,7 +13,7 @@ from napari_hmrf.layers.field_layer import can_be_source, field_of, result_of, s
 from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.result_layers import Name, Overlay, overlay_of
-from napari_hmrf.layers.screen_directions import Directions
+from napari_hmrf.layers.screen_directions import ways_of
 from napari_hmrf.study.layer_names import naming
 from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.forms import attempt
@@ -244,7 +244,7 @@ class ResultView:
             name = choice.value
             if name == words.NOTHING and there is not None and there.visible:
                 name = known_of(there)["kind"]  # of a dock that was closed
-            ways = Directions.of(shown.answer.frame, self._viewer)
+            ways = ways_of(shown.answer.frame, self._viewer)
             compared = self._form.reference.value is not None
             if name == "difference" and not compared:
                 name = words.NOTHING
