@@ -548,10 +548,6 @@ def test_boundary_outside_tissue_and_folds_are_reported(widget, small_sample, ru
     assert "5 boundary pixels" in widget.status
     wait_for(lambda: "MR folds, paper" in names(viewer_of(widget)))
     assert 0 < by_name(widget, "MR folds, paper").data.sum() <= outputs.folds
-    # Then the overlaps, and then neither.
-    assert outputs.overlaps > 5
-    chip.click()
-    assert widget.overlay == "overlaps"
     chip.click()
     assert widget.overlay == "nothing"
 

@@ -241,6 +241,23 @@ def test_a_part_that_has_moved_onto_another_is_told_and_marked(widget, small_sam
     assert "MR overlaps, paper" not in viewer_of(widget).layers
 
 
+def test_the_chip_shows_folds_and_then_overlaps_and_then_neither(widget, small_sample, run, settle):
+    _, tissue, boundary = small_sample(viewer_of(widget))
+    tissue.data[:, 11:13] = 0
+    boundary.data[2:-2, 2:-2] = 1
+    boundary.data[2:-2, 13:] = 2
+    boundary.data[2:-2, 4] = 3
+    rules = (BoundaryRule(2, "move", vector=(0.0, -6.5)), BoundaryRule(3, "move", vector=(0, 3)))
+    widget.rules = (widget.rules[0], *rules)
+    outputs = run(widget)
+    shown = []
+    for _ in range(3):
+        Screen(widget).press(f"⚠  Folds at {outputs.folds} pixels: show where")
+        settle(widget)
+        shown.append(widget.overlay)
+    assert shown == ["folds", "overlaps", "nothing"]
+
+
 def test_results_of_an_image_go_with_it_and_the_next_has_its_own(
     widget, small_sample, run, wait_for
 ):
