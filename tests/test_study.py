@@ -168,8 +168,11 @@ def test_what_is_wrong_is_said_of_the_part():
 def test_values_that_are_no_numbers_are_said():
     image = np.full(SHAPE, 100.0)
     image[3, 4:7] = np.nan
-    study = Study(GRID, pictures=Pictures(image=image, name="MR"), names={"image": "MR"})
+    by_brightness = Tissue(curve=StiffnessCurve(((50.0, 1.0), (150.0, 2.0))))
+    pictures = Pictures(image=image, name="MR")
+    study = Study(GRID, by_brightness, pictures=pictures, names={"image": "MR"})
     (note,) = [each for each in Ground.of(study).notes if "NaN" in each]
-    assert note.startswith("3 values of 'MR' are NaN")
+    assert note.startswith("'MR' is NaN or infinite at 3 pixels")
+    assert (Ground.of(study).stiffness[3, 4:7] == 0).all()
     whole = replace(study, pictures=Pictures(image=np.nan_to_num(image)))
     assert not [each for each in Ground.of(whole).notes if "NaN" in each]

@@ -113,17 +113,13 @@ class Ground:
         """
         refuse_rigid(study)
         image = study.pictures.image
-        lacks = 0 if image is None else np.count_nonzero(~np.isfinite(image))
-        if image is not None and lacks == image.size:
+        if image is not None and image.dtype.kind == "f" and not np.isfinite(image).any():
             here = "is NaN everywhere in this slice. Choose another image or slice."
             raise LayerError(study.named("image"), here)
         checkpoint()
         with study.naming():
             ground = _tissue_of(study)
         base, there, notes = ground.base, ground.stiffness > 0, [*ground.notes]
-        if lacks:
-            what = f"{lacks} values of '{study.named('image')}' are NaN or infinite"
-            notes.append(f"{what}: a curve of brightness makes them no tissue")
         checkpoint()
         notes += _observe(study, base)
         ignored = int(((base.confidence > 0).any(axis=-1) & ~there).sum())
@@ -287,7 +283,10 @@ def _tissue_of(study: Study) -> Ground:
     elif tissue.stiffness is not None:
         m = as_stiffness(tissue.stiffness)
     elif tissue.curve and (intensities := study.intensities) is not None:
-        m = tissue.curve(intensities)
+        m, unknown = tissue.curve(intensities), np.count_nonzero(~np.isfinite(intensities))
+        if unknown:
+            where = f"'{study.named('image')}' is NaN or infinite at {unknown} pixels"
+            notes.append(f"{where}, where there is no tissue by its brightness")
     else:
         around = around if image is None else dark_border(image, len(shape))
         m = np.where(around, np.float32(_SURROUNDINGS), np.float32(_TISSUE))

@@ -289,6 +289,7 @@ class LabelTable(QTableWidget):
         box = QComboBox()
         box.addItems(choices)
         box.textActivated.connect(item.setText)
+        box.activated.connect(self.clearFocus)  # the keys that come next are the canvas's
         CalmField(box).watch(box)
         return box
 
