@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from napari.components import ViewerModel
+from napari.layers import Image
 from person import only
 from screen import Screen
 
@@ -94,6 +95,15 @@ def test_components_are_along_the_patient_s_own_ways(order):
     goes = TURNED @ ways.along((0.0, 2.0, -1.0))
     np.testing.assert_allclose(goes[list(order)], (0, 2, -1), atol=1e-6)
     np.testing.assert_allclose(goes, TURNED @ ways.along((2.0, -1.0)), atol=1e-6)
+
+
+def test_that_its_places_are_said_as_if_it_were_not_is_said(tilted, settle):
+    person, widget = tilted
+    person.drag(drawn_at((9.0, 14.0)), drawn_at((11.0, 14.0)))
+    settle(widget)
+    assert "as if it did not lean out of its slices" in widget.warning
+    level = Image(numbered())
+    assert not View.of(person.viewer.dims).tilts(level)
 
 
 def test_a_slice_of_it_is_refused_and_the_whole_volume_is_offered(tilted, settle):

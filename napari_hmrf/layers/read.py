@@ -134,6 +134,11 @@ class _Reader:
         if (skew := self._frame.skew) > _RIGHT_ANGLE:
             sheared = f"the pixels are sheared by {skew:.1f} degrees, but taken as rectangles"
             self._notes.append(sheared)
+        if request.view is not None and request.view.tilts(self._frame):
+            self._notes.append(
+                f"napari draws '{reference.name}' as if it did not lean out of its slices, and "
+                "so it says places; directions, lengths and what is saved are the true ones"
+            )
         if any(layer.multiscale for layer in request.layers):
             self._notes.append(f"computed on the finest level, {grid_in_words(self._shape)}")
 

@@ -75,6 +75,13 @@ class View:
         missing, factors = len(self.point) - layer.ndim, self.factors(layer)
         return {axis + missing: at / factors[axis] for axis, at in found.items()}
 
+    def tilts(self, layer: Any) -> bool:
+        """Whether a layer, or frame, is turned out of its slices, which napari does not draw."""
+        linear, drawn = matrix_of(layer)[:-1, :-1], self._drawn(layer)
+        others = [axis for axis in range(layer.ndim) if axis not in drawn]
+        mixed = np.abs(linear[np.ix_(others, drawn)]).max(initial=0)
+        return bool(mixed > 1e-6 * np.abs(linear).max())
+
     def _drawn(self, layer: Any) -> list[int]:
         missing = len(self.point) - layer.ndim
         return [axis - missing for axis in self.displayed if axis >= missing]
