@@ -8,7 +8,7 @@ from napari.layers import Layer
 from napari_hmrf import head_phantom
 from napari_hmrf.contributions import phantom_layers, volume_layers
 from napari_hmrf.samples.phantoms import phantom
-from napari_hmrf.tissue.drawing import Arrow, Drawing
+from napari_hmrf.tissue.drawing import Arrow, Drawing, Stroke
 from napari_hmrf.ui.messages import CHOOSE
 
 MARKS = Drawing((Arrow((10, 12), (1, 1), 4.0),))
@@ -167,3 +167,38 @@ def test_the_result_of_an_image_is_seen_while_that_is_chosen(
     assert not moved.visible
     widget.image = image
     assert moved.visible
+
+
+def test_tissue_that_a_brush_has_painted_is_measured_and_seen_as_what_it_became(
+    viewer, frame, settle
+):
+    brain(viewer, 64)
+    widget = frame.open()
+    settle(widget)
+    before = {each.name: each for each in widget.more.measure()}
+    tumour = next(row.label for row in widget.materials if row.name == "tumour")
+    widget.drawing = Drawing((Stroke("tissue", (((30, 16), (30, 20)),), radius=3.0, label=tumour),))
+    settle(widget)
+    now = {each.name: each for each in widget.more.measure()}
+    more = now["tumour"].pixels - before["tumour"].pixels
+    assert more > 20
+    assert before["normal tissue"].pixels - now["normal tissue"].pixels == more
+    widget.overlay = "labels"
+    settle(widget)
+    (shown,) = (each for each in viewer.layers if each.name == "Tissue deformed, elastic")
+    assert (shown.data == tumour).sum() > before["tumour"].pixels
+
+
+def test_what_is_undone_on_another_image_is_seen(viewer, widget, settle):
+    first, second = brain(viewer), brain(viewer)
+    widget.image = first[0]
+    settle(widget)
+    widget.drawing = MARKS
+    settle(widget)
+    widget.image = second[0]
+    settle(widget)
+    widget.undo()
+    settle(widget)
+    assert widget.image is first[0]
+    assert first[0].visible
+    assert not second[0].visible

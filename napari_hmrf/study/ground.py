@@ -59,12 +59,15 @@ class Statement:
     optimizer : ICM or Multigrid
     at_rest : ndarray of bool, shape ([D,] H, W)
         Tissue that too little holds: it takes no part, and stays where it is.
+    labels : ndarray of int, shape ([D,] H, W), optional
+        Of the tissue's own table, where brushes have painted other tissue than its layer has.
     """
 
     problem: Problem
     prior: Prior
     optimizer: Optimizer
     at_rest: npt.NDArray[np.bool_]
+    labels: npt.NDArray[np.int32] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +157,8 @@ class Ground:
         """
         canvas = self.study.motion.drawing.render(self.base) if drawn is None else drawn
         m, prior = self.palette.painted(canvas.labels, self.base.labels, self.stiffness, self.prior)
+        painted = self.palette.own and m is not self.stiffness
+        labels = canvas.labels.copy() if painted else None
         at_rest = np.zeros(m.shape, dtype=bool)
         if isinstance(prior, ElasticPrior):
             at_rest = scraps(m > 0, canvas.confidence > 0)
@@ -162,7 +167,7 @@ class Ground:
         prior, c = _with_doubt(prior, canvas.confidence, m)
         with self.study.naming():
             problem = Problem(canvas.observed, c, m, spacing=self.study.grid.spacing)
-        return Statement(problem, prior, self.study.optimizer, at_rest)
+        return Statement(problem, prior, self.study.optimizer, at_rest, labels)
 
     def notes_on(self, statement: Statement) -> tuple[str, ...]:
         """What people should know of a problem as it was understood, as clauses."""

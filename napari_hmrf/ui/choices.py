@@ -12,7 +12,7 @@ from napari.layers import Labels, Layer, Vectors
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.edit_history import CHOICE, CURVE, DRAWING, MODEL, Slot, steps_of
 from napari_hmrf.layers.field_layer import holds_field
-from napari_hmrf.layers.image_choice import image_in_front, painted_on
+from napari_hmrf.layers.image_choice import image_in_front, painted_on, uncover
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, change, role_of
 from napari_hmrf.layers.read import Request
@@ -328,8 +328,10 @@ class Choices:
         if slot.what == DRAWING and slot.layer is form.image.value:
             return
         with self.nobody_chooses():
-            if slot.what in (DRAWING, CHOICE) and slot.layer in form.image.offered:
+            others = [each for each in form.image.offered if each is not form.image.value]
+            if slot.what in (DRAWING, CHOICE) and slot.layer in others:
                 form.image.value = slot.layer
+                uncover(self._viewer, slot.layer)
             if slot == _THE_MODEL:
                 form.model.values = value
             elif slot.what == CHOICE:

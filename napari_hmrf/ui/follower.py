@@ -232,6 +232,8 @@ def drawn(moved: Deformation, checkpoint: Callable[[], None] = lambda: None) -> 
     assert stated is not None
     kept = _to_be_kept(moved, ground)
     place, pictures = study.grid.place, study.pictures
+    if stated.labels is not None:
+        pictures = replace(pictures, labels=stated.labels)
     outputs = result_layers(kept, place, pictures, checkpoint=checkpoint, problem=stated.problem)
     return Done(moved, outputs, ground.notes_on(stated))
 
