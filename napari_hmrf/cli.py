@@ -19,7 +19,7 @@ from napari_hmrf.samples.phantoms import PHANTOM_NAMES, SMALLEST
 from napari_hmrf.solver.backends import BACKEND_NAMES
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
-from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE, Plane
 from napari_hmrf.study.models import chosen, family_of
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
@@ -27,6 +27,15 @@ from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 if TYPE_CHECKING:
     from napari_hmrf.contributions import LayerData
     from napari_hmrf.solver.solution import Solution
+
+
+def _dashed(text: str) -> str:
+    """A name of a model as one word."""
+    return text.replace(",", "").replace(" ", "-")
+
+
+#: The models, as they are asked for.
+_MODELS: dict[str, ModelName] = {_dashed(name): name for name in get_args(ModelName)}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -74,11 +83,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     demo.add_argument(
         "--model",
-        choices=[name.replace(", ", "-") for name in get_args(ModelName)],
+        type=_dashed,
+        choices=_MODELS,
         default="elastic",
-        help="what tissue is taken to be: elastic, the paper's Markov random field by its "
-        "schedule, or that field converged (default: %(default)s). What the paper's schedule makes "
-        "of it is printed beside it",
+        help="what tissue is taken to be: elastic, elastic for large motion, the paper's Markov "
+        "random field by its schedule, or that field converged (default: %(default)s). What the "
+        "paper's schedule makes of it is printed beside it",
     )
     low, high = POISSON_RANGE
     demo.add_argument(
@@ -162,7 +172,7 @@ def _add_file_commands(commands: Any) -> None:
         help="instead: how likely tissue 1, 2 ... is, an image for each",
     )
     solve.add_argument(
-        "--materials", type=Path, metavar="TABLE", help=".csv: label,name,stiffness,poisson"
+        "--materials", type=Path, metavar="TABLE", help=".csv: label,name,stiffness,poisson,growth"
     )
     solve.add_argument(
         "--boundary",
@@ -174,7 +184,8 @@ def _add_file_commands(commands: Any) -> None:
         "--rules",
         type=Path,
         metavar="TABLE",
-        help=".csv: label,action,row,col,amount,confidence; actions are fixed, move and expand",
+        help=".csv: label,action,row,col,amount,confidence; actions are fixed, move, "
+        "expand, and press and pull, which are forces",
     )
     solve.add_argument(
         "--confidence",
@@ -190,7 +201,7 @@ def _add_file_commands(commands: Any) -> None:
     solve.add_argument(
         "--hold-edge", action="store_true", help="the outer edge of the tissue stays"
     )
-    solve.add_argument("--model", choices=get_args(ModelName), default="elastic")
+    solve.add_argument("--model", type=_dashed, choices=_MODELS, default="elastic")
     solve.add_argument("--backend", choices=BACKEND_NAMES, default="auto")
     replay = commands.add_parser("replay", help="solve a saved study again, and compare the fields")
     replay.add_argument("study", type=Path, metavar="STUDY")
@@ -220,13 +231,12 @@ def _poisson(text: str) -> float:
 
 def _model(options: argparse.Namespace) -> tuple[Prior, Optimizer]:
     """The energy asked for, and how it is minimised."""
-    name = next(name for name in get_args(ModelName) if name.replace(", ", "-") == options.model)
-    prior, optimizer = chosen(name)
-    if isinstance(prior, ElasticPrior):
+    prior, optimizer = chosen(_MODELS[options.model])
+    if isinstance(prior, Elastic):
         nu = USUAL_POISSON if options.poisson is None else options.poisson
-        return ElasticPrior(nu, plane=options.plane or "stress"), optimizer
+        return replace(prior, poisson=nu, plane=options.plane or "stress"), optimizer
     if options.poisson is not None or options.plane is not None:
-        raise HmrfError("--poisson and --plane are for --model elastic: the paper's has neither")
+        raise HmrfError("--poisson and --plane are for elastic tissue: the paper's has neither")
     return prior, optimizer
 
 
@@ -308,7 +318,7 @@ def _solve(options: argparse.Namespace) -> int:
         confidence=sure if sure in (None, "edges") else Path(sure),
         slice=options.slice,
         hold_edge=options.hold_edge,
-        model=options.model,
+        model=_MODELS[options.model],
     )
     saved = solve_case(case, options.out, backend=options.backend)
     print(f"solved: {saved.solution!r}")
@@ -389,7 +399,7 @@ def _demo_volume(options: argparse.Namespace) -> int:
     prior, optimizer = _model(options)
     if options.plane is not None:
         raise HmrfError("--plane is for slices: a volume is strained in all directions")
-    more = {"poisson": float(prior.poisson)} if isinstance(prior, ElasticPrior) else {}
+    more = {"poisson": float(prior.poisson)} if isinstance(prior, Elastic) else {}
     options.out.mkdir(parents=True, exist_ok=True)
     progress = _ProgressLine()
     demonstration = demonstrate_volume(
@@ -491,7 +501,7 @@ def _open_napari(layers: Sequence[LayerData], solution: Solution, prior: Prior) 
         viewer.add_layer(Layer.create(data, attributes, kind))
     _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
     widget.model = solution.provenance.model
-    if isinstance(prior, ElasticPrior):
+    if isinstance(prior, Elastic):
         widget.plane = prior.plane
         widget.materials = tuple(replace(row, poisson=prior.poisson) for row in widget.materials)
     # Solved again, so that the layers of the result are the widget's own, which it will update.

@@ -110,6 +110,17 @@ class Directions(NamedTuple):
             back = as_tuples(np.array(self.turn).T @ back)
         return tuple(back[self.order.index(axis)] for axis in range(len(back)))
 
+    @property
+    def steps(self) -> list[tuple[str, tuple[float, ...]]]:
+        """Each way in words, with a step of 1 along it in the order of the axes."""
+        size, found = len(self.order), []
+        for number, way in enumerate((self.deep, self.rows, self.cols)[-size:]):
+            for sign, word in ((1.0, way), (-1.0, _OPPOSITE[way])):
+                step = tuple(sign * (axis == number) + 0.0 for axis in range(size))
+                along = tuple(round(part, 9) + 0.0 for part in self.along(step))
+                found.append((_to(word) if word else f"{step}", along))
+        return found
+
     def about(self, axis: int) -> str:
         """What a number along an axis says: "How far down, along the rows; below 0: up"."""
         along, way = ("the rows", "the columns")[axis], self[:2][axis]

@@ -17,7 +17,7 @@ from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.resample import emptiness
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
-from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solve import CancelFlag, Progress, run_here
 
@@ -55,7 +55,7 @@ def rehearse(
         kinds = (np.uint8, np.float32)
         pictures = [Picture(np.zeros(shape, kind), order=0) for kind in kinds]
         slips = n == 2  # in volumes nothing does
-        if slips and isinstance(prior, ElasticPrior) and prior.penalty == math.inf:
+        if slips and isinstance(prior, Elastic) and prior.penalty == math.inf:
             prior = replace(prior, penalty=1.0)
     y, c = np.zeros((2, *shape, n))
     c[0] = c[-1] = 1

@@ -13,8 +13,10 @@ A file is JSON::
       ]
     }
 
-The stiffness of bone or an implant, which moves as one, is the word ``"rigid"``. A file with such a
-material is of version 2; all others are of version 1, which earlier versions of this package read.
+The stiffness of bone or an implant, which moves as one, is the word ``"rigid"``. Tissue that is to
+grow has a ``"growth"``: 0.1 is a tenth longer; of a list the parts are along the axes of the image.
+A file with such a material is of version 3, and one with rigid tissue of version 2; all others are
+of version 1, which earlier versions of this package read.
 
 Nothing here needs napari.
 """
@@ -35,9 +37,9 @@ from napari_hmrf.tissue.material_presets import Preset
 
 _Format = Literal["napari-hmrf materials"]
 FORMAT: _Format = "napari-hmrf materials"
-VERSION = 2
-#: Of files that have no rigid material.
-_FIRST = 1
+VERSION = 3
+#: Of files in which nothing is rigid or grows, and in which something is rigid.
+_FIRST, _RIGID = 1, 2
 ENDING = ".json"
 #: Larger files are none of ours, and are not read.
 _LARGEST = 2**20
@@ -68,7 +70,7 @@ def save_materials(path: str | Path, preset: Preset) -> Path:
     target = target if target.suffix else target.with_suffix(ENDING)
     values = {
         "format": FORMAT,
-        "version": VERSION if any(row.is_rigid for row in preset.materials) else _FIRST,
+        "version": _version(preset),
         **asdict(preset),
         "materials": [material.as_row() for material in preset.materials],
     }
@@ -110,6 +112,16 @@ def load_materials(path: str | Path) -> Preset:
     return Preset(file.name or source.stem, file.unit, file.source, materials)
 
 
+def _version(preset: Preset) -> int:
+    """The earliest version that can say it."""
+    if any(row.grows for row in preset.materials):
+        return VERSION
+    return _RIGID if any(row.is_rigid for row in preset.materials) else _FIRST
+
+
+_Strain = Annotated[float, pydantic.Field(gt=-1, allow_inf_nan=False)]
+
+
 class _Row(pydantic.BaseModel, strict=True):
     """A material as a file says it."""
 
@@ -121,6 +133,7 @@ class _Row(pydantic.BaseModel, strict=True):
         pydantic.BeforeValidator(lambda v: v.strip().casefold() if isinstance(v, str) else v),
     ]
     poisson: float = pydantic.Field(USUAL_POISSON, ge=POISSON_RANGE[0], le=POISSON_RANGE[1])
+    growth: _Strain | tuple[_Strain, ...] = 0.0
 
 
 class _File(pydantic.BaseModel, strict=True):

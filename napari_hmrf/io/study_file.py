@@ -22,7 +22,7 @@ from napari_hmrf.array_file import Invalid, Kind
 from napari_hmrf.errors import FileFormatError, HmrfError
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.solver.parameters import optimizer_from_dict, prior_from_dict
-from napari_hmrf.solver.priors import ElasticPrior
+from napari_hmrf.solver.priors import Elastic
 from napari_hmrf.solver.solution import SOLUTION_FORMAT, Solution
 from napari_hmrf.study.ground import solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
@@ -41,6 +41,7 @@ _OF_SOLUTION = "solution_"
 _MATERIALS = TypeAdapter(tuple[Material, ...])
 _RULES = TypeAdapter(tuple[BoundaryRule, ...])
 _GRID = TypeAdapter(Grid)
+_WEIGHT = TypeAdapter(tuple[float, ...])
 
 
 class Saved(NamedTuple):
@@ -225,6 +226,7 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
             "hold_edge": motion.hold_edge,
             "rules": [asdict(row) for row in motion.rules],
             "drawing": motion.drawing.as_dict(),
+            "weight": list(motion.weight),
         },
         "prior": study.prior.parameters,
         "optimizer": study.optimizer.parameters,
@@ -237,7 +239,7 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
         "notes": list(study.notes),
         "solution": None,
     }
-    poisson = study.prior.poisson if isinstance(study.prior, ElasticPrior) else 0.0
+    poisson = study.prior.poisson if isinstance(study.prior, Elastic) else 0.0
     arrays: dict[str, Any] = {
         "tissue_labels": tissue.labels,
         "stiffness": tissue.stiffness,
@@ -282,6 +284,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
                 observed=arrays.get("observed"),
                 confidence=arrays.get("counts"),
                 drawing=Drawing.from_dict(motion["drawing"]),
+                weight=_WEIGHT.validate_python(motion.get("weight", ())),
             ),
             prior=prior_from_dict(header["prior"], arrays.get("poisson")),
             optimizer=optimizer_from_dict(header["optimizer"]),

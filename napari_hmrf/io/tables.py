@@ -1,9 +1,10 @@
 """Tables of materials and of boundary rules as comma-separated text, as spreadsheets write it.
 
-Materials have the columns ``label,stiffness`` and, if wanted, ``name`` and ``poisson``; the
-stiffness of what moves as one is the word ``rigid``. Rules have ``label,action`` and, if wanted,
-``name``, ``row`` and ``col`` (how far what moves goes; in a volume ``plane``, too), ``amount`` (by
-how much what expands grows) and ``confidence``.
+Materials have the columns ``label,stiffness`` and, if wanted, ``name``, ``poisson`` and ``growth``
+(0.1: a tenth longer; ``0.1/0``: along rows only); the stiffness of what moves as one is the word
+``rigid``. Rules have ``label,action`` and, if wanted, ``name``, ``row`` and ``col`` (how far what
+moves goes, or how strongly it is pulled; in a volume ``plane``, too), ``amount`` (by how much what
+expands grows, or the pressure) and ``confidence``.
 """
 
 from __future__ import annotations
@@ -47,7 +48,9 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
     """
 
     def row(cells: dict[str, str]) -> dict[str, Any]:
-        named = {"name": f"tissue {cells.get('label')}", **cells}
+        named: dict[str, Any] = {"name": f"tissue {cells.get('label')}", **cells}
+        if "/" in cells.get("growth", ""):
+            named["growth"] = cells["growth"].split("/")
         return {**named, "stiffness": read_stiffness(cells["stiffness"])}
 
     return _read(path, _MATERIALS, row, needed=("label", "stiffness"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -81,6 +81,8 @@ class Request:
         Whether what is dark around the image is no tissue where its label is 0.
     curve : StiffnessCurve, optional
         By which the image's intensity says how stiff tissue is; with `image`, in place of `tissue`.
+    weight : tuple of float
+        As of `Motion`.
     """
 
     tissue: Any = None
@@ -95,6 +97,7 @@ class Request:
     preset: Preset | None = None
     without_border: bool = False
     curve: StiffnessCurve | None = None
+    weight: tuple[float, ...] = ()
 
     @property
     def layers(self) -> tuple[Any, ...]:
@@ -145,7 +148,7 @@ class _Reader:
     def study(self) -> Study:
         request, frame, reference = self._request, self._frame, self._reference
         image = None if request.image is None else self._slice(request.image)
-        tissue, motion = self._tissue(), self._motion()
+        tissue, motion = self._tissue(), replace(self._motion(), weight=request.weight)
         parts = {
             "image": reference,
             "tissue": request.tissue,

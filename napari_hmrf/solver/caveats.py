@@ -9,7 +9,7 @@ import scipy
 
 from napari_hmrf.solver.model_names import converged
 from napari_hmrf.solver.optimizers import Optimizer
-from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior
+from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.quadtree import levels, sampled
 
@@ -28,7 +28,7 @@ def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> tuple[str, 
     prior : SeilerPrior, ElasticPrior or NeoHookeanPrior
     optimizer : ICM or Multigrid
     """
-    if isinstance(prior, ElasticPrior | NeoHookeanPrior):
+    if isinstance(prior, Elastic):
         notes = [_held_exactly(problem) if prior.penalty == math.inf else ""]
     else:
         thin = "" if converged(optimizer.parameters) else _thin_boundary(problem)

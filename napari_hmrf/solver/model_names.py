@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
-#: Linear elasticity; the paper's random field by its schedule; and where its sweeps would end.
-ModelName = Literal["elastic", "paper", "paper, converged"]
+#: Linear elasticity; finite strain; the paper's random field by its schedule; and where its sweeps
+#: would end.
+ModelName = Literal["elastic", "large motion", "paper", "paper, converged"]
 
 # Sweeps that may end only once the energy stands still to so many digits converge, too.
 _STILL = 1e-7

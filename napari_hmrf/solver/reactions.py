@@ -8,7 +8,7 @@ import numpy.typing as npt
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.bodies import Bodies, bodies_of
-from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior
+from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 
@@ -43,7 +43,7 @@ def reactions(
         If the solution is of another problem or prior, or the prior is not elastic.
     """
     prior = ElasticPrior() if prior is None else prior
-    if not isinstance(prior, ElasticPrior | NeoHookeanPrior):
+    if not isinstance(prior, Elastic):
         raise ArgumentError("reactions are known of elastic tissue only: the paper's has no forces")
     given = dict(prior.parameters)
     if problem.is_volume:

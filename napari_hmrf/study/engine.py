@@ -167,7 +167,8 @@ class Engine:
         window = self._rendering.show(drawing)
         if self._overlay is not None and grid.step == 1:
             self._over = self._overlay(ground, drawing, canvas, window, self._over)
-        if not (settle or drawing.marks or canvas.observed.any()):
+        moves = drawing.marks or study.bears_loads or canvas.observed.any()
+        if not (settle or moves):
             raise _StillError
         stated = replace(ground.statement(canvas), optimizer=study.optimizer)
         self._asked = replace(self._asked, stated=stated)

@@ -5,14 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
+from napari_hmrf.solver.body_forces import weight
 from napari_hmrf.solver.caveats import caveats
+from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Optimizer
-from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.problem import FloatArray, Problem, as_stiffness
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
@@ -30,6 +35,7 @@ from napari_hmrf.tissue.boundary_rules import (
 from napari_hmrf.tissue.drawing import Canvas
 from napari_hmrf.tissue.material_presets import OTHER, Palette
 from napari_hmrf.tissue.normals import outer_rim
+from napari_hmrf.tissue.painted_loads import boundary_loads, growth_loads
 from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
 
 #: Stiffness of what is in the picture and of its dark surroundings, where nothing is painted: soft
@@ -46,6 +52,11 @@ _OVER = (
     "make it smaller, or put it further away"
 )
 
+_NO_UNIT = (
+    "forces are in the unit of stiffness, which is not known here: a pressure of 0.1 strains "
+    "tissue of stiffness 1 by about a tenth"
+)
+
 
 @dataclass(frozen=True, eq=False)
 class Statement:
@@ -54,7 +65,7 @@ class Statement:
     Attributes
     ----------
     problem : Problem
-    prior : SeilerPrior or ElasticPrior
+    prior : ElasticPrior, NeoHookeanPrior or SeilerPrior
         With the tissues' own Poisson's ratios, and a penalty where something may slip.
     optimizer : ICM or Multigrid
     at_rest : ndarray of bool, shape ([D,] H, W)
@@ -114,7 +125,7 @@ class Ground:
         ProblemError
             Naming the part, what is wrong with it and what to do.
         """
-        refuse_rigid(study)
+        refuse_unknown(study)
         image = study.pictures.image
         if image is not None and image.dtype.kind == "f" and not np.isfinite(image).any():
             here = "is NaN everywhere in this slice. Choose another image or slice."
@@ -160,14 +171,26 @@ class Ground:
         painted = self.palette.own and m is not self.stiffness
         labels = canvas.labels.copy() if painted else None
         at_rest = np.zeros(m.shape, dtype=bool)
-        if isinstance(prior, ElasticPrior):
+        if isinstance(prior, Elastic):
             at_rest = scraps(m > 0, canvas.confidence > 0)
             if at_rest.any():
                 m = np.where(at_rest, np.float32(0), m)
         prior, c = _with_doubt(prior, canvas.confidence, m)
         with self.study.naming():
-            problem = Problem(canvas.observed, c, m, spacing=self.study.grid.spacing)
+            loads, spacing = self._loads(canvas.labels, m), self.study.grid.spacing
+            problem = Problem(canvas.observed, c, m, spacing=spacing, loads=loads)
         return Statement(problem, prior, self.study.optimizer, at_rest, labels)
+
+    def _loads(self, labels: npt.NDArray[Any], m: FloatArray) -> Loads | None:
+        """What has tissue grow, and what presses and pulls at it."""
+        motion, spacing = self.study.motion, self.study.grid.spacing
+        parts = [growth_loads(labels, self.palette.materials)]
+        if motion.labels is not None:
+            parts.append(boundary_loads(motion.labels, motion.rules, m, spacing=spacing))
+        if any(motion.weight):
+            parts.append(weight(m, motion.weight, spacing=spacing))
+        known = [part for part in parts if part is not None]
+        return reduce(add, known) if known else None
 
     def notes_on(self, statement: Statement) -> tuple[str, ...]:
         """What people should know of a problem as it was understood, as clauses."""
@@ -179,22 +202,30 @@ class Ground:
             still = (self.base.confidence > 0) & (self.base.observed == 0)
             over = (still & problem.known & (problem.observed != 0))[motion.labels != 0].any()
             notes.append(_OVER if over else "" if motion.drawing.marks else _lack(problem))
+        pulled = problem.loads is not None and problem.loads.force is not None
+        notes.append(_NO_UNIT if pulled and not self.study.tissue.unit else "")
         if (image := self.study.pictures.image) is not None:
             notes.append(air_that_is_tissue(image, self.body))
         notes += caveats(problem, statement.prior, statement.optimizer)
         return tuple(filter(None, notes))
 
 
-def refuse_rigid(study: Study) -> None:
-    """Refuse rigid tissue of a prior that cannot have it.
+def refuse_unknown(study: Study) -> None:
+    """Refuse rigid tissue, growth and forces of a prior that cannot have them.
 
     Raises
     ------
     ProblemError
-        Naming the tissue, what in it is rigid and what to do.
+        Naming the tissue, what in it is not known and what to do.
     """
     prior, tissue = study.prior, study.tissue
-    if isinstance(prior, ElasticPrior) and prior.penalty == math.inf:
+    if study.bears_loads and not isinstance(prior, Elastic):
+        raise LayerError(
+            study.named("tissue", "image"),
+            "is to grow, or forces pull at it, of which the paper's model knows nothing. Take the "
+            "elastic model, or a boundary that expands.",
+        )
+    if isinstance(prior, Elastic) and prior.penalty == math.inf:
         return
     labels, rigid = tissue.labels, [row for row in tissue.materials if row.is_rigid]
     painted = [row for row in rigid if labels is not None and row.label in labels]
@@ -283,7 +314,7 @@ def _tissue_of(study: Study) -> Ground:
         if tissue.without_border and image is not None:
             air = dark_border(image, len(shape)) & (tissue.labels == 0)
             m = np.where(air, np.float32(0), m)
-        if isinstance(prior, ElasticPrior):
+        if isinstance(prior, Elastic):
             prior = replace(prior, poisson=poisson_image(tissue.labels, rows))
     elif tissue.stiffness is not None:
         m = as_stiffness(tissue.stiffness)
@@ -325,7 +356,7 @@ def _observe(study: Study, base: Canvas) -> list[str]:
 def _with_doubt(prior: Prior, c: FloatArray, m: FloatArray) -> tuple[Prior, FloatArray]:
     """Have what is less than certain slip where it would take too much, and nothing else."""
     # Beside rigid tissue nothing may slip, and all is held exactly.
-    if not (isinstance(prior, ElasticPrior) and prior.penalty == math.inf):
+    if not (isinstance(prior, Elastic) and prior.penalty == math.inf):
         return prior, c
     doubted = c < 1
     if not (doubted & (c > 0)).any() or np.isinf(m).any():
@@ -336,7 +367,7 @@ def _with_doubt(prior: Prior, c: FloatArray, m: FloatArray) -> tuple[Prior, Floa
 def _lack(problem: Problem) -> str:
     """Say what a painted boundary lacks: something that moves, or that holds the rest."""
     moves, seen = problem.known & (problem.observed != 0), problem.known.any(axis=-1)
-    if not moves.any():
+    if not moves.any() and problem.loads is None:
         return (
             "nothing moves: have something on tissue move or expand, by a distance other than 0 "
             "and with a confidence above 0"

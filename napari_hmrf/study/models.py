@@ -9,7 +9,7 @@ from typing import Any, get_args
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
-from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
+from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.priors.seiler import Conditional
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
@@ -107,11 +107,13 @@ class SolverDetails:
 
 
 _USUAL = SolverDetails()
+#: The models of tissue that is strained.
+ELASTIC: tuple[ModelName, ...] = "elastic", "large motion"
 
 
 def asked(model: ModelName) -> tuple[str, ...]:
     """The details that a model knows, in their order."""
-    if model == "elastic":
+    if model in ELASTIC:
         return "grip", "accuracy", "device"
     if model == "paper":
         return "reading", "method", "sweeps", "energy_change", "penalty", "device"
@@ -125,8 +127,9 @@ def prior_of(
     poisson: float = USUAL_POISSON,
 ) -> Prior:
     """The energy of a model; of tissue by labels their table has Poisson's ratios."""
-    if model == "elastic":
-        return ElasticPrior(poisson, plane=plane, penalty=details.grip or math.inf)
+    if model in ELASTIC:
+        kind = ElasticPrior if model == "elastic" else NeoHookeanPrior
+        return kind(poisson, plane=plane, penalty=details.grip or math.inf)
     return SeilerPrior(penalty=details.penalty or None, conditional=details.reading)
 
 
@@ -170,6 +173,8 @@ def details_of(prior: Prior, optimizer: Optimizer) -> SolverDetails:
 
 def family_of(prior: Prior, optimizer: Optimizer) -> ModelName:
     """The model of a menu that these two belong to."""
+    if isinstance(prior, NeoHookeanPrior):
+        return "large motion"
     if isinstance(prior, ElasticPrior):
         return "elastic"
     return "paper, converged" if isinstance(optimizer, Multigrid) else "paper"

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy.typing as npt
 
-from napari_hmrf.errors import ArgumentError, ProblemError
+from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
-from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior
+from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.study.layer_names import naming
 from napari_hmrf.study.models import chosen
-from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
@@ -114,6 +114,9 @@ class Motion:
         How sure what is observed is, 0 (not at all) to 1. Needed beside `observed`.
     drawing : Drawing
         What was drawn with a pointer: pulls, landmarks, and strokes of a brush.
+    weight : tuple of float
+        What pulls at each part of all tissue, along each axis: density times acceleration, in the
+        unit of stiffness per length; empty if nothing does.
     """
 
     hold_edge: bool = False
@@ -122,6 +125,7 @@ class Motion:
     observed: Array | None = None
     confidence: Array | None = None
     drawing: Drawing = field(default_factory=Drawing)
+    weight: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if (self.observed is None) != (self.confidence is None):
@@ -159,10 +163,10 @@ class Study:
     grid : Grid
     tissue : Tissue
     motion : Motion
-    model : {"elastic", "paper", "paper, converged"}, optional
+    model : {"elastic", "large motion", "paper", "paper, converged"}, optional
         What tissue is taken to be, and how far that is solved, in a word; it sets the two that
         follow. By default elastic. `model_name` says which it is.
-    prior : SeilerPrior or ElasticPrior
+    prior : ElasticPrior, NeoHookeanPrior or SeilerPrior
         The energy; where tissues are labels, Poisson's ratios are those of their table.
     optimizer : ICM or Multigrid
         How it is minimised.
@@ -212,9 +216,10 @@ class Study:
         if model:
             for name, value in zip(("prior", "optimizer"), chosen(model), strict=True):
                 object.__setattr__(self, name, value)
-        if isinstance(self.prior, NeoHookeanPrior):
-            raise ArgumentError("a study has no large motion yet. Give its problem to solve().")
         needed = self.grid.shape
+        if len(self.motion.weight) not in (0, len(needed)):
+            given = f"has a weight of {len(self.motion.weight)} components"
+            raise ProblemError("motion", f"{given}. Give {len(needed)}, one along each axis.")
         for what, part in (
             ("image", self.pictures.image),
             ("tissue", self.tissue.labels),
@@ -247,7 +252,14 @@ class Study:
         """Whether anything is said of how tissue moves, but that its edge is held."""
         motion = self.motion
         given = (motion.drawing.marks, motion.labels is not None, motion.observed is not None)
-        return any(given)
+        return any(given) or self.bears_loads
+
+    @property
+    def bears_loads(self) -> bool:
+        """Whether tissue is to grow, or forces pull at it."""
+        motion = self.motion
+        forces = any(motion.weight) or any(rule.action in FORCES for rule in motion.rules)
+        return forces or any(row.grows for row in self.tissue.materials)
 
     def named(self, *parts: str) -> str:
         """What people call a part: the first of these that has a name."""
@@ -284,6 +296,9 @@ class Study:
             observed=boundary,
             confidence=names.get("confidence") or boundary,
             spacing=names.get("image") or tissue,
+            growth=tissue,
+            surface=names.get("boundary"),
+            force=names.get("boundary"),
         ):
             yield
 

@@ -1,8 +1,9 @@
 """From painted labels and two small tables to the images the method takes.
 
-A *material* says how stiff the tissue under a label is; a *boundary rule* says how the tissue under
-a label was seen to move, and how sure that is. Both tables belong to integer label images, as
-napari's Labels layers hold them; nothing here needs napari.
+A *material* says how stiff the tissue under a label is, and how it grows; a *boundary rule* says
+how the tissue under a label was seen to move and how sure that is, or what presses or pulls there.
+Both tables belong to integer label images, as napari's Labels layers hold them; nothing here needs
+napari.
 """
 
 from __future__ import annotations
@@ -21,7 +22,11 @@ from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.solver.problem import FloatArray, as_numbers
 from napari_hmrf.tissue.normals import outward_normals
 
-Action = Literal["fixed", "move", "expand"]
+Action = Literal["fixed", "move", "expand", "press", "pull"]
+#: Those that are forces, and observe nothing.
+FORCES: tuple[Action, ...] = "press", "pull"
+#: In all directions, or along each axis of the image.
+Growth = float | tuple[float, ...]
 
 #: The common choice for soft tissue, where nothing better is known.
 USUAL_POISSON = 0.45
@@ -52,12 +57,16 @@ class Material:
     poisson : float
         Poisson's ratio, 0 to 0.499; only elastic tissue knows it, and neither void nor what is
         rigid has one.
+    growth : float or tuple of float
+        How much longer it would be if it were free: 0.1 is a tenth. In all directions, or along
+        (row, col), in a volume (plane, row, col); neither void nor what is rigid grows.
     """
 
     label: int
     name: str
     stiffness: float
     poisson: float = USUAL_POISSON
+    growth: Growth = 0.0
 
     @property
     def is_rigid(self) -> bool:
@@ -69,9 +78,16 @@ class Material:
         """Whether it is tissue that changes its shape: neither void nor rigid."""
         return 0 < real(self.stiffness) < RIGID
 
+    @property
+    def grows(self) -> bool:
+        """Whether it is to become longer, or shorter, by itself."""
+        return self.is_deformable and bool(np.any(self.growth))
+
     def as_row(self) -> dict[str, Any]:
         """The material in JSON types, which have no infinite number: the stiffness is "rigid"."""
         row = asdict(self)
+        if not self.grows:  # so that earlier versions read it
+            del row["growth"]
         return {**row, "stiffness": _RIGID} if self.is_rigid else row
 
     @classmethod
@@ -88,14 +104,17 @@ class BoundaryRule:
     ----------
     label : int
         Its value in the label image, above 0: what is unpainted is not observed.
-    action : {"fixed", "move", "expand"}
+    action : {"fixed", "move", "expand", "press", "pull"}
         The tissue under the label stays where it is, moves by `vector`, or moves outward by
-        `amount` (inward where negative): all of a ring, but only the rim of a patch.
+        `amount` (inward where negative): all of a ring, but only the rim of a patch. Or it is free,
+        and its surface under the label, where tissue ends, is pressed on by `amount`, or pulled at
+        by `vector`.
     vector : tuple of float
         Displacement in (row, col) direction, in the unit of the pixel spacing; in a volume across
-        no plane, unless it is (plane, row, col).
+        no plane, unless it is (plane, row, col). Of a pull a force per area, in that of stiffness.
     amount : float
-        Displacement along the outward normal, in the unit of the pixel spacing.
+        Displacement along the outward normal, in the unit of the pixel spacing; of a pressure a
+        force per area against it, in the unit of stiffness.
     confidence : tuple of float
         How sure the (row, col) component is, from 0 (not observed) to 1 (complete); in a volume
         that across planes is as sure as the surer of these, unless it is (plane, row, col).
@@ -168,7 +187,7 @@ def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> Flo
         if not (0 <= stiffness <= LARGEST_STIFFNESS or stiffness == RIGID):
             raise ProblemError(
                 "stiffness",
-                f"gives {_quoted(material)} a stiffness of {shown(material.stiffness)}. Give a "
+                f"gives {quoted(material)} a stiffness of {shown(material.stiffness)}. Give a "
                 f"number above 0 (up to {LARGEST_STIFFNESS:.2g}), 0 where there is no tissue, or "
                 "'rigid' for what moves as one.",
             )
@@ -202,7 +221,7 @@ def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float
         if not low <= real(material.poisson) <= high:
             raise ProblemError(
                 "stiffness",
-                f"gives {_quoted(material)} a Poisson's ratio of {shown(material.poisson)}. Give a "
+                f"gives {quoted(material)} a Poisson's ratio of {shown(material.poisson)}. Give a "
                 f"number from {low:g} to {high:g}.",
             )
     if len({material.poisson for material in tissues}) <= 1:
@@ -237,8 +256,8 @@ def boundary_images(
     observed : ndarray, shape ([D,] H, W, n), float32
         Material displacement in the order of the axes, in the unit of `spacing`.
     confidence : ndarray, shape ([D,] H, W, n), float32
-        Confidence per component; 0 where nothing is painted, inside a patch that expands, and on
-        an expanding spot so small that it has no direction.
+        Confidence per component; 0 where nothing is painted or a force acts, inside a patch that
+        expands, and on an expanding spot so small that it has no direction.
 
     Raises
     ------
@@ -256,11 +275,13 @@ def boundary_images(
     for label in present:
         rule = table[int(label)]
         painted = image == label
+        if rule.action in FORCES:
+            continue
         c[painted] = (*(max(rule.confidence),) * (n - len(rule.confidence)), *rule.confidence)
         if rule.action == "move":
             y[painted] = (*(0.0,) * (n - len(rule.vector)), *rule.vector)
         elif rule.action == "expand":
-            normals = outward_normals(painted, sizes, _quoted(rule))
+            normals = outward_normals(painted, sizes, quoted(rule))
             y[painted] = np.float32(rule.amount) * normals[painted]
             c[painted & ~normals.any(axis=-1)] = 0
     return y, c
@@ -309,7 +330,11 @@ def _check_rule(rule: BoundaryRule, n: int) -> None:
     sure = all(0 <= value <= 1 for value in confidence)
     for field, right, needed in (
         ("observed", rule.label > 0, "a label above 0: 0 is what is unpainted"),
-        ("observed", is_one_of(rule.action, get_args(Action)), '"fixed", "move" or "expand"'),
+        (
+            "observed",
+            is_one_of(rule.action, get_args(Action)),
+            '"fixed", "move", "expand", "press" or "pull"',
+        ),
         ("observed", all(map(math.isfinite, lengths)), "(row, col), or an amount"),
         ("confidence", sure, "the confidence as two values from 0 to 1, (row, col)"),
     ):
@@ -317,7 +342,8 @@ def _check_rule(rule: BoundaryRule, n: int) -> None:
             raise ProblemError(field, f"has {shown(rule)} as a rule. Give {needed}.")
 
 
-def _quoted(row: Material | BoundaryRule) -> str:
+def quoted(row: Material | BoundaryRule) -> str:
+    """Which row of a table it is, by its label and its name."""
     return f"label {row.label} ({row.name})" if row.name else f"label {row.label}"
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.resources import resource_folder
-from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.tissue.boundary_rules import (
     Material,
     default_rigid,
@@ -162,7 +162,7 @@ class Palette:
         now = labels[changed][None]
         m = m.copy()
         m[changed] = stiffness_image(now, self.materials)[0] / np.float32(self.one)
-        if isinstance(prior, ElasticPrior):
+        if isinstance(prior, Elastic):
             ratios = np.broadcast_to(np.asarray(prior.poisson, dtype=np.float32), m.shape).copy()
             ratios[changed] = np.broadcast_to(poisson_image(now, self.materials), now.shape)[0]
             same = np.unique(ratios[(m > 0) & np.isfinite(m)])

@@ -37,6 +37,8 @@ _WORDS = {
     "confidence": "chose what says how sure the boundary is",
     "border": "changed whether the dark border is tissue",
     "edge": "changed whether the edge is held",
+    "way": "changed which way weight pulls",
+    "weight": "changed the weight",
     "extent": "changed between slice and volume",
 }
 
@@ -71,6 +73,8 @@ class Choices:
             "confidence": motion.boundary.confidence,
             "border": form.tissue.border,
             "edge": motion.edge,
+            "weight": motion.weight.amount,
+            "way": motion.weight.way,
             "extent": form.extent,
         }
         self._beginning = self.values
@@ -150,6 +154,7 @@ class Choices:
             preset=form.motion.fields.preset.value,
             without_border=form.tissue.border.value,
             curve=form.tissue.curve,
+            weight=form.motion.weight.vector,
         )
 
     def look(self, *_: Any) -> None:

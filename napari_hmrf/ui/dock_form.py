@@ -86,9 +86,10 @@ class DockForm:
         self.footer = Footer(f"Tools: {keys}.")
         self.tissue.edited.connect(self._on_tissue)
         model, motion = self.model, self.motion
-        fields = (self.extent, model, model.in_detail, motion.edge, motion.fields.preset)
+        fields = (self.extent, model, model.in_detail, motion.edge, motion.weight)
+        presets = motion.fields.preset
         parts = (self.tissue.edited, motion.boundary.edited)
-        for told in (*parts, *(field.changed for field in fields)):
+        for told in (*parts, *(field.changed for field in (*fields, presets))):
             told.connect(self.edited, max_args=0)
         self._assemble(outer)
 
@@ -110,10 +111,11 @@ class DockForm:
         """Those of tissues and of boundaries."""
         return self.tissue.table, self.motion.boundary.table
 
-    def show_place(self, unit: str, ways: Directions) -> None:
-        """Say in which unit lengths are, and which way rows and columns run."""
+    def show_place(self, unit: str, ways: Directions, stiffness: str) -> None:
+        """Say in which unit lengths and stiffness are, and which way rows and columns run."""
         self.motion.fields.show_place(unit, ways)
-        self.motion.boundary.table.show_place(unit, ways)
+        for part in (self.motion.boundary.table, self.motion.weight):
+            part.show_place(unit, ways, stiffness)
 
     def release(self) -> None:
         """Stop listening to layers."""

@@ -47,6 +47,8 @@ class Footer(QWidget):
         Their tooltips say what they would do.
     chip : QPushButton
         There only when there is something to know of the tissue that is seen.
+    unfold : QPushButton
+        There only when another model would mend it.
     """
 
     def __init__(self, tools: str = "") -> None:
@@ -60,6 +62,7 @@ class Footer(QWidget):
         self.help = PushButton(text="?", tooltip=_HELP + tools)
         self.help.native.setFixedWidth(28)
         self.chip = QPushButton()
+        self.unfold = QPushButton("Take large motion, which never folds")
         self.warning = ""
         self._status = Prose(_LINES)
         layout = QVBoxLayout(self)
@@ -69,12 +72,13 @@ class Footer(QWidget):
         self._rows = row(self.live, self.undo, self.redo, self.help), row(self.deform, self.cancel)
         self.chip.setStyleSheet(_CHIP)
         self.chip.hide()
+        self.unfold.hide()
         words = self._status.native
         words.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         words.setContentsMargins(4, 0, 4, 0)
         for each in self._rows:
             each.margins = (2, 0, 2, 0)
-        for part in (words, self.chip, *(each.native for each in self._rows)):
+        for part in (words, self.chip, self.unfold, *(each.native for each in self._rows)):
             layout.addWidget(part)
         self.help.changed.connect(self._show_help)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)

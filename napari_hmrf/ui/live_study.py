@@ -24,7 +24,7 @@ from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.study.coarse_grid import CoarseGrid, Plane
-from napari_hmrf.study.ground import refuse_rigid
+from napari_hmrf.study.ground import refuse_unknown
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, first_curve
@@ -108,6 +108,7 @@ class LiveStudy:
         form.footer.live.changed.connect(self.touch)
         pointer.drawn.connect(self._on_drawn)
         form.footer.chip.clicked.connect(self._on_chip)
+        form.footer.unfold.clicked.connect(self._unfold)
 
     # What there is
 
@@ -272,7 +273,7 @@ class LiveStudy:
         if not (unpainted or request.drawing.marks or request.boundary is None):
             request = replace(request, drawing=None)  # it is refused in words of its own
         study = self.read(request)
-        refuse_rigid(study)
+        refuse_unknown(study)
         return self._stand_on(study, request.layers[0])
 
     def _stand_on(self, study: Study, source: Any) -> Study:
@@ -291,7 +292,7 @@ class LiveStudy:
             self.moved_on.emit(study)
         ways = ways_of(place.place, self._viewer)
         self.curve_layer.show(study, source)
-        self.form.show_place(unit_symbol(place.unit), ways)
+        self.form.show_place(unit_symbol(place.unit), ways, study.tissue.unit)
         return self._with_drawing(study)
 
     def _with_drawing(self, study: Study) -> Study:
@@ -422,6 +423,7 @@ class LiveStudy:
         """Say of the latest result what is to be known, if it is of what is worked on."""
         done = self._latest_here
         self.form.footer.warn(*(("",) if done is None else messages.warnings_of(done)))
+        self.form.footer.unfold.setVisible(done is not None and messages.can_unfold(done))
 
     def _cannot(self, error: Exception) -> None:
         """The tissue does not follow; the last result stays."""
@@ -457,6 +459,10 @@ class LiveStudy:
         elif overlay.value in MARKS:
             overlay.value = NOTHING
         self.said.emit(f"{self.form.footer.warning} {went}".rstrip())
+
+    def _unfold(self) -> None:
+        """Take the model that folds nothing."""
+        self.form.model.model.value = "large motion"
 
     def _go_to_most(self, latest: Done, mark: Mark) -> str:
         """Show the slice of a volume in which most sites are marked, and say which that is."""

@@ -16,7 +16,7 @@ from qtpy.QtWidgets import QRadioButton
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
-from napari_hmrf.study.models import SolverDetails, asked, optimizer_of, prior_of
+from napari_hmrf.study.models import ELASTIC, SolverDetails, asked, optimizer_of, prior_of
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.forms import Prose, align_labels, menu, narrow
@@ -130,7 +130,7 @@ class ModelForm(Container):
     @property
     def is_elastic(self) -> bool:
         """Whether Poisson's ratios count."""
-        return bool(self.model.value == "elastic")
+        return self.model.value in ELASTIC
 
     @property
     def prior(self) -> Prior:

@@ -22,6 +22,7 @@ from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Table, tissue_recorded
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.tissue.boundary_rules import (
+    FORCES,
     LARGEST_STIFFNESS,
     RIGID,
     Action,
@@ -38,19 +39,25 @@ from napari_hmrf.ui.label_table import Column, LabelTable
 from napari_hmrf.ui.messages import ABOUT_POISSON
 
 #: How the table calls what a boundary does.
-_ACTIONS: dict[Action, str] = {"fixed": "fixed", "move": "moves", "expand": "expands"}
+_ACTIONS: dict[Action, str] = {
+    "fixed": "fixed",
+    "move": "moves",
+    "expand": "expands",
+    "press": "is pressed",
+    "pull": "is pulled",
+}
 _BY_WORD = {word: action for action, word in _ACTIONS.items()}
 _FILES = f"Materials (*{ENDING})"
 
 
 class MaterialTable(LabelTable):
-    """Label, name, stiffness and Poisson's ratio; `rows` are `Material`s."""
+    """Label, name, stiffness, Poisson's ratio and growth; `rows` are `Material`s."""
 
     role, title = TISSUE, "Tissue"
 
     @property
     def columns(self) -> list[Column]:
-        """Stiffness in the unit that is known, and Poisson's ratio."""
+        """Stiffness in the unit that is known, Poisson's ratio, and growth."""
         unit = self.contents.unit  # shown only, for ratios are what matters
         return [
             *super().columns,
@@ -67,6 +74,14 @@ class MaterialTable(LabelTable):
                 f"{ABOUT_POISSON}\nThe paper's model does not ask for it.",
                 lambda row: f"{row.poisson:g}" if row.is_deformable else "",
                 _poisson,
+            ),
+            Column(
+                "grows\n%",
+                "How much longer it would be if it were free, below 0 shorter: 26 % is twice the "
+                "volume.\nTwo numbers, such as 20 / 0: along rows and columns apart.\nNot in the "
+                "paper's model.",
+                lambda row: _growth_in_words(row) if row.is_deformable else "",
+                _growth,
             ),
         ]
 
@@ -91,27 +106,42 @@ def _poisson(material: Material, text: str) -> Material:
     return replace(material, poisson=poisson)
 
 
+def _growth_in_words(material: Material) -> str:
+    parts = material.growth if isinstance(material.growth, tuple) else (material.growth,)
+    return " / ".join(f"{round(100 * part, 9):g}" for part in parts)
+
+
+def _growth(material: Material, text: str) -> Material:
+    parts = tuple(number_of(part) / 100 for part in text.split("/"))
+    if len(parts) > 3 or not all(-1 < part < math.inf for part in parts):
+        raise ValueError("Growth must be a number of per cent above -100, or two: 20 / 0")
+    return replace(material, growth=parts if len(parts) > 1 else parts[0])
+
+
 class BoundaryTable(LabelTable):
     """Label, name, action, distances and confidence; `rows` are `BoundaryRule`s."""
 
     role, title = BOUNDARY, "Boundary"
-    _place = "px", Directions()
+    _place = "px", Directions(), ""
 
     @property
     def columns(self) -> list[Column]:
         """Distances in the unit of the image, along the ways of the patient or the screen."""
-        unit, ways = self._place
+        unit, ways, stiffness = self._place
+        per_area = stiffness or "stiffness"
         return [
             *super().columns,
             Column(
                 "Action",
                 "Fixed: stays where it is.\nMoves: so far along the rows and the columns.\n"
-                "Expands: so far outward; what is painted must be a closed ring or filled",
+                "Expands: so far outward; what is painted must be a closed ring or filled.\n"
+                "Is pressed, is pulled: by a force per area, where tissue ends under the paint",
                 lambda row: _ACTIONS[row.action],
-                lambda row, text: replace(row, action=_BY_WORD[text]),
+                _act,
                 tuple(_BY_WORD),
             ),
-            *(_along(axis, unit, ways) for axis in (0, 1)),
+            *(_along(axis, unit, ways, "move") for axis in (0, 1)),
+            *(_along(axis, per_area, ways, "pull") for axis in (0, 1)),
             _distance(
                 "out",
                 "How far outward; negative: inward",
@@ -119,18 +149,25 @@ class BoundaryTable(LabelTable):
                 lambda row: row.amount if row.action == "expand" else None,
                 lambda row, amount: replace(row, amount=amount),
             ),
+            _distance(
+                "pressure",
+                "Force per area onto the surface; negative: it sucks",
+                per_area,
+                lambda row: row.amount if row.action == "press" else None,
+                lambda row, amount: replace(row, amount=amount),
+            ),
             Column(
                 "confi-\ndence",
                 "How sure: 0 to 1.\nTwo numbers, such as 1 / 0.5: for rows and columns apart",
-                lambda row: " / ".join(f"{part:g}" for part in dict.fromkeys(row.confidence)),
+                _sure_in_words,
                 _sure,
             ),
         ]
 
-    def show_place(self, unit: str, ways: Directions) -> None:
-        """Say in which unit amounts are, and which way rows and columns run."""
-        if (unit, ways) != self._place:
-            self._place = unit, ways
+    def show_place(self, unit: str, ways: Directions, stiffness: str) -> None:
+        """Say in which unit amounts and forces are, and which way rows and columns run."""
+        if (place := (unit, ways, stiffness)) != self._place:
+            self._place = place
             self._fill()
 
     def default(self, label: int) -> BoundaryRule:
@@ -138,8 +175,15 @@ class BoundaryTable(LabelTable):
         return default_rule(label)
 
 
-def _along(axis: int, unit: str, ways: Directions) -> Column:
-    """How far what moves does, along the rows or the columns."""
+def _act(rule: BoundaryRule, text: str) -> BoundaryRule:
+    """The rule with another action; a distance is no force."""
+    now = replace(rule, action=_BY_WORD[text])
+    same = (now.action in FORCES) == (rule.action in FORCES)
+    return now if same else replace(now, vector=(0.0, 0.0), amount=0.0)
+
+
+def _along(axis: int, unit: str, ways: Directions, action: Action) -> Column:
+    """How far what moves does, or how strongly it is pulled, along the rows or the columns."""
 
     def typed(rule: BoundaryRule, amount: float) -> BoundaryRule:
         *deep, down, along = ways.seen(rule.vector)
@@ -147,7 +191,7 @@ def _along(axis: int, unit: str, ways: Directions) -> Column:
         return replace(rule, vector=ways.along(seen))
 
     def seen(rule: BoundaryRule) -> float | None:
-        return ways.seen(rule.vector)[axis - 2] if rule.action == "move" else None
+        return ways.seen(rule.vector)[axis - 2] if rule.action == action else None
 
     return _distance(ways.label(axis), ways.about(axis), unit, seen, typed)
 
@@ -167,11 +211,17 @@ def _distance(
 
     def typed(rule: BoundaryRule, text: str) -> BoundaryRule:
         if not math.isfinite(far := number_of(text)):
-            raise ValueError(f"A distance must be a number, in {unit}")
+            raise ValueError(f"This must be a number, in {unit}")
         return changed(rule, far)
 
     words = title.replace("along ", "along\n")  # the dock is narrow
     return Column(f"{words}\n{unit}", f"{about}, in {unit}", shown, typed)
+
+
+def _sure_in_words(rule: BoundaryRule) -> str:
+    """Of forces there is no doubt."""
+    parts = () if rule.action in FORCES else dict.fromkeys(rule.confidence)
+    return " / ".join(f"{part:g}" for part in parts)
 
 
 def _sure(rule: BoundaryRule, text: str) -> BoundaryRule:

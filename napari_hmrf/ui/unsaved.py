@@ -35,7 +35,7 @@ from napari_hmrf.layers.edit_history import (
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.read import study_layers
 from napari_hmrf.layers.viewer_layers import shared
-from napari_hmrf.solver.priors import ElasticPrior
+from napari_hmrf.solver.priors import Elastic
 from napari_hmrf.study.models import details_of, family_of
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing.drawing import ends_of
@@ -149,11 +149,11 @@ class Unsaved(QObject):
             dock.extent = "volume" if len(study.grid.shape) == 3 else "slice"
             if study.tissue.curve is not None:
                 dock.curve = study.tissue.curve
-            dock.hold_edge = study.motion.hold_edge
+            dock.hold_edge, dock.weight = study.motion.hold_edge, study.motion.weight
             dock.without_border = study.tissue.without_border
             dock.model = family_of(study.prior, study.optimizer)
             dock.settings = details_of(study.prior, study.optimizer)
-            if isinstance(study.prior, ElasticPrior):
+            if isinstance(study.prior, Elastic):
                 dock.plane = study.prior.plane
                 if np.ndim(study.prior.poisson) == 0:
                     dock.poisson = float(study.prior.poisson)

@@ -90,8 +90,8 @@ class NeoHookeanPrior:
         if problem.is_volume:
             raise ProblemError(
                 "stiffness",
-                "is a volume, but large motion is for 2-D. Take ElasticPrior() for volumes, or "
-                "solve a slice.",
+                "is a volume, but large motion is for 2-D. Take the elastic model for volumes, or "
+                "deform a slice.",
             )
         _check_growth(problem)
         self.at_rest.resolved(problem)

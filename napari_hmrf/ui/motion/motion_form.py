@@ -17,6 +17,7 @@ from napari_hmrf.layers.slice_view import View
 from napari_hmrf.ui.forms import row
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.motion.tools import TOOLS, Tool
+from napari_hmrf.ui.motion.weight_form import WeightForm
 from napari_hmrf.ui.tissue_form import BoundarySection
 
 #: How many tools lie beside each other.
@@ -44,6 +45,7 @@ class MotionForm(Container):
         By the name of the tool.
     fields : ToolFields
     edge : CheckBox
+    weight : WeightForm
     boundary : BoundarySection
     remove, clear : PushButton
 
@@ -63,11 +65,13 @@ class MotionForm(Container):
             tooltip="The outline of the tissue, and what lies at the edge of the image, stay where "
             "they are, unless they are moved themselves; holes in the tissue are free",
         )
+        self.weight = WeightForm()
         self.boundary = BoundarySection(layers, view)
         self.remove = PushButton(text="Remove", enabled=False, tooltip="What is selected (Delete)")
         self.clear = PushButton(text="Remove all", enabled=False, tooltip="All that is drawn")
         drawn = row(self.remove, self.clear)
-        super().__init__(widgets=[self.fields, drawn, self.edge, self.boundary], labels=False)
+        parts = [self.fields, drawn, self.edge, self.boundary, self.weight]
+        super().__init__(widgets=parts, labels=False)
         for container in (drawn, self.boundary):
             container.margins = (0, 0, 0, 0)
         grid = QGridLayout()
