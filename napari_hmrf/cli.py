@@ -17,6 +17,7 @@ from napari_hmrf.samples.demo import SAMPLE_SIZE
 from napari_hmrf.samples.head import SAMPLE_SIZE as VOLUME_SIZE
 from napari_hmrf.samples.phantoms import PHANTOM_NAMES, SMALLEST
 from napari_hmrf.solver.backends import BACKEND_NAMES
+from napari_hmrf.solver.caveats import shortfall
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.priors import Elastic, Prior
@@ -322,6 +323,9 @@ def _solve(options: argparse.Namespace) -> int:
     )
     saved = solve_case(case, options.out, backend=options.backend)
     print(f"solved: {saved.solution!r}")
+    reach = None if saved.solution is None else saved.solution.reach
+    if short := shortfall(reach, saved.study.grid.unit):
+        print(f"note: {short}")
     written = ", ".join(sorted(path.name for path in options.out.iterdir()))
     print(f"in {options.out}: {written}")
     return 0

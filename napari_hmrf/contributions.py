@@ -19,8 +19,15 @@ def sample_expansion() -> list[LayerData]:
     return _sample("expansion")
 
 
-def sample_mass_effect() -> list[LayerData]:
+def sample_growth() -> list[LayerData]:
     """Open the brain with a growing tumour."""
+    from napari_hmrf.samples.phantoms import sample
+
+    return phantom_layers(sample("mass-effect").growing())
+
+
+def sample_mass_effect() -> list[LayerData]:
+    """Open the brain with a tumour whose rim is pushed, as in the paper."""
     return _sample("mass-effect")
 
 

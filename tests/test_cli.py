@@ -92,7 +92,7 @@ def test_the_demo_has_no_finite_elements_at_other_sizes(tmp_path, capsys):
     assert demo(tmp_path, "--size", "40", "--phantom", "mass-effect") == 0
     measured = table(capsys.readouterr().out)
     assert measured[FEM] == "-"
-    assert measured["sample"] == "Brain with a growing tumour, 40 x 40"
+    assert measured["sample"] == "Brain with a tumour whose rim is pushed, 40 x 40"
 
 
 def test_elastic_tissue_of_the_same_material_is_the_finite_element_field(tmp_path, capsys):
@@ -116,7 +116,7 @@ def test_the_demo_goes_on_to_convergence_when_asked(tmp_path, capsys):
 @pytest.mark.parametrize("option", [("--poisson", "0.3"), ("--plane", "strain")])
 def test_the_papers_prior_has_no_poisson_ratio_to_give(tmp_path, capsys, option):
     assert demo(tmp_path, "--size", "40", "--model", "paper", *option) == 1
-    assert "are for --model elastic" in capsys.readouterr().err
+    assert "are for elastic tissue" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
@@ -399,7 +399,7 @@ def test_slices_of_a_volume_are_drawn_where_they_meet_with_the_head_up(
     ("option", "said"),
     [
         (("--plane", "strain"), "--plane is for slices"),
-        (("--model", "paper", "--poisson", "0.3"), "are for --model elastic"),
+        (("--model", "paper", "--poisson", "0.3"), "are for elastic tissue"),
         (("--size", "20"), "at least 24"),
     ],
 )

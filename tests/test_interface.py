@@ -17,6 +17,7 @@ from napari_hmrf import (
     LiveSolver,
     Material,
     Multigrid,
+    NeoHookeanPrior,
     Picture,
     Problem,
     Provenance,
@@ -132,17 +133,19 @@ def test_whatever_has_a_choice_is_in_that_list():
 
 def test_tissue_is_elastic_unless_a_script_asks_for_the_papers_and_a_result_says_which(tmp_path):
     problem = napari_hmrf.phantom("mass-effect", 32).problem
-    usual, elastic, papers, converged = (
+    usual, elastic, large, papers, converged = (
         solve(problem, backend="cpu"),
         solve(problem, ElasticPrior(), optimizer=Multigrid(), backend="cpu"),
+        solve(problem, NeoHookeanPrior(), backend="cpu"),
         solve(problem, SeilerPrior(), backend="cpu"),
         solve(problem, SeilerPrior(), optimizer=Multigrid(), backend="cpu"),
     )
     np.testing.assert_array_equal(usual.displacement, elastic.displacement)
-    assert [each.provenance.model for each in (usual, papers, converged)] == [*get_args(ModelName)]
+    models = usual, large, papers, converged
+    assert [each.provenance.model for each in models] == [*get_args(ModelName)]
     assert papers.iterations == 6 * 70
     assert np.abs(papers.displacement - usual.displacement).max() > 0.1
-    for solution in (usual, papers, converged):
+    for solution in models:
         path = solution.save(tmp_path / "kept.npz")
         assert Solution.load(path).provenance.model == solution.provenance.model
         with np.load(path, allow_pickle=False) as file:

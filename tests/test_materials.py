@@ -66,7 +66,7 @@ def spoilt(**changes):
     [
         ([], "no file of materials"),
         ({"format": "something else"}, "no file of materials"),
-        (spoilt(version=3), "newer napari-hmrf"),
+        (spoilt(version=4), "newer napari-hmrf"),
         (spoilt(version="1"), "version is '1'. It should be: integer"),
         (spoilt(version=True), "version is 'True'"),
         (spoilt(unit=3), "unit is '3'. It should be: string"),

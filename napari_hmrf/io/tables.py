@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,6 +22,8 @@ from pydantic import TypeAdapter, ValidationError
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError
+from napari_hmrf.field.directions import Directions
+from napari_hmrf.field.held_forces import HeldForce
 from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.field.units import as_seen
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material, read_stiffness
@@ -116,6 +119,40 @@ def measurements_in_words(
     }
     axes = 3 if volume else 2
     return [*columns], [[_in_words(row, name, axes) for name in columns.values()] for row in rows]
+
+
+def forces_in_words(
+    rows: Sequence[HeldForce], ways: Directions, stiffness: str, unit: str
+) -> tuple[list[str], list[list[str]]]:
+    """Say what it takes to hold and to move tissue, for people to read.
+
+    Parameters
+    ----------
+    rows : sequence of HeldForce
+    ways : Directions
+        Along which forces are told.
+    stiffness, unit : str
+        The unit of stiffness, "" if that is not known, and that of lengths.
+
+    Returns
+    -------
+    titles : list of str
+        Of the columns.
+    cells : list of list of str
+        Of each row.
+    """
+    volume = len(ways.order) == 3
+    content, site = ("²", "voxel") if volume else ("", "pixel")
+    of = f"{stiffness or 'stiffness'} {unit}{content}"
+    titles = ["what", f"around {site}", f"{site}s", f"force ({of})", "which way"]
+    cells = []
+    for row in rows:
+        seen = tuple(float(f"{part:.3g}") for part in ways.seen(row.force))
+        size = math.hypot(*row.force)
+        where = ", ".join(f"{round(along)}" for along in row.centre)
+        what = "moved" if row.moves else "held"
+        cells.append([what, where, f"{row.sites}", f"{size:.3g}", ways.step(seen)])
+    return titles, cells
 
 
 def _in_words(row: Measurement, name: str, axes: int) -> str:

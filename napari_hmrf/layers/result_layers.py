@@ -32,6 +32,7 @@ from napari_hmrf.field.deformation import (
     spread,
 )
 from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.held_forces import HeldForce
 from napari_hmrf.field.quantities import QUANTITIES, Coloured, Quantity, coloured, title_and_unit
 from napari_hmrf.field.resample import emptiness, resample
 from napari_hmrf.field.units import unit_symbol
@@ -67,6 +68,10 @@ class LayerData(NamedTuple):
     kind: str
 
 
+#: What it takes to hold and to move each part of a result, computed when it is asked for.
+Forces = Callable[[], tuple[HeldForce, ...]]
+
+
 @dataclass(frozen=True, eq=False)
 class Answer:
     """A solution, where it lies, and what moves with it: what a layer of arrows holds.
@@ -82,12 +87,15 @@ class Answer:
         from a file.
     problem : Problem, optional
         What was solved; not known of a result from a file.
+    forces : callable, optional
+        Returns what it takes to hold and to move its parts; not known of a result from a file.
     """
 
     solution: Solution
     frame: Frame
     pictures: Pictures = field(default_factory=Pictures)
     problem: Problem | None = None
+    forces: Forces | None = None
 
     @property
     def unit(self) -> str:
@@ -163,6 +171,7 @@ def result_layers(
     pictures: Pictures | None = None,
     checkpoint: Callable[[], None] = lambda: None,
     problem: Problem | None = None,
+    forces: Forces | None = None,
 ) -> Outputs:
     """Turn a solution into layer data; the one way to do so. Needs neither window nor layer.
 
@@ -175,8 +184,8 @@ def result_layers(
         What to deform with it.
     checkpoint : callable
         Called between the parts; raises to stop the work.
-    problem : Problem, optional
-        What was solved.
+    problem, forces
+        As `Answer` has them.
 
     Returns
     -------
@@ -198,7 +207,7 @@ def result_layers(
     for name in digests:
         checkpoint()
         digests[name]  # made when it is looked at first
-    answer = Answer(solution, frame, replace(shown, image=None, look={}), problem)
+    answer = Answer(solution, frame, replace(shown, image=None, look={}), problem, forces)
     layers: dict[Kind, LayerData] = {}
     overlaps = 0
     if pictures is not None:  # a file that is opened need not wait for the compiler of the loops

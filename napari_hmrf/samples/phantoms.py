@@ -8,7 +8,7 @@ that a painted layer goes through.
 from __future__ import annotations
 
 import operator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -25,6 +25,7 @@ from napari_hmrf.tissue.boundary_rules import (
     boundary_images,
     stiffness_image,
 )
+from napari_hmrf.tissue.painted_loads import growth_loads
 
 #: The phantoms that exist.
 PHANTOM_NAMES = ("expansion", "mass-effect", "bar")
@@ -40,9 +41,11 @@ _TUMOUR = Material(3, "tumour", 40.0)
 
 _TITLES = {
     "expansion": "Brain that expands outward",
-    "mass-effect": "Brain with a growing tumour",
+    "mass-effect": "Brain with a tumour whose rim is pushed",
     "bar": "Bar of two tissues, pulled",
 }
+
+_GROWING = "Brain with a growing tumour"
 
 Uint8Array = npt.NDArray[np.uint8]
 FloatArray = npt.NDArray[np.float64]
@@ -83,7 +86,27 @@ class Phantom:
     def problem(self) -> Problem:
         """What the labels and tables say, as the solver takes it; spacing (1, 1)."""
         y, c = boundary_images(self.boundary_labels, self.boundary)
-        return Problem(y, c, stiffness_image(self.tissue_labels, self.materials))
+        loads = growth_loads(self.tissue_labels, self.materials)
+        return Problem(y, c, stiffness_image(self.tissue_labels, self.materials), loads=loads)
+
+    def growing(self, strain: float = 0.4) -> Phantom:
+        """The brain of "mass-effect" with a tumour that grows by itself; its rim is not pushed.
+
+        Parameters
+        ----------
+        strain : float
+            How much longer the tumour would be if it were free: so that its rim moves by about 8
+            pixels of 300, too.
+        """
+        tumour = replace(_TUMOUR, growth=strain)
+        labels = np.where(self.boundary_labels == 2, 0, self.boundary_labels).astype(np.uint8)
+        return replace(
+            self,
+            title=_GROWING,
+            materials=tuple(tumour if row == _TUMOUR else row for row in self.materials),
+            boundary_labels=labels,
+            boundary=self.boundary[:1],
+        )
 
 
 def phantom(name: str, size: int = 300) -> Phantom:

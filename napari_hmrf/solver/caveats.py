@@ -9,6 +9,7 @@ import scipy
 
 from napari_hmrf.solver.model_names import converged
 from napari_hmrf.solver.optimizers import Optimizer
+from napari_hmrf.solver.optimizers.base import Reach
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.quadtree import levels, sampled
@@ -34,6 +35,29 @@ def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> tuple[str, 
         thin = "" if converged(optimizer.parameters) else _thin_boundary(problem)
         notes = [thin, _loose_pieces(problem)]
     return tuple(filter(None, notes))
+
+
+def shortfall(reach: Reach | None, unit: str) -> str:
+    """Say what of large motion could not be met, how far it got, and where; "" if all was met.
+
+    Parameters
+    ----------
+    reach : Reach or None
+        Of a solution.
+    unit : str
+        Of lengths.
+    """
+    said = []
+    if reach is not None and reach.grown < 1:
+        said.append(
+            f"tissue has grown by {reach.grown:.0%} of what it was to: there is no more room"
+        )
+    if reach is not None and reach.where is not None:
+        said.append(
+            f"tissue could not go all the way without folding: {reach.sites} pixels stay short of "
+            f"where they were to be, the one at {reach.where} by {reach.missing:.3g} {unit}"
+        )
+    return "; ".join(said)
 
 
 def _held_exactly(problem: Problem) -> str:

@@ -12,12 +12,16 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import Cancelled
+from napari_hmrf.field.held_forces import held_forces
 from napari_hmrf.field.live_warp import Picture
 from napari_hmrf.field.rehearsal import rehearse
+from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.paint_layer import painted_marks, show_painted
 from napari_hmrf.layers.result_layers import Outputs, result_layers
 from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.caveats import shortfall
 from napari_hmrf.solver.optimizers import Monitor
+from napari_hmrf.solver.priors import Elastic
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.coarse_grid import Plane
 from napari_hmrf.study.engine import Deformation, Engine, Pictures
@@ -234,8 +238,13 @@ def drawn(moved: Deformation, checkpoint: Callable[[], None] = lambda: None) -> 
     place, pictures = study.grid.place, study.pictures
     if stated.labels is not None:
         pictures = replace(pictures, labels=stated.labels)
-    outputs = result_layers(kept, place, pictures, checkpoint=checkpoint, problem=stated.problem)
-    return Done(moved, outputs, ground.notes_on(stated))
+    solved, forces = moved.solution, None
+    assert solved is not None
+    if isinstance(stated.prior, Elastic):
+        forces = partial(held_forces, stated.problem, solved, stated.prior)
+    outputs = result_layers(kept, place, pictures, checkpoint, stated.problem, forces)
+    short = shortfall(solved.reach, unit_symbol(study.grid.unit))
+    return Done(moved, outputs, tuple(filter(None, (short, *ground.notes_on(stated)))))
 
 
 def _to_be_kept(moved: Deformation, ground: Ground) -> Solution:

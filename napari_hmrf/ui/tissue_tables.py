@@ -193,7 +193,8 @@ def _along(axis: int, unit: str, ways: Directions, action: Action) -> Column:
     def seen(rule: BoundaryRule) -> float | None:
         return ways.seen(rule.vector)[axis - 2] if rule.action == action else None
 
-    return _distance(ways.label(axis), ways.about(axis), unit, seen, typed)
+    title = ways.label(axis) if action == "move" else f"pull {ways.label(axis)}"
+    return _distance(title, ways.about(axis), unit, seen, typed)
 
 
 def _distance(

@@ -31,9 +31,10 @@ class WeightForm(Container):
             tooltip="All tissue by its weight, as in an open skull; it has to be held somewhere",
         )
         narrow(self.way)
-        self.amount = FloatSpinBox(name="amount", label="weight", value=_WATER, max=1e6, step=0.001)
+        self.amount = FloatSpinBox(name="amount", label="weight", max=1e6, step=0.001)
         super().__init__(widgets=[self.way, self.amount])
         self.amount.native.setDecimals(5)
+        self.amount.value = _WATER
         self.amount.native.setKeyboardTracking(False)  # "0." is no weight yet
         self.margins = (0, 0, 0, 0)
         self.way.changed.connect(self._show)

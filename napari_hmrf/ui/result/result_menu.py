@@ -13,20 +13,22 @@ from qtpy import QtWidgets
 from qtpy.QtCore import Qt
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.held_forces import HeldForce
 from napari_hmrf.field.measurement import Measurement, measure
 from napari_hmrf.io.fields import export_field, saved_field
 from napari_hmrf.io.figures import save_result_pictures
 from napari_hmrf.io.moving_pictures import save_moving_picture
-from napari_hmrf.io.tables import measurements_in_words, save_measurements
+from napari_hmrf.io.tables import forces_in_words, measurements_in_words, save_measurements
 from napari_hmrf.layers.field_layer import MOVED, can_move, mover, picture_of, tissue_labels
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_recorded
-from napari_hmrf.layers.result_layers import LayerData
+from napari_hmrf.layers.result_layers import LayerData, stiffness_unit
+from napari_hmrf.layers.screen_directions import ways_of
 from napari_hmrf.layers.viewer_layers import same_selection
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu
 from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_form import ResultForm
-from napari_hmrf.ui.result.result_messages import NO_IMAGE, NO_RESULT, SAVING, saved
+from napari_hmrf.ui.result.result_messages import NO_FORCES, NO_IMAGE, NO_RESULT, SAVING, saved
 
 _FIELDS = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
 _FILMS = "Films (*.gif *.mp4)"
@@ -171,6 +173,8 @@ class ResultMenu:
         about = "How far each tissue moved, how its area changed, and its strain"
         measure = partial(attempt, self._show_measurements, self._say)
         add_entry(menu, "Measurements ...", about, measure)
+        forces = partial(attempt, self._show_forces, self._say)
+        add_entry(menu, "Forces ...", "What it takes to hold tissue, and to pull it", forces)
         along = menu.addMenu("Move along")
         along.setToolTipsVisible(True)
         source = None if shown is None else shown.source
@@ -202,17 +206,37 @@ class ResultMenu:
     def _show_measurements(self) -> None:
         rows, answer = self.measure(), self._shown.answer
         unit, volume = answer.unit, len(answer.shape) == 3
-        seen = QtWidgets.QDialog(self._button.window(), windowTitle="What happened to each tissue")
-        seen.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        table = _table_of(*measurements_in_words(rows, unit, volume=volume))
         button = QtWidgets.QPushButton("Save .csv ...")
-        layout = QtWidgets.QVBoxLayout(seen)
-        layout.addWidget(table)
-        layout.addWidget(button, alignment=Qt.AlignmentFlag.AlignRight)
-        seen.resize(table.horizontalHeader().length() + 40, 100 + 32 * (len(rows) + 1))
+        words = measurements_in_words(rows, unit, volume=volume)
+        self._show_table("What happened to each tissue", words, button)
         save = partial(save_measurements, rows=rows, unit=unit, volume=volume)
         ask = partial(self._ask, save, "Save measurements", "measurements.csv", "Tables (*.csv)")
         button.clicked.connect(lambda _: ask())
+
+    def _show_forces(self) -> None:
+        """Show what it takes to hold and to move tissue, once that is computed."""
+        answer = self._shown.answer
+        if answer.forces is None:
+            raise HmrfError(NO_FORCES)
+        ways, stiffness = ways_of(answer.frame, self._viewer), stiffness_unit(answer)
+
+        def show(rows: tuple[HeldForce, ...]) -> None:
+            words = forces_in_words(rows, ways, stiffness, answer.unit)
+            self._show_table("Forces on tissue where it is held or moved", words)
+
+        self._errands.send("forces", answer.forces, show)
+
+    def _show_table(
+        self, title: str, words: tuple[list[str], list[list[str]]], *below: QtWidgets.QPushButton
+    ) -> None:
+        """Show numbers in a window of their own, with buttons below."""
+        seen = QtWidgets.QDialog(self._button.window(), windowTitle=title)
+        seen.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        table, layout = _table_of(*words), QtWidgets.QVBoxLayout(seen)
+        layout.addWidget(table)
+        for button in below:
+            layout.addWidget(button, alignment=Qt.AlignmentFlag.AlignRight)
+        seen.resize(table.horizontalHeader().length() + 40, 132 + 32 * table.rowCount())
         seen.show()
 
     def _ask(self, save: Callable[[str], Any], title: str, name: str, kinds: str) -> None:

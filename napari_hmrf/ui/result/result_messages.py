@@ -19,6 +19,10 @@ NO_IMAGE = (
     "There is no image on the pixels of this result, so none can be moved. Open the image it was "
     "made from; arrows, and what 'show' offers, are here all the same."
 )
+NO_FORCES = (
+    "Forces are known of elastic tissue and of large motion, while the result is worked on: press "
+    "Deform. The paper's model and files of results have none."
+)
 NOTHING: str = "nothing"
 SAVING = "Saving pictures ..."
 FULL = 100

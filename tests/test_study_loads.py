@@ -1,0 +1,230 @@
+"""Tissue that grows, is pressed or pulled at, or has weight, from tables to fields and files."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from napari_hmrf import (
+    BoundaryRule,
+    ElasticPrior,
+    Grid,
+    Loads,
+    Material,
+    Motion,
+    NeoHookeanPrior,
+    Problem,
+    ProblemError,
+    Study,
+    Tissue,
+    growth,
+    load_study,
+    phantom,
+    pressure,
+    replay,
+    save_study,
+    solve,
+    solve_study,
+    traction,
+    weight,
+)
+from napari_hmrf.field.held_forces import held_forces
+from napari_hmrf.io.material_tables import load_materials, save_materials
+from napari_hmrf.io.tables import read_materials, read_rules
+from napari_hmrf.solver.caveats import shortfall
+from napari_hmrf.study.ground import Ground, statement_of
+from napari_hmrf.tissue.material_presets import Preset
+
+SHAPE, SPACING = (24, 30), (0.5, 0.8)
+BRAIN = Material(1, "brain", 2.0)
+TUMOUR = Material(2, "tumour", 6.0, growth=0.2)
+ROWS, COLS = np.indices(SHAPE)
+DISC = np.hypot(ROWS - 12, COLS - 15) < 5
+LABELS = np.where(DISC, 2, 1)
+
+
+def study(*materials, labels=LABELS, model="elastic", **motion):
+    tissue = Tissue(labels=labels, materials=materials or (BRAIN, TUMOUR), unit="kPa")
+    motion = {"hold_edge": True, **motion}
+    return Study(Grid(SHAPE, SPACING, "mm"), tissue, Motion(**motion), model=model)
+
+
+def same(problem, loads):
+    """The problem with these loads in place of its own."""
+    given = problem.observed, problem.confidence, problem.stiffness
+    return Problem(*given, spacing=problem.spacing, loads=loads)
+
+
+@pytest.mark.parametrize("model", ["elastic", "large motion"])
+def test_a_tumour_grows_as_its_row_of_the_table_says(model):
+    grown = study(model=model)
+    prior = (ElasticPrior if model == "elastic" else NeoHookeanPrior)(0.45)
+    known = solve(same(statement_of(grown).problem, growth(0.2 * DISC)), prior)
+    solution = solve_study(grown)
+    np.testing.assert_array_equal(solution.displacement, known.displacement)
+    assert solution.provenance.model == model
+    out = solution.displacement[12, 20, 1]
+    assert 0.3 < out < 0.2 * 5 * 0.8  # less than it would if nothing were around it
+
+
+def test_muscle_shortens_along_its_fibres_only():
+    muscle = replace(TUMOUR, growth=(0.0, -0.2))
+    moved = solve_study(study(BRAIN, muscle)).displacement
+    assert moved[12, 19, 1] < -0.2
+    assert abs(moved[16, 15, 0]) < 0.1 * abs(moved[12, 19, 1])
+
+
+def test_what_is_painted_with_a_brush_grows_as_its_tissue_does():
+    from napari_hmrf import Drawing, Stroke
+
+    patch = Stroke("tissue", (((12.0, 15.0),),), radius=2.0, label=2)
+    nothing_there = study(labels=np.ones(SHAPE, int), drawing=Drawing((patch,)))
+    moved = solve_study(nothing_there).displacement
+    assert moved[12, 18, 1] > 0.05
+    assert moved[12, 12, 1] < -0.05
+
+
+def test_pressure_pulls_and_weight_are_those_of_the_solver():
+    paint = np.zeros(SHAPE, int)
+    paint[-1], paint[0, 5:12], paint[0, 18:25] = 1, 2, 3
+    rules = (
+        BoundaryRule(1, "fixed"),
+        BoundaryRule(2, "press", amount=0.3),
+        BoundaryRule(3, "pull", vector=(0.0, 0.2)),
+    )
+    motion = Motion(labels=paint, rules=rules, weight=(0.01, 0.0))
+    tissue = Tissue(labels=np.ones(SHAPE, int), materials=(BRAIN,), unit="kPa")
+    stated = statement_of(Study(Grid(SHAPE, SPACING, "mm"), tissue, motion))
+    m, loads = np.full(SHAPE, 2.0), stated.problem.loads
+    known = (
+        pressure(m, paint == 2, 0.3, spacing=SPACING)
+        + traction(m, paint == 3, (0.0, 0.2), spacing=SPACING)
+        + weight(m, (0.01, 0.0), spacing=SPACING)
+    )
+    np.testing.assert_allclose(loads.force, known.force, atol=1e-7)
+    # Where a force acts tissue is free.
+    assert stated.problem.known[-1].all()
+    assert not stated.problem.known[0].any()
+
+
+@pytest.mark.parametrize("unit", ["kPa", ""])
+def test_forces_say_when_stiffness_has_no_unit(unit):
+    tissue = Tissue(labels=np.ones(SHAPE, int), materials=(BRAIN,), unit=unit)
+    motion = Motion(hold_edge=True, weight=(0.01, 0.0))
+    ground = Ground.of(Study(Grid(SHAPE, SPACING, "mm"), tissue, motion))
+    said = " ".join(ground.notes_on(ground.statement()))
+    assert ("unit of stiffness" in said) == (not unit)
+
+
+@pytest.mark.parametrize("model", ["paper", "paper, converged"])
+def test_the_paper_s_model_refuses_growth_in_words(model):
+    with pytest.raises(ProblemError, match=r"grow.*elastic model"):
+        solve_study(study(model=model))
+
+
+def test_large_motion_of_a_volume_is_refused_with_what_to_do():
+    block = Study(Grid((4, 5, 6), (1.0, 1.0, 1.0)), motion=Motion(hold_edge=True, weight=(1, 0, 0)))
+    with pytest.raises(ProblemError, match=r"2-D.*elastic model.*slice"):
+        solve_study(replace(block, prior=NeoHookeanPrior()))
+
+
+@pytest.mark.parametrize("wrong", [-1.0, math.nan, (0.1, 0.1, 0.1), (0.1, -2.0), "much"])
+def test_growth_that_means_nothing_is_refused_by_its_row(wrong):
+    with pytest.raises(ProblemError, match=r"label 2 \(tumour\).*growth"):
+        solve_study(study(BRAIN, replace(TUMOUR, growth=wrong)))
+
+
+def test_a_force_on_no_surface_is_refused_by_the_boundary_s_name():
+    paint = np.zeros(SHAPE, int)
+    paint[10:12, 10:12] = 1
+    inside = study(labels=np.ones(SHAPE, int), hold_edge=True)
+    motion = Motion(True, paint, (BoundaryRule(1, "press", amount=0.1),))
+    with pytest.raises(ProblemError, match=r"'Skin'.*surface"):
+        solve_study(replace(inside, motion=motion, names={"boundary": "Skin"}))
+
+
+def test_a_weight_of_too_few_components_is_refused():
+    with pytest.raises(ProblemError, match="weight of 3"):
+        study(weight=(0.0, 0.0, 1.0))
+
+
+def test_a_study_with_loads_comes_back_from_its_file(tmp_path):
+    given = study(BRAIN, replace(TUMOUR, growth=(0.2, 0.0)), weight=(0.01, 0.0))
+    solution = solve_study(given)
+    path = save_study(tmp_path / "grown", given, solution)
+    back = load_study(path).study
+    assert back.tissue.materials == given.tissue.materials
+    assert back.motion.weight == given.motion.weight
+    np.testing.assert_array_equal(replay(path).displacement, solution.displacement)
+
+
+def test_large_motion_comes_back_from_its_file(tmp_path):
+    given = replace(study(), prior=NeoHookeanPrior(0.3, plane="strain"))
+    path = save_study(tmp_path / "far", given)
+    assert load_study(path).study.prior == given.prior
+    assert load_study(path).study.model_name == "large motion"
+
+
+@pytest.mark.parametrize("amount", [0.2, (0.2, 0.0)])
+def test_growth_goes_with_a_table_of_materials(tmp_path, amount):
+    rows = (BRAIN, replace(TUMOUR, growth=amount))
+    path = save_materials(tmp_path / "table", Preset("Mine", "kPa", "me", rows))
+    assert load_materials(path).materials == rows
+
+
+def test_a_spreadsheet_says_growth_and_forces(tmp_path):
+    materials, rules = tmp_path / "materials.csv", tmp_path / "rules.csv"
+    materials.write_text("label,stiffness,growth\n1,2\n2,6,0.2\n3,6,0.2/0\n")
+    rules.write_text("label,action,row,col,amount\n1,press,,,0.3\n2,pull,0,0.2,\n")
+    assert [row.growth for row in read_materials(materials)] == [0.0, 0.2, (0.2, 0.0)]
+    press, pull = read_rules(rules)
+    assert (press.action, press.amount) == ("press", 0.3)
+    assert (pull.action, pull.vector) == ("pull", (0.0, 0.2))
+
+
+def test_what_holds_a_block_carries_its_weight():
+    block, table = np.full((10, 16), 1.0), np.zeros((10, 16, 2))
+    table[-1] = 1
+    heavy = weight(block, (0.02, 0.0))
+    problem = Problem(0 * table, table, block, loads=heavy)
+    (part,) = held_forces(problem, solve(problem), ElasticPrior())
+    assert not part.moves
+    assert part.sites == 16
+    assert part.centre == (9.0, 7.5)
+    np.testing.assert_allclose(part.force, (-heavy.force[..., 0].sum(), 0), atol=1e-4)
+
+
+def test_what_pulls_and_what_holds_are_told_apart_and_balance():
+    y, c = np.zeros((2, 12, 20, 2))
+    c[:, 0] = c[4:8, -1] = 1
+    y[4:8, -1, 1] = 1.0
+    problem = Problem(y, c, np.ones((12, 20)))
+    pulled, held = held_forces(problem, solve(problem), ElasticPrior())
+    assert (pulled.moves, held.moves) == (True, False)
+    assert pulled.force[1] > 0.1
+    np.testing.assert_allclose(np.add(pulled.force, held.force), 0, atol=2e-3)
+
+
+def test_what_large_motion_leaves_undone_is_said_with_how_far_and_where():
+    crowded = study(model="large motion", labels=LABELS)
+    ring = np.zeros(SHAPE, int)
+    ring[DISC] = 1
+    motion = Motion(True, ring, (BoundaryRule(1, "expand", amount=9.0),))
+    solution = solve_study(replace(crowded, motion=motion))
+    assert solution.reach.least_jacobian > 0
+    said = shortfall(solution.reach, "mm")
+    assert "short" in said
+    assert f"{solution.reach.missing:.3g} mm" in said
+    assert str(solution.reach.where) in said
+    assert shortfall(solve_study(study(model="large motion")).reach, "mm") == ""
+
+
+def test_the_sample_tumour_grows_about_as_far_as_its_rim_is_pushed():
+    pushed = phantom("mass-effect", 60)
+    grown = pushed.growing()
+    rim = pushed.boundary_labels == 2
+    far = [np.hypot(*solve(each.problem).displacement[rim].T).mean() for each in (pushed, grown)]
+    assert far[1] == pytest.approx(far[0], rel=0.25)
+    assert isinstance(grown.problem.loads, Loads)
+    assert not grown.boundary_labels[rim].any()
