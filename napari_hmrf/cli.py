@@ -127,7 +127,8 @@ def _add_file_commands(commands: Any) -> None:
         "out",
         type=Path,
         metavar="OUT",
-        help="ends in .nii.gz, .mha, .nrrd or .h5: where what is seen came from, in mm, LPS",
+        help="ends in .nii.gz, .mha, .nrrd, or, of a field for images, .h5: where what is seen "
+        "came from, in mm, LPS",
     )
     export.add_argument(
         "--forward",
@@ -237,20 +238,9 @@ def _selftest(_: argparse.Namespace) -> int:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.apply import load_field
-    from napari_hmrf.io.fields import write_field
+    from napari_hmrf.io.apply import load_field, save_field
 
-    field = load_field(options.result)
-    residual = write_field(
-        options.out,
-        field.displacement,
-        **field.place._asdict(),
-        tissue=field.tissue,
-        forward=options.forward,
-    )
-    print(f"written: {options.out}")
-    if not options.forward:
-        print(f"it is inverted, to {residual:.2g} pixels at the worst one")
+    print(save_field(options.out, load_field(options.result), forward=options.forward))
     return 0
 
 

@@ -172,7 +172,7 @@ def test_one_file_that_fails_stops_no_other_and_is_said(solved, tmp_path, capsys
 def test_a_study_is_exported_replayed_and_read_again_in_the_shell(solved, tmp_path, capsys):
     path, solution = solved
     assert main(["export", str(path), str(tmp_path / "field.mha")]) == 0
-    assert "inverted, to" in capsys.readouterr().out
+    assert "it moves images, and is an inverse to" in capsys.readouterr().out
     again = load_field(tmp_path / "field.mha").displacement
     # Inverted twice, and a pulled patch has an edge.
     assert np.abs(again - solution.displacement).max() < 0.2

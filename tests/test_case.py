@@ -12,11 +12,14 @@ from napari_hmrf import (
     BoundaryRule,
     Drawing,
     FileFormatError,
+    Grid,
     Landmark,
     Material,
     Motion,
     Problem,
     ProblemError,
+    Study,
+    Tissue,
     at_edges,
     load_study,
     save_points,
@@ -221,6 +224,58 @@ def test_a_volume_s_field_is_observed_on_the_slice_that_is_solved(files):
     write_field(folder / "far" / "Warp.mha", d, **away)
     with pytest.raises(ProblemError, match=r"Warp\.mha: lies elsewhere than the image"):
         read_case(case(folder, boundary=folder / "far" / "Warp.mha"))
+
+
+def test_a_field_in_mm_moves_an_image_without_them_by_its_pixels(tmp_path):
+    d = np.zeros((*SHAPE, 2))
+    d[..., 0], d[..., 1] = 1.0, -0.5
+    for name, size in (("photo.png", 1.0), ("scan.mha", 0.5)):
+        place = None if size == 1 else Place((size,) * 2, (0.0, 0.0), np.eye(2))
+        save_image(tmp_path / name, ImageFile(np.ones(SHAPE, np.uint8), place))
+    write_field(tmp_path / "mm.mha", d, spacing=(0.5, 0.25), forward=True)
+    study = read_case(Case(tmp_path / "photo.png", boundary=tmp_path / "mm.mha"))
+    np.testing.assert_allclose(study.motion.observed, np.broadcast_to((2.0, -2.0), d.shape))
+    # Where both have millimetres it counts where they lie: the field has half of the columns.
+    study = read_case(Case(tmp_path / "scan.mha", boundary=tmp_path / "mm.mha"))
+    known = study.motion.confidence > 0
+    assert known[:, :18].all()
+    assert not known[:, 19:].any()
+    np.testing.assert_allclose(study.motion.observed[known], d[known], atol=1e-6)
+    write_field(tmp_path / "small.mha", d[:9], spacing=(0.5, 0.25), forward=True)
+    with pytest.raises(
+        ProblemError, match=r"small\.mha: is 9 x 36 in mil.*, but the image 30 x 36"
+    ):
+        read_case(Case(tmp_path / "photo.png", boundary=tmp_path / "small.mha"))
+
+
+def test_a_field_of_a_picture_moves_a_scan_of_its_pixels(tmp_path):
+    pull = Drawing((Arrow((12, 14), (1.0, 2.0), 2.0),))
+    grid, motion = Grid(SHAPE, (1.0, 1.0)), Motion(hold_edge=True, drawing=pull)
+    study = Study(grid, Tissue(stiffness=np.ones(SHAPE)), motion)
+    solution = solve_study(study, backend="cpu")
+    path = save_study(tmp_path / "photo.study", study, solution)
+    place = Place((0.5, 0.5), (7.0, 9.0), np.eye(2))
+    save_image(tmp_path / "scan.mha", ImageFile(np.ones(SHAPE, np.uint8), place))
+    observed = read_case(Case(tmp_path / "scan.mha", boundary=path)).motion.observed
+    np.testing.assert_allclose(observed, 0.5 * solution.displacement, atol=1e-5)
+
+
+def test_an_image_of_another_place_is_refused_though_it_is_as_large(files, capsys):
+    folder, scan, *_ = files
+    far = PLACE._replace(origin=(0.0, 0.0, 0.0))
+    save_image(folder / "far.nii.gz", ImageFile(np.ones(scan.shape, np.uint8), far))
+    with pytest.raises(ProblemError, match=r"far\.nii\.gz: lies elsewhere than the image"):
+        read_case(case(folder, labels=folder / "far.nii.gz"))
+    write_field(folder / "f.mha", np.zeros((*scan.shape, 3)), **PLACE._asdict())
+    assert main(["apply", *(str(folder / each) for each in ("f.mha", "far.nii.gz"))]) == 1
+    assert "far.nii.gz: lies elsewhere than the field" in capsys.readouterr().err
+    saved = solve_case(case(folder, hold_edge=True), folder / "out", backend="cpu")
+    assert saved.study.grid.unit == "millimeter"
+    labels = ImageFile(np.ones(SHAPE, np.uint8)[np.newaxis], far)
+    save_image(folder / "flat.nrrd", labels)
+    study = folder / "out" / "scan.study"
+    assert main(["measure", str(study), "--labels", str(folder / "flat.nrrd")]) == 1
+    assert "flat.nrrd: lies elsewhere than the field" in capsys.readouterr().err
 
 
 def test_an_edge_is_where_the_image_is_steep():

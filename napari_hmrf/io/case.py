@@ -13,7 +13,6 @@ import numpy.typing as npt
 from napari_hmrf.errors import HmrfError, ProblemError
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.measurement import Measurement, measure
-from napari_hmrf.field.observation import PixelField
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.apply import load_field, place_for
@@ -37,9 +36,6 @@ from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.surroundings import at_edges
 from napari_hmrf.tissue.usual_lengths import usual_radius
-
-#: How far, in voxels, two volumes may lie apart and be the same.
-_SAME = 0.01
 
 
 @dataclass(frozen=True)
@@ -186,8 +182,13 @@ def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArr
 
 def _on_grid(path: Path, solution: Solution) -> npt.NDArray[Any]:
     """The pixels of a file; of a volume in the order of the solution's axes."""
-    image, volume = load_image(path), solution.tissue.ndim == 3
-    return (image.laid_as(place_of(solution)) if volume else image).pixels
+    unknown = Frame.of_solution(solution).unit == "pixel"
+    image, place = load_image(path), None if unknown else place_of(solution)
+    if solution.tissue.ndim == 3:
+        image = image.laid_as(place)
+    if image.ndim == solution.tissue.ndim:
+        image.refuse_elsewhere(place, path.name, "the field")
+    return image.pixels
 
 
 def _part(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:
@@ -231,10 +232,10 @@ def _materials(path: Path) -> tuple[Material, ...]:
 
 def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> npt.NDArray[Any]:
     """A grey image on the same pixels; of a volume the same slice."""
-    there, image = _part(whole, case)[0], load_image(path)
+    (there, place), image = _part(whole, case), load_image(path)
     if there.ndim == 3 and image.place is None:
         image = image._replace(place=whole.place)
-    image, _ = _part(image, replace(case, image=path))
+    image, at = _part(image, replace(case, image=path))
     pixels, shape = image.pixels, there.pixels.shape[: there.ndim]
     if pixels.shape != shape:
         raise ProblemError(
@@ -242,21 +243,12 @@ def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> n
             f"is {grid_in_words(pixels.shape)}, but the image {grid_in_words(shape)}. Give one of "
             "the same pixels.",
         )
-    if there.ndim == 3 and _apart(image.place, there.place) > _SAME:
-        raise ProblemError(path.name, "lies elsewhere than the image. Give one of the same voxels.")
+    image._replace(place=at).refuse_elsewhere(place, path.name, "the image")
     if labels and pixels.dtype.kind == "f" and (pixels == np.rint(pixels)).all():
         pixels = pixels.astype(np.int32)  # as some tools keep labels
     if labels and pixels.dtype.kind not in "iu":
         raise ProblemError(path.name, f"holds {pixels.dtype} values. Give labels: whole numbers.")
     return pixels
-
-
-def _apart(one: Place | None, other: Place | None) -> float:
-    """How far the voxels of two volumes lie apart, in voxels; 0 if one of them lies nowhere."""
-    if one is None or other is None:
-        return 0.0
-    corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])
-    return float(np.abs(one.to_pixels(other.to_space(corners)) - corners).max())
 
 
 def _most_likely(maps: Sequence[npt.NDArray[Any]]) -> npt.NDArray[np.uint8]:
@@ -276,21 +268,16 @@ def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Mo
     if case.rules is not None:
         labels = _pixels(case, path, whole, labels=True)
         return Motion(labels=labels, rules=read_rules(case.rules))
-    field, counts = load_field(path), _counts(case, whole)
-    if len(field.shape) == 3 and grid.place is not None:  # of the volume that the slice lies in
-        found = PixelField(field.field.to_pixels(), field.place.frame())
-        try:
-            there = found.on(grid.place, grid.shape)
-        except ProblemError as error:
-            raise ProblemError(path.name, error.message) from None
-        return Motion(observed=there.displacement, confidence=np.where(there.known, counts, 0))
-    if field.shape != grid.shape:
-        raise ProblemError(
-            path.name,
-            f"is {grid_in_words(field.shape)}, but the image {grid_in_words(grid.shape)}. Give a "
-            "field on the same pixels, or --rules if it is an image of labels.",
-        )
-    return Motion(observed=field.displacement, confidence=counts)
+    field, counts, frame = load_field(path).in_pixels, _counts(case, whole), grid.place
+    # A flat field does not say where in a volume it lies, and so is taken by its pixels.
+    if frame is None or field.frame.ndim < frame.ndim:
+        n = len(grid.shape)
+        frame = Frame.at(grid.spacing, ("pixel",) * n, volume=n == 3)
+    try:
+        there = field.on(frame, grid.shape)
+    except ProblemError as error:
+        raise ProblemError(path.name, error.message) from None
+    return Motion(observed=there.displacement, confidence=np.where(there.known, counts, 0))
 
 
 def _counts(case: Case, whole: ImageFile) -> npt.NDArray[Any]:

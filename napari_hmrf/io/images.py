@@ -18,12 +18,12 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.atomic_write import write_whole
-from napari_hmrf.errors import FileFormatError
+from napari_hmrf.errors import FileFormatError, ProblemError
 from napari_hmrf.io.fields import Place, simpleitk
 from napari_hmrf.io.itk_files import read_image
 
 #: How far, in pixels, two grids may lie apart and be the same.
-_SAME = 0.01
+SAME = 0.01
 #: How the names of files end that are read, and written.
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 MEDICAL_SUFFIXES = (".nii.gz", ".nii", ".mha", ".mhd", ".nrrd", ".nhdr", ".dcm")
@@ -78,10 +78,34 @@ class ImageFile(NamedTuple):
 
     def laid_as(self, place: Place | None) -> ImageFile:
         """The image with its axes in the order of another's, if that is `upright` and it is not."""
-        if _apart(self.place, place) <= _SAME:
+        if apart(self.place, place) <= SAME:
             return self
         upright = self.upright
-        return upright if _apart(upright.place, place) <= _SAME else self
+        return upright if apart(upright.place, place) <= SAME else self
+
+    def refuse_elsewhere(self, place: Place | None, name: str, what: str) -> None:
+        """Refuse an image of the same pixels as something else that lies where that does not.
+
+        Parameters
+        ----------
+        place : Place or None
+            Of the other; nothing is said against what lies nowhere.
+        name : str
+            The file's.
+        what : str
+            The other, in words.
+
+        Raises
+        ------
+        ProblemError
+            By the file's name.
+        """
+        if apart(self.place, place, self.ndim) > SAME:
+            raise ProblemError(
+                name,
+                f"lies elsewhere than {what}, though it is as large. Give one of the same place; "
+                "if only its header is wrong, save it as a .tif, which lies nowhere.",
+            )
 
     @property
     def ndim(self) -> int:
@@ -89,11 +113,24 @@ class ImageFile(NamedTuple):
         return self.pixels.ndim - self.colours
 
 
-def _apart(one: Place | None, other: Place | None) -> float:
-    """How far, in pixels of the one, the first pixels of two volumes lie apart, and their steps."""
-    if one is None or other is None or not len(one.spacing) == len(other.spacing) == 3:
-        return np.inf
-    corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+def apart(one: Place | None, other: Place | None, axes: int = 3) -> float:
+    """How far, in pixels of the one, the first pixels of two grids lie apart, and their steps.
+
+    Parameters
+    ----------
+    one, other : Place or None
+    axes : int
+        Of how many axes, the last ones, steps count: of a slice those in it.
+
+    Returns
+    -------
+    float
+        0 if one of them lies nowhere, or only one in a volume.
+    """
+    if one is None or other is None or len(one.spacing) != len(other.spacing):
+        return 0.0
+    n = len(one.spacing)
+    corners = np.concatenate([np.zeros((1, n)), np.eye(n)[-axes:]])
     return float(np.abs(one.to_pixels(other.to_space(corners)) - corners).max())
 
 
