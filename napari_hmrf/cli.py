@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import napari_hmrf
-from napari_hmrf.errors import HmrfError
+from napari_hmrf.errors import HmrfError, in_words
 from napari_hmrf.samples.demo import SAMPLE_SIZE
 from napari_hmrf.samples.head import SAMPLE_SIZE as VOLUME_SIZE
 from napari_hmrf.samples.phantoms import PHANTOM_NAMES, SMALLEST
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _tell("interrupted")
         return 130
     except (HmrfError, OSError) as error:
-        _tell(f"napari-hmrf: {error}")
+        _tell(f"napari-hmrf: {in_words(error)}")
         return 1
 
 
@@ -191,7 +191,7 @@ def _add_file_commands(commands: Any) -> None:
     solve.add_argument(
         "--hold-edge", action="store_true", help="the outer edge of the tissue stays"
     )
-    solve.add_argument("--model", choices=get_args(ModelName), default="elastic")
+    solve.add_argument("--model", choices=get_args(ModelName), help="default: elastic")
     solve.add_argument("--backend", choices=BACKEND_NAMES, default="auto")
     replay = commands.add_parser("replay", help="solve a saved study again, and compare the fields")
     replay.add_argument("study", type=Path, metavar="STUDY")
@@ -256,7 +256,7 @@ def _apply(options: argparse.Namespace) -> int:
             print(f"written: {written}", flush=True)
         except (HmrfError, OSError) as error:
             failed += 1
-            _tell(f"napari-hmrf: {error}")
+            _tell(f"napari-hmrf: {in_words(error)}")
     return int(failed > 0)
 
 
@@ -285,7 +285,7 @@ def _play(options: argparse.Namespace) -> int:
 
 
 def _solve(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.case import Case, solve_case
+    from napari_hmrf.io.case import Case, notes_on, solve_case
 
     sure = options.confidence
     case = Case(
@@ -302,6 +302,8 @@ def _solve(options: argparse.Namespace) -> int:
     )
     saved = solve_case(case, options.out, backend=options.backend)
     print(f"solved: {saved.solution!r}")
+    for note in notes_on(saved.study):
+        print(f"note: {note}")
     written = ", ".join(sorted(path.name for path in options.out.iterdir()))
     print(f"in {options.out}: {written}")
     return 0
@@ -312,7 +314,9 @@ def _replay(options: argparse.Namespace) -> int:
     from napari_hmrf.io.study_file import load_study, replay
 
     image = None if options.image is None else load_image(options.image).pixels
-    before = load_study(options.study, image=image).solution
+    study, before = load_study(options.study, image=image)
+    if image is not None and study.pictures.image is not image:
+        raise HmrfError(f"{options.study.name} holds its own image. Leave out --image.")
     now = replay(options.study, image=image)
     print(f"solved: {now!r}")
     if before is None:

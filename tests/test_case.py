@@ -82,9 +82,22 @@ def test_tables_are_read_as_spreadsheets_write_them(files):
     [
         ("", r"t\.csv lacks the column 'label'"),
         ("label,name\n1,brain\n", r"lacks the column 'stiffness'"),
-        ("label,stiffness\n1,stiff\n", r"t\.csv: line 2: stiffness: .*, not 'stiff'"),
-        ("label,stiffness\n1,3\nx,3\n", r"t\.csv: line 3: label: "),
-        ("label,stiffness\n1,\n", r"has a line without 'stiffness'"),
+        (
+            "label,stiffness\n1,stiff\n",
+            r"t\.csv: line 2: stiffness is 'stiff'\. Give a number",
+        ),
+        ("label,stiffness\n1,3\nx,3\n", r"t\.csv: line 3: label is 'x'\. Give a whole"),
+        ("label,stiffness\n1,\n", r"t\.csv: line 2 has nothing under 'stiffness'"),
+        ("label,stiffness\n1,0\n", r"t\.csv has no stiffness above 0"),
+        ("label,stiffness\n", r"t\.csv has no line below the names"),
+        ("label,stiffness\n\n1,3\n\n1,4\n", r"t\.csv: line 5: label 1 is there twice"),
+        ("label,stiffness\n1,3,4\n", r"t\.csv: line 2 has more cells than there are columns"),
+        ("label;stiffness\n1;3\n", r"lacks the column 'label'.*with commas between them"),
+        ("label,stiffness,poison\n1,3,.4\n", r"t\.csv has a column 'poison', which says nothing"),
+        (
+            "label,stiffness,poisson\n1,3,0.4\n2,3,0.7\n",
+            r"t\.csv: line 3: poisson is '0\.7'\. Give a number from 0 to 0\.499\.",
+        ),
     ],
 )
 def test_what_is_wrong_with_a_table_is_said_by_its_line(tmp_path, text, sentence):
@@ -143,6 +156,117 @@ def test_a_slice_of_a_stack_that_lies_nowhere_knows_its_number_too(tmp_path):
     saved = solve_case(given, tmp_path / "out", backend="cpu")
     assert place_of(saved.solution).origin == (0, 0, 2)
     assert (tmp_path / "out" / "stack deformed.tif").exists(), "which takes no SimpleITK"
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (
+            "label,action\n1,fixed\n2,push\n",
+            r"t\.csv: line 3: action is 'push'\. Give fixed, move or",
+        ),
+        ("label,action\n0,fixed\n", r"line 2: label is '0'\. Give a whole number, 1 or more"),
+        ("label,action,confidence\n1,fixed,2\n", r"confidence is '2'\. Give a number from 0 to 1"),
+        ("label,action,row\n1,move,nan\n", r"line 2: row is 'nan'\. Give a number"),
+        (
+            "label,action\n1,move\n",
+            r"line 2: label 1 is to move, but not by how much\. Give row",
+        ),
+        ("label,action\n1,expand\n", r"label 1 is to expand, but not by how much\. Give amount"),
+        ("label,action,row,row2\n1,move,1,\n", r"has a column 'row2'"),
+    ],
+)
+def test_what_is_wrong_with_rules_is_said_by_their_line(tmp_path, text, sentence):
+    (tmp_path / "t.csv").write_text(text)
+    with pytest.raises(FileFormatError, match=sentence):
+        read_rules(tmp_path / "t.csv")
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ("", "nothing says how the tissue moves. Give --boundary with what moves"),
+        ("--hold-edge --materials m.csv", "--materials is for the tissues of --labels or --maps"),
+        ("--hold-edge --labels labels.png --maps rim.png", "--labels is given beside --maps"),
+        ("--hold-edge --rules r.csv", "--rules is for a --boundary that is an image of labels"),
+        ("--boundary pairs.csv --rules r.csv", "--rules is for a --boundary that is an image of"),
+        ("--hold-edge --confidence edges", "--confidence is for a --boundary that is a field"),
+        ("--hold-edge --slice 1", "--slice is for volumes, and rim.png is none"),
+        ("--boundary labels.png", "If it is an image of labels, give --rules, too."),
+        ("--boundary zero.png --rules r.csv", "'zero.png' is 0 everywhere: nothing says how"),
+        ("--boundary labels.png --rules plane.csv", "plane.csv: has a column 'plane', but what"),
+        ("--hold-edge --labels colours.png", "colours.png: is in colours. Give an image of one"),
+        ("--boundary pairs.csv", "pairs.csv: has 1 of 2 landmarks outside the image. Give them in"),
+        ("--hold-edge --labels gone.png", "gone.png: there is no such file or folder. Check its"),
+        ("--hold-edge --labels .", "the folder holds no DICOM file. Give one with one series."),
+        ("--hold-edge --labels labels.png --materials .", "it is a folder. Name a file in it."),
+        ("--hold-edge --labels empty.png", "it is empty. Images end in .png"),
+    ],
+)
+def test_what_would_change_nothing_or_fits_nowhere_is_refused_in_the_shell(
+    files, capsys, monkeypatch, options, sentence
+):
+    folder, *_ = files
+    monkeypatch.chdir(folder)
+    save_image(folder / "zero.png", ImageFile(np.zeros(SHAPE, np.uint8)))
+    save_image(folder / "colours.png", ImageFile(np.zeros((*SHAPE, 3), np.uint8), colours=True))
+    save_points(folder / "pairs.csv", np.array([[3.0, 4], [900, 4]]), np.ones((2, 2)))
+    (folder / "plane.csv").write_text("label,action,plane\n1,fixed,\n2,move,1\n")
+    (folder / "empty.png").write_bytes(b"")
+    assert main(["solve", "rim.png", "-o", "out", *options.split()]) == 1
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert len(said.splitlines()) == 1
+    assert not (folder / "out").exists() or "0 everywhere" in sentence
+
+
+def test_a_study_says_itself_what_to_compute_and_what_was_guessed_is_said(files, capsys):
+    folder, *_ = files
+    command = ["solve", folder / "rim.png", "--labels", folder / "rim.png", "--hold-edge"]
+    (folder / "part.csv").write_text("label,stiffness\n0,3\n1,3\n")
+    command += ["--materials", folder / "part.csv", "-o", folder / "out"]
+    assert main([str(each) for each in command]) == 0
+    said = capsys.readouterr().out
+    assert "note: label 2 of 'rim.png' is not in the table and got stiffness 3" in said
+    study = str(folder / "out" / "rim.study")
+    assert main(["solve", study, "-o", str(folder / "out"), "--hold-edge", "--model", "paper"]) == 1
+    assert "Leave out --hold-edge, --model, or give the image" in capsys.readouterr().err
+    assert main(["replay", study, "--image", str(folder / "rim.png")]) == 1
+    assert "rim.study holds its own image. Leave out --image." in capsys.readouterr().err
+    assert main(["measure", study, "-o", str(folder / "t.xlsx")]) == 1
+    assert "t.xlsx: measurements are saved as .csv" in capsys.readouterr().err
+    save_image(folder / "small.png", ImageFile(np.ones((4, 5), np.uint8)))
+    for what in (["measure", study, "--labels"], ["play", study, str(folder / "a.gif"), "--image"]):
+        assert main([*what, str(folder / "small.png")]) == 1
+        assert "small.png: is 4 x 5, but the field 30 x 36" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("command", "sentence"),
+    [
+        (("export", "gone.study", "f.mha"), "gone.study: there is no such file or folder. Check"),
+        (("export", ".", "f.mha"), "it is a folder. Name a file in it."),
+        (("export", "f.mha", "no/f.nrrd"), "cannot save the file: its folder is not there. Make"),
+        (("export", "f.mha", "folder.mha"), "cannot save the file: it is a folder. Give the name"),
+        (
+            ("apply", "f.mha", "rim.png", "-o", "rim.png"),
+            "it is a file, not a folder. Name",
+        ),
+        (("measure", "gone.study"), "gone.study: there is no such file or folder. Check its name."),
+        (("replay", "gone.study"), "gone.study: there is no such file or folder. Check its name."),
+    ],
+)
+def test_what_the_system_says_of_files_is_said_plainly(
+    files, capsys, monkeypatch, command, sentence
+):
+    folder, *_ = files
+    monkeypatch.chdir(folder)
+    (folder / "folder.mha").mkdir()
+    write_field(folder / "f.mha", np.zeros((*SHAPE, 2)), spacing=(1, 1))
+    assert main([*command]) == 1
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert "Errno" not in said
 
 
 def test_maps_of_how_likely_tissues_are_say_where_they_are(files):

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.errors import HmrfError, ProblemError
+from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.measurement import Measurement, measure
 from napari_hmrf.field.units import unit_symbol
@@ -30,7 +30,7 @@ from napari_hmrf.io.study_file import (
 from napari_hmrf.io.tables import read_materials, read_rules
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.study.ground import solve_study
+from napari_hmrf.study.ground import Ground, solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
@@ -63,7 +63,8 @@ class Case:
         Of a volume along its first axis; by default all of a volume is deformed.
     hold_edge : bool
         Whether the outer edge of the tissue stays where it is.
-    model : str
+    model : str, optional
+        By default elastic.
     """
 
     image: Path
@@ -75,7 +76,14 @@ class Case:
     confidence: Path | Literal["edges"] | None = None
     slice: int | None = None
     hold_edge: bool = False
-    model: str = "elastic"
+    model: str | None = None
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """What is given beside the image, as it is typed."""
+        names = [each.name for each in fields(self) if each.name != "image"]
+        given = [name for name in names if getattr(self, name) not in (None, (), False)]
+        return tuple(f"--{name.replace('_', '-')}" for name in given)
 
 
 def read_case(case: Case) -> Study:
@@ -89,8 +97,14 @@ def read_case(case: Case) -> Study:
         If a file cannot be read, by its name.
     """
     if is_study_file(case.image):
+        if case.options:
+            raise HmrfError(
+                f"{case.image.name} is a study, which says itself what to compute. Leave out "
+                f"{', '.join(case.options)}, or give the image."
+            )
         return load_study(case.image).study
     whole = load_image(case.image)
+    _refuse_unused(case, whole.ndim == 2)
     image, place = _part(whole, case)
     grid = _grid(image, whole, case)
     materials = () if case.materials is None else _materials(case.materials)
@@ -102,9 +116,40 @@ def read_case(case: Case) -> Study:
         grid,
         Tissue(labels=labels, materials=materials),
         motion,
-        model=case.model,
+        model=case.model or "elastic",
         pictures=Pictures(image.pixels, labels, case.image.name.partition(".")[0]),
+        names=_names(case),
     )
+
+
+def notes_on(study: Study) -> tuple[str, ...]:
+    """What people should know of how a study was understood, as clauses."""
+    ground = Ground.of(study)
+    return ground.notes_on(ground.statement())
+
+
+def _refuse_unused(case: Case, flat: bool) -> None:
+    """Refuse options that would change nothing, as nobody gives them for that."""
+    path = case.boundary
+    marks = path is not None and path.name.lower().endswith(POINT_SUFFIXES)
+    field = path is not None and not marks and case.rules is None
+    for unused, option, why in (
+        (not (case.labels or case.maps), "--materials", "is for the tissues of --labels or --maps"),
+        (bool(case.maps), "--labels", "is given beside --maps, and each says where tissue is"),
+        (path is None or marks, "--rules", "is for a --boundary that is an image of labels"),
+        (not field, "--confidence", "is for a --boundary that is a field"),
+        (flat, "--slice", f"is for volumes, and {case.image.name} is none"),
+    ):
+        if unused and option in case.options:
+            raise HmrfError(f"{option} {why}. Leave {option} out, or give what it needs.")
+
+
+def _names(case: Case) -> dict[str, str]:
+    """What people call the parts of a study: as they called the files."""
+    sure = case.confidence if isinstance(case.confidence, Path) else None
+    tissue = case.labels or next(iter(case.maps), None)
+    parts = {"image": case.image, "tissue": tissue, "boundary": case.boundary, "confidence": sure}
+    return {part: path.name for part, path in parts.items() if path is not None}
 
 
 def solve_case(case: Case, folder: Path, *, backend: str = "auto") -> Saved:
@@ -116,8 +161,13 @@ def solve_case(case: Case, folder: Path, *, backend: str = "auto") -> Saved:
         As of `read_case`, `solve_study` and `save_study`.
     """
     study = read_case(case)
+    if case.boundary is None and not case.hold_edge and not is_study_file(case.image):
+        raise HmrfError(
+            "nothing says how the tissue moves. Give --boundary with what moves, and --hold-edge "
+            "if its outer edge stays."
+        )
+    folder.mkdir(parents=True, exist_ok=True)  # before the work, so that it is not done in vain
     solution = solve_study(study, backend=backend)
-    folder.mkdir(parents=True, exist_ok=True)
     name = case.image.name.partition(".")[0]
     image = study.pictures.image
     if image is not None:
@@ -156,7 +206,7 @@ def measured(path: Path, labels: Path | None = None) -> Measured:
     names = {} if tissue is None else {row.label: row.name for row in tissue.materials}
     image = None if tissue is None else tissue.labels
     if labels is not None:
-        image = _on_grid(labels, solution)
+        image = _as_labels(_on_grid(labels, solution), labels)
     if image is None:
         raise HmrfError(f"{path.name}: the file holds no tissue labels. Give --labels.")
     unit = unit_symbol(Frame.of_solution(solution).unit)
@@ -186,8 +236,14 @@ def _on_grid(path: Path, solution: Solution) -> npt.NDArray[Any]:
     image, place = load_image(path), None if unknown else place_of(solution)
     if solution.tissue.ndim == 3:
         image = image.laid_as(place)
-    if image.ndim == solution.tissue.ndim:
-        image.refuse_elsewhere(place, path.name, "the field")
+    sizes, shape = image.pixels.shape[: image.ndim], solution.tissue.shape
+    if sizes != shape:
+        raise ProblemError(
+            path.name,
+            f"is {grid_in_words(sizes)}, but the field {grid_in_words(shape)}. Give an image of "
+            "the same pixels.",
+        )
+    image.refuse_elsewhere(place, path.name, "the field")
     return image.pixels
 
 
@@ -225,9 +281,9 @@ def _grid(part: ImageFile, whole: ImageFile, case: Case) -> Grid:
 
 
 def _materials(path: Path) -> tuple[Material, ...]:
-    if path.suffix.lower() == ".csv":
-        return read_materials(path)
-    return load_materials(path).materials
+    if path.suffix.lower() == ".json":
+        return load_materials(path).materials
+    return read_materials(path)
 
 
 def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> npt.NDArray[Any]:
@@ -237,6 +293,8 @@ def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> n
         image = image._replace(place=whole.place)
     image, at = _part(image, replace(case, image=path))
     pixels, shape = image.pixels, there.pixels.shape[: there.ndim]
+    if image.colours:
+        raise ProblemError(path.name, "is in colours. Give an image of one value for each pixel.")
     if pixels.shape != shape:
         raise ProblemError(
             path.name,
@@ -244,9 +302,14 @@ def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> n
             "the same pixels.",
         )
     image._replace(place=at).refuse_elsewhere(place, path.name, "the image")
-    if labels and pixels.dtype.kind == "f" and (pixels == np.rint(pixels)).all():
-        pixels = pixels.astype(np.int32)  # as some tools keep labels
-    if labels and pixels.dtype.kind not in "iu":
+    return _as_labels(pixels, path) if labels else pixels
+
+
+def _as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
+    """The pixels of a file as labels, which some tools keep as numbers that need not be whole."""
+    if pixels.dtype.kind == "f" and (pixels == np.rint(pixels)).all():
+        return pixels.astype(np.int32)
+    if pixels.dtype.kind not in "iu":
         raise ProblemError(path.name, f"holds {pixels.dtype} values. Give labels: whole numbers.")
     return pixels
 
@@ -267,8 +330,17 @@ def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Mo
         return Motion(drawing=_landmarks(case, path, grid, whole))
     if case.rules is not None:
         labels = _pixels(case, path, whole, labels=True)
-        return Motion(labels=labels, rules=read_rules(case.rules))
-    field, counts, frame = load_field(path).in_pixels, _counts(case, whole), grid.place
+        rules, n = read_rules(case.rules), len(grid.shape)
+        if any(len(rule.vector) > n for rule in rules):
+            raise ProblemError(
+                case.rules.name, "has a column 'plane', but what is solved is a slice. Remove it."
+            )
+        return Motion(labels=labels, rules=rules)
+    try:
+        field = load_field(path).in_pixels
+    except FileFormatError as error:
+        raise FileFormatError(f"{error} If it is an image of labels, give --rules, too.") from None
+    counts, frame = _counts(case, whole), grid.place
     # A flat field does not say where in a volume it lies, and so is taken by its pixels.
     if frame is None or field.frame.ndim < frame.ndim:
         n = len(grid.shape)
@@ -307,6 +379,14 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
         ends = [at - [*[case.slice] * (at.shape[1] - 2), 0, 0] for at in ends]  # of the volume
     if any((abs(at[:, :-n]) > 0.5).any() for at in ends):
         raise ProblemError(path.name, "holds points that lie on other slices than the image.")
+    sources, last = ends[0][:, -n:], np.array(grid.shape) - 1
+    outside = int(((sources < -0.5) | (sources > last + 0.5)).any(axis=1).sum())
+    if outside:
+        raise ProblemError(
+            path.name,
+            f"has {outside} of {len(sources)} landmarks outside the image. Give "
+            f"them in its {'pixels' if place is None else 'mm'}, and remove what lies beside it.",
+        )
     radius = usual_radius(grid.shape, grid.spacing)
     pairs = zip(*(each[:, -n:].tolist() for each in ends), strict=True)
     return Drawing(tuple(Landmark(tuple(at), tuple(to), radius) for at, to in pairs))

@@ -158,7 +158,7 @@ def load_image(path: str | os.PathLike[str]) -> ImageFile:
     try:
         image = _series(sitk, source) if source.is_dir() else read_image(sitk, source)
     except RuntimeError as error:
-        raise FileFormatError(f"{source.name}: not an image that can be read.") from error
+        raise _unreadable(source) from error
     n, count = image.GetDimension(), image.GetNumberOfComponentsPerPixel()
     if n not in (2, 3) or count not in (1, 3, 4):
         raise FileFormatError(
@@ -169,6 +169,15 @@ def load_image(path: str | os.PathLike[str]) -> ImageFile:
     place = Place(tuple(image.GetSpacing()[::-1]), tuple(image.GetOrigin()), turn)
     pixels = sitk.GetArrayFromImage(image)
     return ImageFile(pixels[0] if n == 3 and len(pixels) == 1 else pixels, place, count > 1)
+
+
+def _unreadable(source: Path) -> FileFormatError:
+    """Why a file gives no image, as far as can be told."""
+    why = "damaged, or of another kind" if source.stat().st_size else "empty"
+    kinds = ", ".join((*PICTURE_SUFFIXES, *MEDICAL_SUFFIXES))
+    return FileFormatError(
+        f"{source.name}: not an image that can be read: it is {why}. Images end in {kinds}."
+    )
 
 
 def is_scan(path: str | os.PathLike[str]) -> bool:
@@ -224,7 +233,7 @@ def _picture(source: Path) -> ImageFile:
     try:
         pixels, colours = (_tiff if source.suffix.lower() in _TIFF else _photo)(source)
     except Exception as error:
-        raise FileFormatError(f"{source.name}: not an image that can be read.") from error
+        raise _unreadable(source) from error
     if pixels.ndim - colours not in (2, 3):
         raise FileFormatError(
             f"{source.name}: an image of shape {pixels.shape}. Give one of 2 or 3 axes."
