@@ -302,7 +302,7 @@ def _solve(options: argparse.Namespace) -> int:
     )
     saved = solve_case(case, options.out, backend=options.backend)
     print(f"solved: {saved.solution!r}")
-    for note in notes_on(saved.study):
+    for note in notes_on(saved):
         print(f"note: {note}")
     written = ", ".join(sorted(path.name for path in options.out.iterdir()))
     print(f"in {options.out}: {written}")

@@ -1,6 +1,7 @@
 """A case is solved from files in the shell, as it would be from arrays."""
 
 import os
+import re
 from dataclasses import replace
 
 import mri
@@ -196,6 +197,9 @@ def test_what_is_wrong_with_rules_is_said_by_their_line(tmp_path, text, sentence
         ("--boundary zero.png --rules r.csv", "'zero.png' is 0 everywhere: nothing says how"),
         ("--boundary labels.png --rules plane.csv", "plane.csv: has a column 'plane', but what"),
         ("--hold-edge --labels colours.png", "colours.png: is in colours. Give an image of one"),
+        ("--boundary none.csv", "none.csv: holds no landmarks in use. Give a pair, and have it"),
+        ("--boundary two.csv", "two.csv: has two landmarks in one pixel (12 10). Keep one for"),
+        ("--hold-edge --labels complex.tif", "complex.tif: an image of complex64 values. Give one"),
         ("--boundary pairs.csv", "pairs.csv: has 1 of 2 landmarks outside the image. Give them in"),
         ("--hold-edge --labels gone.png", "gone.png: there is no such file or folder. Check its"),
         ("--hold-edge --labels .", "the folder holds no DICOM file. Give one with one series."),
@@ -213,6 +217,9 @@ def test_what_would_change_nothing_or_fits_nowhere_is_refused_in_the_shell(
     save_points(folder / "pairs.csv", np.array([[3.0, 4], [900, 4]]), np.ones((2, 2)))
     (folder / "plane.csv").write_text("label,action,plane\n1,fixed,\n2,move,1\n")
     (folder / "empty.png").write_bytes(b"")
+    (folder / "none.csv").write_text('"a","false","1","2","3","4"\n')
+    (folder / "two.csv").write_text('"a","true",10,12,3,4\n"b","true",10,12.2,8,9\n')
+    save_image(folder / "complex.tif", ImageFile(np.ones(SHAPE, np.complex64)))
     assert main(["solve", "rim.png", "-o", "out", *options.split()]) == 1
     said = capsys.readouterr().err
     assert sentence in said
@@ -267,6 +274,20 @@ def test_what_the_system_says_of_files_is_said_plainly(
     said = capsys.readouterr().err
     assert sentence in said
     assert "Errno" not in said
+
+
+def test_a_mask_is_labels_and_of_what_folds_the_shell_says_so(files, capsys):
+    folder, _, labels, _ = files
+    save_image(folder / "mask.tif", ImageFile(labels > 1))
+    (folder / "m01.csv").write_text("label,stiffness\n0,3\n1,9\n")
+    save_points(folder / "far.csv", np.array([[15.0, 12]]), np.array([[15.0, 26]]))
+    command = "solve rim.png --labels mask.tif --materials m01.csv --boundary far.csv -o out"
+    here = [str(folder / each) if "." in each else each for each in command.split()[:-1]]
+    assert main([*here, str(folder / "out"), "--hold-edge", "--backend", "cpu"]) == 0
+    said = capsys.readouterr().out
+    assert re.search("note: the tissue folds over itself at [1-9][0-9]* pixels, which no", said)
+    study, _ = load_study(folder / "out" / "rim.study")
+    np.testing.assert_array_equal(study.tissue.labels, labels > 1)
 
 
 def test_maps_of_how_likely_tissues_are_say_where_they_are(files):

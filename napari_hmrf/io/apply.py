@@ -267,7 +267,9 @@ def place_for(file: LandmarkFile, place: Place | None, name: str, n: int) -> Pla
     axes = file.points.shape[1]
     most = n if place is None else len(place.spacing)
     if axes not in (n, most):
-        raise ProblemError(name, f"holds points of {axes} axes, but the image has {most}.")
+        raise ProblemError(
+            name, f"holds points of {axes} axes, but the image has {most}. Give points of so many."
+        )
     size = (1.0,) * axes if place is None or file.unit == "pixel" else place.spacing[-axes:]
     if place is None or file.unit != "mm" or axes < most:
         return Place(size, (0.0,) * axes, np.eye(axes))

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
+from napari_hmrf.field.deformation import count_folds
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.measurement import Measurement, measure
 from napari_hmrf.field.units import unit_symbol
@@ -122,10 +123,22 @@ def read_case(case: Case) -> Study:
     )
 
 
-def notes_on(study: Study) -> tuple[str, ...]:
-    """What people should know of how a study was understood, as clauses."""
+def notes_on(saved: Saved) -> tuple[str, ...]:
+    """What people should know of how a study was understood and what came of it, as clauses."""
+    study, solution = saved
     ground = Ground.of(study)
-    return ground.notes_on(ground.statement())
+    notes = ground.notes_on(ground.statement())
+    folded = 0
+    if solution is not None:
+        d, tissue = solution.displacement, solution.tissue
+        folded = count_folds(d, spacing=solution.spacing, tissue=tissue)
+    if not folded:
+        return notes
+    sites = "voxels" if len(study.grid.shape) == 3 else "pixels"
+    return (
+        f"the tissue folds over itself at {folded} {sites}, which no tissue does: move it less",
+        *notes,
+    )
 
 
 def _refuse_unused(case: Case, flat: bool) -> None:
@@ -307,7 +320,8 @@ def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> n
 
 def _as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
     """The pixels of a file as labels, which some tools keep as numbers that need not be whole."""
-    if pixels.dtype.kind == "f" and (pixels == np.rint(pixels)).all():
+    is_mask = pixels.dtype.kind == "b"
+    if is_mask or (pixels.dtype.kind == "f" and (pixels == np.rint(pixels)).all()):
         return pixels.astype(np.int32)
     if pixels.dtype.kind not in "iu":
         raise ProblemError(path.name, f"holds {pixels.dtype} values. Give labels: whole numbers.")
@@ -316,7 +330,7 @@ def _as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
 
 def _most_likely(maps: Sequence[npt.NDArray[Any]]) -> npt.NDArray[np.uint8]:
     """The labels of tissues that are more likely than not; 0 where none is."""
-    likely = np.stack(maps).astype(float)
+    likely = np.nan_to_num(np.stack(maps).astype(float))  # NaN where a tool says nothing
     sure = max(1.0, float(likely.max()))  # 1, 100 or 255, as tools have it
     found = np.where(likely.max(axis=0) > sure / 2, 1 + likely.argmax(axis=0), 0)
     return found.astype(np.uint8)
@@ -380,6 +394,14 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
     if any((abs(at[:, :-n]) > 0.5).any() for at in ends):
         raise ProblemError(path.name, "holds points that lie on other slices than the image.")
     sources, last = ends[0][:, -n:], np.array(grid.shape) - 1
+    if not len(sources):
+        raise ProblemError(path.name, "holds no landmarks in use. Give a pair, and have it active.")
+    pixels, counts = np.unique(np.rint(sources), axis=0, return_counts=True)
+    if counts.max() > 1:
+        twice = " ".join(f"{at:g}" for at in pixels[counts.argmax()])
+        raise ProblemError(
+            path.name, f"has two landmarks in one pixel ({twice}). Keep one for each pixel."
+        )
     outside = int(((sources < -0.5) | (sources > last + 0.5)).any(axis=1).sum())
     if outside:
         raise ProblemError(

@@ -234,6 +234,10 @@ def _picture(source: Path) -> ImageFile:
         pixels, colours = (_tiff if source.suffix.lower() in _TIFF else _photo)(source)
     except Exception as error:
         raise _unreadable(source) from error
+    if pixels.dtype.kind not in "biuf":
+        raise FileFormatError(
+            f"{source.name}: an image of {pixels.dtype} values. Give one of real numbers."
+        )
     if pixels.ndim - colours not in (2, 3):
         raise FileFormatError(
             f"{source.name}: an image of shape {pixels.shape}. Give one of 2 or 3 axes."

@@ -84,9 +84,10 @@ class StiffnessCurve:
                 raise _bad(f"has intensity {after:g} {twice}. Give each once, in rising order")
         for intensity, stiffness in points:
             if not 0 < stiffness <= LARGEST_STIFFNESS:
-                raise _bad(f"needs a stiffness at intensity {intensity:g} that is above 0")
+                most = f"above 0, and no larger than {LARGEST_STIFFNESS:.2g}"
+                raise _bad(f"needs a stiffness at intensity {intensity:g} that is {most}")
         if void_below is not None and not math.isfinite(void_below):
-            raise _bad("ends at no number below which there is no tissue. Give one, or nothing")
+            raise _bad("has no number as that below which is no tissue. Give one, or nothing")
         if not is_one_of(self.between, get_args(Between)):
             raise _bad(f'is {shown(self.between)} between its points. Take "straight" or "smooth"')
         if not isinstance(self.logarithmic, bool) or not isinstance(self.unit, str):
