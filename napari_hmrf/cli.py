@@ -247,6 +247,13 @@ def _export(options: argparse.Namespace) -> int:
 def _apply(options: argparse.Namespace) -> int:
     from napari_hmrf.io.apply import apply_field, load_field
 
+    names = [file.name for file in options.files]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise HmrfError(
+            f"{twice} is the name of two files, of which one would be written over the other. "
+            "Move them one after the other, with another --out for each"
+        )
     field = load_field(options.field)
     options.out.mkdir(parents=True, exist_ok=True)
     failed = 0

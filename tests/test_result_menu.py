@@ -311,6 +311,21 @@ def test_the_field_is_saved_from_the_menu_each_way(result, asked, wait_for, tmp_
     np.testing.assert_allclose(read, solution.displacement, atol=1e-5)
 
 
+def test_where_nothing_can_be_saved_it_is_said_plainly(result, asked, wait_for, tmp_path):
+    pytest.importorskip("SimpleITK")
+    dock, _ = result(**MM)
+    (tmp_path / "folder.mha").mkdir()
+    for name, why in (
+        ("gone/a.mha", "its folder is not there. Make that first, or choose another."),
+        ("folder.mha", "it is a folder. Give the name of a file."),
+    ):
+        asked(tmp_path / name)
+        Screen(dock).entry("More", "Save field for images").trigger()
+        wait_for(lambda: not dock.busy)
+        assert dock.status.endswith(f"cannot save the file: {why}")
+        assert "Errno" not in dock.status
+
+
 def test_a_film_is_saved_from_the_menu(result, asked, wait_for, tmp_path, monkeypatch):
     dock, _ = result()
     asked(tmp_path / "gel.gif")

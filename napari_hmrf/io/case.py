@@ -158,11 +158,12 @@ def _refuse_unused(case: Case, flat: bool) -> None:
 
 
 def _names(case: Case) -> dict[str, str]:
-    """What people call the parts of a study: as they called the files."""
+    """What people call the parts of a study: as they called the files, and the image as layers."""
     sure = case.confidence if isinstance(case.confidence, Path) else None
     tissue = case.labels or next(iter(case.maps), None)
-    parts = {"image": case.image, "tissue": tissue, "boundary": case.boundary, "confidence": sure}
-    return {part: path.name for part, path in parts.items() if path is not None}
+    parts = {"tissue": tissue, "boundary": case.boundary, "confidence": sure}
+    files = {part: path.name for part, path in parts.items() if path is not None}
+    return {"image": case.image.name.partition(".")[0], **files}
 
 
 def solve_case(case: Case, folder: Path, *, backend: str = "auto") -> Saved:

@@ -160,7 +160,7 @@ def load_image(path: str | os.PathLike[str]) -> ImageFile:
     except RuntimeError as error:
         raise _unreadable(source) from error
     n, count = image.GetDimension(), image.GetNumberOfComponentsPerPixel()
-    if n not in (2, 3) or count not in (1, 3, 4):
+    if n not in (2, 3) or count not in (1, n, 3, 4):
         raise FileFormatError(
             f"{source.name}: an image of {n} axes and {count} values a pixel. Give one of 2 or 3 "
             "axes, grey or in colours."
@@ -168,6 +168,10 @@ def load_image(path: str | os.PathLike[str]) -> ImageFile:
     turn = np.array(image.GetDirection()).reshape(n, n)
     place = Place(tuple(image.GetSpacing()[::-1]), tuple(image.GetOrigin()), turn)
     pixels = sitk.GetArrayFromImage(image)
+    if n == count and pixels.dtype.kind == "f":
+        raise FileFormatError(
+            f"{source.name}: it holds a displacement field. Give the image that it moves."
+        )
     return ImageFile(pixels[0] if n == 3 and len(pixels) == 1 else pixels, place, count > 1)
 
 

@@ -222,7 +222,7 @@ def save_measurements(
     target = Path(checked_path(path))
     if target.suffix.lower() != ".csv":
         raise FileFormatError(
-            f"{target.name}: measurements are saved as .csv. End its name in that."
+            f"{target.name}: measurements are saved as text. End its name in .csv."
         )
     file = io.StringIO()
     more = {"unit": unit} if unit else {}
