@@ -43,7 +43,7 @@ def make_field(path: Path) -> None:
         image = sitk.GetImageFromArray(d, isVector=True)
         sitk.WriteTransform(sitk.DisplacementFieldTransform(image), str(path))
     else:
-        write_field(path, d, spacing=(3.0, 1.3, 0.7), forward=True)
+        write_field(path, d, spacing=(3.0, 1.3, 0.7), forward=path.suffix != ".h5")
 
 
 def make_landmarks(path: Path) -> None:

@@ -11,6 +11,8 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+from napari_hmrf.errors import CANNOT_SAVE
+
 _TEMPORARY = ".napari-hmrf-"
 _ABANDONED_AFTER = 3600.0
 
@@ -40,9 +42,7 @@ def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
     except OSError as error:
         if error.errno is None:
             raise
-        raise type(error)(
-            error.errno, f"cannot save the file: {error.strerror}", str(target)
-        ) from error
+        raise type(error)(error.errno, f"{CANNOT_SAVE}{error.strerror}", str(target)) from error
 
 
 def is_stream(path: str | os.PathLike[str]) -> bool:

@@ -1,4 +1,4 @@
-"""The commands of ``napari-hmrf``: what is typed, and what is printed."""
+"""The commands of ``napari-hmrf``: what they do, and what they print."""
 
 from __future__ import annotations
 
@@ -9,34 +9,20 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING
 
-import napari_hmrf
-from napari_hmrf.errors import HmrfError
+from napari_hmrf.command_line import MODELS, parser_of_commands
+from napari_hmrf.errors import HmrfError, in_words
 from napari_hmrf.samples.demo import SAMPLE_SIZE
 from napari_hmrf.samples.head import SAMPLE_SIZE as VOLUME_SIZE
-from napari_hmrf.samples.phantoms import PHANTOM_NAMES, SMALLEST
-from napari_hmrf.solver.backends import BACKEND_NAMES
-from napari_hmrf.solver.caveats import shortfall
-from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.priors import Elastic, Prior
-from napari_hmrf.solver.priors.elastic import POISSON_RANGE, Plane
 from napari_hmrf.study.models import chosen, family_of
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
 if TYPE_CHECKING:
     from napari_hmrf.contributions import LayerData
     from napari_hmrf.solver.solution import Solution
-
-
-def _dashed(text: str) -> str:
-    """A name of a model as one word."""
-    return text.replace(",", "").replace(" ", "-")
-
-
-#: The models, as they are asked for.
-_MODELS: dict[str, ModelName] = {_dashed(name): name for name in get_args(ModelName)}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -52,187 +38,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         The exit code: 0 if all went well, 1 if not, 130 if it was interrupted.
     """
-    options = _parser().parse_args(arguments)
+    options = parser_of_commands().parse_args(arguments)
     try:
         return _COMMANDS[options.command](options)
     except KeyboardInterrupt:
         _tell("interrupted")
         return 130
     except (HmrfError, OSError) as error:
-        _tell(f"napari-hmrf: {error}")
+        _tell(f"napari-hmrf: {in_words(error)}")
         return 1
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="napari-hmrf",
-        description="How soft tissue moves, computed on the pixels of an image.",
-    )
-    parser.add_argument(
-        "--version", action="version", version=f"napari-hmrf {napari_hmrf.__version__}"
-    )
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    demo = commands.add_parser(
-        "demo", help="deform a sample, draw it, and open it in napari where there is a display"
-    )
-    which = demo.add_mutually_exclusive_group()
-    which.add_argument(
-        "--phantom", choices=PHANTOM_NAMES, default=PHANTOM_NAMES[0], help="default: %(default)s"
-    )
-    which.add_argument(
-        "--volume", action="store_true", help="a head, in which a tumour grows, as a volume"
-    )
-    demo.add_argument(
-        "--model",
-        type=_dashed,
-        choices=_MODELS,
-        default="elastic",
-        help="what tissue is taken to be: elastic, elastic for large motion, the paper's Markov "
-        "random field by its schedule, or that field converged (default: %(default)s). What the "
-        "paper's schedule makes of it is printed beside it",
-    )
-    low, high = POISSON_RANGE
-    demo.add_argument(
-        "--poisson",
-        type=_poisson,
-        metavar="NU",
-        help=f"of elastic tissue: Poisson's ratio, {low:g} to {high:g} (default: {USUAL_POISSON})",
-    )
-    demo.add_argument(
-        "--plane",
-        choices=get_args(Plane),
-        help="of elastic tissue: a thin slice, free to bulge (stress, the default), or one held "
-        "between its neighbours (strain)",
-    )
-    demo.add_argument(
-        "--size",
-        type=_size,
-        metavar="N",
-        help=f"pixels along each side (default: {SAMPLE_SIZE}, the size with a finite-element "
-        f"field; of a volume from front to back: {VOLUME_SIZE}, voxels of 2 mm)",
-    )
-    demo.add_argument(
-        "--out",
-        type=Path,
-        default=Path("demo-output"),
-        metavar="DIR",
-        help="where the pictures and the result go (default: %(default)s)",
-    )
-    demo.add_argument(
-        "--backend",
-        choices=BACKEND_NAMES,
-        default="auto",
-        help="default: what napari takes (%(default)s): the shaders on a GPU, else the loops for "
-        "the processor, which are compiled first, once on a machine",
-    )
-    demo.add_argument("--no-window", action="store_true", help="do not open napari")
-    commands.add_parser("selftest", help="report what this runs on, and check it: for a bug report")
-    _add_file_commands(commands)
-    return parser
-
-
-def _add_file_commands(commands: Any) -> None:
-    export = commands.add_parser("export", help="write a result's field for other tools")
-    export.add_argument("result", type=Path, metavar="RESULT", help="a saved result, or a study")
-    export.add_argument(
-        "out",
-        type=Path,
-        metavar="OUT",
-        help="ends in .nii.gz, .mha, .nrrd or .h5: where what is seen came from, in mm, LPS",
-    )
-    export.add_argument(
-        "--forward",
-        action="store_true",
-        help="write where tissue goes: to move points, not images",
-    )
-    apply = commands.add_parser("apply", help="move images, labels or landmarks by a field")
-    apply.add_argument(
-        "field", type=Path, metavar="FIELD", help="a result, a study, or another tool's field"
-    )
-    apply.add_argument("files", type=Path, nargs="+", metavar="FILE")
-    apply.add_argument("--labels", action="store_true", help="the images are labels")
-    apply.add_argument("-o", "--out", type=Path, default=Path("moved"), metavar="DIR")
-    measure = commands.add_parser("measure", help="print what happened to each tissue")
-    measure.add_argument("result", type=Path, metavar="RESULT", help="a study, or a saved result")
-    measure.add_argument("--labels", type=Path, help="an image of labels, if not the study's own")
-    measure.add_argument("-o", "--out", type=Path, metavar="TABLE", help="a .csv to write as well")
-    play = commands.add_parser("play", help="write the image as it moves: a .gif or .mp4")
-    play.add_argument("result", type=Path, metavar="RESULT", help="a study, or a saved result")
-    play.add_argument("out", type=Path, metavar="OUT")
-    play.add_argument("--image", type=Path, help="if not the study's own")
-    solve = commands.add_parser("solve", help="solve a study, or images with their tables")
-    solve.add_argument("image", type=Path, metavar="STUDY|IMAGE")
-    solve.add_argument("-o", "--out", type=Path, required=True, metavar="DIR")
-    solve.add_argument("--labels", type=Path, help="an image of tissue labels")
-    solve.add_argument(
-        "--maps",
-        type=Path,
-        nargs="+",
-        default=(),
-        metavar="MAP",
-        help="instead: how likely tissue 1, 2 ... is, an image for each",
-    )
-    solve.add_argument(
-        "--materials", type=Path, metavar="TABLE", help=".csv: label,name,stiffness,poisson,growth"
-    )
-    solve.add_argument(
-        "--boundary",
-        type=Path,
-        metavar="FILE",
-        help="an image of labels with --rules, pairs of landmarks (.csv), or a field",
-    )
-    solve.add_argument(
-        "--rules",
-        type=Path,
-        metavar="TABLE",
-        help=".csv: label,action,row,col,amount,confidence; actions are fixed, move, "
-        "expand, and press and pull, which are forces",
-    )
-    solve.add_argument(
-        "--confidence",
-        metavar="IMAGE|edges",
-        help="how sure a field is: an image from 0 to 1, a mask, or where the image has edges",
-    )
-    solve.add_argument(
-        "--slice",
-        type=int,
-        metavar="N",
-        help="of a volume only this slice along its first axis; by default all of it",
-    )
-    solve.add_argument(
-        "--hold-edge", action="store_true", help="the outer edge of the tissue stays"
-    )
-    solve.add_argument("--model", type=_dashed, choices=_MODELS, default="elastic")
-    solve.add_argument("--backend", choices=BACKEND_NAMES, default="auto")
-    replay = commands.add_parser("replay", help="solve a saved study again, and compare the fields")
-    replay.add_argument("study", type=Path, metavar="STUDY")
-    replay.add_argument("--image", type=Path, metavar="IMAGE", help="if it is not in the file")
-
-
-def _size(text: str) -> int:
-    try:
-        size = int(text)
-    except ValueError:
-        size = 0
-    if size < SMALLEST:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {SMALLEST}")
-    return size
-
-
-def _poisson(text: str) -> float:
-    low, high = POISSON_RANGE
-    try:
-        poisson = float(text)
-    except ValueError:
-        poisson = -1.0
-    if not low <= poisson <= high:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number from {low:g} to {high:g}")
-    return poisson
 
 
 def _model(options: argparse.Namespace) -> tuple[Prior, Optimizer]:
     """The energy asked for, and how it is minimised."""
-    prior, optimizer = chosen(_MODELS[options.model])
+    prior, optimizer = chosen(MODELS[options.model])
     if isinstance(prior, Elastic):
         nu = USUAL_POISSON if options.poisson is None else options.poisson
         return replace(prior, poisson=nu, plane=options.plane or "stress"), optimizer
@@ -248,26 +67,22 @@ def _selftest(_: argparse.Namespace) -> int:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.apply import load_field
-    from napari_hmrf.io.fields import write_field
+    from napari_hmrf.io.apply import load_field, save_field
 
-    field = load_field(options.result)
-    residual = write_field(
-        options.out,
-        field.displacement,
-        **field.place._asdict(),
-        tissue=field.tissue,
-        forward=options.forward,
-    )
-    print(f"written: {options.out}")
-    if not options.forward:
-        print(f"it is inverted, to {residual:.2g} pixels at the worst one")
+    print(save_field(options.out, load_field(options.result), forward=options.forward))
     return 0
 
 
 def _apply(options: argparse.Namespace) -> int:
     from napari_hmrf.io.apply import apply_field, load_field
 
+    names = [file.name for file in options.files]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise HmrfError(
+            f"{twice} is the name of two files, of which one would be written over the other. "
+            "Move them one after the other, with another --out for each"
+        )
     field = load_field(options.field)
     options.out.mkdir(parents=True, exist_ok=True)
     failed = 0
@@ -277,7 +92,7 @@ def _apply(options: argparse.Namespace) -> int:
             print(f"written: {written}", flush=True)
         except (HmrfError, OSError) as error:
             failed += 1
-            _tell(f"napari-hmrf: {error}")
+            _tell(f"napari-hmrf: {in_words(error)}")
     return int(failed > 0)
 
 
@@ -306,7 +121,7 @@ def _play(options: argparse.Namespace) -> int:
 
 
 def _solve(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.case import Case, solve_case
+    from napari_hmrf.io.case import Case, notes_on, solve_case
 
     sure = options.confidence
     case = Case(
@@ -319,13 +134,12 @@ def _solve(options: argparse.Namespace) -> int:
         confidence=sure if sure in (None, "edges") else Path(sure),
         slice=options.slice,
         hold_edge=options.hold_edge,
-        model=_MODELS[options.model],
+        model=options.model and MODELS[options.model],
     )
     saved = solve_case(case, options.out, backend=options.backend)
     print(f"solved: {saved.solution!r}")
-    reach = None if saved.solution is None else saved.solution.reach
-    if short := shortfall(reach, saved.study.grid.unit):
-        print(f"note: {short}")
+    for note in notes_on(saved):
+        print(f"note: {note}")
     written = ", ".join(sorted(path.name for path in options.out.iterdir()))
     print(f"in {options.out}: {written}")
     return 0
@@ -336,7 +150,9 @@ def _replay(options: argparse.Namespace) -> int:
     from napari_hmrf.io.study_file import load_study, replay
 
     image = None if options.image is None else load_image(options.image).pixels
-    before = load_study(options.study, image=image).solution
+    study, before = load_study(options.study, image=image)
+    if image is not None and study.pictures.image is not image:
+        raise HmrfError(f"{options.study.name} holds its own image. Leave out --image.")
     now = replay(options.study, image=image)
     print(f"solved: {now!r}")
     if before is None:

@@ -196,14 +196,10 @@ def _field(path: str) -> LayerData:
     """A displacement field as a layer that holds it as it is stored, in pixels."""
     from pathlib import Path
 
-    from napari_hmrf.field.displacement_field import DisplacementField
     from napari_hmrf.io.apply import load_field
     from napari_hmrf.layers.field_layer import field_layer
 
-    file = load_field(path)
-    field, frame = file.field.to_pixels(), file.place.frame()
-    if len(field.shape) == 2:
-        field = DisplacementField.in_pixels(frame.put_field(field.displacement))
+    field, frame = load_field(path).in_pixels
     return field_layer(field, frame.placement(), Path(path).name.partition(".")[0])
 
 
@@ -218,7 +214,7 @@ def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
     Parameters
     ----------
     path : str
-        Ends in .npz, or as `export_field` takes it.
+        Ends in .npz, or as `write_field` takes it.
     data : ndarray, shape (N, 2, D)
         The arrows; only some of what is saved.
     attributes : dict
@@ -236,7 +232,8 @@ def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
     """
     from napari.utils.notifications import show_info
 
-    from napari_hmrf.io.fields import FIELD_SUFFIXES, export_field, saved_field
+    from napari_hmrf.io.apply import FieldFile, save_field
+    from napari_hmrf.io.fields import FIELD_SUFFIXES
     from napari_hmrf.layers.metadata import METADATA
     from napari_hmrf.solver.solution import Solution
 
@@ -249,7 +246,7 @@ def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
             "that it made."
         )
     if path.lower().endswith(FIELD_SUFFIXES):
-        show_info(saved_field(path, export_field(path, solution)))
+        show_info(save_field(path, FieldFile.of(solution)))
         return [path]
     return [str(solution.save(path))]
 

@@ -6,6 +6,30 @@ would have to be undone.
 
 from __future__ import annotations
 
+import errno
+
+#: What the system says of a file that cannot be opened, and what to do.
+_OPENING = {
+    errno.ENOENT: "there is no such file or folder. Check its name.",
+    errno.EISDIR: "it is a folder. Name a file in it.",
+    errno.ENOTDIR: "a part of its path is a file, not a folder. Check its name.",
+    errno.EEXIST: "it is a file, not a folder. Name a folder.",
+    errno.EACCES: "you have no permission for it. Change its permissions, or take another.",
+    errno.EPERM: "you have no permission for it. Change its permissions, or take another.",
+    errno.EROFS: "its disk can only be read. Take a folder on another.",
+    errno.ENOSPC: "the disk is full. Make room, or take another.",
+    errno.ENAMETOOLONG: "its name is too long. Take a shorter one.",
+}
+#: The same of one that cannot be saved.
+_SAVING = {
+    **_OPENING,
+    errno.ENOENT: "its folder is not there. Make that first, or choose another.",
+    errno.EISDIR: "it is a folder. Give the name of a file.",
+    errno.EACCES: "you have no permission to write there. Choose another folder or name.",
+}
+#: With what `atomic_write` begins when it is the file that is written which is at fault.
+CANNOT_SAVE = "cannot save the file: "
+
 
 class HmrfError(Exception):
     """Base of all errors raised on purpose by napari-hmrf."""
@@ -51,3 +75,13 @@ class Cancelled(HmrfError):
 
     def __init__(self) -> None:
         super().__init__("the solve was cancelled")
+
+
+def in_words(error: Exception) -> str:
+    """What is wrong in a sentence for people, and the cure: of files, too, which systems name."""
+    if not isinstance(error, OSError) or error.filename is None:
+        return str(error) or type(error).__name__
+    said = error.strerror or ""
+    saving = said.startswith(CANNOT_SAVE)
+    why = (_SAVING if saving else _OPENING).get(error.errno or 0, f"{said}.")
+    return f"{error.filename}: {CANNOT_SAVE if saving else ''}{why}"

@@ -169,10 +169,26 @@ def test_one_file_that_fails_stops_no_other_and_is_said(solved, tmp_path, capsys
     assert "small.png: is 4 x 5, but the field 40 x 48" in capsys.readouterr().err
 
 
+def test_two_files_of_one_name_and_a_field_for_an_image_are_refused(solved, tmp_path, capsys):
+    path, _ = solved
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        save_image(tmp_path / folder / "x.png", ImageFile(np.zeros(SHAPE, np.uint8)))
+    files = [str(tmp_path / folder / "x.png") for folder in ("a", "b")]
+    assert main(["apply", str(path), *files, "-o", str(tmp_path / "out")]) == 1
+    assert "x.png is the name of two files" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    for n in (2, 3):
+        field = str(tmp_path / f"{n}.nrrd")
+        write_field(field, np.zeros((*(6, 7, 8)[:n], n)), spacing=(1,) * n)
+        assert main(["solve", field, "--hold-edge", "-o", str(tmp_path / "out")]) == 1
+        assert f"{n}.nrrd: it holds a displacement field. Give the image" in capsys.readouterr().err
+
+
 def test_a_study_is_exported_replayed_and_read_again_in_the_shell(solved, tmp_path, capsys):
     path, solution = solved
     assert main(["export", str(path), str(tmp_path / "field.mha")]) == 0
-    assert "inverted, to" in capsys.readouterr().out
+    assert "it moves images, and is an inverse to" in capsys.readouterr().out
     again = load_field(tmp_path / "field.mha").displacement
     # Inverted twice, and a pulled patch has an edge.
     assert np.abs(again - solution.displacement).max() < 0.2

@@ -1,6 +1,7 @@
 """A case is solved from files in the shell, as it would be from arrays."""
 
 import os
+import re
 from dataclasses import replace
 
 import mri
@@ -12,11 +13,14 @@ from napari_hmrf import (
     BoundaryRule,
     Drawing,
     FileFormatError,
+    Grid,
     Landmark,
     Material,
     Motion,
     Problem,
     ProblemError,
+    Study,
+    Tissue,
     at_edges,
     load_study,
     save_points,
@@ -79,9 +83,22 @@ def test_tables_are_read_as_spreadsheets_write_them(files):
     [
         ("", r"t\.csv lacks the column 'label'"),
         ("label,name\n1,brain\n", r"lacks the column 'stiffness'"),
-        ("label,stiffness\n1,stiff\n", r"t\.csv: line 2: stiffness: .*, not 'stiff'"),
-        ("label,stiffness\n1,3\nx,3\n", r"t\.csv: line 3: label: "),
-        ("label,stiffness\n1,\n", r"has a line without 'stiffness'"),
+        (
+            "label,stiffness\n1,stiff\n",
+            r"t\.csv: line 2: stiffness is 'stiff'\. Give a number",
+        ),
+        ("label,stiffness\n1,3\nx,3\n", r"t\.csv: line 3: label is 'x'\. Give a whole"),
+        ("label,stiffness\n1,\n", r"t\.csv: line 2 has nothing under 'stiffness'"),
+        ("label,stiffness\n1,0\n", r"t\.csv has no stiffness above 0"),
+        ("label,stiffness\n", r"t\.csv has no line below the names"),
+        ("label,stiffness\n\n1,3\n\n1,4\n", r"t\.csv: line 5: label 1 is there twice"),
+        ("label,stiffness\n1,3,4\n", r"t\.csv: line 2 has more cells than there are columns"),
+        ("label;stiffness\n1;3\n", r"lacks the column 'label'.*with commas between them"),
+        ("label,stiffness,poison\n1,3,.4\n", r"t\.csv has a column 'poison', which says nothing"),
+        (
+            "label,stiffness,poisson\n1,3,0.4\n2,3,0.7\n",
+            r"t\.csv: line 3: poisson is '0\.7'\. Give a number from 0 to 0\.499\.",
+        ),
     ],
 )
 def test_what_is_wrong_with_a_table_is_said_by_its_line(tmp_path, text, sentence):
@@ -140,6 +157,139 @@ def test_a_slice_of_a_stack_that_lies_nowhere_knows_its_number_too(tmp_path):
     saved = solve_case(given, tmp_path / "out", backend="cpu")
     assert place_of(saved.solution).origin == (0, 0, 2)
     assert (tmp_path / "out" / "stack deformed.tif").exists(), "which takes no SimpleITK"
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (
+            "label,action\n1,fixed\n2,push\n",
+            r"t\.csv: line 3: action is 'push'\. Give fixed, move or",
+        ),
+        ("label,action\n0,fixed\n", r"line 2: label is '0'\. Give a whole number, 1 or more"),
+        ("label,action,confidence\n1,fixed,2\n", r"confidence is '2'\. Give a number from 0 to 1"),
+        ("label,action,row\n1,move,nan\n", r"line 2: row is 'nan'\. Give a number"),
+        (
+            "label,action\n1,move\n",
+            r"line 2: label 1 is to move, but not by how much\. Give row",
+        ),
+        ("label,action\n1,expand\n", r"label 1 is to expand, but not by how much\. Give amount"),
+        ("label,action,row,row2\n1,move,1,\n", r"has a column 'row2'"),
+    ],
+)
+def test_what_is_wrong_with_rules_is_said_by_their_line(tmp_path, text, sentence):
+    (tmp_path / "t.csv").write_text(text)
+    with pytest.raises(FileFormatError, match=sentence):
+        read_rules(tmp_path / "t.csv")
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ("", "nothing says how the tissue moves. Give --boundary with what moves"),
+        ("--hold-edge --materials m.csv", "--materials is for the tissues of --labels or --maps"),
+        ("--hold-edge --labels labels.png --maps rim.png", "--labels is given beside --maps"),
+        ("--hold-edge --rules r.csv", "--rules is for a --boundary that is an image of labels"),
+        ("--boundary pairs.csv --rules r.csv", "--rules is for a --boundary that is an image of"),
+        ("--hold-edge --confidence edges", "--confidence is for a --boundary that is a field"),
+        ("--hold-edge --slice 1", "--slice is for volumes, and rim.png is none"),
+        ("--boundary labels.png", "If it is an image of labels, give --rules, too."),
+        ("--boundary zero.png --rules r.csv", "'zero.png' is 0 everywhere: nothing says how"),
+        ("--boundary labels.png --rules plane.csv", "plane.csv: has a column 'plane', but what"),
+        ("--hold-edge --labels colours.png", "colours.png: is in colours. Give an image of one"),
+        ("--boundary none.csv", "none.csv: holds no landmarks in use. Give a pair, and have it"),
+        ("--boundary two.csv", "two.csv: has two landmarks in one pixel (12 10). Keep one for"),
+        ("--hold-edge --labels complex.tif", "complex.tif: an image of complex64 values. Give one"),
+        ("--boundary pairs.csv", "pairs.csv: has 1 of 2 landmarks outside the image. Give them in"),
+        ("--hold-edge --labels gone.png", "gone.png: there is no such file or folder. Check its"),
+        ("--hold-edge --labels .", "the folder holds no DICOM file. Give one with one series."),
+        ("--hold-edge --labels labels.png --materials .", "it is a folder. Name a file in it."),
+        ("--hold-edge --labels empty.png", "it is empty. Images end in .png"),
+    ],
+)
+def test_what_would_change_nothing_or_fits_nowhere_is_refused_in_the_shell(
+    files, capsys, monkeypatch, options, sentence
+):
+    folder, *_ = files
+    monkeypatch.chdir(folder)
+    save_image(folder / "zero.png", ImageFile(np.zeros(SHAPE, np.uint8)))
+    save_image(folder / "colours.png", ImageFile(np.zeros((*SHAPE, 3), np.uint8), colours=True))
+    save_points(folder / "pairs.csv", np.array([[3.0, 4], [900, 4]]), np.ones((2, 2)))
+    (folder / "plane.csv").write_text("label,action,plane\n1,fixed,\n2,move,1\n")
+    (folder / "empty.png").write_bytes(b"")
+    (folder / "none.csv").write_text('"a","false","1","2","3","4"\n')
+    (folder / "two.csv").write_text('"a","true",10,12,3,4\n"b","true",10,12.2,8,9\n')
+    save_image(folder / "complex.tif", ImageFile(np.ones(SHAPE, np.complex64)))
+    assert main(["solve", "rim.png", "-o", "out", *options.split()]) == 1
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert len(said.splitlines()) == 1
+    assert not (folder / "out").exists() or "0 everywhere" in sentence
+
+
+def test_a_study_says_itself_what_to_compute_and_what_was_guessed_is_said(files, capsys):
+    folder, *_ = files
+    command = ["solve", folder / "rim.png", "--labels", folder / "rim.png", "--hold-edge"]
+    (folder / "part.csv").write_text("label,stiffness\n0,3\n1,3\n")
+    command += ["--materials", folder / "part.csv", "-o", folder / "out"]
+    assert main([str(each) for each in command]) == 0
+    said = capsys.readouterr().out
+    assert "note: label 2 of 'rim.png' is not in the table and got stiffness 3" in said
+    study = str(folder / "out" / "rim.study")
+    assert main(["solve", study, "-o", str(folder / "out"), "--hold-edge", "--model", "paper"]) == 1
+    assert "Leave out --hold-edge, --model, or give the image" in capsys.readouterr().err
+    assert main(["replay", study, "--image", str(folder / "rim.png")]) == 1
+    assert "rim.study holds its own image. Leave out --image." in capsys.readouterr().err
+    assert main(["measure", study, "-o", str(folder / "t.xlsx")]) == 1
+    assert (
+        "t.xlsx: measurements are saved as text. End its name in .csv." in capsys.readouterr().err
+    )
+    save_image(folder / "small.png", ImageFile(np.ones((4, 5), np.uint8)))
+    for what in (["measure", study, "--labels"], ["play", study, str(folder / "a.gif"), "--image"]):
+        assert main([*what, str(folder / "small.png")]) == 1
+        assert "small.png: is 4 x 5, but the field 30 x 36" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("command", "sentence"),
+    [
+        (("export", "gone.study", "f.mha"), "gone.study: there is no such file or folder. Check"),
+        (("export", ".", "f.mha"), "it is a folder. Name a file in it."),
+        (("export", "f.mha", "no/f.nrrd"), "cannot save the file: its folder is not there. Make"),
+        (("export", "f.mha", "folder.mha"), "cannot save the file: it is a folder. Give the name"),
+        (
+            ("apply", "f.mha", "rim.png", "-o", "rim.png"),
+            "it is a file, not a folder. Name",
+        ),
+        (("measure", "gone.study"), "gone.study: there is no such file or folder. Check its name."),
+        (("replay", "gone.study"), "gone.study: there is no such file or folder. Check its name."),
+    ],
+)
+def test_what_the_system_says_of_files_is_said_plainly(
+    files, capsys, monkeypatch, command, sentence
+):
+    folder, *_ = files
+    monkeypatch.chdir(folder)
+    (folder / "folder.mha").mkdir()
+    write_field(folder / "f.mha", np.zeros((*SHAPE, 2)), spacing=(1, 1))
+    assert main([*command]) == 1
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert "Errno" not in said
+
+
+def test_a_mask_is_labels_and_of_what_folds_the_shell_says_so(files, capsys):
+    folder, _, labels, _ = files
+    save_image(folder / "mask.tif", ImageFile(labels > 1))
+    (folder / "m01.csv").write_text("label,stiffness\n0,3\n1,9\n")
+    save_points(folder / "far.csv", np.array([[15.0, 12]]), np.array([[15.0, 26]]))
+    command = "solve rim.png --labels mask.tif --materials m01.csv --boundary far.csv -o out"
+    here = [str(folder / each) if "." in each else each for each in command.split()[:-1]]
+    assert main([*here, str(folder / "out"), "--hold-edge", "--backend", "cpu"]) == 0
+    said = capsys.readouterr().out
+    assert re.search("note: the tissue folds over itself at [1-9][0-9]* pixels, which no", said)
+    study, _ = load_study(folder / "out" / "rim.study")
+    np.testing.assert_array_equal(study.tissue.labels, labels > 1)
 
 
 def test_maps_of_how_likely_tissues_are_say_where_they_are(files):
@@ -221,6 +371,58 @@ def test_a_volume_s_field_is_observed_on_the_slice_that_is_solved(files):
     write_field(folder / "far" / "Warp.mha", d, **away)
     with pytest.raises(ProblemError, match=r"Warp\.mha: lies elsewhere than the image"):
         read_case(case(folder, boundary=folder / "far" / "Warp.mha"))
+
+
+def test_a_field_in_mm_moves_an_image_without_them_by_its_pixels(tmp_path):
+    d = np.zeros((*SHAPE, 2))
+    d[..., 0], d[..., 1] = 1.0, -0.5
+    for name, size in (("photo.png", 1.0), ("scan.mha", 0.5)):
+        place = None if size == 1 else Place((size,) * 2, (0.0, 0.0), np.eye(2))
+        save_image(tmp_path / name, ImageFile(np.ones(SHAPE, np.uint8), place))
+    write_field(tmp_path / "mm.mha", d, spacing=(0.5, 0.25), forward=True)
+    study = read_case(Case(tmp_path / "photo.png", boundary=tmp_path / "mm.mha"))
+    np.testing.assert_allclose(study.motion.observed, np.broadcast_to((2.0, -2.0), d.shape))
+    # Where both have millimetres it counts where they lie: the field has half of the columns.
+    study = read_case(Case(tmp_path / "scan.mha", boundary=tmp_path / "mm.mha"))
+    known = study.motion.confidence > 0
+    assert known[:, :18].all()
+    assert not known[:, 19:].any()
+    np.testing.assert_allclose(study.motion.observed[known], d[known], atol=1e-6)
+    write_field(tmp_path / "small.mha", d[:9], spacing=(0.5, 0.25), forward=True)
+    with pytest.raises(
+        ProblemError, match=r"small\.mha: is 9 x 36 in mil.*, but the image 30 x 36"
+    ):
+        read_case(Case(tmp_path / "photo.png", boundary=tmp_path / "small.mha"))
+
+
+def test_a_field_of_a_picture_moves_a_scan_of_its_pixels(tmp_path):
+    pull = Drawing((Arrow((12, 14), (1.0, 2.0), 2.0),))
+    grid, motion = Grid(SHAPE, (1.0, 1.0)), Motion(hold_edge=True, drawing=pull)
+    study = Study(grid, Tissue(stiffness=np.ones(SHAPE)), motion)
+    solution = solve_study(study, backend="cpu")
+    path = save_study(tmp_path / "photo.study", study, solution)
+    place = Place((0.5, 0.5), (7.0, 9.0), np.eye(2))
+    save_image(tmp_path / "scan.mha", ImageFile(np.ones(SHAPE, np.uint8), place))
+    observed = read_case(Case(tmp_path / "scan.mha", boundary=path)).motion.observed
+    np.testing.assert_allclose(observed, 0.5 * solution.displacement, atol=1e-5)
+
+
+def test_an_image_of_another_place_is_refused_though_it_is_as_large(files, capsys):
+    folder, scan, *_ = files
+    far = PLACE._replace(origin=(0.0, 0.0, 0.0))
+    save_image(folder / "far.nii.gz", ImageFile(np.ones(scan.shape, np.uint8), far))
+    with pytest.raises(ProblemError, match=r"far\.nii\.gz: lies elsewhere than the image"):
+        read_case(case(folder, labels=folder / "far.nii.gz"))
+    write_field(folder / "f.mha", np.zeros((*scan.shape, 3)), **PLACE._asdict())
+    assert main(["apply", *(str(folder / each) for each in ("f.mha", "far.nii.gz"))]) == 1
+    assert "far.nii.gz: lies elsewhere than the field" in capsys.readouterr().err
+    saved = solve_case(case(folder, hold_edge=True), folder / "out", backend="cpu")
+    assert saved.study.grid.unit == "millimeter"
+    labels = ImageFile(np.ones(SHAPE, np.uint8)[np.newaxis], far)
+    save_image(folder / "flat.nrrd", labels)
+    study = folder / "out" / "scan.study"
+    assert main(["measure", str(study), "--labels", str(folder / "flat.nrrd")]) == 1
+    assert "flat.nrrd: lies elsewhere than the field" in capsys.readouterr().err
 
 
 def test_an_edge_is_where_the_image_is_steep():

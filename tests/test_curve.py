@@ -173,13 +173,13 @@ def test_fields_say_and_take_the_curve(editor, person, qtbot):
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("50: 10; 100: 0", "above 0"),
-        ("50: 10; 100: soft", "above 0"),
+        ("50: 10; 100: 0", "needs a stiffness at intensity 100 that is above 0"),
+        ("50: 10; 100: soft", "needs a stiffness at intensity 100 that is above 0"),
         ("50: 10", "two or more"),
-        ("50: 10; 50: 20", "rising"),
+        ("50: 10; 50: 20", "has intensity 50 twice. Give each once"),
         ("50: 10; 100", "above 0"),
-        ("50: 10; 100: 20;", "pairs"),
-        ("", "pairs"),
+        ("50: 10; 100: 20;", "a point that is no pair of numbers"),
+        ("", "a point that is no pair of numbers"),
     ],
 )
 def test_what_is_no_curve_is_refused_and_put_back(editor, person, qtbot, text, why):
@@ -188,7 +188,9 @@ def test_what_is_no_curve_is_refused_and_put_back(editor, person, qtbot, text, w
     assert typed(qtbot, editor.points, text) == "50: 10; 100: 20; 200: 40"
     assert why in said[0]
     assert typed(qtbot, editor.void_below, "x") == "20"
+    assert "no number as that below which is no tissue" in said[1]
     assert len(said) == 2
+    assert not [each for each in said if "(" in each or "nan" in each or "void_below" in each]
     assert person.changed == []
 
 

@@ -12,11 +12,13 @@ from napari_hmrf import (
     HmrfError,
     Problem,
     ProblemError,
+    count_folds,
     export_field,
     read_field,
     solve,
     write_field,
 )
+from napari_hmrf.cli import main
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.io.fields import FIELD_SUFFIXES
 from napari_hmrf.layers.slice_view import View, frame_of
@@ -124,10 +126,30 @@ def test_what_simpleitk_brings_to_a_place_is_what_was_where_the_tissue_came_from
 
 
 @pytest.mark.parametrize("suffix", FIELD_SUFFIXES)
+@pytest.mark.parametrize("forward", [False, True])
+def test_what_was_written_either_way_is_read_as_it_was_meant(case, suffix, forward, tmp_path):
+    path = tmp_path / f"field{suffix}"
+    if forward and suffix == ".h5":
+        with pytest.raises(FileFormatError, match=r"field\.h5: such a file cannot say that it"):
+            case.write(path, forward=True)
+        assert not path.exists()
+        return
+    case.write(path, forward=forward)
+    for told in (False, True) if suffix != ".h5" else (False,):  # what the file says is believed
+        field = read_field(path, forward=told)
+        read = field.displacement
+        if case.axes > case.n:  # a slice of a volume; as NIfTI, three of them
+            read = read[len(read) // 2, ..., 1:]
+        away = np.abs(read - case.displacement) / case.size
+        assert away[inside(case)].max() < (1e-4 if forward else 0.02)
+        assert (field.residual == 0) == forward
+
+
+@pytest.mark.parametrize("suffix", FIELD_SUFFIXES[:-1])
 def test_what_was_written_is_read_back(case, suffix, tmp_path):
     path = tmp_path / f"field{suffix}"
     case.write(path, forward=True)
-    field = read_field(path, forward=True)
+    field = read_field(path)
     read, size = field.displacement, case.size
     if case.axes > case.n:  # a slice of a volume; as NIfTI, three of them
         np.testing.assert_allclose(read[..., 0], 0, atol=1e-6)
@@ -241,6 +263,22 @@ def test_a_result_of_a_slice_lies_where_its_image_lies_in_the_volume(tmp_path):
         by = solution.displacement[row, col] / frame.spacing
         to = image.data_to_world((2, row + by[0], col + by[1]))
         np.testing.assert_allclose(at[::-1] + goes, 10 * np.array(to), atol=1e-5)
+
+
+def test_where_a_field_folds_it_is_said_that_it_has_no_inverse(tmp_path, capsys):
+    shape = (20, 24)
+    d = np.zeros((*shape, 2))
+    d[8:12, 8:12, 1] = 6.0  # a patch that is pushed through what lies beside it
+    write_field(tmp_path / "folded.mha", d, spacing=(1, 1), forward=True)
+    files = [str(tmp_path / name) for name in ("folded.mha", "back.mha")]
+    assert main(["export", *files]) == 0
+    folds = count_folds(d)
+    assert folds > 5
+    said = capsys.readouterr().out
+    assert f"But tissue folds over itself at {folds} pixels, and has no inverse there" in said
+    write_field(tmp_path / "folded.mha", d / 20, spacing=(1, 1), forward=True)
+    assert main(["export", *files]) == 0
+    assert "folds" not in capsys.readouterr().out
 
 
 def test_what_is_no_field_is_refused(tmp_path):

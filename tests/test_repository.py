@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import napari_hmrf
-from napari_hmrf import cli
+from napari_hmrf.command_line import parser_of_commands
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "napari_hmrf"
@@ -300,7 +300,7 @@ def test_every_napari_hmrf_command_that_is_mentioned_is_understood(page):
     lines = re.findall(r"napari-hmrf ((?:demo|selftest)[^`\n#]*)", code_in(page))
     for line in lines:
         arguments = [word for word in line.split() if not word.startswith("[")]
-        assert cli._parser().parse_args(arguments).command == arguments[0]
+        assert parser_of_commands().parse_args(arguments).command == arguments[0]
 
 
 def test_the_readme_names_the_menus_as_napari_does():

@@ -297,17 +297,33 @@ def test_the_field_is_saved_from_the_menu_each_way(result, asked, wait_for, tmp_
     back = inverse_displacement(
         solution.displacement, spacing=solution.spacing, tissue=solution.tissue
     )
-    read = read_field(path, forward=ending != ".nrrd")
-    if ending != ".nrrd":  # Slicer's key in that says which way it leads, and is believed
-        np.testing.assert_allclose(read.displacement, back.displacement, atol=1e-5)
+    np.testing.assert_allclose(read_field(path).field.backward, back.displacement, atol=1e-5)
     assert f"{back.residual:.2g} px" in dock.status
     path = tmp_path / f"forth{ending}"
     asked(path)
     screen.entry("More", "Save field for points").trigger()
     wait_for(lambda: not dock.busy)
+    if ending == ".h5":
+        assert dock.status.startswith("forth.h5: such a file cannot say that it moves points")
+        return
     assert dock.status == f"Saved forth{ending}: it says where tissue goes, which moves points."
-    read = read_field(path, forward=True).displacement
+    read = read_field(path).displacement
     np.testing.assert_allclose(read, solution.displacement, atol=1e-5)
+
+
+def test_where_nothing_can_be_saved_it_is_said_plainly(result, asked, wait_for, tmp_path):
+    pytest.importorskip("SimpleITK")
+    dock, _ = result(**MM)
+    (tmp_path / "folder.mha").mkdir()
+    for name, why in (
+        ("gone/a.mha", "its folder is not there. Make that first, or choose another."),
+        ("folder.mha", "it is a folder. Give the name of a file."),
+    ):
+        asked(tmp_path / name)
+        Screen(dock).entry("More", "Save field for images").trigger()
+        wait_for(lambda: not dock.busy)
+        assert dock.status.endswith(f"cannot save the file: {why}")
+        assert "Errno" not in dock.status
 
 
 def test_a_film_is_saved_from_the_menu(result, asked, wait_for, tmp_path, monkeypatch):

@@ -185,6 +185,20 @@ def test_a_stack_that_lies_nowhere_is_a_volume_in_voxels(tmp_path):
     assert load_image(tmp_path / "out" / "stack deformed.tif").pixels.shape == (6, 8, 9)
 
 
+def test_the_paper_s_model_of_a_volume_says_what_hangs_on_nothing(tmp_path, capsys):
+    labels, seen = np.zeros((5, 12, 14), np.uint8), np.zeros((5, 12, 14), np.uint8)
+    labels[:, :, :6], labels[:, :, 8:] = 1, 1
+    seen[:, :3, :6], seen[:, -3:, :6] = 1, 2
+    for name, pixels in (("labels", labels), ("seen", seen)):
+        save_image(tmp_path / f"{name}.tif", ImageFile(pixels))
+    (tmp_path / "m.csv").write_text("label,stiffness\n0,0\n1,3\n")
+    (tmp_path / "r.csv").write_text("label,action,row,col\n1,fixed,,\n2,move,0.5,0\n")
+    options = ["--labels", tmp_path / "labels.tif", "--materials", tmp_path / "m.csv"]
+    options += ["--boundary", tmp_path / "seen.tif", "--rules", tmp_path / "r.csv"]
+    solved(tmp_path, tmp_path / "out", *options, "--model", "paper", image="labels.tif")
+    assert "note: a piece of tissue touches no boundary (360 voxels)" in capsys.readouterr().out
+
+
 def test_what_lies_elsewhere_is_refused_by_its_name(files, head):
     place = load_image(files / "t1.nii.gz").place._replace(origin=(0.0, 0.0, 0.0))
     save_image(files / "far.mha", ImageFile(head.tissue_labels, place))

@@ -13,11 +13,26 @@ import pytest
 
 from napari_hmrf import SeilerPrior, atomic_write, phantom, solve
 from napari_hmrf.atomic_write import write_whole
+from napari_hmrf.errors import in_words
 from napari_hmrf.io import figures
 from napari_hmrf.io.material_tables import save_materials
 from napari_hmrf.tissue.material_presets import PRESETS
 
 posix = pytest.mark.skipif(os.name != "posix", reason="permissions and FIFOs are of POSIX")
+
+
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [
+        (errno.EACCES, "a.png: you have no permission for it. Change its permissions, or take"),
+        (errno.ENOENT, "a.png: there is no such file or folder. Check its name."),
+        (errno.EISDIR, "a.png: it is a folder. Name a file in it."),
+        (errno.ENOTDIR, "a.png: a part of its path is a file, not a folder. Check its name."),
+        (errno.EIO, "a.png: Input/output error."),
+    ],
+)
+def test_what_the_system_says_of_a_file_is_said_in_a_sentence(number, said):
+    assert in_words(OSError(number, os.strerror(number), "a.png")).startswith(said)
 
 
 def solution(path):

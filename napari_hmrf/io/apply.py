@@ -13,10 +13,13 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.deformation import count_folds
 from napari_hmrf.field.displacement_field import DisplacementField
+from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.observation import PixelField
 from napari_hmrf.field.warp import warp
-from napari_hmrf.io.fields import Place, placed, read_field
-from napari_hmrf.io.images import ImageFile, load_image, save_image
+from napari_hmrf.io.fields import Place, placed, read_field, write_field
+from napari_hmrf.io.images import SAME, ImageFile, load_image, save_image
 from napari_hmrf.io.landmark_files import (
     POINT_SUFFIXES,
     LandmarkFile,
@@ -25,12 +28,10 @@ from napari_hmrf.io.landmark_files import (
 )
 from napari_hmrf.io.study_file import is_study_file, load_solved
 from napari_hmrf.solver.problem import grid_in_words
-from napari_hmrf.solver.solution import is_solution_file
+from napari_hmrf.solver.solution import Solution, is_solution_file
 
 Pixels = npt.NDArray[Any]
 
-#: How far, in pixels, two grids may lie apart and be the same.
-_SAME = 0.01
 #: What files make of 0, in mm.
 _ROUNDING = 1e-4
 
@@ -47,11 +48,35 @@ class FieldFile:
         Of a slice of a volume, as of a volume, with three spacings.
     tissue : ndarray of bool or None
         What moves; None if the file does not say: everything.
+    unit : {"millimeter", "pixel"}
+        Of the place: pixels if nobody has said how large they are.
     """
 
     field: DisplacementField
     place: Place
     tissue: npt.NDArray[np.bool_] | None = None
+    unit: str = "millimeter"
+
+    @classmethod
+    def of(cls, solution: Solution) -> FieldFile:
+        """The field of a solution, where its image lies."""
+        d, place = placed(solution)
+        sizes = place.spacing[-solution.tissue.ndim :]
+        unit = "pixel" if Frame.of_solution(solution).unit == "pixel" else "millimeter"
+        return cls(DisplacementField(d, sizes), place, solution.tissue, unit)
+
+    @property
+    def in_patient(self) -> Place | None:
+        """The place, if it is one of a patient."""
+        return self.place if self.unit == "millimeter" else None
+
+    @property
+    def in_pixels(self) -> PixelField:
+        """The field along all axes of its place, as layers hold it and images are observed by."""
+        field, frame = self.field.to_pixels(), self.place.frame(unit=self.unit)
+        if len(field.shape) == 2:
+            field = DisplacementField.in_pixels(frame.put_field(field.displacement))
+        return PixelField(field, frame)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -80,16 +105,38 @@ def load_field(path: str | os.PathLike[str]) -> FieldFile:
         As of `read_field`.
     """
     if is_solution_file(path) or is_study_file(path):
-        _, solution = load_solved(path)
-        d, place = placed(solution)
-        sizes = place.spacing[-solution.tissue.ndim :]
-        return FieldFile(DisplacementField(d, sizes), place, solution.tissue)
+        return FieldFile.of(load_solved(path)[1])
     file = read_field(path)
     field, place = file.field, Place(file.spacing, file.origin, file.direction)
     across = field.vectors[..., 0]
     if across.ndim == 3 and len(across) == 1 and np.abs(across).max() < _ROUNDING:  # of one slice
         field = DisplacementField(file.displacement[0, ..., 1:], file.spacing[1:])
     return FieldFile(field, place)
+
+
+def save_field(path: str | os.PathLike[str], field: FieldFile, *, forward: bool = False) -> str:
+    """Write a field by `write_field`, and say which way it leads and how good an inverse it is.
+
+    Raises
+    ------
+    HmrfError, OSError
+        As of `write_field`.
+    """
+    name, d = Path(path).name, field.displacement
+    residual = write_field(path, d, **field.place._asdict(), tissue=field.tissue, forward=forward)
+    if forward:
+        return f"Saved {name}: it says where tissue goes, which moves points."
+    said = (
+        f"Saved {name}: it moves images, and is an inverse to {residual:.2g} px at the worst site."
+    )
+    folded = count_folds(d, spacing=field.spacing, tissue=field.tissue)
+    if not folded:
+        return said
+    sites = "voxels" if len(field.shape) == 3 else "pixels"
+    return (
+        f"{said} But tissue folds over itself at {folded} {sites}, and has no inverse there: the "
+        "image will show one of the parts that lie on each other. Have it move less there."
+    )
 
 
 def apply_field(
@@ -122,7 +169,7 @@ def apply_field(
         return _move_landmarks(field, path, target)
     image, n = load_image(path), len(field.shape)
     if n == 3:
-        image = image.laid_as(field.place)
+        image = image.laid_as(field.in_patient)
     pixels = image.pixels
     sizes = pixels.shape[: image.ndim]
     if sizes[-n:] != field.shape:
@@ -131,6 +178,8 @@ def apply_field(
             f"is {grid_in_words(sizes)}, but the field {grid_in_words(field.shape)}. Give an image "
             "of the same pixels.",
         )
+    if n == image.ndim:
+        image.refuse_elsewhere(field.in_patient, name, "the field")
     order = 0 if labels else 1
     if n == 3 and field.field.back:
         moved = _looked_back(field, pixels, order)
@@ -173,14 +222,14 @@ def _looked_up(pixels: Pixels, origins: Pixels, order: int) -> Pixels:
 
 def _slices(field: FieldFile, image: ImageFile, name: str) -> list[int]:
     """Which slices of a volume the field is of: the one in which it lies, else all."""
-    place, own = image.place, field.place
-    if place is None or len(own.spacing) < 3:
+    place, own = image.place, field.in_patient
+    if place is None or own is None or len(own.spacing) < 3:
         return list(range(len(image.pixels)))
     corners = np.diag([0.0, 1.0, 1.0])
     found = place.to_pixels(own.to_space(corners))
     number = round(float(found[0, 0]))
     apart = np.abs(found - corners - [number, 0, 0]).max()
-    if apart > _SAME or not 0 <= number < len(image.pixels):
+    if apart > SAME or not 0 <= number < len(image.pixels):
         raise ProblemError(
             name, "lies elsewhere than the field. Give an image of the same patient and pixels."
         )
@@ -218,7 +267,9 @@ def place_for(file: LandmarkFile, place: Place | None, name: str, n: int) -> Pla
     axes = file.points.shape[1]
     most = n if place is None else len(place.spacing)
     if axes not in (n, most):
-        raise ProblemError(name, f"holds points of {axes} axes, but the image has {most}.")
+        raise ProblemError(
+            name, f"holds points of {axes} axes, but the image has {most}. Give points of so many."
+        )
     size = (1.0,) * axes if place is None or file.unit == "pixel" else place.spacing[-axes:]
     if place is None or file.unit != "mm" or axes < most:
         return Place(size, (0.0,) * axes, np.eye(axes))

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.errors import HmrfError, ProblemError
+from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
+from napari_hmrf.field.deformation import count_folds
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.measurement import Measurement, measure
-from napari_hmrf.field.observation import PixelField
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.apply import load_field, place_for
@@ -29,17 +29,15 @@ from napari_hmrf.io.study_file import (
     save_study,
 )
 from napari_hmrf.io.tables import read_materials, read_rules
+from napari_hmrf.solver.caveats import shortfall
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.study.ground import solve_study
+from napari_hmrf.study.ground import Ground, solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.surroundings import at_edges
 from napari_hmrf.tissue.usual_lengths import usual_radius
-
-#: How far, in voxels, two volumes may lie apart and be the same.
-_SAME = 0.01
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,8 @@ class Case:
         Of a volume along its first axis; by default all of a volume is deformed.
     hold_edge : bool
         Whether the outer edge of the tissue stays where it is.
-    model : str
+    model : str, optional
+        By default elastic.
     """
 
     image: Path
@@ -79,7 +78,14 @@ class Case:
     confidence: Path | Literal["edges"] | None = None
     slice: int | None = None
     hold_edge: bool = False
-    model: str = "elastic"
+    model: str | None = None
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """What is given beside the image, as it is typed."""
+        names = [each.name for each in fields(self) if each.name != "image"]
+        given = [name for name in names if getattr(self, name) not in (None, (), False)]
+        return tuple(f"--{name.replace('_', '-')}" for name in given)
 
 
 def read_case(case: Case) -> Study:
@@ -93,8 +99,14 @@ def read_case(case: Case) -> Study:
         If a file cannot be read, by its name.
     """
     if is_study_file(case.image):
+        if case.options:
+            raise HmrfError(
+                f"{case.image.name} is a study, which says itself what to compute. Leave out "
+                f"{', '.join(case.options)}, or give the image."
+            )
         return load_study(case.image).study
     whole = load_image(case.image)
+    _refuse_unused(case, whole.ndim == 2)
     image, place = _part(whole, case)
     grid = _grid(image, whole, case)
     materials = () if case.materials is None else _materials(case.materials)
@@ -106,9 +118,55 @@ def read_case(case: Case) -> Study:
         grid,
         Tissue(labels=labels, materials=materials),
         motion,
-        model=case.model,
+        model=case.model or "elastic",
         pictures=Pictures(image.pixels, labels, case.image.name.partition(".")[0]),
+        names=_names(case),
     )
+
+
+def notes_on(saved: Saved) -> tuple[str, ...]:
+    """What people should know of how a study was understood and what came of it, as clauses."""
+    study, solution = saved
+    ground = Ground.of(study)
+    notes = ground.notes_on(ground.statement())
+    folded = 0
+    if solution is not None:
+        short = shortfall(solution.reach, unit_symbol(study.grid.unit))
+        notes = (short, *notes) if short else notes
+        d, tissue = solution.displacement, solution.tissue
+        folded = count_folds(d, spacing=solution.spacing, tissue=tissue)
+    if not folded:
+        return notes
+    sites = "voxels" if len(study.grid.shape) == 3 else "pixels"
+    return (
+        f"the tissue folds over itself at {folded} {sites}, which no tissue does: move it less",
+        *notes,
+    )
+
+
+def _refuse_unused(case: Case, flat: bool) -> None:
+    """Refuse options that would change nothing, as nobody gives them for that."""
+    path = case.boundary
+    marks = path is not None and path.name.lower().endswith(POINT_SUFFIXES)
+    field = path is not None and not marks and case.rules is None
+    for unused, option, why in (
+        (not (case.labels or case.maps), "--materials", "is for the tissues of --labels or --maps"),
+        (bool(case.maps), "--labels", "is given beside --maps, and each says where tissue is"),
+        (path is None or marks, "--rules", "is for a --boundary that is an image of labels"),
+        (not field, "--confidence", "is for a --boundary that is a field"),
+        (flat, "--slice", f"is for volumes, and {case.image.name} is none"),
+    ):
+        if unused and option in case.options:
+            raise HmrfError(f"{option} {why}. Leave {option} out, or give what it needs.")
+
+
+def _names(case: Case) -> dict[str, str]:
+    """What people call the parts of a study: as they called the files, and the image as layers."""
+    sure = case.confidence if isinstance(case.confidence, Path) else None
+    tissue = case.labels or next(iter(case.maps), None)
+    parts = {"tissue": tissue, "boundary": case.boundary, "confidence": sure}
+    files = {part: path.name for part, path in parts.items() if path is not None}
+    return {"image": case.image.name.partition(".")[0], **files}
 
 
 def solve_case(case: Case, folder: Path, *, backend: str = "auto") -> Saved:
@@ -120,8 +178,13 @@ def solve_case(case: Case, folder: Path, *, backend: str = "auto") -> Saved:
         As of `read_case`, `solve_study` and `save_study`.
     """
     study = read_case(case)
+    if case.boundary is None and not case.hold_edge and not is_study_file(case.image):
+        raise HmrfError(
+            "nothing says how the tissue moves. Give --boundary with what moves, and --hold-edge "
+            "if its outer edge stays."
+        )
+    folder.mkdir(parents=True, exist_ok=True)  # before the work, so that it is not done in vain
     solution = solve_study(study, backend=backend)
-    folder.mkdir(parents=True, exist_ok=True)
     name = case.image.name.partition(".")[0]
     image = study.pictures.image
     if image is not None:
@@ -160,7 +223,7 @@ def measured(path: Path, labels: Path | None = None) -> Measured:
     names = {} if tissue is None else {row.label: row.name for row in tissue.materials}
     image = None if tissue is None else tissue.labels
     if labels is not None:
-        image = _on_grid(labels, solution)
+        image = _as_labels(_on_grid(labels, solution), labels)
     if image is None:
         raise HmrfError(f"{path.name}: the file holds no tissue labels. Give --labels.")
     unit = unit_symbol(Frame.of_solution(solution).unit)
@@ -186,8 +249,19 @@ def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArr
 
 def _on_grid(path: Path, solution: Solution) -> npt.NDArray[Any]:
     """The pixels of a file; of a volume in the order of the solution's axes."""
-    image, volume = load_image(path), solution.tissue.ndim == 3
-    return (image.laid_as(place_of(solution)) if volume else image).pixels
+    unknown = Frame.of_solution(solution).unit == "pixel"
+    image, place = load_image(path), None if unknown else place_of(solution)
+    if solution.tissue.ndim == 3:
+        image = image.laid_as(place)
+    sizes, shape = image.pixels.shape[: image.ndim], solution.tissue.shape
+    if sizes != shape:
+        raise ProblemError(
+            path.name,
+            f"is {grid_in_words(sizes)}, but the field {grid_in_words(shape)}. Give an image of "
+            "the same pixels.",
+        )
+    image.refuse_elsewhere(place, path.name, "the field")
+    return image.pixels
 
 
 def _part(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:
@@ -224,44 +298,43 @@ def _grid(part: ImageFile, whole: ImageFile, case: Case) -> Grid:
 
 
 def _materials(path: Path) -> tuple[Material, ...]:
-    if path.suffix.lower() == ".csv":
-        return read_materials(path)
-    return load_materials(path).materials
+    if path.suffix.lower() == ".json":
+        return load_materials(path).materials
+    return read_materials(path)
 
 
 def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> npt.NDArray[Any]:
     """A grey image on the same pixels; of a volume the same slice."""
-    there, image = _part(whole, case)[0], load_image(path)
+    (there, place), image = _part(whole, case), load_image(path)
     if there.ndim == 3 and image.place is None:
         image = image._replace(place=whole.place)
-    image, _ = _part(image, replace(case, image=path))
+    image, at = _part(image, replace(case, image=path))
     pixels, shape = image.pixels, there.pixels.shape[: there.ndim]
+    if image.colours:
+        raise ProblemError(path.name, "is in colours. Give an image of one value for each pixel.")
     if pixels.shape != shape:
         raise ProblemError(
             path.name,
             f"is {grid_in_words(pixels.shape)}, but the image {grid_in_words(shape)}. Give one of "
             "the same pixels.",
         )
-    if there.ndim == 3 and _apart(image.place, there.place) > _SAME:
-        raise ProblemError(path.name, "lies elsewhere than the image. Give one of the same voxels.")
-    if labels and pixels.dtype.kind == "f" and (pixels == np.rint(pixels)).all():
-        pixels = pixels.astype(np.int32)  # as some tools keep labels
-    if labels and pixels.dtype.kind not in "iu":
+    image._replace(place=at).refuse_elsewhere(place, path.name, "the image")
+    return _as_labels(pixels, path) if labels else pixels
+
+
+def _as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
+    """The pixels of a file as labels, which some tools keep as numbers that need not be whole."""
+    is_mask = pixels.dtype.kind == "b"
+    if is_mask or (pixels.dtype.kind == "f" and (pixels == np.rint(pixels)).all()):
+        return pixels.astype(np.int32)
+    if pixels.dtype.kind not in "iu":
         raise ProblemError(path.name, f"holds {pixels.dtype} values. Give labels: whole numbers.")
     return pixels
 
 
-def _apart(one: Place | None, other: Place | None) -> float:
-    """How far the voxels of two volumes lie apart, in voxels; 0 if one of them lies nowhere."""
-    if one is None or other is None:
-        return 0.0
-    corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])
-    return float(np.abs(one.to_pixels(other.to_space(corners)) - corners).max())
-
-
 def _most_likely(maps: Sequence[npt.NDArray[Any]]) -> npt.NDArray[np.uint8]:
     """The labels of tissues that are more likely than not; 0 where none is."""
-    likely = np.stack(maps).astype(float)
+    likely = np.nan_to_num(np.stack(maps).astype(float))  # NaN where a tool says nothing
     sure = max(1.0, float(likely.max()))  # 1, 100 or 255, as tools have it
     found = np.where(likely.max(axis=0) > sure / 2, 1 + likely.argmax(axis=0), 0)
     return found.astype(np.uint8)
@@ -275,22 +348,26 @@ def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Mo
         return Motion(drawing=_landmarks(case, path, grid, whole))
     if case.rules is not None:
         labels = _pixels(case, path, whole, labels=True)
-        return Motion(labels=labels, rules=read_rules(case.rules))
-    field, counts = load_field(path), _counts(case, whole)
-    if len(field.shape) == 3 and grid.place is not None:  # of the volume that the slice lies in
-        found = PixelField(field.field.to_pixels(), field.place.frame())
-        try:
-            there = found.on(grid.place, grid.shape)
-        except ProblemError as error:
-            raise ProblemError(path.name, error.message) from None
-        return Motion(observed=there.displacement, confidence=np.where(there.known, counts, 0))
-    if field.shape != grid.shape:
-        raise ProblemError(
-            path.name,
-            f"is {grid_in_words(field.shape)}, but the image {grid_in_words(grid.shape)}. Give a "
-            "field on the same pixels, or --rules if it is an image of labels.",
-        )
-    return Motion(observed=field.displacement, confidence=counts)
+        rules, n = read_rules(case.rules), len(grid.shape)
+        if any(len(rule.vector) > n for rule in rules):
+            raise ProblemError(
+                case.rules.name, "has a column 'plane', but what is solved is a slice. Remove it."
+            )
+        return Motion(labels=labels, rules=rules)
+    try:
+        field = load_field(path).in_pixels
+    except FileFormatError as error:
+        raise FileFormatError(f"{error} If it is an image of labels, give --rules, too.") from None
+    counts, frame = _counts(case, whole), grid.place
+    # A flat field does not say where in a volume it lies, and so is taken by its pixels.
+    if frame is None or field.frame.ndim < frame.ndim:
+        n = len(grid.shape)
+        frame = Frame.at(grid.spacing, ("pixel",) * n, volume=n == 3)
+    try:
+        there = field.on(frame, grid.shape)
+    except ProblemError as error:
+        raise ProblemError(path.name, error.message) from None
+    return Motion(observed=there.displacement, confidence=np.where(there.known, counts, 0))
 
 
 def _counts(case: Case, whole: ImageFile) -> npt.NDArray[Any]:
@@ -320,6 +397,22 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
         ends = [at - [*[case.slice] * (at.shape[1] - 2), 0, 0] for at in ends]  # of the volume
     if any((abs(at[:, :-n]) > 0.5).any() for at in ends):
         raise ProblemError(path.name, "holds points that lie on other slices than the image.")
+    sources, last = ends[0][:, -n:], np.array(grid.shape) - 1
+    if not len(sources):
+        raise ProblemError(path.name, "holds no landmarks in use. Give a pair, and have it active.")
+    pixels, counts = np.unique(np.rint(sources), axis=0, return_counts=True)
+    if counts.max() > 1:
+        twice = " ".join(f"{at:g}" for at in pixels[counts.argmax()])
+        raise ProblemError(
+            path.name, f"has two landmarks in one pixel ({twice}). Keep one for each pixel."
+        )
+    outside = int(((sources < -0.5) | (sources > last + 0.5)).any(axis=1).sum())
+    if outside:
+        raise ProblemError(
+            path.name,
+            f"has {outside} of {len(sources)} landmarks outside the image. Give "
+            f"them in its {'pixels' if place is None else 'mm'}, and remove what lies beside it.",
+        )
     radius = usual_radius(grid.shape, grid.spacing)
     pairs = zip(*(each[:, -n:].tolist() for each in ends), strict=True)
     return Drawing(tuple(Landmark(tuple(at), tuple(to), radius) for at, to in pairs))

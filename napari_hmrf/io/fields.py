@@ -37,6 +37,11 @@ from napari_hmrf.solver.solution import Solution
 FIELD_SUFFIXES = (".nii.gz", ".nii", ".mha", ".nrrd", ".h5")
 #: Slicer's key, and what it says of a field that leads back or forth.
 _SLICER, _BACK, _FORTH = "displacement field type", "resampling", "modeling"
+#: NIfTI has no keys, but a text for people: as ITK writes it, and as it reads it.
+_NOTES, _DESCRIPTION = "ITK_FileNotes", "descrip"
+_NIFTI = (".nii", ".nii.gz")
+#: ITK's transforms have neither: of them all take for granted that they lead back.
+_MUTE = ".h5"
 #: How far a direction may be from a rotation.
 _ROUNDING = 1e-5
 
@@ -129,7 +134,8 @@ def write_field(
     ProblemError
         Naming the input at fault.
     FileFormatError
-        If no field is written as a file of such a name.
+        If no field is written as a file of such a name; or none that says where tissue goes, as
+        .h5 cannot say so and would be taken for one that moves images.
     HmrfError
         If SimpleITK is not installed.
     OSError
@@ -141,6 +147,11 @@ def write_field(
         raise FileFormatError(
             f"{target.name}: no field is written as such a file. End its name in one of "
             f"{', '.join(FIELD_SUFFIXES)}."
+        )
+    if forward and suffix == _MUTE:
+        raise FileFormatError(
+            f"{target.name}: such a file cannot say that it moves points, and would be read as a "
+            "field that moves images. End its name in .mha, .nrrd or .nii.gz."
         )
     _refuse_beside(target, suffix)
     sitk = simpleitk()
@@ -158,18 +169,21 @@ def write_field(
         back = np.concatenate([np.zeros((*back.shape[:-1], 1)), back], axis=-1)[np.newaxis]
     start = np.zeros(len(size)) if origin is None else _lengths("origin", origin, (len(size),))
     turn = np.eye(len(size)) if direction is None else _rotation(direction, len(size))
-    if suffix in (".nii", ".nii.gz") and len(back) == 1 and len(size) == 3:
+    if suffix in _NIFTI and len(back) == 1 and len(size) == 3:
         back = np.repeat(back, 3, axis=0)
         start = start - turn[:, 2] * size[0]
     image = sitk.GetImageFromArray(back[..., ::-1] @ turn.T, isVector=True)
     image.SetSpacing(size[::-1].tolist())
     image.SetOrigin(start.tolist())
     image.SetDirection(turn.ravel().tolist())
-    if suffix == ".nrrd":
-        image.SetMetaData(_SLICER, _FORTH if forward else _BACK)
+    leads = _FORTH if forward else _BACK
+    if suffix in _NIFTI:
+        image.SetMetaData(_NOTES, f"{_SLICER}: {leads}")
+    else:
+        image.SetMetaData(_SLICER, leads)
     with tempfile.TemporaryDirectory() as folder:
         whole = os.path.join(folder, f"field{suffix}")
-        if suffix == ".h5":
+        if suffix == _MUTE:
             sitk.WriteTransform(sitk.DisplacementFieldTransform(image), whole)
         else:
             sitk.WriteImage(image, whole, useCompression=True)
@@ -186,7 +200,8 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
         A file of vectors: .nii.gz, .mha, .mhd, .nrrd; or a transform of ITK that holds a field.
     forward : bool
         Whether the file says where tissue goes. By default it says where what is seen came from,
-        as all registrations do, and is inverted. Slicer's own key in a .nrrd is believed.
+        as all registrations do, and is inverted. A file that itself says which way it leads, as
+        those of `write_field` and Slicer's .nrrd do, is believed.
 
     Raises
     ------
@@ -201,6 +216,7 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
     with open(source, "rb"):
         pass  # one error, of the system's words, for what is not there
     image = _image_in(sitk, source)
+    leads = _leads(image) or (_FORTH if forward else _BACK)
     n = image.GetDimension()
     if n == 2 and image.GetNumberOfComponentsPerPixel() == 3:
         image, n = _in_volume(sitk, image, source), 3
@@ -218,9 +234,7 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
         raise FileFormatError(f"{source.name}: it holds values that are not numbers.")
     along = (vectors @ turn.astype(vectors.dtype))[..., ::-1]
     spacing = tuple(image.GetSpacing()[::-1])
-    if image.HasMetaDataKey(_SLICER):
-        forward = image.GetMetaData(_SLICER) == _FORTH
-    field = DisplacementField(along, spacing, back=not forward)
+    field = DisplacementField(along, spacing, back=leads != _FORTH)
     return Field(field, tuple(image.GetOrigin()), turn)
 
 
@@ -355,15 +369,6 @@ def export_field(
     )
 
 
-def saved_field(path: str | os.PathLike[str], residual: float | None) -> str:
-    """Say which way a field that was written leads, and how good an inverse it is, if it is one."""
-    name = Path(path).name
-    if residual is None:
-        return f"Saved {name}: it says where tissue goes, which moves points."
-    worst = f"{residual:.2g} px at the worst site"
-    return f"Saved {name}: it moves images, and is an inverse to {worst}."
-
-
 def simpleitk() -> Any:
     """SimpleITK, or the error that says how to get it."""
     try:
@@ -391,6 +396,15 @@ def _image_in(sitk: Any, source: Path) -> Any:
         raise FileFormatError(
             f"{source.name}: not a displacement field that can be read."
         ) from error
+
+
+def _leads(image: Any) -> str:
+    """Which way a file itself says that its field leads; "" if it does not."""
+    if image.HasMetaDataKey(_SLICER):
+        return str(image.GetMetaData(_SLICER)).strip()
+    notes = image.GetMetaData(_DESCRIPTION) if image.HasMetaDataKey(_DESCRIPTION) else ""
+    key, _, leads = notes.partition(":")
+    return leads.strip() if key == _SLICER else ""
 
 
 def _composed(sitk: Any, chain: Any) -> Any:

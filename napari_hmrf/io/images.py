@@ -18,12 +18,12 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.atomic_write import write_whole
-from napari_hmrf.errors import FileFormatError
+from napari_hmrf.errors import FileFormatError, ProblemError
 from napari_hmrf.io.fields import Place, simpleitk
 from napari_hmrf.io.itk_files import read_image
 
 #: How far, in pixels, two grids may lie apart and be the same.
-_SAME = 0.01
+SAME = 0.01
 #: How the names of files end that are read, and written.
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 MEDICAL_SUFFIXES = (".nii.gz", ".nii", ".mha", ".mhd", ".nrrd", ".nhdr", ".dcm")
@@ -78,10 +78,34 @@ class ImageFile(NamedTuple):
 
     def laid_as(self, place: Place | None) -> ImageFile:
         """The image with its axes in the order of another's, if that is `upright` and it is not."""
-        if _apart(self.place, place) <= _SAME:
+        if apart(self.place, place) <= SAME:
             return self
         upright = self.upright
-        return upright if _apart(upright.place, place) <= _SAME else self
+        return upright if apart(upright.place, place) <= SAME else self
+
+    def refuse_elsewhere(self, place: Place | None, name: str, what: str) -> None:
+        """Refuse an image of the same pixels as something else that lies where that does not.
+
+        Parameters
+        ----------
+        place : Place or None
+            Of the other; nothing is said against what lies nowhere.
+        name : str
+            The file's.
+        what : str
+            The other, in words.
+
+        Raises
+        ------
+        ProblemError
+            By the file's name.
+        """
+        if apart(self.place, place, self.ndim) > SAME:
+            raise ProblemError(
+                name,
+                f"lies elsewhere than {what}, though it is as large. Give one of the same place; "
+                "if only its header is wrong, save it as a .tif, which lies nowhere.",
+            )
 
     @property
     def ndim(self) -> int:
@@ -89,11 +113,24 @@ class ImageFile(NamedTuple):
         return self.pixels.ndim - self.colours
 
 
-def _apart(one: Place | None, other: Place | None) -> float:
-    """How far, in pixels of the one, the first pixels of two volumes lie apart, and their steps."""
-    if one is None or other is None or not len(one.spacing) == len(other.spacing) == 3:
-        return np.inf
-    corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+def apart(one: Place | None, other: Place | None, axes: int = 3) -> float:
+    """How far, in pixels of the one, the first pixels of two grids lie apart, and their steps.
+
+    Parameters
+    ----------
+    one, other : Place or None
+    axes : int
+        Of how many axes, the last ones, steps count: of a slice those in it.
+
+    Returns
+    -------
+    float
+        0 if one of them lies nowhere, or only one in a volume.
+    """
+    if one is None or other is None or len(one.spacing) != len(other.spacing):
+        return 0.0
+    n = len(one.spacing)
+    corners = np.concatenate([np.zeros((1, n)), np.eye(n)[-axes:]])
     return float(np.abs(one.to_pixels(other.to_space(corners)) - corners).max())
 
 
@@ -121,9 +158,9 @@ def load_image(path: str | os.PathLike[str]) -> ImageFile:
     try:
         image = _series(sitk, source) if source.is_dir() else read_image(sitk, source)
     except RuntimeError as error:
-        raise FileFormatError(f"{source.name}: not an image that can be read.") from error
+        raise _unreadable(source) from error
     n, count = image.GetDimension(), image.GetNumberOfComponentsPerPixel()
-    if n not in (2, 3) or count not in (1, 3, 4):
+    if n not in (2, 3) or count not in (1, n, 3, 4):
         raise FileFormatError(
             f"{source.name}: an image of {n} axes and {count} values a pixel. Give one of 2 or 3 "
             "axes, grey or in colours."
@@ -131,7 +168,20 @@ def load_image(path: str | os.PathLike[str]) -> ImageFile:
     turn = np.array(image.GetDirection()).reshape(n, n)
     place = Place(tuple(image.GetSpacing()[::-1]), tuple(image.GetOrigin()), turn)
     pixels = sitk.GetArrayFromImage(image)
+    if n == count and pixels.dtype.kind == "f":
+        raise FileFormatError(
+            f"{source.name}: it holds a displacement field. Give the image that it moves."
+        )
     return ImageFile(pixels[0] if n == 3 and len(pixels) == 1 else pixels, place, count > 1)
+
+
+def _unreadable(source: Path) -> FileFormatError:
+    """Why a file gives no image, as far as can be told."""
+    why = "damaged, or of another kind" if source.stat().st_size else "empty"
+    kinds = ", ".join((*PICTURE_SUFFIXES, *MEDICAL_SUFFIXES))
+    return FileFormatError(
+        f"{source.name}: not an image that can be read: it is {why}. Images end in {kinds}."
+    )
 
 
 def is_scan(path: str | os.PathLike[str]) -> bool:
@@ -187,7 +237,11 @@ def _picture(source: Path) -> ImageFile:
     try:
         pixels, colours = (_tiff if source.suffix.lower() in _TIFF else _photo)(source)
     except Exception as error:
-        raise FileFormatError(f"{source.name}: not an image that can be read.") from error
+        raise _unreadable(source) from error
+    if pixels.dtype.kind not in "biuf":
+        raise FileFormatError(
+            f"{source.name}: an image of {pixels.dtype} values. Give one of real numbers."
+        )
     if pixels.ndim - colours not in (2, 3):
         raise FileFormatError(
             f"{source.name}: an image of shape {pixels.shape}. Give one of 2 or 3 axes."

@@ -13,11 +13,9 @@ import csv
 import io
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
-
-from pydantic import TypeAdapter, ValidationError
+from typing import Any, NamedTuple, get_args
 
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.atomic_write import write_whole
@@ -26,17 +24,87 @@ from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.held_forces import HeldForce
 from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.field.units import as_seen
-from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material, read_stiffness
+from napari_hmrf.solver.priors.elastic import POISSON_RANGE
+from napari_hmrf.tissue.boundary_rules import (
+    LARGEST_STIFFNESS,
+    RIGID,
+    Action,
+    BoundaryRule,
+    Material,
+    read_stiffness,
+)
 
-T = TypeVar("T")
 #: Larger files are no tables of ours, and are not read.
 _LARGEST = 2**20
 #: What the measurements of a volume are called, of which these differ.
 _OF_VOLUMES = {"pixels": "voxels", "area": "volume", "area_change": "volume_change"}
 #: Of measurements, those in per cent: their columns say so.
 _PER_CENT = ("area_change", "mean_strain", "largest_strain")
-_MATERIALS = TypeAdapter(tuple[Material, ...])
-_RULES = TypeAdapter(tuple[BoundaryRule, ...])
+
+
+class _Column(NamedTuple):
+    """How a cell is read, which raises ValueError, and what it should be."""
+
+    read: Callable[[str], Any]
+    right: str
+
+
+def _number(low: float = -math.inf, high: float = math.inf) -> Callable[[str], float]:
+    def read(text: str) -> float:
+        value = float(text)
+        if not (math.isfinite(value) and low <= value <= high):
+            raise ValueError
+        return value
+
+    return read
+
+
+def _label(first: int) -> _Column:
+    def read(text: str) -> int:
+        value = float(text)  # some spreadsheets write 1.0
+        if not value.is_integer() or value < first:
+            raise ValueError
+        return int(value)
+
+    return _Column(read, f"a whole number, {first} or more")
+
+
+def _stiffness(text: str) -> float:
+    is_rigid = read_stiffness(text) == RIGID
+    return RIGID if is_rigid else _number(0, LARGEST_STIFFNESS)(text)
+
+
+def _action(text: str) -> str:
+    if text.casefold() not in get_args(Action):
+        raise ValueError
+    return text.casefold()
+
+
+def _growth(text: str) -> float | tuple[float, ...]:
+    parts = tuple(map(_number(), text.split("/")))
+    if min(parts) <= -1:
+        raise ValueError
+    return parts if len(parts) > 1 else parts[0]
+
+
+_NAME = _Column(str, "a name")
+_LENGTH = _Column(_number(), "a number, a length in the image's unit")
+_OF_MATERIALS = {
+    "label": _label(0),
+    "name": _NAME,
+    "stiffness": _Column(_stiffness, 'a number, 0 or more, or "rigid"'),
+    "poisson": _Column(
+        _number(*POISSON_RANGE), "a number from {:g} to {:g}".format(*POISSON_RANGE)
+    ),
+    "growth": _Column(_growth, "a number above -1, or one for each axis: 0.1/0"),
+}
+_OF_RULES = {
+    "label": _label(1),
+    "name": _NAME,
+    "action": _Column(_action, ", ".join(get_args(Action)[:-1]) + f" or {get_args(Action)[-1]}"),
+    **dict.fromkeys(("plane", "row", "col", "amount"), _LENGTH),
+    "confidence": _Column(_number(0, 1), "a number from 0 to 1"),
+}
 
 
 def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
@@ -49,14 +117,12 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
     OSError
         If it cannot be opened.
     """
-
-    def row(cells: dict[str, str]) -> dict[str, Any]:
-        named: dict[str, Any] = {"name": f"tissue {cells.get('label')}", **cells}
-        if "/" in cells.get("growth", ""):
-            named["growth"] = cells["growth"].split("/")
-        return {**named, "stiffness": read_stiffness(cells["stiffness"])}
-
-    return _read(path, _MATERIALS, row, needed=("label", "stiffness"))
+    rows = _read(path, _OF_MATERIALS, needed=("label", "stiffness"))
+    if not any(row["stiffness"] for _, row in rows):
+        raise FileFormatError(
+            f"{Path(path).name} has no stiffness above 0. Give one to what is tissue."
+        )
+    return tuple(Material(**{"name": f"tissue {row['label']}", **row}) for _, row in rows)
 
 
 def read_rules(path: str | os.PathLike[str]) -> tuple[BoundaryRule, ...]:
@@ -67,14 +133,21 @@ def read_rules(path: str | os.PathLike[str]) -> tuple[BoundaryRule, ...]:
     FileFormatError, OSError
         As of `read_materials`.
     """
-
-    def row(cells: dict[str, str]) -> dict[str, Any]:
-        across = [cells.pop("plane")] if "plane" in cells else []
-        vector = (*across, cells.pop("row", 0), cells.pop("col", 0))
-        confidence = (cells.pop("confidence", 1),) * 2
-        return {**cells, "vector": vector, "confidence": confidence}
-
-    return _read(path, _RULES, row, needed=("label", "action"))
+    rules = []
+    for line, row in _read(path, _OF_RULES, needed=("label", "action")):
+        across = [row.pop("plane", 0.0)] if "plane" in row else []
+        steps = [row.pop(axis, None) for axis in ("row", "col")]
+        missing = {"move": [*across, *steps], "expand": [row.get("amount")]}.get(row["action"], [0])
+        if all(amount is None for amount in missing):
+            how_far = "row and col" if row["action"] == "move" else "amount"
+            raise FileFormatError(
+                f"{Path(path).name}: line {line}: label {row['label']} is to {row['action']}, but "
+                f"not by how much. Give {how_far}."
+            )
+        vector = (*across, *(step or 0.0 for step in steps))
+        confidence = (row.pop("confidence", 1.0),) * 2
+        rules.append(BoundaryRule(**row, vector=vector, confidence=confidence))
+    return tuple(rules)
 
 
 def measurement_titles(*, volume: bool) -> list[str]:
@@ -186,10 +259,16 @@ def save_measurements(
 
     Raises
     ------
+    FileFormatError
+        If its name does not end in .csv.
     OSError
         If it cannot be written.
     """
     target = Path(checked_path(path))
+    if target.suffix.lower() != ".csv":
+        raise FileFormatError(
+            f"{target.name}: measurements are saved as text. End its name in .csv."
+        )
     file = io.StringIO()
     more = {"unit": unit} if unit else {}
     titles = measurement_titles(volume=volume)
@@ -201,32 +280,69 @@ def save_measurements(
 
 
 def _read(
-    path: str | os.PathLike[str], kind: TypeAdapter[T], row: Any, needed: tuple[str, ...]
-) -> T:
+    path: str | os.PathLike[str], columns: dict[str, _Column], needed: tuple[str, ...]
+) -> list[tuple[int, dict[str, Any]]]:
+    """The lines of a table with their numbers, as far as cells are filled."""
     source = Path(checked_path(path))
     if source.stat().st_size > _LARGEST:
         raise FileFormatError(f"{source.name} is too large to be a table.")
+    file, called = source.name, ", ".join(columns)
     try:
-        lines = [*csv.DictReader(io.StringIO(source.read_text("utf-8-sig")), skipinitialspace=True)]
+        reader = csv.DictReader(io.StringIO(source.read_text("utf-8-sig")), skipinitialspace=True)
+        titles = [title.strip().casefold() for title in reader.fieldnames or ()]
+        reader.fieldnames = titles
+        lines = [(reader.line_num, line) for line in reader]
     except (csv.Error, UnicodeDecodeError):
-        raise FileFormatError(f"{source.name} is no table of comma-separated text.") from None
-    missing = [name for name in needed if not lines or name not in lines[0]]
+        raise FileFormatError(
+            f"{file} is no table of comma-separated text. Save it as .csv, in UTF-8."
+        ) from None
+    missing = [name for name in needed if name not in titles]
     if missing:
         raise FileFormatError(
-            f"{source.name} lacks the column {missing[0]!r}. Its first line names the columns."
+            f"{file} lacks the column {missing[0]!r}. Its first line names the columns, with "
+            f"commas between them: {called}."
         )
-    cells = [
-        {key: text.strip() for key, text in line.items() if key and text and text.strip()}
-        for line in lines
-    ]
-    try:
-        return kind.validate_python([row(each) for each in cells])
-    except KeyError as error:
-        raise FileFormatError(f"{source.name} has a line without {error}.") from None
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        number, where = first["loc"][0], " ".join(str(part) for part in first["loc"][1:2])
+    unknown = [title for title in titles if title and title not in columns]
+    if unknown:
         raise FileFormatError(
-            f"{source.name}: line {int(number) + 2}: {where}: {first['msg']}, not "
-            f"{str(first['input'])[:40]!r}."
-        ) from None
+            f"{file} has a column {unknown[0]!r}, which says nothing here. Its columns "
+            f"are {called}."
+        )
+    rows = [(number, _cells(line, f"{file}: line {number}", columns)) for number, line in lines]
+    rows = [(number, row) for number, row in rows if row]
+    if not rows:
+        raise FileFormatError(f"{file} has no line below the names of its columns. Write one.")
+    labels = []
+    for number, row in rows:
+        lacking = [name for name in needed if name not in row]
+        if lacking:
+            raise FileFormatError(
+                f"{file}: line {number} has nothing under {lacking[0]!r}. Give "
+                f"{columns[lacking[0]].right}."
+            )
+        if row["label"] in labels:
+            raise FileFormatError(
+                f"{file}: line {number}: label {row['label']} is there twice. Remove one of them."
+            )
+        labels.append(row["label"])
+    return rows
+
+
+def _cells(line: dict[Any, Any], where: str, columns: dict[str, _Column]) -> dict[str, Any]:
+    """What is in the cells that are filled."""
+    if any(text.strip() for text in line.pop(None, ())):
+        raise FileFormatError(
+            f"{where} has more cells than there are columns. Write decimals with a point, and text "
+            "that holds a comma in quotation marks."
+        )
+    row = {}
+    for title, text in line.items():
+        if not title or not (text or "").strip():
+            continue
+        try:
+            row[title] = columns[title].read(text.strip())
+        except ValueError:
+            raise FileFormatError(
+                f"{where}: {title} is {text.strip()[:40]!r}. Give {columns[title].right}."
+            ) from None
+    return row

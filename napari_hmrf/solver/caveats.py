@@ -97,11 +97,13 @@ def _thin_boundary(problem: Problem) -> str:
 
 def _loose_pieces(problem: Problem) -> str:
     """Say so where tissue hangs on nothing that was observed."""
-    pieces, count = scipy.ndimage.label(problem.tissue, structure=np.ones((3, 3)))
+    around = np.ones((3,) * problem.tissue.ndim)
+    pieces, count = scipy.ndimage.label(problem.tissue, structure=around)
     held = np.unique(pieces[problem.known.any(axis=-1)])
     loose = count - int((held > 0).sum())
     if not loose:
         return ""
     pixels = int((problem.tissue & ~np.isin(pieces, held)).sum())
+    sites = "voxels" if problem.tissue.ndim == 3 else "pixels"
     what = "a piece of tissue touches" if loose == 1 else f"{loose} pieces of tissue touch"
-    return f"{what} no boundary ({pixels} pixels): how it moves is not determined"
+    return f"{what} no boundary ({pixels} {sites}): how it moves is not determined"

@@ -74,20 +74,20 @@ class StiffnessCurve:
         points = tuple(reals(point, 2) for point in given)
         void_below = None if self.void_below is None else real(self.void_below)
         intensities = [intensity for intensity, _ in points]
-        rising = all(before < after for before, after in pairwise(intensities))
-        if len(points) < 2 or not rising or not all(map(math.isfinite, intensities)):
-            raise _bad(
-                f"has the points {shown(self.points)}. Give two or more, pairs of numbers: "
-                "intensity, in rising order, and stiffness"
-            )
-        for _, stiffness in points:
+        if not all(map(math.isfinite, intensities)):
+            raise _bad("has a point that is no pair of numbers. Give its intensity and stiffness")
+        if len(points) < 2:
+            raise _bad("has fewer than two points. Give two or more, each of its own intensity")
+        for before, after in pairwise(intensities):
+            if before >= after:
+                twice = "twice" if before == after else f"after {before:g}"
+                raise _bad(f"has intensity {after:g} {twice}. Give each once, in rising order")
+        for intensity, stiffness in points:
             if not 0 < stiffness <= LARGEST_STIFFNESS:
-                raise _bad(
-                    f"has a stiffness of {stiffness:g}. Give numbers above 0; what is no tissue is "
-                    "said by void_below"
-                )
+                most = f"above 0, and no larger than {LARGEST_STIFFNESS:.2g}"
+                raise _bad(f"needs a stiffness at intensity {intensity:g} that is {most}")
         if void_below is not None and not math.isfinite(void_below):
-            raise _bad(f"has no tissue below {void_below}. Give a number, or None")
+            raise _bad("has no number as that below which is no tissue. Give one, or nothing")
         if not is_one_of(self.between, get_args(Between)):
             raise _bad(f'is {shown(self.between)} between its points. Take "straight" or "smooth"')
         if not isinstance(self.logarithmic, bool) or not isinstance(self.unit, str):

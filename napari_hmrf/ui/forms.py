@@ -95,7 +95,7 @@ def attempt(action: Callable[[], object], refuse: Callable[[str], object]) -> No
     try:
         action()
     except (HmrfError, OSError, ValueError) as error:  # the last of what cannot be saved
-        refuse(in_short(error) if isinstance(error, HmrfError) else str(error))
+        refuse(in_short(error))
 
 
 def row(*widgets: Any) -> Container:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from qtpy.QtCore import QCoreApplication, QEvent, QObject, Qt, Signal
 
+from napari_hmrf.errors import in_words
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.ui.events import single_shot
 
@@ -145,7 +146,7 @@ class Errands:
                 found = future.result(timeout=0)
             except Exception as error:  # noqa: BLE001 - whatever it is, the user is told
                 _log.debug("%s failed", kind, exc_info=True)
-                self._refuse(str(error) or type(error).__name__)
+                self._refuse(in_words(error))
             else:
                 answer(found)
 

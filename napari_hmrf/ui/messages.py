@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from napari_hmrf.errors import ConvergenceError, HmrfError
+from napari_hmrf.errors import ConvergenceError, HmrfError, in_words
 from napari_hmrf.field.animation import MARKS, Mark
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import as_seen, unit_symbol
@@ -127,8 +127,8 @@ def in_short(error: Exception) -> str:
     """Why there is no result, as one sentence or two."""
     if isinstance(error, ConvergenceError):
         return f"No result: {str(error).rstrip('.')}."
-    if isinstance(error, HmrfError | ValueError):
-        return str(error)
+    if isinstance(error, HmrfError | ValueError | OSError):
+        return in_words(error)
     return f"The deformation failed: {type(error).__name__}: {error}"
 
 

@@ -15,7 +15,7 @@ from qtpy.QtCore import Qt
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.held_forces import HeldForce
 from napari_hmrf.field.measurement import Measurement, measure
-from napari_hmrf.io.fields import export_field, saved_field
+from napari_hmrf.io.apply import FieldFile, save_field
 from napari_hmrf.io.figures import save_result_pictures
 from napari_hmrf.io.moving_pictures import save_moving_picture
 from napari_hmrf.io.tables import forces_in_words, measurements_in_words, save_measurements
@@ -30,10 +30,11 @@ from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_form import ResultForm
 from napari_hmrf.ui.result.result_messages import NO_FORCES, NO_IMAGE, NO_RESULT, SAVING, saved
 
-_FIELDS = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
+_FOR_IMAGES = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
+_FOR_POINTS = "Fields (*.mha *.nrrd *.nii.gz)"
 _FILMS = "Films (*.gif *.mp4)"
 _BACK = "For SimpleITK, ANTs, elastix and Slicer: where what is seen came from"
-_FORTH = "The same the other way: where tissue goes. A .nrrd says so to those who open it"
+_FORTH = "The same the other way: where tissue goes. The file says so to those who open it"
 _FILM = "The image as it moves, there and back: .gif, or .mp4 with imageio-ffmpeg"
 _WITH_IT = (
     "A new layer, moved with the tissue. Of a volume in its place the slice of this result moves; "
@@ -111,13 +112,9 @@ class ResultMenu:
         self._errands.send(f"{folder}", partial(save_result_pictures, *what), self._on_saved)
 
     def save_field(self, path: str | Path, *, forward: bool = False) -> None:
-        """Write the field for other tools, as `export_field`; how good its inverse is is said."""
-        work = partial(export_field, path, self._shown.answer.solution, forward=forward)
-
-        def tell(residual: Any) -> None:
-            self._say(saved_field(path, None if forward else residual))
-
-        self._errands.send(f"{path}", work, tell)
+        """Write the field for other tools; how good its inverse is is said."""
+        field = FieldFile.of(self._shown.answer.solution)
+        self._errands.send(f"{path}", partial(save_field, path, field, forward=forward), self._say)
 
     def save_film(self, path: str | Path) -> None:
         """Write the image as it moves, there and back; as `save_moving_picture`."""
@@ -186,8 +183,8 @@ class ResultMenu:
         along.setEnabled(bool(layers))
         forth = partial(self.save_field, forward=True)
         for title, about, save, name, kinds in (
-            ("field for images", _BACK, self.save_field, "field-for-images.mha", _FIELDS),
-            ("field for points", _FORTH, forth, "field-for-points.nrrd", _FIELDS),
+            ("field for images", _BACK, self.save_field, "field-for-images.mha", _FOR_IMAGES),
+            ("field for points", _FORTH, forth, "field-for-points.nrrd", _FOR_POINTS),
             ("as film", _FILM, self.save_film, "film.gif", _FILMS),
         ):
             ask = partial(self._ask, save, f"Save {title}", name, kinds)
