@@ -10,6 +10,7 @@ from napari_hmrf.field.animation import MARKS, Mark
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import as_seen, unit_symbol
 from napari_hmrf.layers.result_layers import Outputs
+from napari_hmrf.solver.caveats import LOOSE
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors.elastic import Plane
@@ -31,6 +32,10 @@ STAYS = "The last result stays."
 BEHIND = "The last result stays, without what was edited since: press Deform, or go on."
 _NO_IMAGE = "No image is chosen. What came of the last one is seen again when you choose it."
 _HIDDEN = "Hidden, to show '{}': {}. Click an eye in the list of layers to see that again."
+EDGE_GOES = (
+    "The edge is held no more, as '{}' says how tissue moves: tick 'hold the edge of the tissue' "
+    "to hold what of it that leaves out."
+)
 #: What goes with a layer that was deleted.
 DRAWING_GONE = "'{name}' is gone, and what was drawn on it: napari brings no layer back."
 TISSUE_GONE = "'{name}' is gone, with all it said of stiffness: napari brings no layer back."
@@ -97,19 +102,35 @@ def report(done: Done) -> str:
     return f"{where} moved up to {far:.3g} {unit_symbol(place.unit)}."
 
 
-def warnings_of(done: Done) -> tuple[str, str]:
-    """What to beware of, in sentences and in a few words; "" if nothing."""
+def warnings_of(done: Done, seen: str) -> tuple[str, str]:
+    """What to beware of, in sentences; and what a click shows after what is `seen`, in short."""
     sites = "voxels" if len(done.moved.study.grid.shape) == 3 else "pixels"
-    found = marks_of(done.outputs).items()
-    parts = [f"Warning: at {number} {sites} {_WARNINGS[mark]}" for mark, number in found]
-    parts += (f"{note[0].upper()}{note[1:]}." for note in done.notes)
-    short = [f"{mark.capitalize()} at {number} {sites}: show where" for mark, number in found]
-    return " ".join(parts), next(iter(short), "")
+    found = marks_of(done.outputs)
+    parts = [f"Warning: at {number} {sites} {_WARNINGS[mark]}" for mark, number in found.items()]
+    parts += map(_sentence, done.notes)
+    if (mark := next_mark(done.outputs, seen)) is not None:
+        return " ".join(parts), f"{mark.capitalize()} at {found[mark]} {sites}: show where"
+    return " ".join(parts), f"Hide the {seen}" if seen in found else ""
 
 
 def marks_of(outputs: Outputs) -> dict[Mark, int]:
     """At how many sites tissue does what is to be marked; of what is noise, nothing."""
     return {mark: number for mark in MARKS if (number := getattr(outputs, mark)) > HANDFUL}
+
+
+def loose(notes: Sequence[str]) -> str:
+    """That nothing holds the tissue, in a sentence; "" if none of the notes says so."""
+    return next((_sentence(note) for note in notes if note.startswith(LOOSE)), "")
+
+
+def _sentence(clause: str) -> str:
+    return f"{clause[0].upper()}{clause[1:]}."
+
+
+def next_mark(outputs: Outputs, seen: str) -> Mark | None:
+    """What is marked after what is seen: folds, then overlaps, then neither."""
+    marks = [*marks_of(outputs)]
+    return next(iter(marks[marks.index(seen) + 1 :] if seen in marks else marks), None)
 
 
 def in_short(error: Exception) -> str:
