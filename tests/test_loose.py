@@ -170,10 +170,9 @@ def test_that_nothing_moves_or_nothing_holds_is_said(qtbot, run):
 
 def test_that_a_pull_moves_all_of_the_tissue_as_nothing_holds_it_is_read(pulling_beside, settle):
     touch, widget = pulling_beside
-    touch.drag((32, 32), (32, 36))
-    settle(widget)
-    assert "othing holds" not in widget.status + widget.warning
     widget.hold_edge = False
+    settle(widget)
+    touch.drag((32, 32), (32, 36))
     settle(widget)
     said = "Nothing holds the tissue, so that all of it moves as one: hold its edge, or paint what"
     assert widget.active
@@ -184,5 +183,11 @@ def test_that_a_pull_moves_all_of_the_tissue_as_nothing_holds_it_is_read(pulling
     np.testing.assert_allclose(field, np.broadcast_to((0, 4), field.shape), atol=0.02)
     widget.tool = "pin"
     touch.paint((50, 8), (50, 16))
+    settle(widget)
+    assert "othing holds" not in widget.status + widget.warning
+    widget.drawing = Drawing(widget.drawing.marks[:1])
+    settle(widget)
+    assert widget.warning.startswith(said)
+    widget.hold_edge = True
     settle(widget)
     assert "othing holds" not in widget.status + widget.warning

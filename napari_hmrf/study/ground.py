@@ -178,7 +178,7 @@ class Ground:
             still = (self.base.confidence > 0) & (self.base.observed == 0)
             over = (still & problem.known & (problem.observed != 0))[motion.labels != 0].any()
             notes.append(_OVER if over else "")
-        if motion.labels is not None or motion.drawing.marks:
+        if motion.labels is not None or problem.observed.any():
             notes.append(lack(problem))
         if (image := self.study.pictures.image) is not None:
             notes.append(air_that_is_tissue(image, self.body))

@@ -47,30 +47,6 @@ MODELS: dict[ModelName, str] = {
     "paper, converged": "paper's, computed to the end",
 }
 PLANES: dict[Plane, str] = {"stress": "free to bulge", "strain": "held at its faces"}
-# The figures are those of the README, by `make benchmarks`: on two cores, without a GPU.
-_WHEN: dict[ModelName, str] = {
-    "elastic": "Tissue stretches and bulges as elastic material does. Boundaries are held exactly.",
-    "paper": "The paper's own results. It stops a little early; squeezed tissue does not bulge.",
-    "paper, converged": "The paper's model, computed to the end. Squeezed tissue does not bulge.",
-}
-_OFF: dict[ModelName, float] = {"elastic": 0.0002, "paper": 1.03, "paper, converged": 0.23}
-_FROM_FEM = (
-    "Where the sample brain moves by 7.4 px, it is {} px from finite elements, the engineers' "
-    "standard, of Poisson's ratio 0.3 (0.02 s)."
-)
-_WHEN_PLANE: dict[Plane, str] = {
-    "stress": "Squeezed tissue can bulge out of the image, as in a thin cut.",
-    "strain": "Squeezed tissue can give way only within the image, as deep in a body.",
-}
-_HOW_MUCH = (
-    "Try both choices: their fields differ by a few per cent to more than half of the movement. "
-    "They differ most where Poisson's ratio is near 0.5."
-)
-ABOUT_POISSON = (
-    "How much tissue bulges when it is squeezed: 0, not at all; 0.499, so much that it loses "
-    "hardly any volume.\n0.45 is common for soft tissue."
-)
-
 #: What people can do something about, or have to wait for.
 _WAITS = ("waiting for", "compiling", "starting to compile")
 _WARNINGS: dict[Mark, str] = {
@@ -83,12 +59,6 @@ _WARNINGS: dict[Mark, str] = {
 MOST = "The slice that is seen now has most of them: {}."
 #: So few folded pixels are noise of the rounding, and nothing to warn of.
 HANDFUL = 5
-
-
-def when_to_take(model: ModelName, plane: Plane) -> str:
-    """What a choice is good for, and what was measured of it."""
-    said = f"{_WHEN[model]} {_FROM_FEM.format(_OFF[model])}"
-    return f"{said} {_WHEN_PLANE[plane]} {_HOW_MUCH}" if model == "elastic" else said
 
 
 def report(done: Done) -> str:
