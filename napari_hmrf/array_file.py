@@ -195,12 +195,17 @@ def claims_to_be(path: str | os.PathLike[str], form: Format[Any]) -> bool:
     True too for one that is damaged elsewhere or written by a later version: `read` then says what
     is wrong.
     """
+    return header_of(path).get("format") == form.name
+
+
+def header_of(path: str | os.PathLike[str]) -> Header:
+    """What a file says of itself, of whatever format; nothing if it cannot be read."""
     path = checked_path(path)
     try:
         with open(path, "rb") as file, zipfile.ZipFile(file) as archive:
-            return bool(_header(archive)["format"] == form.name)
+            return _header(archive)
     except (OSError, *_DAMAGE):
-        return False
+        return {}
 
 
 def _packed(form: Format[T], value: T) -> bytes:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import dock_in
+from conftest import dock_in, quick
 from patience import LONG_MS
 from person import Person
 from qtpy.QtCore import Qt
@@ -18,11 +18,12 @@ from napari_hmrf.io.material_tables import load_materials
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.samples.phantoms import PHANTOM_NAMES, sample
 from napari_hmrf.study.ground import Ground
-from napari_hmrf.tissue.boundary_rules import Material
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Stroke
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.ui.messages import MODELS
 from napari_hmrf.ui.soft_tissue import SoftTissue
+from napari_hmrf.ui.tissue_tables import BoundaryTable
 
 GEL = "gel"
 
@@ -494,3 +495,17 @@ def test_what_was_painted_is_pushed_by_a_drag(
     at_rest.until(lambda: not dock.busy)
     assert dock.solution.displacement[30, 30] == pytest.approx((4, 6), abs=0.7)
     assert len(dock.drawing.marks) == 1
+
+
+def test_all_columns_of_the_table_of_boundaries_are_seen(make_napari_viewer, small_sample, at_rest):
+    viewer = make_napari_viewer(show=True)
+    viewer.window.resize(1300, 800)
+    dock = quick(dock_in(viewer))
+    small_sample(viewer)
+    dock.rules = (*dock.rules, BoundaryRule(3, "expand", amount=-2.5))
+    at_rest(thread=False)
+    table = dock.native.findChild(BoundaryTable)
+    seen = [at for at in range(table.columnCount()) if not table.isColumnHidden(at)]
+    assert len(seen) == 7
+    at_rest.until(lambda: table.columnWidth(1) < 60)
+    assert table.horizontalScrollBar().maximum() == 0

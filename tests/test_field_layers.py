@@ -141,6 +141,26 @@ def test_a_field_counts_where_a_mask_an_image_or_edges_say(tmp_path, dock_beside
     assert away[known & dock.solution.tissue].max() < 0.01, "what is sure is held"
 
 
+def test_a_confidence_that_is_nowhere_is_said_and_so_is_an_edge_that_is_let_go(
+    tmp_path, dock_beside, wait_for
+):
+    write_field(tmp_path / "warp.mha", swirl(SHAPE, 1.0), spacing=(1, 1))
+    empty = Layer.create(np.zeros(SHAPE, np.uint8), {"name": "mask", "units": ("mm", "mm")})
+    dock, viewer = dock_beside(opened(tmp_path / "warp.mha"), photo(units=("mm", "mm")))
+    viewer.add_layer(empty)
+    dock.image = viewer.layers["photo"]
+    Screen(dock).choose("warp")
+    wait_for(lambda: not dock.busy)
+    assert not dock.hold_edge
+    assert "The edge is held no more, as 'warp' says how tissue moves" in dock.status
+    dock.confidence = empty
+    wait_for(lambda: not dock.busy)
+    assert "'mask' is 0 wherever 'warp' says how tissue moves, so that nothing of" in dock.status
+    empty.data = np.ones(SHAPE, np.uint8)
+    wait_for(lambda: not dock.busy)
+    assert "is 0 wherever" not in dock.status
+
+
 def test_pixels_are_taken_for_pixels_where_an_image_has_no_millimetres(tmp_path, dock_beside):
     write_field(tmp_path / "warp.mha", swirl(SHAPE, 0.5), spacing=(0.5, 0.5))
     dock, viewer = dock_beside(photo(), opened(tmp_path / "warp.mha"))

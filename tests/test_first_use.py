@@ -305,6 +305,7 @@ def test_the_marks_of_folds_are_taken_away_by_a_second_click(deformed, run, sett
     click(widget, "\u26a0")
     settle(widget)
     assert viewer.layers["MR folds, paper"].visible
+    assert viewer.layers[-1].name == "MR folds, paper", "no line hides them"
     click(widget, "\u26a0")
     settle(widget)
     assert "MR folds, paper" not in viewer.layers

@@ -7,6 +7,7 @@ from napari.layers import Layer
 
 from napari_hmrf import head_phantom
 from napari_hmrf.contributions import phantom_layers, volume_layers
+from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.samples.phantoms import phantom
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Stroke
 from napari_hmrf.ui.messages import CHOOSE
@@ -202,3 +203,39 @@ def test_what_is_undone_on_another_image_is_seen(viewer, widget, settle):
     assert widget.image is first[0]
     assert first[0].visible
     assert not second[0].visible
+
+
+def test_what_is_drawn_is_seen_again_when_its_image_is_chosen_again(viewer, widget, settle):
+    image, *_ = brain(viewer)
+    settle(widget)
+    widget.start()
+    widget.drawing = MARKS
+    settle(widget)
+    drawn = viewer.layers["Motion"].data
+    widget.image = None
+    settle(widget)
+    assert "Motion" not in viewer.layers
+    widget.image = image
+    settle(widget)
+    np.testing.assert_array_equal(viewer.layers["Motion"].data, drawn)
+    assert not widget.active
+    assert widget.status.startswith("Paused: press a tool")
+
+
+def test_an_image_that_is_chosen_and_lies_elsewhere_is_gone_to(viewer, widget, settle):
+    near = viewer.add_image(np.ones((20, 24)), name="near")
+    far = viewer.add_image(np.ones((20, 24)), name="far", translate=(0, 300))
+    widget.image = near
+    camera_of(viewer).zoom = 10
+    camera_of(viewer).center = (0, 12, 11)
+    widget.image = far
+    assert camera_of(viewer).center[-1] == pytest.approx((far.extent.world[1, 1]) / 2, abs=1)
+    camera_of(viewer).zoom = 10
+    camera_of(viewer).center = (0, 12, 311)
+    widget.image = near
+    camera_of(viewer).zoom = 10
+    camera_of(viewer).center = (0, 4, 4)
+    widget.image = None
+    widget.image = near
+    assert camera_of(viewer).zoom == 10, "what is seen already stays as it is"
+    settle(widget)

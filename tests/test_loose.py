@@ -17,6 +17,7 @@ from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.messages import STILL
+from napari_hmrf.ui.motion.tools import BY_NAME
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 
@@ -165,3 +166,28 @@ def test_that_nothing_moves_or_nothing_holds_is_said(qtbot, run):
     widget = painted(qtbot)
     run(widget)
     assert "othing" not in widget.warning.split("pieces")[0]
+
+
+def test_that_a_pull_moves_all_of_the_tissue_as_nothing_holds_it_is_read(pulling_beside, settle):
+    touch, widget = pulling_beside
+    widget.hold_edge = False
+    settle(widget)
+    touch.drag((32, 32), (32, 36))
+    settle(widget)
+    said = "Nothing holds the tissue, so that all of it moves as one: hold its edge, or paint what"
+    assert widget.active
+    assert widget.status.startswith(said)
+    assert widget.status.endswith(BY_NAME["pull"].how), "and what can be done next"
+    assert widget.warning.startswith(said)
+    field = widget.solution.displacement
+    np.testing.assert_allclose(field, np.broadcast_to((0, 4), field.shape), atol=0.02)
+    widget.tool = "pin"
+    touch.paint((50, 8), (50, 16))
+    settle(widget)
+    assert "othing holds" not in widget.status + widget.warning
+    widget.drawing = Drawing(widget.drawing.marks[:1])
+    settle(widget)
+    assert widget.warning.startswith(said)
+    widget.hold_edge = True
+    settle(widget)
+    assert "othing holds" not in widget.status + widget.warning

@@ -87,7 +87,7 @@ def test_letters_stand_where_that_side_of_the_patient_is_seen(tmp_path, stored):
     viewer = ViewerModel()
     image = add_head(viewer, tmp_path, DIRECTIONS[stored])
     for order in turned_views(viewer):
-        found = dict(zip(Sides._fields, Sides.of(viewer), strict=True))
+        found = dict(zip(Sides._fields, Sides.of(image, viewer), strict=True))
         # The mark lies to the left, to the front and to the top of the patient.
         marked = {found[edge] for edge in edge_of_mark(viewer, image)}
         assert marked == {"SAL"[axis] for axis in order[1:]}
@@ -108,10 +108,10 @@ def test_an_axial_slice_is_seen_as_radiologists_see_it(window):
 
 
 def test_letters_follow_the_view_and_in_3_d_there_are_none(window, at_rest):
-    viewer, dock, _ = window
+    viewer, dock, image = window
     seen = set()
     for _ in turned_views(viewer):
-        assert dock.sides == Sides.of(viewer)
+        assert dock.sides == Sides.of(image, viewer)
         seen.add(dock.sides)
     assert len(seen) > 8
     viewer.dims.ndisplay = 3
@@ -125,12 +125,11 @@ def test_letters_follow_the_view_and_in_3_d_there_are_none(window, at_rest):
 def test_where_nothing_is_known_and_without_a_dock_there_are_none(window, at_rest):
     viewer, dock, image = window
     at_rest.until(lambda: not dock.busy)  # or else a picture of the image may come
-    for layer in viewer.layers:
-        layer.visible = False
+    dock.image = viewer.add_image(np.zeros((24, 24)), name="photo")
     assert dock.sides == Sides()
-    viewer.add_image(np.zeros((24, 24)), name="photo")
+    dock.image = None
     assert dock.sides == Sides()
-    image.visible = True
+    dock.image = image
     at_rest(thread=False)
     assert dock.sides.right == "L"
     # Neither is removed: where one of two images is, napari alone ends on Mesa's rasteriser, too.

@@ -193,10 +193,12 @@ def test_an_image_that_is_left_has_its_colours_back_and_its_landmarks_are_said_n
     third = viewer.add_image(before.data, name="third", scale=SIZE, units=("mm", "mm"))
     dock.image = third
     wait_for(lambda: not dock.busy)
-    assert (before.colormap.name, third.colormap.name) == ("gray", "magenta")
+    assert (before.colormap.name, third.colormap.name) == ("gray", "gray")
+    assert dock.compare_with is None, "each image is compared with what was chosen for it"
     assert dock.residual == ""
     dock.image = before
     wait_for(lambda: not dock.busy)
+    assert dock.compare_with is after
     assert (before.colormap.name, third.colormap.name) == ("magenta", "gray")
     assert "apart before" in dock.residual
 

@@ -395,7 +395,7 @@ def test_what_a_killed_process_left_is_opened_and_kept_until_it_is_saved(
         assert LEFT not in Screen(beside(ViewerModel())).words, "whoever lives has its work itself"
     (file,) = kept()
     dock = beside(ViewerModel())
-    assert LEFT in Screen(dock).words
+    assert f" on 'photo' {LEFT}" in Screen(dock).words
     Screen(dock).press("Open it")
     wait_for(lambda: not dock.busy)
     assert LEFT not in Screen(dock).words

@@ -250,12 +250,15 @@ def test_the_chip_shows_folds_and_then_overlaps_and_then_neither(widget, small_s
     rules = (BoundaryRule(2, "move", vector=(0.0, -6.5)), BoundaryRule(3, "move", vector=(0, 3)))
     widget.rules = (widget.rules[0], *rules)
     outputs = run(widget)
-    shown = []
-    for _ in range(3):
-        Screen(widget).press(f"⚠  Folds at {outputs.folds} pixels: show where")
+    words = (
+        f"Folds at {outputs.folds} pixels: show where",
+        f"Overlaps at {outputs.overlaps} pixels: show where",
+        "Hide the overlaps",
+    )
+    for said, shown in zip(words * 2, ("folds", "overlaps", "nothing") * 2, strict=True):
+        Screen(widget).press(f"⚠  {said}")
         settle(widget)
-        shown.append(widget.overlay)
-    assert shown == ["folds", "overlaps", "nothing"]
+        assert widget.overlay == shown
 
 
 def test_results_of_an_image_go_with_it_and_the_next_has_its_own(

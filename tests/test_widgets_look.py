@@ -21,13 +21,13 @@ from napari_hmrf.field.colormaps import reach_of
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.quantities import coloured
 from napari_hmrf.field.strain import green_lagrange_strain
-from napari_hmrf.field.tissue_point import Probe
+from napari_hmrf.field.tissue_point import Probe, at_point
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.figures import jacobian_picture, magnitude_picture, strain_picture
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
-from napari_hmrf.ui.result.cursor import at_point, stiffness_of
+from napari_hmrf.ui.result.cursor import stiffness_of
 from napari_hmrf.ui.result.result_messages import how_far
 
 
@@ -507,6 +507,11 @@ def test_folds_are_told_and_marked(widget, small_sample, run, set_to):
     moved = warp(folded, solution.displacement, tissue=solution.tissue, order=0)
     np.testing.assert_array_equal(layer.data <= 0, moved)
     assert layer.contrast_limits == [0, 2], "folds, and nothing else, are at the lower limit"
+    values = coloured(solution, "jacobian").values
+    said = f". Colours end at 0 (values to {np.nanmin(values):.3g})"
+    assert said in widget._form.result.how_far.value
+    set_to(widget, overlay="nothing")
+    assert "Colours end" not in widget._form.result.how_far.value
     np.testing.assert_allclose(layer.colormap.low_color, (1, 0.933, 0, 1), atol=0.01)
     assert layer.colormap.map(np.array([1.0]))[0, :3] == pytest.approx((0.5, 0.23, 0.03), abs=0.05)
 

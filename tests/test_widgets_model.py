@@ -13,12 +13,13 @@ from napari_hmrf import ICM, ElasticPrior, Multigrid, SeilerPrior, solve
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.read import Request
 from napari_hmrf.samples.phantoms import phantom
+from napari_hmrf.solver.model_advice import when_to_take
 from napari_hmrf.solver.model_names import ModelName, converged
 from napari_hmrf.study.ground import statement_of
 from napari_hmrf.study.models import SolverDetails
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
-from napari_hmrf.ui.messages import MODELS, PLANES, READY, when_to_take
+from napari_hmrf.ui.messages import MODELS, PLANES, READY
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 POISSON = 3  # the column of the table of tissues

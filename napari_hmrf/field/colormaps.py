@@ -20,6 +20,8 @@ OPACITY = 0.8
 _OPAQUE = 0.4
 # So many of a hundred pixels lie within the limits of a scale; the others are a few at corners.
 _WITHIN = 99.0
+# Values do not go beyond a scale if it is by less than this part of it.
+_NEARLY = 0.01
 #: The shortest scale; of what is in per cent a hundred times that.
 SMALLEST = 1e-3
 # Where a scale with 0 in its middle may end, but for powers of ten: between its ends napari then
@@ -62,6 +64,25 @@ def reach_of(values: npt.NDArray[Any], signed: bool = False, least: float = SMAL
     else:
         end = math.ceil(10 * reach / power - 1e-9) / 10
     return float(f"{end * power:.3g}")
+
+
+def beyond(values: npt.NDArray[Any], limits: tuple[float, float]) -> str:
+    """Say how far values go beyond a scale, which ends where nearly all do; "" if none does.
+
+    Parameters
+    ----------
+    values : ndarray
+    limits : (float, float)
+        Where the scale begins and ends.
+    """
+    low, high = limits
+    known = values[np.isfinite(values)]
+    least, most = float(known.min(initial=low)), float(known.max(initial=high))
+    near = _NEARLY * (high - low)
+    below = f"{low:.3g} (values to {least:.3g})" if low - least > near else ""
+    above = f"{high:.3g} (values to {most:.3g})" if most - high > near else ""
+    ends = " and at ".join(filter(None, (below, above)))
+    return ends and f"Colours end at {ends}"
 
 
 def area_limits(jacobian: npt.NDArray[Any], folded: bool) -> tuple[float, float]:

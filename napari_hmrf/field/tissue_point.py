@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.inverse_point import farthest_of, inverse_point
 from napari_hmrf.field.quantities import area_change, values_of
 from napari_hmrf.solver.solution import Solution
+
+#: Said of the Jacobian at a fold, which is 0 or below; elsewhere it is the mean of the corners.
+_FOLDS = " (folds: that of the worst corner)"
+_FULL = 100
 
 
 class Probe(NamedTuple):
@@ -88,3 +94,37 @@ class Points:
             float(area_change(near)[middle]),
             float(values_of(near, "equivalent")[middle]),
         )
+
+
+def at_point(
+    unit: str, found: Probe, ways: Directions, more: Sequence[str] = (), percent: int = _FULL
+) -> str:
+    """Say what happens at a point, in a line short enough for a status bar.
+
+    It is of the whole deformation, however much of it is seen.
+
+    Parameters
+    ----------
+    unit : str
+        Of lengths.
+    found : Probe
+    ways : Directions
+        Which way rows and columns run.
+    more : sequence of str
+        What else there is to say.
+    percent : int
+        How much is seen.
+    """
+    step = tuple(rounded(part) for part in ways.seen(found.displacement))
+    length = rounded(found.length)
+    parts = [
+        f"moves {length:g} {unit}" + (f" ({ways.step(step)})" if length else ""),
+        f"Jacobian {found.jacobian:.3f}" + (_FOLDS if found.jacobian <= 0 else ""),
+    ]
+    line = ", ".join([*parts, *filter(None, more)])
+    return line if percent == _FULL else f"at {_FULL} %: {line}"
+
+
+def rounded(length: float) -> float:
+    """Round to what matters: three digits, and no more than two decimals."""
+    return round(float(f"{length:.3g}"), 2) + 0.0  # and no -0

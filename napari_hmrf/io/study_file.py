@@ -151,6 +151,12 @@ def is_study_file(path: str | os.PathLike[str]) -> bool:
     return array_file.claims_to_be(path, STUDY_FORMAT)
 
 
+def image_named_in(path: str | os.PathLike[str]) -> str:
+    """What a study's image is called, by reading little of its file; "" if that cannot be read."""
+    pictures = array_file.header_of(path).get("pictures")
+    return str(pictures.get("name", "")) if isinstance(pictures, dict) else ""
+
+
 def replay(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> Solution:
     """Solve a saved study again, on the backend that its field came from.
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from napari.layers import Image
 
+from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, known_of, role_of
 from napari_hmrf.layers.slice_view import View, fits
 from napari_hmrf.study.layer_names import full_resolution
@@ -82,6 +83,14 @@ def uncover(viewer: Any, image: Any) -> list[Any]:
             other.visible = False
             hidden.append(other)
     return hidden
+
+
+def in_middle(viewer: Any, image: Any) -> bool:
+    """Whether the middle of what a viewer shows lies on an image."""
+    place, shown = list(viewer.dims.point), viewer.dims.displayed
+    for axis, at in zip(shown, camera_of(viewer).center[-len(shown) :], strict=True):
+        place[axis] = at
+    return _holds(image, place, View.of(viewer.dims))
 
 
 def _places(viewer: Any, image: Any) -> list[tuple[float, ...]]:

@@ -11,6 +11,7 @@ import numpy as np
 from napari.layers import Layer, Vectors
 from psygnal import Signal
 
+from napari_hmrf.field.animation import MARKS
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.compat import show_name
 from napari_hmrf.layers.metadata import BOUNDARY, METADATA, TISSUE, add_known, known_of, role_of
@@ -307,9 +308,9 @@ class Result:
         held.own = held.part = held.whole = None
 
     def _index(self, part: Part, made: LayerData, source: Any) -> int:
-        """Pictures go directly above what was deformed and has moved, lines on top."""
+        """Pictures go directly above what was deformed and has moved, lines and marks on top."""
         layers = self._viewer.layers
-        if made.kind == "vectors":
+        if made.kind == "vectors" or _kind_of(made) in MARKS:  # as lines often lie where folds are
             return len(layers)
         if part in (PAINTED, CONFIDENCE):  # below what else is drawn
             drawn = (at for at, each in enumerate(layers) if _is_drawn(each))
@@ -328,11 +329,14 @@ def _percent_of(layer: Any) -> int:
     return int(known_of(layer).get("percent", _WHOLE))
 
 
+def _kind_of(made: LayerData) -> Any:
+    return made.attributes["metadata"][METADATA]["kind"]
+
+
 def _fits(layer: Any, made: LayerData) -> bool:
     """Whether a layer can show this: other pixels or another scale, but no other sort of thing."""
     axes, rgb = len(made.attributes["scale"]), made.attributes.get("rgb", False)
-    kind = made.attributes["metadata"][METADATA]["kind"]
-    same = made.kind == "image" or known_of(layer).get("kind") == kind
+    same = made.kind == "image" or known_of(layer).get("kind") == _kind_of(made)
     same = same and made.kind == type(layer).__name__.lower()
     return bool(same and layer.ndim == axes and getattr(layer, "rgb", False) == rgb)
 

@@ -249,6 +249,12 @@ class _Reader:
                     arrows = np.array(data, float)
                     y, known, out = arrow_observation(arrows, own, frame.spacing, shape)
             c = np.where(known, 1 if sure is None else sure, 0).astype(np.float32)
+            if known.any() and not c.any():
+                raise LayerError(
+                    request.confidence,
+                    f"is 0 wherever '{layer.name}' says how tissue moves, so that nothing of that "
+                    "counts. Paint where it is sure, or choose ----- in 'confidence'.",
+                )
             return y, np.repeat(c[..., None], len(shape), axis=-1), out
 
         of = (data, sure, own, frame.spacing, shape, *(field or ()))

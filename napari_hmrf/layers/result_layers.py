@@ -22,7 +22,7 @@ from napari_hmrf.field.animation import (
     moved_grid,
     moved_marks,
 )
-from napari_hmrf.field.colormaps import reach_of
+from napari_hmrf.field.colormaps import beyond, reach_of
 from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.field.deformation import (
     arrows_apart,
@@ -309,6 +309,12 @@ class Overlay(NamedTuple):
     name: Name
     layer: LayerData
     picture: Array | None = None
+
+    @property
+    def beyond(self) -> str:
+        """How far its values go beyond the colours, in words; "" if they do not."""
+        limits = self.layer.attributes.get("contrast_limits")
+        return "" if limits is None or self.picture is None else beyond(self.picture, limits)
 
 
 def overlay_of(answer: Answer, name: Name, compared: Comparison | None = None) -> Overlay | None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from napari.layers import Image, Labels
-
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.frame import PATIENT_AXES, Frame
 from napari_hmrf.layers.compat import camera_of
@@ -35,18 +33,13 @@ class Sides(NamedTuple):
     right: str = ""
 
     @classmethod
-    def of(cls, viewer: Any) -> Sides:
-        """Those of the slice that a viewer shows, however it is turned; none in 3-D."""
+    def of(cls, image: Any, viewer: Any) -> Sides:
+        """Those of the slice of an image that a viewer shows, however it is turned; none in 3-D."""
         dims = viewer.dims
-        if dims.ndisplay != 2:
+        if image is None or dims.ndisplay != 2:
             return cls()
-        known: dict[int, tuple[str, str]] = {}
-        pictures = (each for each in viewer.layers if isinstance(each, Image | Labels))
-        for layer in filter(lambda each: each.visible, pictures):
-            for axis, label in enumerate(layer.axis_labels):
-                if label in PATIENT_AXES:
-                    known[axis + dims.ndim - layer.ndim] = PATIENT_AXES[label]
-        ends = [known.get(axis, ("", "")) for axis in dims.displayed]
+        labels = ("",) * (dims.ndim - image.ndim) + image.axis_labels
+        ends = [PATIENT_AXES.get(labels[axis], ("", "")) for axis in dims.displayed]
         down, right = (str(way) for way in camera_of(viewer).orientation2d)
         bottom, top = ends[0] if down == "down" else ends[0][::-1]
         end, begin = ends[1] if right == "right" else ends[1][::-1]

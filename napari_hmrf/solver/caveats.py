@@ -18,6 +18,8 @@ from napari_hmrf.solver.quadtree import levels, sampled
 # of 3 pixels 0.41 or more. Images of up to 32 pixels have no coarse levels to speak of.
 _ENOUGH = 0.32
 _SMALLEST_TREE = 6
+#: How it is said that nothing holds the tissue.
+LOOSE = "nothing holds the tissue"
 
 
 def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> tuple[str, ...]:
@@ -58,6 +60,30 @@ def shortfall(reach: Reach | None, unit: str) -> str:
             f"where they were to be, the one at {reach.where} by {reach.missing:.3g} {unit}"
         )
     return "; ".join(said)
+
+
+def lack(problem: Problem) -> str:
+    """Say what there is none of, something that moves or that holds the rest; "" if there is both.
+
+    Parameters
+    ----------
+    problem : Problem
+    """
+    if problem.loads is not None:  # which are refused where nothing holds
+        return ""
+    seen = problem.known.any(axis=-1)
+    steps = problem.observed[seen]
+    if not steps.any():
+        return (
+            "nothing moves: have something on tissue move or expand, by a distance other than 0 "
+            "and with a confidence above 0"
+        )
+    rim = problem.tissue & ~scipy.ndimage.binary_erosion(problem.tissue)
+    as_one = np.allclose(steps, steps[0], atol=1e-3 * float(np.abs(steps).max()))
+    if not steps.any(axis=-1).all() or ((seen & rim).any() and not as_one):
+        return ""
+    how = "moves as one" if as_one else "gives way"
+    return f"{LOOSE}, so that all of it {how}: hold its edge, or paint what stays there"
 
 
 def _held_exactly(problem: Problem) -> str:

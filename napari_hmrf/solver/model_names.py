@@ -8,6 +8,8 @@ from typing import Any, Literal
 #: Linear elasticity; finite strain; the paper's random field by its schedule; and where its sweeps
 #: would end.
 ModelName = Literal["elastic", "large motion", "paper", "paper, converged"]
+#: Those of tissue that is strained.
+ELASTIC: tuple[ModelName, ...] = "elastic", "large motion"
 
 # Sweeps that may end only once the energy stands still to so many digits converge, too.
 _STILL = 1e-7

@@ -97,7 +97,7 @@ class Problem:
         _check_confidence(c)
         np.copyto(y, np.float32(0), where=c <= 0)  # a copy already
         _check_finite("observed", y, "where confidence is above 0")
-        _check_reach(y, pixel)
+        check_reach(y, pixel)
         for field, array in (("observed", y), ("confidence", c), ("stiffness", m)):
             array.setflags(write=False)
             object.__setattr__(self, field, array)
@@ -262,7 +262,7 @@ def _check_finite(
         )
 
 
-def _check_reach(y: FloatArray, spacing: tuple[float, ...]) -> None:
+def check_reach(y: FloatArray, spacing: tuple[float, ...]) -> None:
     """Refuse displacements far beyond the image, mostly of a wrong unit."""
     grid = y.shape[:-1]
     diagonal = math.hypot(*(size * step for size, step in zip(grid, spacing, strict=True)))

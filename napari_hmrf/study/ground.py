@@ -11,14 +11,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from napari_hmrf.solver.body_forces import weight
-from napari_hmrf.solver.caveats import caveats
+from napari_hmrf.solver.caveats import caveats, lack
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Elastic, Prior
-from napari_hmrf.solver.problem import FloatArray, Problem, as_stiffness
+from napari_hmrf.solver.problem import FloatArray, Problem, as_stiffness, check_reach
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
@@ -201,7 +200,9 @@ class Ground:
         if motion.labels is not None:
             still = (self.base.confidence > 0) & (self.base.observed == 0)
             over = (still & problem.known & (problem.observed != 0))[motion.labels != 0].any()
-            notes.append(_OVER if over else "" if motion.drawing.marks else _lack(problem))
+            notes.append(_OVER if over else "")
+        if motion.labels is not None or problem.observed.any():
+            notes.append(lack(problem))
         pulled = problem.loads is not None and problem.loads.force is not None
         notes.append(_NO_UNIT if pulled and not self.study.tissue.unit else "")
         if (image := self.study.pictures.image) is not None:
@@ -350,6 +351,8 @@ def _observe(study: Study, base: Canvas) -> list[str]:
             y, c = boundary_images(motion.labels, rules, spacing=base.spacing)
         painted = motion.labels != 0
         base.observed[painted], base.confidence[painted] = y[painted], c[painted]
+    with study.naming(drawn=False):
+        check_reach(base.observed, base.spacing)
     return notes
 
 
@@ -362,20 +365,3 @@ def _with_doubt(prior: Prior, c: FloatArray, m: FloatArray) -> tuple[Prior, Floa
     if not (doubted & (c > 0)).any() or np.isinf(m).any():
         return prior, c
     return replace(prior, penalty=_FIRM), np.where(doubted, np.float32(_PENALTY / _FIRM) * c, c)
-
-
-def _lack(problem: Problem) -> str:
-    """Say what a painted boundary lacks: something that moves, or that holds the rest."""
-    moves, seen = problem.known & (problem.observed != 0), problem.known.any(axis=-1)
-    if not moves.any() and problem.loads is None:
-        return (
-            "nothing moves: have something on tissue move or expand, by a distance other than 0 "
-            "and with a confidence above 0"
-        )
-    rim = problem.tissue & ~scipy.ndimage.binary_erosion(problem.tissue)
-    if (seen & rim).any() or (seen & ~problem.observed.any(axis=-1)).any():
-        return ""
-    return (
-        "nothing holds the tissue, so that all of it gives way: paint what stays where it is, such "
-        "as bone, as 'fixed'"
-    )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, get_args
 
 from napari_hmrf.errors import ArgumentError
-from napari_hmrf.solver.model_names import ModelName
+from napari_hmrf.solver.model_names import ELASTIC, ModelName
 from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.priors.elastic import Plane
@@ -107,8 +107,6 @@ class SolverDetails:
 
 
 _USUAL = SolverDetails()
-#: The models of tissue that is strained.
-ELASTIC: tuple[ModelName, ...] = "elastic", "large motion"
 
 
 def asked(model: ModelName) -> tuple[str, ...]:

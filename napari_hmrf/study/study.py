@@ -20,7 +20,7 @@ from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.study.layer_names import naming
 from napari_hmrf.study.models import chosen
 from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material
-from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.tissue.surroundings import luminance
@@ -288,7 +288,9 @@ class Study:
         Of what holds and moves that is the drawing, if there is any, unless nothing is `drawn` yet.
         """
         names = self.names
-        boundary = (names.get("drawing") if drawn else None) or names.get("boundary")
+        marks = self.motion.drawing.marks
+        pairs = "Landmark" if marks and all(isinstance(mark, Landmark) for mark in marks) else ""
+        boundary = ((pairs or names.get("drawing")) if drawn else "") or names.get("boundary")
         tissue = names.get("tissue") or names.get("image")
         with naming(
             stiffness=tissue,

@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any
 
 from napari.layers import Labels, Layer, Vectors
+from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.edit_history import CHOICE, CURVE, DRAWING, MODEL, Slot, steps_of
@@ -22,7 +23,7 @@ from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import Listening
-from napari_hmrf.ui.messages import CHOOSE, WELCOME
+from napari_hmrf.ui.messages import CHOOSE, EDGE_GOES, WELCOME
 
 #: Of the viewer, and no layer.
 _THE_MODEL = Slot(MODEL, "")
@@ -62,6 +63,9 @@ class Choices:
         Whether what is chosen now is nobody's doing.
     """
 
+    #: What was chosen with something else, in words.
+    said = Signal(str)
+
     def __init__(self, viewer: Any, form: DockForm) -> None:
         self._viewer, self._form = viewer, form
         self._steps = steps = steps_of(viewer)
@@ -76,6 +80,7 @@ class Choices:
             "weight": motion.weight.amount,
             "way": motion.weight.way,
             "extent": form.extent,
+            "second": form.result.second,
         }
         self._beginning = self.values
         self._image: Any = None
@@ -232,7 +237,10 @@ class Choices:
     def _on_boundary(self, layer: Any) -> None:
         """A field says how the edge moves; without a boundary it is held."""
         if holds_field(layer):
+            held = self._form.motion.edge.value
             self._let_edge_go()
+            if held:
+                self.said.emit(EDGE_GOES.format(layer.name))
         elif layer is None:
             self._form.motion.edge.value = True
 

@@ -42,7 +42,8 @@ class Guide:
         for table in form.tables:
             table.found.connect(partial(self.say, why="step"))
             table.refused.connect(self.refuse)
-        form.tissue.menu.said.connect(partial(self.say, why="step"))
+        for told in (form.tissue.menu, live.choices):
+            told.said.connect(partial(self.say, why="step"))
         form.tissue.editor.refused.connect(self.refuse)
         pointer.said.connect(self._on_pointer)
         pointer.refused.connect(self.refuse)
@@ -53,6 +54,7 @@ class Guide:
         live.said.connect(self._on_study)
         live.doing.connect(self._on_doing)
         live.moved_on.connect(self.show)
+        live.followed.connect(self.show)
         self._heard = Listening((steps.said, self._on_step))
 
     def release(self) -> None:
@@ -77,7 +79,7 @@ class Guide:
         how = motion_messages.START if form.footer.live.value or not begun else messages.READY
         if self._pointer.active:
             how = self._pointer.tool.how
-        return self._paused or how
+        return f"{self._live.loose} {self._paused or how}".lstrip()
 
     def say(self, sentence: str, why: Why = "news") -> None:
         """Say something in place of all that was said."""

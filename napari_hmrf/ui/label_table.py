@@ -28,6 +28,7 @@ _PAUSE = 150
 _EVENTS = (*CHANGES, "colormap")
 #: In pixels, for the dock is shared: about five rows are seen without scrolling.
 _ROW_HEIGHT, _HIGHEST = 26, 172
+_COMPACT = "QComboBox { padding: 1px 0px 1px 3px; } QComboBox::drop-down { width: 14px; }"
 
 
 class Column(NamedTuple):
@@ -288,6 +289,7 @@ class LabelTable(QTableWidget):
         """What a cell is chosen by, rather than typed."""
         box = QComboBox()
         box.addItems(choices)
+        box.setStyleSheet(_COMPACT)
         box.textActivated.connect(item.setText)
         box.activated.connect(self.clearFocus)  # the keys that come next are the canvas's
         CalmField(box).watch(box)

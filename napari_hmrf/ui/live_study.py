@@ -109,6 +109,7 @@ class LiveStudy:
         pointer.drawn.connect(self._on_drawn)
         form.footer.chip.clicked.connect(self._on_chip)
         form.footer.unfold.clicked.connect(self._unfold)
+        form.result.overlay.changed.connect(self._describe)
 
     # What there is
 
@@ -123,6 +124,11 @@ class LiveStudy:
         latest, study = self.latest, self.study
         here = latest is not None and study is not None and latest.moved.study.grid == study.grid
         return latest if here else None
+
+    @property
+    def loose(self) -> str:
+        """That nothing holds the tissue of the latest result; "" if something does."""
+        return "" if (done := self._latest_here) is None else messages.loose(done.notes)
 
     @property
     def busy(self) -> bool:
@@ -419,10 +425,10 @@ class LiveStudy:
         if anew or self._told != before:
             self.said.emit(self._told)
 
-    def _describe(self) -> None:
+    def _describe(self, *_: Any) -> None:
         """Say of the latest result what is to be known, if it is of what is worked on."""
-        done = self._latest_here
-        self.form.footer.warn(*(("",) if done is None else messages.warnings_of(done)))
+        done, seen = self._latest_here, self.form.result.overlay.value
+        self.form.footer.warn(*(("",) if done is None else messages.warnings_of(done, seen)))
         self.form.footer.unfold.setVisible(done is not None and messages.can_unfold(done))
 
     def _cannot(self, error: Exception) -> None:
@@ -450,12 +456,10 @@ class LiveStudy:
     def _on_chip(self) -> None:
         """Say what there is to know, and mark folds, then overlaps, then neither."""
         overlay, latest, went = self.form.result.overlay, self.latest, ""
-        marks = [] if latest is None else [*messages.marks_of(latest.outputs)]
-        if overlay.value in marks:
-            del marks[: marks.index(overlay.value) + 1]
-        if latest is not None and marks:
-            overlay.value = marks[0]
-            went = self._go_to_most(latest, marks[0])
+        mark = None if latest is None else messages.next_mark(latest.outputs, overlay.value)
+        if latest is not None and mark is not None:
+            overlay.value = mark
+            went = self._go_to_most(latest, mark)
         elif overlay.value in MARKS:
             overlay.value = NOTHING
         self.said.emit(f"{self.form.footer.warning} {went}".rstrip())

@@ -10,10 +10,10 @@ from napari_hmrf.field.animation import MARKS, Mark
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import as_seen, unit_symbol
 from napari_hmrf.layers.result_layers import Outputs
+from napari_hmrf.solver.caveats import LOOSE
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors.elastic import Plane
-from napari_hmrf.study.models import ELASTIC
 from napari_hmrf.ui.follower import Done
 
 WELCOME = "Open an image first (File > Open), or a sample (File > Open Sample)."
@@ -32,6 +32,10 @@ STAYS = "The last result stays."
 BEHIND = "The last result stays, without what was edited since: press Deform, or go on."
 _NO_IMAGE = "No image is chosen. What came of the last one is seen again when you choose it."
 _HIDDEN = "Hidden, to show '{}': {}. Click an eye in the list of layers to see that again."
+EDGE_GOES = (
+    "The edge is held no more, as '{}' says how tissue moves: tick 'hold the edge of the tissue' "
+    "to hold what of it that leaves out."
+)
 #: What goes with a layer that was deleted.
 DRAWING_GONE = "'{name}' is gone, and what was drawn on it: napari brings no layer back."
 TISSUE_GONE = "'{name}' is gone, with all it said of stiffness: napari brings no layer back."
@@ -44,33 +48,6 @@ MODELS: dict[ModelName, str] = {
     "paper, converged": "paper's, computed to the end",
 }
 PLANES: dict[Plane, str] = {"stress": "free to bulge", "strain": "held at its faces"}
-# The figures are those of the README, by `make benchmarks`: on two cores, without a GPU.
-_WHEN: dict[ModelName, str] = {
-    "elastic": "Tissue stretches and bulges as elastic material does. Boundaries are held exactly.",
-    "large motion": "Elastic tissue that may turn and stretch as far as it likes: no pixel of it "
-    "folds. It takes 8 to 36 times as long; take it where elastic tissue folds, or turns by more "
-    "than ten degrees. Bars stretched by 30 % are within 0.002 px of finite elements.",
-    "paper": "The paper's own results. It stops a little early; squeezed tissue does not bulge.",
-    "paper, converged": "The paper's model, computed to the end. Squeezed tissue does not bulge.",
-}
-_OFF: dict[ModelName, float] = {"elastic": 0.0002, "paper": 1.03, "paper, converged": 0.23}
-_FROM_FEM = (
-    "Where the sample brain moves by 7.4 px, it is {} px from finite elements, the engineers' "
-    "standard, of Poisson's ratio 0.3 (0.02 s)."
-)
-_WHEN_PLANE: dict[Plane, str] = {
-    "stress": "Squeezed tissue can bulge out of the image, as in a thin cut.",
-    "strain": "Squeezed tissue can give way only within the image, as deep in a body.",
-}
-_HOW_MUCH = (
-    "Try both choices: their fields differ by a few per cent to more than half of the movement. "
-    "They differ most where Poisson's ratio is near 0.5."
-)
-ABOUT_POISSON = (
-    "How much tissue bulges when it is squeezed: 0, not at all; 0.499, so much that it loses "
-    "hardly any volume.\n0.45 is common for soft tissue."
-)
-
 #: What people can do something about, or have to wait for.
 _WAITS = ("waiting for", "compiling", "starting to compile")
 _WARNINGS: dict[Mark, str] = {
@@ -85,12 +62,6 @@ MOST = "The slice that is seen now has most of them: {}."
 HANDFUL = 5
 
 
-def when_to_take(model: ModelName, plane: Plane) -> str:
-    """What a choice is good for, and what was measured of it."""
-    said = f"{_WHEN[model]} {_FROM_FEM.format(_OFF[model])}" if model in _OFF else _WHEN[model]
-    return f"{said} {_WHEN_PLANE[plane]} {_HOW_MUCH}" if model in ELASTIC else said
-
-
 def report(done: Done) -> str:
     """What came out, in a sentence."""
     place, solution = done.moved.study.grid.place, done.outputs.solution
@@ -102,14 +73,15 @@ def report(done: Done) -> str:
     return f"{where} moved up to {far:.3g} {unit_symbol(place.unit)}."
 
 
-def warnings_of(done: Done) -> tuple[str, str]:
-    """What to beware of, in sentences and in a few words; "" if nothing."""
+def warnings_of(done: Done, seen: str) -> tuple[str, str]:
+    """What to beware of, in sentences; and what a click shows after what is `seen`, in short."""
     sites = "voxels" if len(done.moved.study.grid.shape) == 3 else "pixels"
-    found = marks_of(done.outputs).items()
-    parts = [f"Warning: at {number} {sites} {_WARNINGS[mark]}" for mark, number in found]
-    parts += (f"{note[0].upper()}{note[1:]}." for note in done.notes)
-    short = [f"{mark.capitalize()} at {number} {sites}: show where" for mark, number in found]
-    return " ".join(parts), next(iter(short), "")
+    found = marks_of(done.outputs)
+    parts = [f"Warning: at {number} {sites} {_WARNINGS[mark]}" for mark, number in found.items()]
+    parts += map(_sentence, done.notes)
+    if (mark := next_mark(done.outputs, seen)) is not None:
+        return " ".join(parts), f"{mark.capitalize()} at {found[mark]} {sites}: show where"
+    return " ".join(parts), f"Hide the {seen}" if seen in found else ""
 
 
 def can_unfold(done: Done) -> bool:
@@ -121,6 +93,21 @@ def can_unfold(done: Done) -> bool:
 def marks_of(outputs: Outputs) -> dict[Mark, int]:
     """At how many sites tissue does what is to be marked; of what is noise, nothing."""
     return {mark: number for mark in MARKS if (number := getattr(outputs, mark)) > HANDFUL}
+
+
+def loose(notes: Sequence[str]) -> str:
+    """That nothing holds the tissue, in a sentence; "" if none of the notes says so."""
+    return next((_sentence(note) for note in notes if note.startswith(LOOSE)), "")
+
+
+def _sentence(clause: str) -> str:
+    return f"{clause[0].upper()}{clause[1:]}."
+
+
+def next_mark(outputs: Outputs, seen: str) -> Mark | None:
+    """What is marked after what is seen: folds, then overlaps, then neither."""
+    marks = [*marks_of(outputs)]
+    return next(iter(marks[marks.index(seen) + 1 :] if seen in marks else marks), None)
 
 
 def in_short(error: Exception) -> str:

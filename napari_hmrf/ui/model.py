@@ -13,10 +13,12 @@ from qtpy.QtCore import QSize
 from qtpy.QtGui import QIcon
 from qtpy.QtWidgets import QRadioButton
 
+from napari_hmrf.solver.model_advice import ABOUT_POISSON, when_to_take
+from napari_hmrf.solver.model_names import ELASTIC
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
-from napari_hmrf.study.models import ELASTIC, SolverDetails, asked, optimizer_of, prior_of
+from napari_hmrf.study.models import SolverDetails, asked, optimizer_of, prior_of
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.forms import Prose, align_labels, menu, narrow
@@ -100,7 +102,7 @@ class ModelForm(Container):
             max=1.0,  # what is too much is refused in words, and not turned into 0
             step=0.05,
             value=USUAL_POISSON,
-            tooltip=messages.ABOUT_POISSON,
+            tooltip=ABOUT_POISSON,
         )
         self._when = Prose()
         self._form = form = Container(widgets=[self.model, self.plane, self.poisson])
@@ -158,7 +160,7 @@ class ModelForm(Container):
     def _show(self, *_: Any) -> None:
         """Show what applies."""
         model = self.model.value
-        self._when.say(messages.when_to_take(model, self.plane.value))
+        self._when.say(when_to_take(model, self.plane.value))
         self.plane.visible = self.is_elastic
         self.poisson.visible = self.is_elastic and isinstance(self._tissue, Image)
         for field in self.in_detail:

@@ -12,6 +12,7 @@ from qtpy.QtWidgets import QGridLayout, QLabel
 from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.layers.screen_directions import Sides
 from napari_hmrf.ui.events import Listening
+from napari_hmrf.ui.layer_choice import LayerChoice
 
 #: Read on dark tissue and on bright.
 _STYLE = (
@@ -24,25 +25,27 @@ _TOP = 34
 #: Rows and columns of the canvas, in the order of `Sides`.
 _EDGES = ((0, 1), (2, 1), (1, 0), (1, 2))
 #: What happens to layers, of all that does, after which other letters may be seen.
-_TELLING = ("inserted", "removed", "visible", "axis_labels")
+_TELLING = ("inserted", "removed", "axis_labels")
 
 
 class PatientSides:
-    """Shows them while a dock is there, on slices whose layers say how they lie in the patient.
+    """Shows them while a dock is there, if its image says how it lies in the patient.
 
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
+    image : LayerChoice
     """
 
-    def __init__(self, viewer: Any) -> None:
-        self._viewer = viewer
+    def __init__(self, viewer: Any, image: LayerChoice) -> None:
+        self._viewer, self._image = viewer, image
         self._labels: list[QLabel] = []
         dims = viewer.dims.events
         self._heard = Listening(
             (dims.order, self.look),
             (dims.ndisplay, self.look),
             (camera_of(viewer).events.orientation, self.look),
+            (image.changed, self.look),
             (viewer.layers.events, self._on_layers),
         )
 
@@ -71,7 +74,8 @@ class PatientSides:
 
     def look(self, *_: Any) -> None:
         """Show what is known of the slice that is seen."""
-        for label, letter in zip(self._labels, Sides.of(self._viewer), strict=False):
+        seen = Sides.of(self._image.value, self._viewer)
+        for label, letter in zip(self._labels, seen, strict=False):
             label.setText(letter)
             label.setVisible(bool(letter))
 

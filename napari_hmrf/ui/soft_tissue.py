@@ -181,7 +181,7 @@ class SoftTissue(Dock):
         self._guide = Guide(viewer, self._live_study, steps)
         self._watch = ViewerWatch(self.native, viewer, self._live_study, self._guide)
         self._second = SecondImage(viewer, self._view, self._live_study)
-        self._sides = PatientSides(viewer)
+        self._sides = PatientSides(viewer, form.image)
         self._unsaved = Unsaved(self, viewer, self._live_study, self._try)
         self._connect()
         self._choices.choose_first()

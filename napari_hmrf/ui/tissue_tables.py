@@ -19,6 +19,7 @@ from qtpy.QtWidgets import QFileDialog, QMenu, QPushButton
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.io.material_tables import ENDING, load_materials, save_materials
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Table, tissue_recorded
+from napari_hmrf.solver.model_advice import ABOUT_POISSON
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.tissue.boundary_rules import (
@@ -36,7 +37,6 @@ from napari_hmrf.tissue.boundary_rules import (
 from napari_hmrf.tissue.material_presets import PRESETS, Preset, take_over
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu, number_of
 from napari_hmrf.ui.label_table import Column, LabelTable
-from napari_hmrf.ui.messages import ABOUT_POISSON
 
 #: How the table calls what a boundary does.
 _ACTIONS: dict[Action, str] = {

@@ -20,7 +20,7 @@ from qtpy.QtWidgets import QApplication, QFileDialog, QMessageBox
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.io import recovery
-from napari_hmrf.io.study_file import SUFFIX, load_study, save_study
+from napari_hmrf.io.study_file import SUFFIX, image_named_in, load_study, save_study
 from napari_hmrf.layers.compat import is_quitting, stop_quitting
 from napari_hmrf.layers.edit_history import (
     CHOICE,
@@ -306,7 +306,8 @@ class LeftBehind(Container):
             self._file = files[0]
             when = time.strftime("%d %b, %H:%M", time.localtime(self._file.stat().st_mtime))
             more = f" (and {len(files) - 1} more)" if len(files) > 1 else ""
-            said = f"Work of {when} was not saved when napari ended{more}."
+            of = f" on '{name}'" if (name := image_named_in(files[0])) else ""
+            said = f"Work of {when}{of} was not saved when napari ended{more}."
         self._said.say(said)
         self.visible = bool(files)
 

@@ -9,7 +9,7 @@ from napari.layers import Labels
 from psygnal import Signal
 
 from napari_hmrf.field.frame import PLACE
-from napari_hmrf.layers.image_choice import uncover
+from napari_hmrf.layers.image_choice import in_middle, uncover
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of
 from napari_hmrf.layers.pixel_copy import CHANGES
@@ -124,6 +124,8 @@ class ViewerWatch:
             self._rest()
         if not self._choices.by_itself:
             hidden = () if image is None else uncover(self._viewer, image)
+            if image is not None and not in_middle(self._viewer, image):
+                self._viewer.reset_view()
             self._guide.say(messages.chosen(image, hidden), why="step")
         self._on_choice()
 

@@ -77,12 +77,12 @@ class ArrowsLayer:
         if layer is not None and layers[-1] is not layer:
             layers.move(layers.index(layer), len(layers))
 
-    def place(self, frame: Frame, shape: tuple[int, ...]) -> None:
-        """Have the layer lie on another slice, if there is a layer."""
+    def place(self, frame: Frame, shape: tuple[int, ...], drawn: bool = False) -> None:
+        """Have the layer lie on another slice, if there is a layer, or something drawn to show."""
         layer = self.layer
-        if layer is None or frame == self._frame:
+        if (layer is None and not drawn) or frame == self._frame:
             return
-        if layer.ndim != frame.ndim:
+        if layer is None or layer.ndim != frame.ndim:
             active = self.active
             with same_selection(self._viewer):
                 self._add(frame, shape)

@@ -81,7 +81,7 @@ class Display:
             return None
         return self._results.at(self._image, moved.study.grid.place.slice_name)
 
-    def stand_on(self, study: Study | None, image: Any) -> None:
+    def stand_on(self, study: Study | None, image: Any, drawn: bool) -> None:
         """Go over to another slice, of which nothing has moved yet; or to none."""
         self._stroke_waits.stop()
         before, moved = self.result, self.moved
@@ -95,7 +95,7 @@ class Display:
                     before.remove()  # its picture is shown although nothing has moved
             if study is not None:
                 self.seen = Seen(Deformation(study, image=study.pictures.image))
-                self.arrows.place(study.grid.place, study.grid.shape)
+                self.arrows.place(study.grid.place, study.grid.shape, drawn)
                 self._results.stand_on(image, study.grid.place)
 
     @property

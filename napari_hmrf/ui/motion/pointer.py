@@ -133,7 +133,7 @@ class Pointer:
         else:
             slot = Slot(DRAWING, image, Place.of(study.grid.place))
             self.history = History(edits=self._steps.edits, slot=slot)
-        self.display.stand_on(study, image)
+        self.display.stand_on(study, image, bool(self.drawing.marks))
         self._open_hand()
         self.draw()
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.quantities import QUANTITIES
-from napari_hmrf.field.tissue_point import Probe
+from napari_hmrf.field.tissue_point import Probe, at_point, rounded
 from napari_hmrf.layers.field_layer import place_at
 from napari_hmrf.layers.metadata import tissue_recorded
 from napari_hmrf.layers.result_layers import stiffness_unit
@@ -18,9 +17,6 @@ from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_messages import FULL
-
-#: Said of the Jacobian at a fold, which is 0 or below; elsewhere it is the mean of the corners.
-_FOLDS = " (folds: that of the worst corner)"
 
 
 class UnderCursor:
@@ -80,7 +76,7 @@ class UnderCursor:
         if overlay is not None and overlay.picture is not None and overlay.name in QUANTITIES:
             title, unit = QUANTITIES[overlay.name]
             if unit == "%":  # the others are in each line anyway
-                strain = _rounded(float(overlay.picture[found.site]))
+                strain = rounded(float(overlay.picture[found.site]))
                 more.insert(0, f"{title} {strain:g} %")
         return at_point(answer.unit, found, ways, more, shown.percent)
 
@@ -113,28 +109,6 @@ def _stiffness(shown: MovingLayers, found: Probe) -> str:
     if not same:
         return stiffness_of("", float(f"{value:.3g}"), unit)
     return stiffness_of(same[0].name, same[0].stiffness, unit)
-
-
-def at_point(
-    unit: str, found: Probe, ways: Directions, more: Sequence[str] = (), percent: int = FULL
-) -> str:
-    """What is under the cursor, in a line short enough for the status bar.
-
-    It is of the whole deformation, however much (`percent`) of it is seen.
-    """
-    step = tuple(_rounded(part) for part in ways.seen(found.displacement))
-    length = _rounded(found.length)
-    parts = [
-        f"moves {length:g} {unit}" + (f" ({ways.step(step)})" if length else ""),
-        f"Jacobian {found.jacobian:.3f}" + (_FOLDS if found.jacobian <= 0 else ""),
-    ]
-    line = ", ".join([*parts, *filter(None, more)])
-    return line if percent == FULL else f"at {FULL} %: {line}"
-
-
-def _rounded(length: float) -> float:
-    """To what matters: three digits, and no more than two decimals."""
-    return round(float(f"{length:.3g}"), 2) + 0.0  # and no -0
 
 
 def stiffness_of(name: str, stiffness: float, unit: str) -> str:

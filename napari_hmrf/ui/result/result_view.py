@@ -269,6 +269,7 @@ class ResultView:
     ) -> None:
         self._errands.forget("moment")
         shown.lay_over(made, chosen)
+        self._say_how_far()
         if made is None and chosen:
             self.said.emit(words.LACKING[name])
         if self._form.slider.value != words.FULL:
@@ -316,6 +317,8 @@ class ResultView:
         if (shown := self.shown) is not None:
             percent = self._form.slider.value
             far = words.how_far(shown.answer, shown.longest, percent, self.comparison)
+            if shown.overlay is not None and percent == words.FULL:
+                far = ". ".join(filter(None, (far.rstrip("."), shown.overlay.beyond)))
         self._form.how_far.say(far)
 
     # What is pressed

@@ -1,0 +1,46 @@
+"""What each model of tissue is good for, and what was measured of it, in sentences for people."""
+
+from __future__ import annotations
+
+from napari_hmrf.solver.model_names import ELASTIC, ModelName
+from napari_hmrf.solver.priors.elastic import Plane
+
+# The figures are those of the README, by `make benchmarks`: on two cores, without a GPU.
+_WHEN: dict[ModelName, str] = {
+    "elastic": "Tissue stretches and bulges as elastic material does. Boundaries are held exactly.",
+    "large motion": "Elastic tissue that may turn and stretch as far as it likes: no pixel of it "
+    "folds. It takes 8 to 36 times as long; take it where elastic tissue folds, or turns by more "
+    "than ten degrees. Bars stretched by 30 % are within 0.002 px of finite elements.",
+    "paper": "The paper's own results. It stops a little early; squeezed tissue does not bulge.",
+    "paper, converged": "The paper's model, computed to the end. Squeezed tissue does not bulge.",
+}
+_OFF: dict[ModelName, float] = {"elastic": 0.0002, "paper": 1.03, "paper, converged": 0.23}
+_FROM_FEM = (
+    "Where the sample brain moves by 7.4 px, it is {} px from finite elements, the engineers' "
+    "standard, of Poisson's ratio 0.3 (0.02 s)."
+)
+_WHEN_PLANE: dict[Plane, str] = {
+    "stress": "Squeezed tissue can bulge out of the image, as in a thin cut.",
+    "strain": "Squeezed tissue can give way only within the image, as deep in a body.",
+}
+_HOW_MUCH = (
+    "Try both choices: their fields differ by a few per cent to more than half of the movement. "
+    "They differ most where Poisson's ratio is near 0.5."
+)
+ABOUT_POISSON = (
+    "How much tissue bulges when it is squeezed: 0, not at all; 0.499, so much that it loses "
+    "hardly any volume.\n0.45 is common for soft tissue."
+)
+
+
+def when_to_take(model: ModelName, plane: Plane) -> str:
+    """Say what a choice is good for, and what was measured of it.
+
+    Parameters
+    ----------
+    model : {"elastic", "paper", "paper, converged"}
+    plane : {"stress", "strain"}
+        Of elastic tissue.
+    """
+    said = f"{_WHEN[model]} {_FROM_FEM.format(_OFF[model])}" if model in _OFF else _WHEN[model]
+    return f"{said} {_WHEN_PLANE[plane]} {_HOW_MUCH}" if model in ELASTIC else said
