@@ -425,6 +425,19 @@ def test_an_image_of_another_place_is_refused_though_it_is_as_large(files, capsy
     assert "flat.nrrd: lies elsewhere than the field" in capsys.readouterr().err
 
 
+def test_a_field_moves_a_slice_of_a_volume_that_was_cut_from_the_side(tmp_path):
+    side = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # as sagittal scans lie
+    place = Place((2.0, 0.5, 0.7), (3.0, 4.0, 5.0), side)
+    save_image(tmp_path / "side.mha", ImageFile(np.ones((4, *SHAPE), np.uint8), place))
+    d = np.zeros((4, *SHAPE, 3))
+    d[..., 1], d[..., 2] = 1.0, -0.6
+    write_field(tmp_path / "field.mha", d, **place._asdict(), forward=True)
+    given = Case(tmp_path / "side.mha", slice=2, boundary=tmp_path / "field.mha")
+    study = read_case(given)
+    assert study.grid.place.spacing == pytest.approx(study.grid.spacing) == (0.5, 0.7)
+    np.testing.assert_allclose(study.motion.observed, d[2, ..., 1:], atol=1e-6)
+
+
 def test_an_edge_is_where_the_image_is_steep():
     image = np.zeros((40, 40), np.uint8)
     image[:, 20:] = 100

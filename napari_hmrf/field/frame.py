@@ -138,8 +138,7 @@ class Frame:
         """World steps of one pixel along the axes of the plane, as columns, all in `unit`."""
         linear = np.array(self.matrix)[:-1, list(self.plane)]
         factors = np.array([unit_factor(unit, self.unit) for unit in self.units])
-        # The axes of the slices play no part, and may have a unit of their own (time).
-        linear[list(self.others)] = 0
+        # World axes of a unit that is no such length (time) play no part.
         steps: npt.NDArray[np.float64] = linear * np.nan_to_num(factors)[:, None]
         return steps
 
