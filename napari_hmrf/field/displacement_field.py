@@ -60,6 +60,24 @@ class DisplacementField:
         origins = origins_at(self.to_pixels().vectors, points)
         return (origins - points) * self.spacing
 
+    def arrows(self, about: int) -> tuple[npt.NDArray[np.float32], int]:
+        """Some of its arrows, evenly: about so many of each slice along its last two axes.
+
+        Returns
+        -------
+        arrows : ndarray, shape (N, 2, n)
+            (start, step) of each; the start in pixels.
+        apart : int
+            Pixels from one to the next.
+        """
+        shape = self.shape
+        apart = max(1, round((shape[-2] * shape[-1] / about) ** 0.5))
+        lines = [slice(size) for size in shape[:-2]]
+        lines += [slice(min(apart // 2, size - 1), size, apart) for size in shape[-2:]]
+        starts = np.mgrid[tuple(lines)].reshape(len(shape), -1).T
+        arrows = np.stack([starts, self.at(starts.astype(float))], axis=1)
+        return arrows.astype(np.float32), apart
+
     @property
     def displacement(self) -> npt.NDArray[Any]:
         """Material, at every site: of a field that leads back, all of it is inverted."""

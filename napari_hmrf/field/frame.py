@@ -273,6 +273,48 @@ class Frame:
         apart = other._corners(shape) @ to.T - self._corners(shape)[:, :-1]
         return bool(np.abs(apart).max() <= _TOLERANCE)
 
+    def slice_in(self, other: Frame, sizes: Sequence[int], shape: tuple[int, ...]) -> Frame | None:
+        """The slice of another layer that covers the same part of the world; None if none does.
+
+        Parameters
+        ----------
+        other : Frame
+            Of any slice of that layer, which may have more axes, or fewer.
+        sizes : sequence of int
+            The pixels of that layer along its axes; it may be of that one slice alone.
+        shape : tuple of int
+            Of this slice.
+        """
+        more = other.ndim - self.ndim
+        plane = tuple(axis + more for axis in self.plane)
+        if min(plane) < 0 or tuple(sizes[axis] for axis in plane) != shape:
+            return None
+        index = ((0,) * more + self.index)[-other.ndim :]
+        index = tuple(min(at, size - 1) for at, size in zip(index, sizes, strict=True))
+        found = replace(other, plane=plane, index=index)
+        return found if self.same_place(found, shape) else None
+
+    def has(self, pixels: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+        """Which of some places, (N, D) in pixels of the layer, lie on the slice or beside it."""
+        others = list(self.others)
+        on = np.rint(pixels[:, others]) == np.array(self.index)[others]
+        return np.asarray(on.all(axis=1))
+
+    def place_of(
+        self, pixel: npt.NDArray[np.float64], shape: tuple[int, ...]
+    ) -> tuple[float, ...] | None:
+        """Where a pixel of the layer, (D,), lies on a slice of that shape; None if it does not.
+
+        Returns
+        -------
+        tuple of float or None
+            ([depth,] row, col), whole numbers at the middle of a pixel.
+        """
+        index, axes, others = np.floor(np.nan_to_num(pixel) + 0.5), list(self.plane), self.others
+        on = all(index[axis] == self.index[axis] for axis in others)
+        inside = on and ((index[axes] >= 0) & (index[axes] < shape)).all()
+        return tuple(pixel[axes].tolist()) if inside else None
+
     def from_pixels_of(
         self, other: Frame, axes: Iterable[int] | None = None
     ) -> npt.NDArray[np.float64] | None:

@@ -12,6 +12,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.solver.problem import grid_in_words
+from napari_hmrf.solver.solution import Solution
 
 #: How far beyond the middle of its outermost pixels a field reaches, in pixels.
 _REACH = 0.5 + 1e-3
@@ -49,6 +50,12 @@ class PixelField(NamedTuple):
 
     field: DisplacementField
     frame: Frame
+
+    @classmethod
+    def of(cls, solution: Solution, place: Frame) -> PixelField:
+        """The field of a solution on the pixels of its slice or volume."""
+        pixels = place.put_field(solution.displacement / solution.spacing)
+        return cls(DisplacementField.in_pixels(pixels), place)
 
     def on(self, frame: Frame, shape: tuple[int, ...]) -> Observation:
         """Look the field up at the pixels of a slice or volume, wherever these lie.
@@ -127,11 +134,9 @@ def arrow_observation(
     bad = np.flatnonzero(~np.isfinite(vectors).all(axis=(1, 2)))
     if len(bad):
         raise ProblemError("observed", f"has NaN or infinity in vector {bad[0]}. Remove it.")
-    others = list(own.others)
-    here = np.rint(vectors[:, 0, others]) == np.array(own.index)[others]
+    others, here = list(own.others), own.has(vectors[:, 0])
     inward = vectors[:, 1][:, list(own.plane)].any(axis=1)
     outward = vectors[:, 1][:, others].any(axis=1) & ~inward
-    here = here.all(axis=1)
     rows = np.flatnonzero(here & ~outward)
     arrows = vectors[rows][:, :, list(own.plane)]
     at = np.rint(arrows[:, 0]).astype(int)

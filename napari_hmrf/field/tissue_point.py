@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.inverse_point import farthest_of, inverse_point
+from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.quantities import area_change, values_of
 from napari_hmrf.solver.solution import Solution
 
@@ -42,6 +44,12 @@ class Probe(NamedTuple):
     strain: float
 
 
+def holds(image: npt.NDArray[Any], pixel: tuple[int, ...]) -> bool:
+    """Whether an image has a pixel, and is above 0 there."""
+    inside = all(0 <= at < size for at, size in zip(pixel, image.shape, strict=True))
+    return inside and bool(image[pixel] > 0)
+
+
 class Points:
     """All points of a solution; made once, and then quick to ask.
 
@@ -53,6 +61,24 @@ class Points:
     def __init__(self, solution: Solution) -> None:
         self._solution = solution
         self._farthest = farthest_of(solution.displacement)
+
+    def before(self, place: tuple[float, ...], fraction: float = 1.0) -> tuple[float, ...] | None:
+        """Where the tissue that is seen at a place was before it moved; None where there is none.
+
+        Parameters
+        ----------
+        place : tuple of float
+            ([depth,] row, col) in pixels.
+        fraction : float
+            How much of the displacement it has moved by: 0 to 1.
+        """
+        solution = self._solution
+        field = (solution.displacement, solution.spacing, solution.tissue)
+        return inverse_point(place, *field, self._farthest, fraction)
+
+    def after(self, places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Where tissue that was at places, (N, n) in pixels, is seen."""
+        return moved_points(places, self._solution.displacement, spacing=self._solution.spacing)
 
     def at(self, place: tuple[float, ...], fraction: float = 0.0) -> Probe | None:
         """Say what happens to the tissue that is seen at a place.
@@ -69,14 +95,9 @@ class Points:
         Probe or None
             None where there is no tissue.
         """
-        solution = self._solution
-        field = (solution.displacement, solution.spacing, solution.tissue)
-        origin = inverse_point(place, *field, self._farthest, fraction)
-        if origin is None:
-            return None
-        site = tuple(int(np.floor(along + 0.5)) for along in origin)
-        inside = all(0 <= at < size for at, size in zip(site, solution.tissue.shape, strict=True))
-        if not (inside and solution.tissue[site]):
+        solution, origin = self._solution, self.before(place, fraction)
+        site = () if origin is None else tuple(int(np.floor(along + 0.5)) for along in origin)
+        if not (site and holds(solution.tissue, site)):
             return None
         step = solution.displacement[site]
         # What happens at a site its neighbours say: of a volume it would take long to know all.

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 from napari.layers import Image, Labels, Points, Shapes
 
@@ -23,7 +22,7 @@ from napari_hmrf.field.other_grid import OtherGrid
 from napari_hmrf.layers.label_colours import OBSERVED
 from napari_hmrf.layers.metadata import IMAGE, METADATA, TISSUE, known_of, role_of, rows_of
 from napari_hmrf.layers.result_layers import ARROWS, Answer, LayerData
-from napari_hmrf.layers.slice_view import View, copy_slice, frame_of, layer_extents, plane_shape
+from napari_hmrf.layers.slice_view import View, copy_slice, frame_of, layer_extents
 from napari_hmrf.study.layer_names import full_resolution, naming
 
 Array = npt.NDArray[Any]
@@ -49,8 +48,8 @@ def field_of(layer: Any) -> PixelField | None:
     answer, frame = result_of(layer), frame_of(layer)
     if answer is None:
         return PixelField(known_of(layer)["field"], frame)
-    pixels = answer.frame.put_field(answer.solution.displacement / answer.solution.spacing)
-    return PixelField(DisplacementField.in_pixels(pixels), replace(frame, index=answer.frame.index))
+    there = replace(frame, plane=answer.frame.plane, index=answer.frame.index)
+    return PixelField.of(answer.solution, there)
 
 
 def field_layer(
@@ -68,12 +67,7 @@ def field_layer(
     role : str, optional
         What the layer is for.
     """
-    shape = field.shape
-    step = max(1, round((shape[-2] * shape[-1] / ARROWS) ** 0.5))
-    lines = [slice(size) for size in shape[:-2]]
-    lines += [slice(min(step // 2, size - 1), size, step) for size in shape[-2:]]
-    starts = np.mgrid[tuple(lines)].reshape(len(shape), -1).T
-    arrows = np.stack([starts, field.at(starts.astype(float))], axis=1).astype(np.float32)
+    arrows, step = field.arrows(ARROWS)
     known = {"field": field, **({} if role is None else {"role": role})}
     look = {"vector_style": "arrow", "edge_color": OBSERVED, "edge_width": step / 8}
     return LayerData(
@@ -106,18 +100,7 @@ def tissue_labels(layers: Iterable[Any], result: Answer) -> Any:
 def frame_in(layer: Any, result: Answer) -> Frame | None:
     """The frame of the slice of a layer that lies on a result's pixels; None if none does."""
     try:
-        own = frame_of(layer)
-        more = own.ndim - result.frame.ndim
-        plane = tuple(axis + more for axis in result.frame.plane)
-        index = ((0,) * more + result.frame.index)[-own.ndim :]
-        if min(plane) < 0:
-            return None
-        # A layer may be of that one slice alone.
-        sizes = layer_extents(layer)
-        index = tuple(min(at, size - 1) for at, size in zip(index, sizes, strict=True))
-        own = replace(own, plane=plane, index=index)
-        fits = plane_shape(layer, own) == result.shape
-        return own if fits and result.frame.same_place(own, result.shape) else None
+        return result.frame.slice_in(frame_of(layer), layer_extents(layer), result.shape)
     except (ProblemError, ValueError, IndexError):
         return None
 
@@ -154,14 +137,7 @@ def place_at(layer: Any, result: Answer, position: Any, view: View) -> tuple[flo
     """
     if len(position) < layer.ndim:
         return None
-    found = view.pixel(layer, position)
-    index = np.floor(np.nan_to_num(found) + 0.5)
-    frame = result.frame
-    if any(index[axis] != frame.index[axis] for axis in frame.others):
-        return None
-    axes = list(frame.plane)
-    inside = ((index[axes] >= 0) & (index[axes] < result.shape)).all()
-    return tuple(found[axes].tolist()) if inside else None
+    return result.frame.place_of(view.pixel(layer, position), result.shape)
 
 
 def can_move(layer: Any) -> bool:

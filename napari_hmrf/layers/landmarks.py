@@ -158,8 +158,7 @@ def _placed(
             layer, "is measured in other units than the image. Give both a unit of length."
         )
     pixels = places @ to[:, :-1].T + to[:, -1]
-    others = list(frame.others)
-    here = (np.rint(pixels[:, others]) == np.array(frame.index)[others]).all(axis=1)
+    here = frame.has(pixels)
     extra = layer.ndim - frame.ndim
     if extra > 0 and view is not None:  # and on that shown, on axes that the image has not
         shown = np.array(frame_of(layer, view).index)[:extra]

@@ -18,7 +18,7 @@ from napari.layers import Labels
 
 from napari_hmrf.field.deformation import spread
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.layers.arrow_layer import TURN, Lines, barbed, coloured, crosses, double_arrows
+from napari_hmrf.field.motion_lines import CIRCLE, Lines, along, coloured, motion_marks
 from napari_hmrf.layers.image_result import CONFIDENCE, PAINTED
 from napari_hmrf.layers.label_colours import SELECTED, confidence_look
 from napari_hmrf.layers.result_layers import LayerData, layer_on
@@ -165,7 +165,6 @@ def painted_marks(canvas: Canvas) -> Lines:
     """
     kinds, size = canvas.kinds, np.array(canvas.spacing)
     n = len(size)
-    plane = np.eye(n)[-2:]
     shorter = min(extent * step for extent, step in zip(canvas.shape, size, strict=True))
     apart = max(shorter / _ACROSS, 4 * float(size.max()))
     marked = np.isin(kinds, [KINDS[each] for each in _MARKED])
@@ -174,26 +173,14 @@ def painted_marks(canvas: Canvas) -> Lines:
     parts: list[tuple[npt.NDArray[Any], Sequence[float]]] = []
     for action in _MARKED:
         at = places[kinds[tuple(places.T)] == KINDS[action]]
-        sure = canvas.confidence[tuple(at.T)] > 0
-        by = np.where(sure, canvas.observed[tuple(at.T)], 0) @ plane.T @ plane
-        both, moves, at = sure.all(axis=-1), by.any(axis=-1), at * size
-        back = 0.35 * np.linalg.norm(by[moves], axis=-1, keepdims=True)
-        one, reach = sure[:, -2:] & ~both[:, None], 0.35 * apart * plane
+        by, known = canvas.observed[tuple(at.T)], canvas.confidence[tuple(at.T)] > 0
         colour = (*(0.6 + 0.4 * part for part in COLOURS[action]), 1.0)
-        drawn = [
-            barbed(at[moves], by[moves], back, plane),
-            crosses(at[both & ~moves], 0.2 * apart * _X @ plane),
-            double_arrows(at[one[:, 0]], *reach),
-            double_arrows(at[one[:, 1]], *reach[::-1]),
-        ]
-        parts += [(lines / size, colour) for lines in drawn]
+        parts.append((motion_marks(at * size, by, known, apart) / size, colour))
     return coloured(parts, n)
 
 
 #: What has marks beside its colour.
 _MARKED: tuple[Action, ...] = ("pin", "move", "expand")
-#: The arms of their crosses.
-_X = np.array([[1.0, 1.0], [1.0, -1.0]])
 
 
 def way_of(stroke: Stroke, spacing: Sequence[float], goes_to: Callable[[Any], Any]) -> Lines:
@@ -208,8 +195,7 @@ def way_of(stroke: Stroke, spacing: Sequence[float], goes_to: Callable[[Any], An
         Where places, (N, n) in pixels, are seen.
     """
     ways = [np.array(line) for line in stroke.lines]
-    circle = stroke.radius * TURN @ np.eye(len(spacing))[-2:] / spacing
+    circle = stroke.radius * CIRCLE @ np.eye(len(spacing))[-2:] / spacing
     ends = [way[at] + circle for way in ways for at in (0, -1)]
     seen = [goes_to(places) for places in (*ways, *ends)]
-    lines = ((np.stack([at[:-1], np.diff(at, axis=0)], axis=1), SELECTED) for at in seen)
-    return coloured(lines, len(spacing))
+    return coloured(((along(places), SELECTED) for places in seen), len(spacing))

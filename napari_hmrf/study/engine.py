@@ -18,10 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import Cancelled, HmrfError
-from napari_hmrf.field.inverse_point import farthest_of, inverse_point
 from napari_hmrf.field.live_warp import Picture
 from napari_hmrf.field.moved_pictures import MovedPictures
-from napari_hmrf.field.moved_points import moved_points
+from napari_hmrf.field.tissue_point import Points, holds
 from napari_hmrf.solver.live_solver import LiveSolver, Update
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import Prior
@@ -270,24 +269,21 @@ class Deformation:
     def came_from(self, point: Point) -> Point | None:
         """Where the tissue seen at a point, in pixels, was before it moved; None if none is."""
         if self.solution is not None:
-            solution, site = self.solution, self.grid.down(point)
-            field = (solution.displacement, solution.spacing, solution.tissue, self._farthest)
-            before = inverse_point(site, *field)
+            site = self.grid.down(point)
+            before = self._points.before(site)
             if before is not None:
                 point = self.grid.up(before)
-            elif self._holds(site, solution.tissue):
+            elif holds(self.solution.tissue, _pixel(site)):
                 return None
             # Else nobody held it anywhere: it stayed out of it, and where it was.
-        body = None if self.ground is None else self.ground.body
-        return point if self._holds(point, body) else None
+        there = self.ground is not None and holds(self.ground.body, _pixel(point))
+        return point if there else None
 
     def goes_to(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Where tissue that was at points, (N, n) in pixels, is seen."""
         if self.solution is None or not len(points):
             return points
-        step, solution = self.grid.step, self.solution
-        moved = moved_points(points / step, solution.displacement, spacing=solution.spacing)
-        return moved * step
+        return self._points.after(points / self.grid.step) * self.grid.step
 
     def is_inside(self, point: Point) -> bool:
         """Whether a point is one of the grid."""
@@ -295,14 +291,11 @@ class Deformation:
         return all(-0.5 <= at <= size - 0.5 for at, size in along)
 
     @cached_property
-    def _farthest(self) -> npt.NDArray[np.float32]:
+    def _points(self) -> Points:
         assert self.solution is not None
-        return farthest_of(self.solution.displacement)
+        return Points(self.solution)
 
-    def _holds(self, point: Point, image: Array | None) -> bool:
-        """Whether an image is above 0 at a point."""
-        if image is None:
-            return False
-        pixel = tuple(round(along) for along in point)
-        inside = all(0 <= at < size for at, size in zip(pixel, image.shape, strict=True))
-        return inside and bool(image[pixel] > 0)
+
+def _pixel(point: Point) -> tuple[int, ...]:
+    """The pixel that a point lies on."""
+    return tuple(map(round, point))

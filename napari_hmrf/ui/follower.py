@@ -14,6 +14,7 @@ import numpy.typing as npt
 from napari_hmrf.errors import Cancelled
 from napari_hmrf.field.held_forces import held_forces
 from napari_hmrf.field.live_warp import Picture
+from napari_hmrf.field.motion_lines import Lines
 from napari_hmrf.field.rehearsal import rehearse
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.paint_layer import painted_marks, show_painted
@@ -34,8 +35,6 @@ from napari_hmrf.ui.handover import Errands, Newest, Repainted
 _log = logging.getLogger("napari_hmrf")
 # What those who wait for it are told.
 _FOLLOWING = "tissue that 'Soft tissue' deforms, which its Cancel stops"
-#: Lines that go with what is painted, and their colours, as of `painted_marks`.
-Marks = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
 
 
 class Seen(NamedTuple):
@@ -44,12 +43,12 @@ class Seen(NamedTuple):
     Attributes
     ----------
     moved : Deformation
-    marks : tuple, optional
-        Of what brushes have painted; None if nothing is.
+    marks : Lines, optional
+        Of what brushes have painted, as of `painted_marks`; None if nothing is.
     """
 
     moved: Deformation
-    marks: Marks | None = None
+    marks: Lines | None = None
 
     @property
     def confidence(self) -> npt.NDArray[np.float32] | None:

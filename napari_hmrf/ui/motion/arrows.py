@@ -11,7 +11,8 @@ import numpy as np
 from napari.layers import Layer
 
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.layers.arrow_layer import Lines, arrow_layer, arrow_lines
+from napari_hmrf.field.motion_lines import Lines
+from napari_hmrf.layers.arrow_layer import arrow_layer, arrow_lines
 from napari_hmrf.layers.compat import compile_once, drawn_node, thin_thumbnail
 from napari_hmrf.layers.metadata import add_known
 from napari_hmrf.layers.slice_view import View, plane_shown

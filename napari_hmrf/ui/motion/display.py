@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.layers.arrow_layer import Lines
+from napari_hmrf.field.motion_lines import Lines
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.image_result import CONFIDENCE, PAINTED, Result, ResultLayers
 from napari_hmrf.layers.paint_layer import confidence_layer, number_of, painted_layer, way_of
