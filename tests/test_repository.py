@@ -36,7 +36,7 @@ ROOMS = (
     LEAVES := {"arguments", "array_file", "atomic_write", "errors", "resources"},
 )
 #: What people, napari and other processes start.
-ENTRIES = {"__init__", "__main__", "cli", "compiling", "contributions"}
+ENTRIES = {"__init__", "__main__", "cli", "command_line", "compiling", "contributions"}
 
 pytestmark = pytest.mark.skipif(
     not (ROOT / "pyproject.toml").exists(), reason="looks at a checkout of the repository"

@@ -141,19 +141,11 @@ class BoundaryTable(LabelTable):
                 tuple(_BY_WORD),
             ),
             *(_along(axis, unit, ways, "move") for axis in (0, 1)),
-            *(_along(axis, per_area, ways, "pull") for axis in (0, 1)),
             _distance(
                 "out",
                 "How far outward; negative: inward",
                 unit,
                 lambda row: row.amount if row.action == "expand" else None,
-                lambda row, amount: replace(row, amount=amount),
-            ),
-            _distance(
-                "pressure",
-                "Force per area onto the surface; negative: it sucks",
-                per_area,
-                lambda row: row.amount if row.action == "press" else None,
                 lambda row, amount: replace(row, amount=amount),
             ),
             Column(
@@ -162,6 +154,14 @@ class BoundaryTable(LabelTable):
                 _sure_in_words,
                 _sure,
             ),
+            _distance(
+                "pressure",
+                "Force per area onto the surface; negative: it sucks",
+                per_area,
+                lambda row: row.amount if row.action == "press" else None,
+                lambda row, amount: replace(row, amount=amount),
+            ),
+            *(_along(axis, per_area, ways, "pull") for axis in (0, 1)),
         ]
 
     def show_place(self, unit: str, ways: Directions, stiffness: str) -> None:
