@@ -112,12 +112,12 @@ def test_forces_are_painted_like_all_else_in_columns_of_their_own(dock, viewer, 
     layer = viewer.add_labels(paint, name="Lid", metadata=described(BOUNDARY, rules))
     dock.boundary, dock.hold_edge = layer, False
     screen = Screen(dock)
-    at_rest(screen.cell("lid", "Action").choose, "is pressed")
+    at_rest(screen.cell("lid", "Action").choose, "pressed")
     assert dock.rules[1].amount == 0  # a distance is no pressure
     assert "nothing moves" not in dock.warning
     pressed = at_rest(screen.cell("lid", "pressure").write, "0.1")
     assert pressed.displacement[0, 20, 0] > 1
-    at_rest(screen.cell("lid", "Action").choose, "is pulled")
+    at_rest(screen.cell("lid", "Action").choose, "pulled")
     pulled = at_rest(screen.cell("lid", "pull right").write, "0.1")
     assert pulled.displacement[0, 20, 1] > 1
 

@@ -43,8 +43,8 @@ _ACTIONS: dict[Action, str] = {
     "fixed": "fixed",
     "move": "moves",
     "expand": "expands",
-    "press": "is pressed",
-    "pull": "is pulled",
+    "press": "pressed",
+    "pull": "pulled",
 }
 _BY_WORD = {word: action for action, word in _ACTIONS.items()}
 _FILES = f"Materials (*{ENDING})"
@@ -135,7 +135,7 @@ class BoundaryTable(LabelTable):
                 "Action",
                 "Fixed: stays where it is.\nMoves: so far along the rows and the columns.\n"
                 "Expands: so far outward; what is painted must be a closed ring or filled.\n"
-                "Is pressed, is pulled: by a force per area, where tissue ends under the paint",
+                "Pressed, pulled: by a force per area, where tissue ends under the paint",
                 lambda row: _ACTIONS[row.action],
                 _act,
                 tuple(_BY_WORD),
