@@ -165,7 +165,7 @@ def animation(_: dict[str, Path]) -> None:
 
 
 def tumour(_: dict[str, Path]) -> None:
-    """A tumour that grows, until linear tissue folds, and in large motion; and one that is pushed."""
+    """A tumour that grows until linear tissue folds, then in large motion; one that is pushed."""
     person = Person(SIZE)
     open_sample(person, GROWING)
     dock = open_dock(person)
