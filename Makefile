@@ -103,6 +103,7 @@ mutations: setup-for-windows
 
 screenshots: setup-for-windows
 	@$(HEADLESS) $(RUN) scripts/screenshots.py
+	@$(HEADLESS) $(RUN) scripts/large_motion.py
 	@$(HEADLESS) $(RUN) scripts/tutorial.py
 
 sample-data: setup

@@ -21,7 +21,7 @@ from napari_hmrf import Arrow, Drawing, Grid, Motion, Pictures, Study, head_phan
 from napari_hmrf.io.images import load_image
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
-from napari_hmrf.study.coarse_grid import CoarseGrid, Plane
+from napari_hmrf.study.coarse_grid import CoarseGrid, Glance
 from napari_hmrf.study.engine import Deformation, Engine
 from napari_hmrf.study.ground import statement_of
 from napari_hmrf.ui.live_study import GLANCED
@@ -48,8 +48,8 @@ def main() -> None:
         pictures=Pictures(pixels),
     )
     middle = tuple(size / 2 for size in pixels.shape)
-    plane = Plane(0, pixels.shape[0] // 2, CoarseGrid.of_at_most(GLANCED, pixels.shape))
-    print(f"{' x '.join(map(str, pixels.shape))} voxels; every {plane.grid.step}th while it moves")
+    glance = Glance(CoarseGrid.of_at_most(GLANCED, pixels.shape), 0, pixels.shape[0] // 2)
+    print(f"{' x '.join(map(str, pixels.shape))} voxels; every {glance.grid.step}th while it moves")
     answers: queue.Queue[Deformation] = queue.Queue()
     engine = Engine(answers.put, "a benchmark")
 
@@ -58,23 +58,23 @@ def main() -> None:
         marks = (Arrow(middle, by, 10.0 * min(spacing)),)
         return replace(still, motion=replace(still.motion, drawing=Drawing(marks)))
 
-    def wait(study: Study, plane: Plane | None) -> float:
+    def wait(study: Study, glance: Glance | None) -> float:
         since = time.perf_counter()
-        engine.submit(study, plane=plane)
+        engine.submit(study, glance=glance)
         answer = answers.get(timeout=600)
         if answer.error is not None:
             raise answer.error
         return time.perf_counter() - since
 
     try:
-        print(f"first picture: {wait(pulled(1), plane):.2f} s")
-        seconds = [wait(pulled(2 + 0.5 * step), plane) for step in range(options.moves)]
+        print(f"first picture: {wait(pulled(1), glance):.2f} s")
+        seconds = [wait(pulled(2 + 0.5 * step), glance) for step in range(options.moves)]
         print(
             f"then one in {np.median(seconds):.3f} s, {1 / np.median(seconds):.1f} a second "
             f"(slowest {max(seconds):.3f} s)"
         )
         for which in ("the first time", "again"):
-            wait(pulled(3.0), plane)
+            wait(pulled(3.0), glance)
             last = pulled(2 + 0.5 * options.moves)
             after = wait(last, None)
             print(f"all of it {after:.2f} s after that, {which}")

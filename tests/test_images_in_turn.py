@@ -222,6 +222,28 @@ def test_what_is_drawn_is_seen_again_when_its_image_is_chosen_again(viewer, widg
     assert widget.status.startswith("Paused: press a tool")
 
 
+@pytest.mark.parametrize("sample", [False, True])
+def test_an_image_that_is_opened_is_chosen_until_work_has_begun(viewer, widget, settle, sample):
+    def another():
+        return brain(viewer)[0] if sample else viewer.add_image(np.ones((20, 24)), name="photo")
+
+    for _ in range(2):
+        newest = another()
+        settle(widget)
+        assert widget.image is newest
+    widget.plane = "strain"
+    assert widget.image is newest
+    later = another()
+    later.opacity = 0.5
+    settle(widget)
+    assert widget.image is newest
+    later = viewer.add_image(np.ones((20, 24)), name="later", translate=(0, 300))
+    assert widget.status.startswith("'later' is not chosen, as work has begun on another image")
+    widget.image = later
+    settle(widget)
+    assert widget.image is later
+
+
 def test_an_image_that_is_chosen_and_lies_elsewhere_is_gone_to(viewer, widget, settle):
     near = viewer.add_image(np.ones((20, 24)), name="near")
     far = viewer.add_image(np.ones((20, 24)), name="far", translate=(0, 300))

@@ -1,4 +1,4 @@
-"""A volume that follows a hand: solved on a coarse grid, one slice of it moved; then all of it."""
+"""Tissue that follows a hand on a coarse grid: a slice of a volume, or an image; then all of it."""
 
 import threading
 
@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import binary_erosion, label
 
 from napari_hmrf import Arrow, Drawing, Grid, Motion, Study, Tissue, solve_study, warp
-from napari_hmrf.study.coarse_grid import CoarseGrid, Plane
+from napari_hmrf.study.coarse_grid import CoarseGrid, Glance
 from napari_hmrf.study.engine import Engine
 from napari_hmrf.study.ground import statement_of
 from napari_hmrf.study.study import Pictures
@@ -29,7 +29,7 @@ def a_study(*marks):
 
 
 def answers_to(*asked):
-    """What an engine answers to studies, each with a plane to look at or None, one by one."""
+    """What an engine answers to studies, each with what is glanced at or None, one by one."""
     found, there = [], threading.Event()
 
     def deliver(moved):
@@ -38,8 +38,8 @@ def answers_to(*asked):
 
     engine = Engine(deliver, "a test")
     try:
-        for study, plane in asked:
-            engine.submit(study, plane=plane)
+        for study, glance in asked:
+            engine.submit(study, glance=glance)
             assert there.wait(60)
             there.clear()
     finally:
@@ -93,7 +93,7 @@ def test_a_coarse_grid_has_as_many_sites_as_asked_for_at_most(sites):
 def test_what_follows_a_hand_is_nearly_what_comes_after(axis):
     study = a_study()
     number = round(PULL.at[axis])
-    glance, whole = answers_to((study, Plane(axis, number, CoarseGrid(2))), (study, None))
+    glance, whole = answers_to((study, Glance(CoarseGrid(2), axis, number)), (study, None))
     assert glance.error is None
     assert glance.solution.displacement.shape == (10, 12, 11, 3)
     exact = whole.solution.displacement
@@ -108,7 +108,7 @@ def test_what_follows_a_hand_is_nearly_what_comes_after(axis):
 
 def test_a_slice_on_the_grid_itself_is_that_of_the_whole():
     study = a_study()
-    glance, whole = answers_to((study, Plane(0, 10, CoarseGrid(1))), (study, None))
+    glance, whole = answers_to((study, Glance(CoarseGrid(1), 0, 10)), (study, None))
     apart = np.abs(glance.image.astype(int) - whole.image[10])
     assert apart.max() <= 1  # both to 0.01 voxel
 
@@ -124,5 +124,29 @@ def test_the_whole_volume_is_moved_as_by_warp():
 
 
 def test_where_nothing_has_moved_a_volume_is_seen_as_it_is():
-    (still,) = answers_to((a_study(Stroke("free", (((1, 1, 1),),), 2)), Plane(1, 7, CoarseGrid(2))))
+    (still,) = answers_to(
+        (a_study(Stroke("free", (((1, 1, 1),),), 2)), Glance(CoarseGrid(2), 1, 7))
+    )
     assert still.error is None
+
+
+def test_an_image_in_large_motion_follows_a_hand_on_a_coarse_grid():
+    shape = (60, 80)
+    rows, cols = np.indices(shape)
+    smooth = (127 + 120 * np.sin(rows / 7) * np.cos(cols / 9)).astype(np.uint8)
+    study = Study(
+        Grid(shape, (0.5, 0.5), "mm"),
+        Tissue(stiffness=np.ones(shape)),
+        Motion(hold_edge=True, drawing=Drawing((Arrow((30, 40), (0.0, 4.0), 4),))),
+        model="large motion",
+        pictures=Pictures(image=smooth),
+    )
+    glance, whole = answers_to((study, Glance(CoarseGrid(3))), (study, None))
+    assert glance.error is None
+    assert glance.solution.displacement.shape == (20, 27, 2)
+    assert glance.image.shape == whole.image.shape == shape
+    apart, moved = (
+        np.abs(each.astype(int) - whole.image).mean() for each in (glance.image, smooth)
+    )
+    assert apart < 0.15 * moved
+    assert glance.goes_to(np.array([(30.0, 40.0)]))[0] == pytest.approx((30, 48), abs=0.1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from napari_hmrf.field.slabs import slabs
 from napari_hmrf.solver.backends import loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.solver.solution import Solution
 
 Float64Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -147,6 +149,28 @@ def sampled(picture: npt.NDArray[Any], places: Float64Array, order: int) -> npt.
         return _interpolated(picture, axes, nearest, order)
     channels = np.moveaxis(picture, -1, 0)
     return np.stack([_interpolated(channel, axes, nearest, order) for channel in channels], axis=-1)
+
+
+def on_finer_grid(solution: Solution, tissue: BoolArray, step: int) -> Solution:
+    """The field of every so many-th pixel as one of all pixels, linear between them.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of an image, (h, w).
+    tissue : ndarray of bool, shape (H, W)
+    step : int
+        How many pixels lie between two sites of the solution, along each axis.
+    """
+    parts = np.moveaxis(solution.displacement, -1, 0)
+    scale, shape = (1 / step, 1 / step), tissue.shape
+    finer = [
+        scipy.ndimage.affine_transform(part, scale, output_shape=shape, order=1, mode="nearest")
+        for part in parts
+    ]
+    d = np.where(tissue[..., None], np.stack(finer, axis=-1), np.float32(0))
+    spacing = tuple(size / step for size in solution.spacing)
+    return replace(solution, displacement=d, tissue=tissue, spacing=spacing)
 
 
 def emptiness(picture: npt.NDArray[Any], axes: int = 2) -> Any:

@@ -1,4 +1,4 @@
-"""A volume on fewer voxels: quick enough to follow a hand, and near enough to be looked at."""
+"""Tissue on fewer sites: quick enough to follow a hand, and near enough to be looked at."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from napari_hmrf.tissue.drawing.marks import Point
 
 @dataclass(frozen=True)
 class CoarseGrid:
-    """The first site of a volume, and every so many-th along each axis after it.
+    """The first site of an image or a volume, and every so many-th along each axis after it.
 
     Attributes
     ----------
@@ -61,15 +61,15 @@ class CoarseGrid:
         return replace(
             study,
             grid=replace(grid, shape=shape, spacing=spacing),
-            tissue=self._sampled(study.tissue),
-            motion=self._sampled(replace(motion, drawing=self.drawing(motion.drawing))),
-            pictures=self._sampled(study.pictures),
+            tissue=self._sampled(study.tissue, len(shape)),
+            motion=self._sampled(replace(motion, drawing=self.drawing(motion.drawing)), len(shape)),
+            pictures=self._sampled(study.pictures, len(shape)),
         )
 
-    def _sampled(self, part: Any) -> Any:
+    def _sampled(self, part: Any, axes: int) -> Any:
         """A part of a study with those sites of its images."""
         images = {name: each for name, each in vars(part).items() if isinstance(each, np.ndarray)}
-        every = (slice(None, None, self.step),) * 3
+        every = (slice(None, None, self.step),) * axes
         return replace(
             part, **{name: np.ascontiguousarray(each[every]) for name, each in images.items()}
         )
@@ -90,17 +90,17 @@ class CoarseGrid:
 
 
 @dataclass(frozen=True)
-class Plane:
-    """A slice of a volume that is looked at while a hand moves the volume.
+class Glance:
+    """What is looked at while a hand moves tissue that would not follow it on all its sites.
 
     Attributes
     ----------
-    axis, number : int
-        Across which axis of the volume it lies, and where.
     grid : CoarseGrid
-        What the volume is solved on meanwhile.
+        What tissue is solved on meanwhile.
+    axis, number : int, optional
+        Of a volume one slice is seen: across which axis it lies, and where.
     """
 
-    axis: int
-    number: int
     grid: CoarseGrid
+    axis: int | None = None
+    number: int = 0

@@ -20,13 +20,14 @@ import numpy.typing as npt
 from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.field.live_warp import Picture
 from napari_hmrf.field.moved_pictures import MovedPictures
+from napari_hmrf.field.resample import on_finer_grid
 from napari_hmrf.field.tissue_point import Points, holds
 from napari_hmrf.solver.live_solver import LiveSolver, Update
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.study.coarse_grid import CoarseGrid, Plane
+from napari_hmrf.study.coarse_grid import CoarseGrid, Glance
 from napari_hmrf.study.ground import Ground, Statement
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Canvas, Drawing, Rendering
@@ -99,7 +100,7 @@ class Engine:
         study: Study,
         backend: str = "auto",
         settle: bool = False,
-        plane: Plane | None = None,
+        glance: Glance | None = None,
     ) -> None:
         """Have this answered instead of what waits.
 
@@ -111,9 +112,8 @@ class Engine:
         settle : bool
             Whether to solve it from nothing, bit by bit as `solve_study` does; then it is an error
             that nothing is held or moved.
-        plane : Plane, optional
-            Of a volume: all that is looked at while a hand moves it. The volume is solved on its
-            coarse grid, and only this plane of the image is moved.
+        glance : Glance, optional
+            All that is looked at while a hand moves tissue, which is solved on its coarse grid.
         """
         if settle:
             self.forget()
@@ -126,9 +126,9 @@ class Engine:
                 raise Cancelled
 
         # A glance at a whole volume takes longer than it is worth, and so does what is outdated.
-        long = plane is None and len(study.grid.shape) == 3
+        long = glance is None and len(study.grid.shape) == 3
         self._live.submit(
-            lambda: self._state(study, checkpoint, settle, plane),
+            lambda: self._state(study, checkpoint, settle, glance),
             glance=not (settle or long),
             finish=settle or not long,
         )
@@ -152,10 +152,10 @@ class Engine:
     # On the compute thread
 
     def _state(
-        self, study: Study, checkpoint: Callable[[], None], settle: bool, plane: Plane | None
+        self, study: Study, checkpoint: Callable[[], None], settle: bool, glance: Glance | None
     ) -> tuple[Problem, Prior]:
         """State the problem of a study, making anew only what differs from the one before."""
-        self._asked = Deformation(study, settled=settle, plane=plane)
+        self._asked = Deformation(study, settled=settle, glance=glance)
         grid = self._asked.grid
         fine = self._ground_of(study, CoarseGrid(), checkpoint)
         ground = fine if grid.step == 1 else self._ground_of(study, grid, checkpoint)
@@ -204,15 +204,17 @@ class Engine:
         self, asked: Deformation, solution: Solution | None
     ) -> tuple[Array | None, tuple[Array, ...]]:
         """The image, and what lies over it, where a solution takes them."""
-        image, plane = asked.study.pictures.image, asked.plane
-        if plane is None:
+        image, glance = asked.study.pictures.image, asked.glance
+        if glance is None or glance.axis is None:
+            if solution is not None and asked.ground is not None and asked.grid.step > 1:
+                solution = on_finer_grid(solution, asked.ground.stiffness > 0, asked.grid.step)
             return self._pictures.whole(image, self._over, solution)
         if image is None:
             return None, ()
         if solution is None or asked.ground is None:
-            return np.asarray(image.take(plane.number, plane.axis)), ()
-        where = plane.axis, plane.number, solution.displacement, asked.ground.stiffness > 0
-        spacing, every = asked.study.grid.spacing, plane.grid.step
+            return np.asarray(image.take(glance.number, glance.axis)), ()
+        where = glance.axis, glance.number, solution.displacement, asked.ground.stiffness > 0
+        spacing, every = asked.study.grid.spacing, glance.grid.step
         return self._pictures.plane(image, *where, spacing, every), ()
 
 
@@ -241,8 +243,8 @@ class Deformation:
         Why there is no solution, in words of the study.
     settled : bool
         Whether it was solved from nothing, as `solve_study` does.
-    plane : Plane, optional
-        Of a volume: what `image` shows, (H, W); by default all.
+    glance : Glance, optional
+        If that is all it is: `image` is one slice of a volume, (H, W), or all of an image.
     """
 
     study: Study
@@ -253,12 +255,12 @@ class Deformation:
     overlay: tuple[Array, ...] = ()
     error: Exception | None = None
     settled: bool = False
-    plane: Plane | None = None
+    glance: Glance | None = None
 
     @property
     def grid(self) -> CoarseGrid:
         """What it was solved on."""
-        return CoarseGrid() if self.plane is None else self.plane.grid
+        return CoarseGrid() if self.glance is None else self.glance.grid
 
     @property
     def moves(self) -> bool:

@@ -13,9 +13,9 @@ from psygnal import Signal
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.edit_history import CHOICE, CURVE, DRAWING, MODEL, Slot, steps_of
 from napari_hmrf.layers.field_layer import holds_field
-from napari_hmrf.layers.image_choice import image_in_front, painted_on, uncover
+from napari_hmrf.layers.image_choice import image_covering, image_in_front, painted_on, uncover
 from napari_hmrf.layers.image_result import ResultLayers
-from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, change, role_of
+from napari_hmrf.layers.metadata import BOUNDARY, change, role_of
 from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.slice_view import fits
 from napari_hmrf.layers.viewer_layers import shared
@@ -23,7 +23,7 @@ from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import Listening
-from napari_hmrf.ui.messages import CHOOSE, EDGE_GOES, WELCOME
+from napari_hmrf.ui.messages import CHOOSE, EDGE_GOES, NOT_CHOSEN, WELCOME
 
 #: Of the viewer, and no layer.
 _THE_MODEL = Slot(MODEL, "")
@@ -193,19 +193,18 @@ class Choices:
         self._by_hand = True
 
     def take(self, layer: Any) -> None:
-        """Choose a layer that came: an image unless work has begun on one, and what lies on that.
-
-        A sample's image is chosen all the same, unless something is drawn on the one there is.
-        """
+        """Choose a layer that came: an image until work has begun on one, and what lies on that."""
         image = self._form.image
-        free = image.value is None or self._edits.next_undo is None
-        sample = role_of(layer) == IMAGE and not self._drawn_on
+        begun = self._by_hand or (image.value is not None and self._edits.next_undo is not None)
         with self.nobody_chooses():
-            if layer in image.offered and (sample or (free and not self._by_hand)):
+            if layer in image.offered and not begun:
                 image.value = layer
             there = self._viewer.layers
             if image.value is None or layer in painted_on(image.value, there, self._form.view()):
                 self._take_painted(layer)
+        if layer in image.offered and begun and not self.by_itself:
+            covers = image.value and image_covering(self._viewer, image.value) is layer
+            self.said.emit("" if covers else NOT_CHOSEN.format(layer.name))  # that is said anyway
 
     def _take_painted(self, layer: Any) -> None:
         """Choose what is painted, where nothing is chosen yet."""
@@ -237,10 +236,9 @@ class Choices:
     def _on_boundary(self, layer: Any) -> None:
         """A field says how the edge moves; without a boundary it is held."""
         if holds_field(layer):
-            held = self._form.motion.edge.value
-            self._let_edge_go()
-            if held:
+            if self._form.motion.edge.value:
                 self.said.emit(EDGE_GOES.format(layer.name))
+            self._let_edge_go()
         elif layer is None:
             self._form.motion.edge.value = True
 

@@ -24,7 +24,7 @@ from napari_hmrf.solver.caveats import shortfall
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import Elastic
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.study.coarse_grid import Plane
+from napari_hmrf.study.coarse_grid import Glance
 from napari_hmrf.study.engine import Deformation, Engine, Pictures
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.study import Study
@@ -87,24 +87,24 @@ class Follower:
         # Whether what was submitted is not painted yet, whether it takes so long that nothing waits
         # for it, and the newest that waits.
         self._behind = self._long = False
-        self._next: tuple[Study, str, Plane | None] | None = None
+        self._next: tuple[Study, str, Glance | None] | None = None
         self._beside = Errands(lambda _: None)  # a drag says itself what went wrong
         self._rehearsed = False
         # What was painted where, at rest; only the compute thread looks at it.
         self._canvas: Canvas | None = None
 
-    def follow(self, study: Study, backend: str = "auto", plane: Plane | None = None) -> None:
+    def follow(self, study: Study, backend: str = "auto", glance: Glance | None = None) -> None:
         """Have the tissue move as a study says; returns at once.
 
         Parameters
         ----------
-        study, backend, plane
+        study, backend, glance
             As `Engine.submit` takes them.
         """
         if self._behind and not self._long:
-            self._next = study, backend, plane
+            self._next = study, backend, glance
         else:
-            self._submit(study, backend, plane=plane)
+            self._submit(study, backend, glance=glance)
 
     def settle(self, study: Study, backend: str = "auto") -> None:
         """Have a study solved from nothing instead of all that waits; returns at once."""
@@ -157,11 +157,11 @@ class Follower:
     # In the window's thread
 
     def _submit(
-        self, study: Study, backend: str, plane: Plane | None = None, settle: bool = False
+        self, study: Study, backend: str, glance: Glance | None = None, settle: bool = False
     ) -> None:
         self._behind, self._next = True, None
-        self._long = plane is None and len(study.grid.shape) == 3
-        self._engine.submit(study, backend, settle, plane)
+        self._long = glance is None and len(study.grid.shape) == 3
+        self._engine.submit(study, backend, settle, glance)
 
     def _on_seen(self, seen: Seen) -> None:
         # What was wrong with an edit that has been replaced is put right by now, or said again.

@@ -23,7 +23,7 @@ from napari_hmrf.layers.slice_view import plane_shown
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
-from napari_hmrf.study.coarse_grid import CoarseGrid, Plane
+from napari_hmrf.study.coarse_grid import CoarseGrid, Glance
 from napari_hmrf.study.ground import refuse_unknown
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing
@@ -44,8 +44,9 @@ _POLL = 30
 _PATIENCE = 0.4
 #: How long tissue must rest until all layers of a result are drawn, in milliseconds.
 _REST = 200
-#: Voxels on which a volume is solved while a hand moves it: several pictures a second.
-GLANCED = 100_000
+#: Sites on which a volume, or an image in large motion, is solved while a hand moves it: several
+#: pictures a second. Images of up to so many times these are followed on all of theirs.
+GLANCED, _FOLLOWED = 100_000, 4
 
 
 class LiveStudy:
@@ -238,7 +239,7 @@ class LiveStudy:
             self._resting.start()
             return
         moved = self.pointer.display.moved
-        if moved is not None and (moved.plane or moved.study.optimizer != self.study.optimizer):
+        if moved is not None and (moved.glance or moved.study.optimizer != self.study.optimizer):
             self._asked = None  # a drag is over
             self._follow(self.study)
         else:
@@ -326,12 +327,15 @@ class LiveStudy:
         if not self._poll.isActive():
             self._poll.start()
 
-    def _glanced_at(self, study: Study) -> Plane | None:
-        """What of a volume is looked at while a hand moves it; None: all of it."""
-        if len(study.grid.shape) == 2 or not self.pointer.hand.holding:
+    def _glanced_at(self, study: Study) -> Glance | None:
+        """What is looked at while a hand moves tissue; None: all of it."""
+        shape = study.grid.shape
+        quick = study.model_name != "large motion" or math.prod(shape) <= _FOLLOWED * GLANCED
+        if not self.pointer.hand.holding or (len(shape) == 2 and quick):
             return None
-        axis, number = plane_shown(study.grid.place, self.form.view())
-        return Plane(axis, number, CoarseGrid.of_at_most(GLANCED, study.grid.shape))
+        seen = () if len(shape) == 2 else plane_shown(study.grid.place, self.form.view())
+        grid = CoarseGrid.of_at_most(GLANCED, shape)
+        return Glance(grid, *seen)
 
     def _is_hasty(self, study: Study) -> bool:
         """Whether a frame of a drag is enough, that need not be nearer than can be seen."""

@@ -30,6 +30,7 @@ CHANGED = "Changed since the last result: press Deform."
 CANCELLED = "Cancelled; nothing was changed."
 STAYS = "The last result stays."
 BEHIND = "The last result stays, without what was edited since: press Deform, or go on."
+NOT_CHOSEN = "'{}' is not chosen, as work has begun on another image: choose it above to go over."
 _NO_IMAGE = "No image is chosen. What came of the last one is seen again when you choose it."
 _HIDDEN = "Hidden, to show '{}': {}. Click an eye in the list of layers to see that again."
 EDGE_GOES = (

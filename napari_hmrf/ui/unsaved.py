@@ -137,13 +137,13 @@ class Unsaved(QObject):
         """Have what a file holds be in the viewer; undo would not take its layers away."""
         study, dock = load_study(path).study, self._dock
         layers = study_layers(study)
-        for layer in layers.values():
-            self._viewer.add_layer(layer)
-        if (frame := study.grid.place) is not None:
-            first = next(iter(layers.values()))
-            there = Place(frame.plane, (0,) * first.ndim)
-            self._steps.go_to(Slot(DRAWING, first, there), turn=True)
         with self._choices.nobody_chooses():
+            for layer in layers.values():
+                self._viewer.add_layer(layer)
+            if (frame := study.grid.place) is not None:
+                first = next(iter(layers.values()))
+                there = Place(frame.plane, (0,) * first.ndim)
+                self._steps.go_to(Slot(DRAWING, first, there), turn=True)
             for part in ("image", "tissue", "boundary", "confidence"):
                 setattr(dock, part, layers.get(part))
             dock.extent = "volume" if len(study.grid.shape) == 3 else "slice"

@@ -128,12 +128,12 @@ class Display:
 
     def _picture_of(self, moved: Deformation) -> Any:
         """The image as it has moved; of a volume a slice may be newer than the rest of it."""
-        if moved.plane is None:
+        if moved.glance is None or moved.glance.axis is None:
             self._whole, self._pieced = moved.image, False
         elif moved.image is not None:
             if not self._pieced:
                 self._whole, self._pieced = np.array(self._whole), True
-            np.moveaxis(self._whole, moved.plane.axis, 0)[moved.plane.number] = moved.image
+            np.moveaxis(self._whole, moved.glance.axis, 0)[moved.glance.number] = moved.image
         return self._whole
 
     def finish(self, done: Done | None) -> None:
@@ -141,7 +141,7 @@ class Display:
         seen = self.seen
         assert seen is not None
         image, layers = seen.moved.study.pictures.image, {} if done is None else done.outputs.layers
-        still = replace(seen.moved, solution=None, image=image, overlay=(), plane=None)
+        still = replace(seen.moved, solution=None, image=image, overlay=(), glance=None)
         moved = still if done is None else done.moved
         self.seen = Seen(moved, seen.marks if moved.overlay else None)
         self._picture_of(moved)
@@ -170,7 +170,7 @@ class Display:
 
     def _take_paint(self, seen: Seen, hand: Hand) -> None:
         self._stroke_waits.stop()
-        if seen.moved.plane is None:  # else it stays as it was until all of the volume has followed
+        if seen.moved.glance is None:  # else it stays as it was until all has followed
             self._painted = None if seen.marks is None else seen.moved.overlay[0]
         self._stroke = hand.mark if hand.holding and isinstance(hand.mark, Stroke) else None
 

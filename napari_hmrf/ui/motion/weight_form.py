@@ -31,7 +31,12 @@ class WeightForm(Container):
             tooltip="All tissue by its weight, as in an open skull; it has to be held somewhere",
         )
         narrow(self.way)
-        self.amount = FloatSpinBox(name="amount", label="weight", max=1e6, step=0.001)
+        self.amount = FloatSpinBox(
+            name="amount",
+            max=1e6,
+            step=0.001,
+            tooltip=f"Density times acceleration. That of water is {_WATER} kPa / mm",
+        )
         super().__init__(widgets=[self.way, self.amount])
         self.amount.native.setDecimals(5)
         self.amount.value = _WATER
@@ -59,10 +64,7 @@ class WeightForm(Container):
         with self.way.changed.blocked():
             self.way.choices = [_NOWHERE, *ways.steps]
             self.way.value = before if before in self.way.choices else ()
-        of = stiffness or "stiffness"
-        self.amount.tooltip = (
-            f"Density times acceleration, in {of} / {unit}. That of water is {_WATER} kPa / mm"
-        )
+        self.amount.label = f"{stiffness or 'stiffness'} / {unit}"
         self._show()
 
     def _show(self, *_: object) -> None:
