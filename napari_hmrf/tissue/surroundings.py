@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy
+
+from napari_hmrf.solver.normals import outside_of
 
 # Of how far what is bright is from air, so much must what is dark be apart to be two things.
 _APART = 0.35
@@ -129,11 +130,3 @@ def air_that_is_tissue(picture: npt.NDArray[Any], tissue: npt.NDArray[np.bool_])
         "the dark surroundings of the image move as tissue does, too: if they are air, leave them "
         "unpainted and tick 'the dark border is no tissue'"
     )
-
-
-def outside_of(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """What is around a mask and hangs together with the image's edge: no holes in it."""
-    # A ring around the image joins all that reaches its edge.
-    pieces, _ = scipy.ndimage.label(np.pad(~mask, 1, constant_values=True))
-    found: npt.NDArray[np.bool_] = (pieces == pieces.flat[0])[(slice(1, -1),) * mask.ndim]
-    return found
