@@ -38,9 +38,9 @@ def when_to_take(model: ModelName, plane: Plane) -> str:
 
     Parameters
     ----------
-    model : {"elastic", "paper", "paper, converged"}
+    model : {"elastic", "large motion", "paper", "paper, converged"}
     plane : {"stress", "strain"}
-        Of elastic tissue.
+        Of elastic tissue, and of that in large motion.
     """
     said = f"{_WHEN[model]} {_FROM_FEM.format(_OFF[model])}" if model in _OFF else _WHEN[model]
     return f"{said} {_WHEN_PLANE[plane]} {_HOW_MUCH}" if model in ELASTIC else said
