@@ -22,6 +22,7 @@ from napari_hmrf.layers.screen_directions import ways_of
 from napari_hmrf.layers.slice_view import plane_shown
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.live_solver import TOLERANCE
+from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.study.coarse_grid import CoarseGrid, Glance
 from napari_hmrf.study.ground import refuse_unknown
@@ -109,7 +110,7 @@ class LiveStudy:
         form.footer.live.changed.connect(self.touch)
         pointer.drawn.connect(self._on_drawn)
         form.footer.chip.clicked.connect(self._on_chip)
-        form.footer.unfold.clicked.connect(self._unfold)
+        form.footer.other.clicked.connect(self._take_other)
         form.result.overlay.changed.connect(self._describe)
 
     # What there is
@@ -433,13 +434,14 @@ class LiveStudy:
         """Say of the latest result what is to be known, if it is of what is worked on."""
         done, seen = self._latest_here, self.form.result.overlay.value
         self.form.footer.warn(*(("",) if done is None else messages.warnings_of(done, seen)))
-        self.form.footer.unfold.setVisible(done is not None and messages.can_unfold(done))
+        self._offer()
 
     def _cannot(self, error: Exception) -> None:
         """The tissue does not follow; the last result stays."""
         sentence = messages.in_short(error)
         # With nothing chosen nobody has done anything yet.
         self._failed = "" if sentence in (messages.WELCOME, messages.CHOOSE) else sentence
+        self._offer()
         self._tell(anew=sentence == messages.WELCOME)
 
     def _come_to_rest(self) -> None:
@@ -468,9 +470,21 @@ class LiveStudy:
             overlay.value = NOTHING
         self.said.emit(f"{self.form.footer.warning} {went}".rstrip())
 
-    def _unfold(self) -> None:
-        """Take the model that folds nothing."""
-        self.form.model.model.value = "large motion"
+    @property
+    def _other_model(self) -> ModelName | None:
+        """The model that would mend what is wrong with the one there is."""
+        done, form = self._latest_here, self.form
+        if form.extent.is_volume and form.model.model.value == "large motion":
+            return "elastic"
+        return "large motion" if done is not None and messages.can_unfold(done) else None
+
+    def _offer(self) -> None:
+        """Offer the other model, or none."""
+        other = self._other_model
+        self.form.footer.offer(messages.OFFERS[other] if other else "")
+
+    def _take_other(self) -> None:
+        self.form.model.model.value = self._other_model or self.form.model.model.value
 
     def _go_to_most(self, latest: Done, mark: Mark) -> str:
         """Show the slice of a volume in which most sites are marked, and say which that is."""

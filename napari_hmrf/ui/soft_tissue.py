@@ -152,7 +152,7 @@ class SoftTissue(Dock):
     rules = Part[tuple[BoundaryRule, ...]]("_form.motion.boundary.table.rows")
     curve = Part[StiffnessCurve | None]("_choices.curve")
     hold_edge = Part[bool]("_form.motion.edge.value")
-    weight = Part[tuple[float, ...]]("_form.motion.weight.vector")
+    weight = Part[tuple[float, ...]]("_form.motion.weight.value")
     without_border = Part[bool]("_form.tissue.border.value")
     fields = Part[ToolFields]("_form.motion.fields")
     model = Part[ModelName]("_form.model.model.value")

@@ -31,6 +31,7 @@ from napari_hmrf.tissue.boundary_rules import (
     Material,
     default_material,
     default_rule,
+    is_growth,
     read_stiffness,
     stiffness_in_words,
 )
@@ -113,8 +114,8 @@ def _growth_in_words(material: Material) -> str:
 
 def _growth(material: Material, text: str) -> Material:
     parts = tuple(number_of(part) / 100 for part in text.split("/"))
-    if len(parts) > 3 or not all(-1 < part < math.inf for part in parts):
-        raise ValueError("Growth must be a number of per cent above -100, or two: 20 / 0")
+    if len(parts) > 3 or not all(map(is_growth, parts)):
+        raise ValueError("Growth must be per cent, above -100 and up to 1000; or two: 20 / 0")
     return replace(material, growth=parts if len(parts) > 1 else parts[0])
 
 
@@ -128,7 +129,7 @@ class BoundaryTable(LabelTable):
     def columns(self) -> list[Column]:
         """Distances in the unit of the image, along the ways of the patient or the screen."""
         unit, ways, stiffness = self._place
-        per_area = stiffness or "stiffness"
+        per_area = stiffness or "relative"
         return [
             *super().columns,
             Column(
