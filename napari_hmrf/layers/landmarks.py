@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Shapes
 
+from napari_hmrf.errors import LayerError, naming
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.landmark_pairs import LandmarkPairs
 from napari_hmrf.layers.slice_view import View, frame_of
-from napari_hmrf.study.layer_names import LayerError, naming
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.tissue.usual_lengths import usual_radius
 

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Labels, Layer, Vectors
 
+from napari_hmrf.errors import LayerError, naming
 from napari_hmrf.field.brightness import at_edges
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import Frame
@@ -31,7 +32,6 @@ from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.result_layers import layer_on
 from napari_hmrf.layers.slice_view import View, check_size, frame_of, plane_shape
 from napari_hmrf.solver.problem import grid_in_words
-from napari_hmrf.study.layer_names import LayerError, naming
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing

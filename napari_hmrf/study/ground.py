@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.errors import LayerError
 from napari_hmrf.solver.body_forces import weight
 from napari_hmrf.solver.caveats import caveats, lack
 from napari_hmrf.solver.loads import Loads
@@ -22,7 +23,6 @@ from napari_hmrf.solver.problem import FloatArray, Problem, as_stiffness, check_
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
-from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.boundary_rules import (
     boundary_images,

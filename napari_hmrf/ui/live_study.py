@@ -45,6 +45,8 @@ _POLL = 30
 _PATIENCE = 0.4
 #: How long tissue must rest until all layers of a result are drawn, in milliseconds.
 _REST = 200
+#: How close large motion is while a hand moves it, in pixels.
+_NEAR = 0.1
 #: Sites on which a volume, or an image in large motion, is solved while a hand moves it: several
 #: pictures a second. Images of up to so many times these are followed on all of theirs.
 GLANCED, _FOLLOWED = 100_000, 4
@@ -321,8 +323,7 @@ class LiveStudy:
             self._since = time.monotonic()
         self._asked = study
         self._resting.stop()
-        if self._is_hasty(study):
-            study = replace(study, optimizer=Multigrid(TOLERANCE))
+        study = self._as_followed(study)
         device = self.form.model.in_detail.details.device
         self._follower.follow(study, device, self._glanced_at(study))
         if not self._poll.isActive():
@@ -338,11 +339,13 @@ class LiveStudy:
         grid = CoarseGrid.of_at_most(GLANCED, shape)
         return Glance(grid, *seen)
 
-    def _is_hasty(self, study: Study) -> bool:
-        """Whether a frame of a drag is enough, that need not be nearer than can be seen."""
+    def _as_followed(self, study: Study) -> Study:
+        """A study as it is solved: a frame of a drag need not be nearer than can be seen."""
         optimizer = study.optimizer
-        near = isinstance(optimizer, Multigrid) and optimizer.tolerance < TOLERANCE
-        return near and self.pointer.hand.holding
+        near = _NEAR if study.model_name == "large motion" else TOLERANCE
+        if not self.pointer.hand.holding or not isinstance(optimizer, Multigrid):
+            return study
+        return replace(study, optimizer=Multigrid(max(near, optimizer.tolerance)))
 
     def _on_seen(self, seen: Seen) -> None:
         study, moved = self.study, seen.moved

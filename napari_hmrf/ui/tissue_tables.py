@@ -16,12 +16,12 @@ from typing import Any
 from psygnal import Signal
 from qtpy.QtWidgets import QFileDialog, QMenu, QPushButton
 
+from napari_hmrf.errors import LayerError
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.io.material_tables import ENDING, load_materials, save_materials
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Table, tissue_recorded
 from napari_hmrf.solver.model_advice import ABOUT_POISSON
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
-from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.tissue.boundary_rules import (
     FORCES,
     LARGEST_STIFFNESS,
