@@ -13,7 +13,6 @@ from napari.utils.notifications import show_error, show_warning
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.field.animation import MARKS, Mark
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.pixel_copy import LayerCopies
@@ -22,7 +21,6 @@ from napari_hmrf.layers.screen_directions import ways_of
 from napari_hmrf.layers.slice_view import plane_shown
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.live_solver import TOLERANCE
-from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.study.coarse_grid import CoarseGrid, Glance
 from napari_hmrf.study.ground import refuse_unknown
@@ -36,7 +34,7 @@ from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import repeating, single_shot
 from napari_hmrf.ui.follower import Done, Follower, Seen
 from napari_hmrf.ui.motion.pointer import Pointer
-from napari_hmrf.ui.result.result_messages import NOTHING
+from napari_hmrf.ui.warning_chip import WarningChip
 
 _log = logging.getLogger("napari_hmrf")
 #: How often it is asked how far a solve is, in milliseconds.
@@ -73,6 +71,8 @@ class LiveStudy:
         Whether a study is solved from nothing.
     curve_layer : CurveLayer
         Shows the curve by which tissue is made, if it is.
+    chip : WarningChip
+        Says what is to be known of the latest result.
     """
 
     #: The tissue as it is seen from now on: a `Deformation`.
@@ -111,9 +111,8 @@ class LiveStudy:
         self.curve_layer = CurveLayer(viewer, form.tissue.editor)
         form.footer.live.changed.connect(self.touch)
         pointer.drawn.connect(self._on_drawn)
-        form.footer.chip.clicked.connect(self._on_chip)
-        form.footer.other.clicked.connect(self._take_other)
-        form.result.overlay.changed.connect(self._describe)
+        self.chip = WarningChip(viewer, form, lambda: self._latest_here)
+        self.chip.said.connect(lambda sentence: self.said.emit(sentence))
 
     # What there is
 
@@ -267,7 +266,7 @@ class LiveStudy:
         self.study = self.source = self._asked = None
         self._failed = self._report = ""
         self.pointer.stand_on(None)
-        self._describe()
+        self.chip.look()
 
     def release(self) -> None:
         """Follow nothing any more."""
@@ -296,7 +295,7 @@ class LiveStudy:
                 self.source, self._report = source, ""
             self._asked = None
             self.pointer.stand_on(study, source)
-            self._describe()
+            self.chip.look()
             self.form.footer.live.judge(math.prod(study.grid.shape[-2:]))
             self._follower.rehearse(study)
             self.moved_on.emit(study)
@@ -375,7 +374,7 @@ class LiveStudy:
         self._done[self.source], self._failed = done, ""
         self._report = messages.report(done)
         self._show(done)
-        self._describe()
+        self.chip.look()
         settled = self.settling
         if settled:
             self._stop()
@@ -433,25 +432,19 @@ class LiveStudy:
         if anew or self._told != before:
             self.said.emit(self._told)
 
-    def _describe(self, *_: Any) -> None:
-        """Say of the latest result what is to be known, if it is of what is worked on."""
-        done, seen = self._latest_here, self.form.result.overlay.value
-        self.form.footer.warn(*(("",) if done is None else messages.warnings_of(done, seen)))
-        self._offer()
-
     def _cannot(self, error: Exception) -> None:
         """The tissue does not follow; the last result stays."""
         sentence = messages.in_short(error)
         # With nothing chosen nobody has done anything yet.
         self._failed = "" if sentence in (messages.WELCOME, messages.CHOOSE) else sentence
-        self._offer()
+        self.chip.look()
         self._tell(anew=sentence == messages.WELCOME)
 
     def _come_to_rest(self) -> None:
         """Nothing is held or moved: all is where it was, and there is nothing to say of it."""
         before, self._failed = self._done.pop(self.source, None), ""
         self._report = self._report if before is None else messages.STILL
-        self._describe()
+        self.chip.look()
         self._tell()
 
     def _refuse(self, error: Exception) -> None:
@@ -461,44 +454,6 @@ class LiveStudy:
         show = show_warning if isinstance(error, HmrfError | ValueError) else show_error
         show(messages.in_short(error))
         self.finished.emit(None)
-
-    def _on_chip(self) -> None:
-        """Say what there is to know, and mark folds, then overlaps, then neither."""
-        overlay, latest, went = self.form.result.overlay, self.latest, ""
-        mark = None if latest is None else messages.next_mark(latest.outputs, overlay.value)
-        if latest is not None and mark is not None:
-            overlay.value = mark
-            went = self._go_to_most(latest, mark)
-        elif overlay.value in MARKS:
-            overlay.value = NOTHING
-        self.said.emit(f"{self.form.footer.warning} {went}".rstrip())
-
-    @property
-    def _other_model(self) -> ModelName | None:
-        """The model that would mend what is wrong with the one there is."""
-        done, form = self._latest_here, self.form
-        if form.extent.is_volume and form.model.model.value == "large motion":
-            return "elastic"
-        return "large motion" if done is not None and messages.can_unfold(done) else None
-
-    def _offer(self) -> None:
-        """Offer the other model, or none."""
-        other = self._other_model
-        self.form.footer.offer(messages.OFFERS[other] if other else "")
-
-    def _take_other(self) -> None:
-        self.form.model.model.value = self._other_model or self.form.model.model.value
-
-    def _go_to_most(self, latest: Done, mark: Mark) -> str:
-        """Show the slice of a volume in which most sites are marked, and say which that is."""
-        dims, place, view = self._viewer.dims, latest.moved.study.grid.place, self.form.view()
-        if len(place.plane) == 2 or dims.ndisplay == 3:
-            return ""
-        across, _ = plane_shown(place, view)
-        plane = place.plane_at(across, latest.outputs.fullest[mark][across])
-        there = view.point_at(plane, plane.index)
-        dims.set_point([*there], [*there.values()])
-        return messages.MOST.format(plane.slice_seen)
 
     def _stop(self) -> None:
         """Show that nothing goes on any more."""
