@@ -1,5 +1,6 @@
 """Random deformations of a case: tissue moves as tissue does, exactly, and nothing folds."""
 
+import json
 import pickle
 from dataclasses import replace
 from functools import cache
@@ -11,6 +12,7 @@ from scipy.ndimage import binary_erosion
 from napari_hmrf import (
     RIGID,
     ArgumentError,
+    FileFormatError,
     Material,
     Picture,
     ProblemError,
@@ -240,6 +242,52 @@ def test_a_sample_is_saved_and_opened_as_any_study(tmp_path):
     assert solution.provenance.model == "elastic"
     again = solve_study(study, backend="cpu").displacement
     assert np.abs((again - sample.displacement) / SPACING).max() < 0.01
+
+
+@pytest.mark.parametrize("deformation", [flat, deep])
+def test_a_deformation_is_saved_and_another_process_draws_the_same_bits_from_it(
+    deformation, tmp_path, monkeypatch
+):
+    random = deformation()
+    path = random.save(tmp_path / "case")
+    assert path.name == "case.npz"
+    monkeypatch.setattr("napari_hmrf.augmentation.unit_solutions.solve_study", None)
+    loaded = RandomDeformation.load(path)
+    assert repr(loaded) == repr(random)
+    for seed in range(2):
+        before, after = random.sample(seed), loaded.sample(seed)
+        assert before.displacement.tobytes() == after.displacement.tobytes()
+        assert before.study.tissue.materials == after.study.tissue.materials
+        assert before.study.motion.rules == after.study.motion.rules
+
+
+def test_a_file_that_is_none_or_disagrees_with_itself_is_refused(tmp_path):
+    path = save_study(tmp_path / "case.npz", flat().sample(0).study)
+    with pytest.raises(FileFormatError, match="another kind of file"):
+        RandomDeformation.load(path)
+    whole = dict(np.load(flat().save(path)))
+    for name, value, said in (
+        ("displacements", whole["displacements"][1:], "its solutions are"),
+        ("displacements", whole["displacements"] * np.float32(np.nan), "not numbers"),
+        ("patches", whole["patches"][1:], "disagree"),
+        ("centres", whole["centres"][:, :1], "disagree"),
+        ("header", _header(whole, amplitude=[2, 1]), "amplitude"),
+        ("header", _header(whole, smoothness=0), "lengths"),
+    ):
+        np.savez(path, **{**whole, name: value})
+        with pytest.raises(FileFormatError, match=said):
+            RandomDeformation.load(path)
+
+
+def _header(whole, **changes):
+    return np.array(json.dumps({**json.loads(whole["header"].item()), **changes}))
+
+
+def test_labels_that_change_later_change_nothing():
+    image = labels().copy()
+    random = RandomDeformation(image, MATERIALS, amplitude=1, patches=1)
+    image[...] = AIR
+    assert (random.sample(0).study.tissue.labels == labels()).all()
 
 
 def test_unit_solutions_are_kept_in_single_precision_and_refused_where_memory_ends():

@@ -8,15 +8,19 @@ is a random sum of them. It is scaled down where it would squeeze tissue to litt
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf import array_file
 from napari_hmrf.arguments import is_whole, real, reals, refuse_unless
+from napari_hmrf.augmentation.deformation_file import DEFORMATION_FORMAT
 from napari_hmrf.augmentation.fold_limit import largest_scale
 from napari_hmrf.augmentation.unit_solutions import (
     WRONG,
@@ -25,6 +29,7 @@ from napari_hmrf.augmentation.unit_solutions import (
     Causes,
     UnitSolutions,
     control_patches,
+    solve_units,
 )
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.field.live_warp import Picture, Warper
@@ -192,13 +197,6 @@ class RandomDeformation:
     progress : callable, optional
         Called after each solve with how many are done, and how many there are.
 
-    Attributes
-    ----------
-    tissue : ndarray of bool, shape ([D,] H, W)
-        What moves.
-    nbytes : int
-        Memory of the unit solutions.
-
     Raises
     ------
     ArgumentError
@@ -240,7 +238,7 @@ class RandomDeformation:
         backend: str = "auto",
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        image, rows = as_numbers("labels", labels), tuple(materials)
+        image, rows = as_numbers("labels", labels).copy(), tuple(materials)
         stiffness_image(image, rows)  # which refuses what is no image of labels
         n = image.ndim
         sizes = checked_spacing((1.0,) * n if spacing is None else spacing, n)
@@ -260,16 +258,74 @@ class RandomDeformation:
             image, rows, sizes, count=int(patches), radius=size, hold_edge=hold_edge
         )
         apart = _distance_to_next(centres, usual_radius(image.shape, sizes) * 4)
-        self.amplitude = _range(amplitude, _REACH * apart)
-        grid, reach = Grid(image.shape, sizes, unit), self.amplitude[1]
-        self._case = Case(grid, image, rows, hold_edge, where, centres, reach, float(weight))
-        alike = apart if smoothness is None else float(smoothness)
-        self._factor = _factor(centres, alike)
-        self._least = float(least_jacobian)
-        self._solutions = UnitSolutions(
-            self._case, backend=backend, memory=memory, progress=progress
+        case = Case(
+            Grid(image.shape, sizes, unit),
+            image,
+            rows,
+            hold_edge,
+            where,
+            centres,
+            _range(amplitude, _REACH * apart),
+            apart if smoothness is None else float(smoothness),
+            float(weight),
+            float(least_jacobian),
         )
-        self.tissue, self.nbytes = self._solutions.tissue, self._solutions.nbytes
+        self._take(solve_units(case, backend=backend, memory=memory, progress=progress))
+
+    def _take(self, solutions: UnitSolutions) -> None:
+        """Draw from these from now on."""
+        self._solutions, self._case = solutions, solutions.case
+        self._factor = _factor(self._case.centres, self._case.smoothness)
+
+    @property
+    def tissue(self) -> npt.NDArray[np.bool_]:
+        """What moves, ([D,] H, W)."""
+        return self._solutions.tissue
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the unit solutions."""
+        return self._solutions.displacements.nbytes
+
+    @property
+    def amplitude(self) -> tuple[float, float]:
+        """How far that patch is pulled that is pulled farthest, at least and at most."""
+        return self._case.amplitude
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Save the unit solutions and all that belongs to them to one .npz file, whole or not.
+
+        Parameters
+        ----------
+        path : str or path-like
+            ".npz" is added if the name has no suffix.
+
+        Returns
+        -------
+        Path
+            The file that was written.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be written; the message names it.
+        """
+        return array_file.write(path, DEFORMATION_FORMAT, self._solutions)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> RandomDeformation:
+        """Read back what `save` wrote: the same seeds give the same bits, and nothing is solved.
+
+        Raises
+        ------
+        FileFormatError
+            If it is anything else, or damaged.
+        OSError
+            If it cannot be opened.
+        """
+        made = cls.__new__(cls)
+        made._take(array_file.read(path, DEFORMATION_FORMAT))
+        return made
 
     def __repr__(self) -> str:
         case, (low, high) = self._case, self.amplitude
@@ -299,7 +355,7 @@ class RandomDeformation:
         """
         drawn = self._draw(_generator(seed))
         displacement, case = self._solutions.field(drawn), self._case
-        scale = largest_scale(displacement, case.grid.spacing, self.tissue, self._least)
+        scale = largest_scale(displacement, case.grid.spacing, self.tissue, case.least_jacobian)
         if scale < 1:
             displacement *= np.float32(scale)
         return RandomSample(

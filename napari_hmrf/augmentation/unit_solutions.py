@@ -60,7 +60,7 @@ class Causes:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Labels with their materials, and the patches at which this tissue is pulled.
+    """Labels with their materials, and what may move this tissue.
 
     Attributes
     ----------
@@ -73,10 +73,14 @@ class Case:
         Which patch is where, from 1 on.
     centres : ndarray, shape (patches, n)
         Of each, in the unit of the spacing.
-    reach : float
-        The largest displacement that is asked for, in the unit of the spacing.
+    amplitude : (float, float)
+        How far that patch is pulled that is pulled farthest, at least and at most.
+    smoothness : float
+        Over which length the pulls of patches are alike.
     weight : float
         The largest weight that is asked for.
+    least_jacobian : float
+        To which part of its area, or its volume, tissue is squeezed at most.
     """
 
     grid: Grid
@@ -85,8 +89,10 @@ class Case:
     hold_edge: bool
     patches: npt.NDArray[np.int32]
     centres: Array
-    reach: float
+    amplitude: tuple[float, float]
+    smoothness: float
     weight: float
+    least_jacobian: float
 
     @cached_property
     def growing(self) -> tuple[Material, ...]:
@@ -99,7 +105,7 @@ class Case:
         """Each cause alone, as much of it as a sample may have: what a unit solution is of."""
         n, tissues = len(self.grid.shape), len(self.growing)
         none = Causes(np.zeros_like(self.centres), np.zeros(tissues), np.zeros(n))
-        pulls = [self.reach * each for each in np.eye(self.centres.size)]
+        pulls = [self.amplitude[1] * each for each in np.eye(self.centres.size)]
         alone = [replace(none, pulls=each.reshape(-1, n)) for each in pulls]
         alone += [replace(none, growth=each) for each in np.eye(tissues)]
         if self.weight:
@@ -198,8 +204,54 @@ def control_patches(
     return patches, centres
 
 
+@dataclass(frozen=True, eq=False)
 class UnitSolutions:
     """How tissue moves by one unit of each cause, and so by any number of them.
+
+    Attributes
+    ----------
+    case : Case
+    displacements : ndarray, shape (causes, [D,] H, W, n), float32
+        Of each of its units.
+    tissue : ndarray of bool, shape ([D,] H, W)
+        What moves.
+    """
+
+    case: Case
+    displacements: npt.NDArray[np.float32]
+    tissue: BoolArray
+
+    @cached_property
+    def _most(self) -> Array:
+        return np.array([unit.values.max() for unit in self.case.units])
+
+    def field(self, causes: Causes) -> npt.NDArray[np.float32]:
+        """The displacement that these causes make together, ([D,] H, W, n).
+
+        Its bits are the same on every machine: each product is rounded before it is added.
+        """
+        # Without a weight there are no unit solutions of it.
+        shares = (causes.values[: len(self._most)] / self._most).astype(np.float32)
+        units = self.displacements.reshape(len(shares), -1)
+        made = np.empty(units.shape[1], dtype=np.float32)
+        part = np.empty(_BLOCK, dtype=np.float32)
+        for begin in range(0, made.size, _BLOCK):
+            block = units[:, begin : begin + _BLOCK]
+            total, each = made[begin : begin + _BLOCK], part[: block.shape[1]]
+            total[...] = 0
+            for unit, share in zip(block, shares, strict=True):
+                total += np.multiply(unit, share, out=each)
+        return made.reshape(self.displacements.shape[1:])
+
+
+def solve_units(
+    case: Case,
+    *,
+    backend: str = "auto",
+    memory: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> UnitSolutions:
+    """Solve a case for each of its units.
 
     Parameters
     ----------
@@ -211,13 +263,6 @@ class UnitSolutions:
     progress : callable, optional
         Called with how many are solved, and of how many.
 
-    Attributes
-    ----------
-    tissue : ndarray of bool, shape ([D,] H, W)
-        What moves.
-    nbytes : int
-        The memory they take.
-
     Raises
     ------
     ProblemError
@@ -225,51 +270,24 @@ class UnitSolutions:
     ConvergenceError, BackendError
         As of `solve`.
     """
-
-    def __init__(
-        self,
-        case: Case,
-        *,
-        backend: str = "auto",
-        memory: float | None = None,
-        progress: Callable[[int, int], None] | None = None,
-    ) -> None:
-        units, n = case.units, len(case.grid.shape)
-        count, self._shape = len(units), (*case.grid.shape, n)
-        self._most = np.array([unit.values.max() for unit in units])
-        self.nbytes = 4 * count * math.prod(self._shape)
-        allowed = psutil.virtual_memory().available / 2 if memory is None else memory
-        if self.nbytes > allowed:
-            raise ProblemError(
-                "labels",
-                f"are {grid_in_words(case.grid.shape)}, of which {count} unit solutions take "
-                f"{self.nbytes / _GIB:.2g} GiB of memory, and {allowed / _GIB:.2g} GiB are "
-                f"allowed: {int(allowed / self.nbytes * count)} of them. Crop the labels, take "
-                "fewer patches, or allow more memory.",
-            )
-        # Each unit is as much of its cause as a sample has: a sum is wrong by no more than all.
-        tolerance = WRONG / count
-        self._solutions = np.empty((count, math.prod(self._shape)), dtype=np.float32)
-        for number, unit in enumerate(units):
-            solution = solve_study(case.study(unit, tolerance), backend=backend)
-            self._solutions[number] = solution.displacement.ravel()
-            self.tissue = solution.tissue
-            if progress is not None:
-                progress(number + 1, count)
-
-    def field(self, causes: Causes) -> npt.NDArray[np.float32]:
-        """The displacement that these causes make together, ([D,] H, W, n).
-
-        Its bits are the same on every machine: each product is rounded before it is added.
-        """
-        # Without a weight there are no unit solutions of it.
-        shares = (causes.values[: len(self._most)] / self._most).astype(np.float32)
-        made = np.empty(self._solutions.shape[1], dtype=np.float32)
-        part = np.empty(_BLOCK, dtype=np.float32)
-        for begin in range(0, made.size, _BLOCK):
-            block = self._solutions[:, begin : begin + _BLOCK]
-            total, each = made[begin : begin + _BLOCK], part[: block.shape[1]]
-            total[...] = 0
-            for solution, share in zip(block, shares, strict=True):
-                total += np.multiply(solution, share, out=each)
-        return made.reshape(self._shape)
+    units = case.units
+    shape = (len(units), *case.grid.shape, len(case.grid.shape))
+    needed = 4 * math.prod(shape)
+    allowed = psutil.virtual_memory().available / 2 if memory is None else memory
+    if needed > allowed:
+        raise ProblemError(
+            "labels",
+            f"are {grid_in_words(case.grid.shape)}, of which {len(units)} unit solutions take "
+            f"{needed / _GIB:.2g} GiB of memory, and {allowed / _GIB:.2g} GiB are allowed: "
+            f"{int(allowed / needed * len(units))} of them. Crop the labels, take fewer patches, "
+            "or allow more memory.",
+        )
+    # Each unit is as much of its cause as a sample has: a sum is wrong by no more than all.
+    tolerance = WRONG / len(units)
+    displacements, tissue = np.empty(shape, dtype=np.float32), np.zeros(case.grid.shape, dtype=bool)
+    for number, unit in enumerate(units):
+        solution = solve_study(case.study(unit, tolerance), backend=backend)
+        displacements[number], tissue = solution.displacement, solution.tissue
+        if progress is not None:
+            progress(number + 1, len(units))
+    return UnitSolutions(case, displacements, tissue)
