@@ -199,7 +199,10 @@ def _add_truth(commands: Any) -> None:
         "has no size; by default from nothing to a quarter of how far its pulls lie apart",
     )
     truth.add_argument(
-        "--patches", type=int, metavar="P", help="places where tissue is pulled (default: 12)"
+        "--patches",
+        type=int,
+        metavar="P",
+        help="places where tissue is pulled (default: 12, in a volume 8)",
     )
 
 

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+import random_deformations
 from scipy.ndimage import binary_erosion
 
 from napari_hmrf import (
@@ -293,9 +294,10 @@ def test_labels_that_change_later_change_nothing():
 def test_unit_solutions_are_kept_in_single_precision_and_refused_where_memory_ends():
     random = flat()
     causes = 2 * len(random.sample(0).causes.pulls) + 1 + 2
-    assert random.nbytes == causes * 64 * 64 * 2 * 4
+    tissue = random.tissue.sum()
+    assert random.nbytes == causes * tissue * 2 * 4
     with pytest.raises(ProblemError, match=r"64 x 64.* GiB are allowed: 3 of them"):
-        RandomDeformation(labels(), MATERIALS, memory=3.5 * 64 * 64 * 8)
+        RandomDeformation(labels(), MATERIALS, memory=3.5 * tissue * 8)
 
 
 def test_patches_lie_in_soft_tissue_apart_from_each_other():
@@ -338,6 +340,27 @@ def test_landmarks_are_spread_over_tissue():
     found = landmarks(tissue)
     assert 150 < len(found) < 300
     assert tissue[tuple(found.T)].all()
+
+
+def test_pictures_are_those_of_warp_wherever_the_tissue_lies():
+    image = np.zeros((50, 60), int)
+    image[10:30, 25:50] = MUSCLE
+    random = RandomDeformation(image, MATERIALS, amplitude=4, patches=3, hold_edge=False)
+    noise = np.random.default_rng(2).random(image.shape)
+    for seed in range(4):
+        sample = random.sample(seed)
+        for order in (0, 1, 3):
+            expected = warp(noise, sample.displacement, tissue=sample.tissue, order=order)
+            (moved,) = sample.pictures(Picture(noise, order=order))
+            np.testing.assert_allclose(moved, expected, atol=1e-9)
+
+
+def test_the_benchmark_runs_and_finds_no_fold(capsys):
+    assert random_deformations.main(["--quick"]) == 0
+    said = capsys.readouterr().out
+    assert "10 random fields: 0 fold" in said
+    assert said.count("0 of other bits") == 2
+    assert "CPU time a sample" in said
 
 
 def test_a_line_says_what_it_is():

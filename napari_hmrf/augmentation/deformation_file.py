@@ -61,7 +61,7 @@ def _parse(header: Header, arrays: Arrays) -> UnitSolutions:
         weight,
         least,
     )
-    needed = (len(case.units), *labels.shape, n)
+    needed = (len(case.units), int(tissue.sum()), n)
     if displacements.shape != needed or not len(centres):
         raise Invalid(f"its solutions are {displacements.shape}, not {needed}")
     if not np.isfinite(displacements).all():
@@ -78,7 +78,7 @@ DEFORMATION_FORMAT: array_file.Format[UnitSolutions] = array_file.Format(
         "labels": Kind(LABEL_TYPES, (2, 3)),
         "patches": Kind(("<i4",), (2, 3)),
         "centres": Kind(("<f8",), (2,)),
-        "displacements": Kind(("<f4",), (4, 5)),
+        "displacements": Kind(("<f4",), (3,)),
         "tissue": Kind(("|b1",), (2, 3)),
     },
     describe=_describe,

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+from napari_hmrf.field.slabs import with_neighbours
 
 FloatArray = npt.NDArray[np.floating[Any]]
 Float64Array = npt.NDArray[np.float64]
@@ -17,6 +20,8 @@ BoolArray = npt.NDArray[np.bool_]
 _NEAR = 1e-4
 # What the smallest determinant keeps above the least one: more than rounding takes.
 _MARGIN = 1e-5
+# Sites that are looked at together: what lies between stays in the cache.
+_SITES = 1 << 17
 
 
 def largest_scale(
@@ -41,62 +46,83 @@ def largest_scale(
     float
         Above 0, and at most 1.
     """
+    least = least + _MARGIN
+    planes = max(1, _SITES // math.prod(tissue.shape[1:]))
+    found = [
+        _corners_of(displacement, spacing, tissue, least, slice(begin, begin + planes))
+        for begin in range(0, len(tissue), planes)
+    ]
+    return _march(np.concatenate(found, axis=1), least)
+
+
+def _corners_of(
+    displacement: FloatArray,
+    spacing: Sequence[float],
+    tissue: BoolArray,
+    least: float,
+    slab: slice,
+) -> Float64Array:
+    """The `_corners` of the sites of some planes that may be squeezed too much."""
     n = tissue.ndim
-    steps = [_steps(displacement, spacing, tissue, axis) for axis in range(n)]
+    wide, inner = with_neighbours(slab, len(tissue))
+    d, there = displacement[wide].reshape(-1, n), tissue[wide]
+    weights = (1 / np.square(spacing)).astype(d.dtype)
     # A gradient of norm g < 1 leaves a determinant of at least (1 - g)^n: where that is enough, no
     # corner is looked at. Its square is at most the sum over the axes of the longer of both steps.
-    squares = np.zeros(tissue.shape, dtype=displacement.dtype)
-    for axis, (change, _) in enumerate(steps):
-        length = np.einsum("...c,...c->...", change, change).swapaxes(0, axis)
-        squares += np.maximum(length[1:], length[:-1]).swapaxes(0, axis)
-    sites = np.nonzero(tissue & (squares > (1 - least ** (1 / n)) ** 2))
-    if not len(sites[0]):
-        return 1.0
-    return _march(*_corners(steps, sites, least + _MARGIN), least + _MARGIN)
+    squares, steps = np.zeros(len(d), dtype=d.dtype), []
+    for axis in range(n):
+        step = _steps(there, axis)
+        change = d[step.stride :] - d[: -step.stride]
+        length = np.square(change, out=change) @ weights
+        length *= step.exists[: -step.stride]
+        longer = np.zeros(len(d), dtype=d.dtype)
+        longer[: -step.stride] = length
+        np.maximum(longer[step.stride :], length, out=longer[step.stride :])
+        squares += longer
+        steps.append(step)
+    doubtful = there & (squares > (1 - least ** (1 / n)) ** 2).reshape(there.shape)
+    doubtful[: inner.start] = doubtful[inner.stop :] = False
+    return _corners(d, spacing, steps, np.flatnonzero(doubtful), least)
 
 
 class _Steps(NamedTuple):
-    """From each site to the next along an axis, from before the first to behind the last."""
+    """From each site to the next along an axis, sites in a row."""
 
-    # Of displacement, in pixels; 0 where there is no step.
-    change: FloatArray
-    # Whether both ends are tissue.
+    # How much further in the row the next one is.
+    stride: int
+    # Whether both are tissue, and there is a next one.
     exists: BoolArray
 
 
-def _steps(
-    displacement: FloatArray, spacing: Sequence[float], tissue: BoolArray, axis: int
-) -> _Steps:
-    d, there = displacement.swapaxes(0, axis), tissue.swapaxes(0, axis)
-    shape = [size + (along == axis) for along, size in enumerate(tissue.shape)]
-    change = np.zeros((*shape, tissue.ndim), dtype=d.dtype)
-    exists = np.zeros(shape, dtype=bool)
-    inner = change.swapaxes(0, axis)[1:-1]
-    np.subtract(d[1:], d[:-1], out=inner)
-    if any(size != 1 for size in spacing):
-        inner /= np.asarray(spacing, dtype=d.dtype)
-    both = np.logical_and(there[1:], there[:-1], out=exists.swapaxes(0, axis)[1:-1])
-    if not both.all():
-        inner *= both[..., None]
-    return _Steps(change, exists)
+def _steps(tissue: BoolArray, axis: int) -> _Steps:
+    exists = np.zeros(tissue.shape, dtype=bool)
+    there = tissue.swapaxes(0, axis)
+    np.logical_and(there[1:], there[:-1], out=exists.swapaxes(0, axis)[:-1])
+    return _Steps(math.prod(tissue.shape[axis + 1 :]), exists.ravel())
 
 
 def _corners(
-    steps: list[_Steps], sites: tuple[npt.NDArray[np.intp], ...], least: float
-) -> tuple[Float64Array, Float64Array]:
-    """The coefficients of corners' determinants at a scale s, and how fast these fall."""
+    d: FloatArray,
+    spacing: Sequence[float],
+    steps: list[_Steps],
+    sites: npt.NDArray[np.intp],
+    least: float,
+) -> Float64Array:
+    """The coefficients, (n, corners), of what corners' determinants are at a scale s."""
     # det(1 + s G) = 1 + s a + s^2 b + s^3 c. Corners that cannot come near the least are left out.
     n, sides = len(steps), []
-    for axis, step in enumerate(steps):
-        behind, ahead = sites, [index + (along == axis) for along, index in enumerate(sites)]
-        (before, after), (is_before, is_after) = (
-            [values[tuple(at)].T for at in (behind, ahead)] for values in step
-        )
+    size = np.asarray(spacing, dtype=np.float64)
+    for stride, exists in steps:
+        last = len(d) - 1
+        behind, ahead = np.maximum(sites - stride, 0), np.minimum(sites + stride, last)
+        is_after, is_before = exists[sites, None], exists[behind, None] & (sites >= stride)[:, None]
+        here = d[sites].astype(np.float64)
+        after = np.where(is_after, d[ahead] - here, 0.0) / size
+        before = np.where(is_before, here - d[behind], 0.0) / size
         # As in the measure: where a neighbour is missing, the step to the other one counts.
-        sides.append((np.where(is_after, after, before), np.where(is_before, before, after)))
+        sides.append((np.where(is_after, after, before).T, np.where(is_before, before, after).T))
     found = []
-    for corner in product(*sides):
-        g = [column.astype(np.float64) for column in corner]
+    for g in product(*sides):
         minors = {
             (i, j): g[i][i] * g[j][j] - g[i][j] * g[j][i] for i, j in combinations(range(n), 2)
         }
@@ -106,17 +132,15 @@ def _corners(
             second = g[0][2] * (g[1][0] * g[2][1] - g[1][1] * g[2][0])
             powers.append(g[0][0] * minors[1, 2] + first + second)
         made = np.stack(powers)
-        near = np.abs(made).sum(axis=0) > 1 - least
-        found.append(made[:, near])
-    coefficients = np.concatenate(found, axis=1)
-    powers_of = np.arange(1, n + 1)[:, None]
-    return coefficients, (powers_of * np.abs(coefficients)).sum(axis=0)
+        found.append(made[:, np.abs(made).sum(axis=0) > 1 - least])
+    return np.concatenate(found, axis=1)
 
 
-def _march(coefficients: Float64Array, fall: Float64Array, least: float) -> float:
+def _march(coefficients: Float64Array, least: float) -> float:
     """Go from 0 towards 1, never past the first scale at which a determinant is the least one."""
     # Up to 1 no determinant falls faster than `fall`: a step by it oversteps nothing.
     powers, scale = np.arange(1, len(coefficients) + 1), 0.0
+    fall = powers @ np.abs(coefficients)
     while scale < 1:
         slack = 1 - least + scale**powers @ coefficients
         near = slack < fall * (1 - scale)

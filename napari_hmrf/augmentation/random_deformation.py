@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -46,10 +46,12 @@ from napari_hmrf.tissue.usual_lengths import usual_radius
 #: What a generator is made from: a seed, or a generator itself, which goes on.
 Seed = int | Sequence[int] | np.random.Generator | None
 
-# Patches that are pulled, where nobody says how many.
-_PATCHES = 12
+# Patches that are pulled, where nobody says how many: in an image, and in a volume, where each has
+# three unit solutions.
+_PATCHES = {2: 12, 3: 8}
 # How far a sample pulls at most, as a part of how far patches lie from their next.
-_REACH = 0.25
+_REACH = {2: 1 / 4, 3: 1 / 8}
+_MOVING = "pictures to be moved"
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,13 +128,36 @@ class RandomSample:
         ProblemError
             If one is not of the grid of the labels.
         """
-        for each in pictures:
-            as_image(each.image, self.tissue.shape)
+        images = [as_image(each.image, self.tissue.shape) for each in pictures]
+        # What is around tissue stays as it is; a spline of higher order looks at all of an image.
+        smooth = any(each.order > 1 for each in pictures)
+        box = (slice(None),) * self.tissue.ndim if smooth else self._box
+        parts = [
+            replace(each, image=image[box]) for each, image in zip(pictures, images, strict=True)
+        ]
 
         def moved() -> list[npt.NDArray[Any]]:
-            return Warper(pictures, spacing=self.spacing)(self.displacement, self.tissue)
+            return Warper(parts, spacing=self.spacing)(self.displacement[box], self.tissue[box])
 
-        return compute_thread.result_of(moved, "pictures to be moved")
+        whole = []
+        for image, part in zip(images, compute_thread.result_of(moved, _MOVING), strict=True):
+            whole.append(image.copy())
+            whole[-1][box] = part
+        return whole
+
+    @cached_property
+    def _box(self) -> tuple[slice, ...]:
+        """What holds all tissue, as it was and as it has moved, and a pixel around that."""
+        sides, n = [], self.tissue.ndim
+        for axis in range(n):
+            others = tuple({*range(n)} - {axis})
+            there = np.flatnonzero(self.tissue.any(axis=others))
+            along = self.displacement[..., axis] / self.spacing[axis]
+            first = min(0.0, float((there + along.min(axis=others)[there]).min()) - there[0])
+            last = max(0.0, float((there + along.max(axis=others)[there]).max()) - there[-1])
+            begin = int(there[0]) + math.floor(first) - 1
+            sides.append(slice(max(0, begin), int(there[-1]) + math.ceil(last) + 2))
+        return tuple(sides)
 
     def image(self, image: npt.ArrayLike, *, order: int = 1) -> npt.NDArray[Any]:
         """Move an image, ([D,] H, W) or with channels behind, as `warp` does.
@@ -173,12 +198,14 @@ class RandomDeformation:
     amplitude : float or (float, float), optional
         How far that of the control patches is pulled that is pulled farthest, in the unit of
         `spacing`: always so far, or evenly between two lengths. By default from nothing to a
-        quarter of how far patches lie from their next. Where that squeezed tissue too much, it is
-        less.
-    patches : int
+        quarter of how far patches lie from their next, in a volume an eighth. Where that squeezed
+        tissue too much, it is less.
+    patches : int, optional
         How many control patches there are, at most; where tissue is narrow there is room for fewer.
+        By default 12, in a volume 8.
     radius : float, optional
-        Of a control patch, in the unit of `spacing`; by default a 32nd of the shortest side.
+        Of a control patch, in the unit of `spacing`; by default a 32nd of the shortest side, in a
+        volume a 16th.
     smoothness : float, optional
         Over which length the pulls of patches are alike, in the unit of `spacing`; by default as
         far as patches lie from their next.
@@ -228,7 +255,7 @@ class RandomDeformation:
         spacing: Sequence[float] | None = None,
         unit: str = "pixel",
         amplitude: float | tuple[float, float] | None = None,
-        patches: int = _PATCHES,
+        patches: int | None = None,
         radius: float | None = None,
         smoothness: float | None = None,
         weight: float = 0.0,
@@ -249,15 +276,19 @@ class RandomDeformation:
         ):
             refuse_unless(value is None or low < real(value) < math.inf, name, value, what)
         refuse_unless(0 <= real(weight) < math.inf, "weight", weight, "a number of at least 0")
-        enough = is_whole(patches) and patches >= 1
-        refuse_unless(enough, "patches", patches, "a whole number of at least 1")
+        count = _PATCHES[n] if patches is None else patches
+        refuse_unless(
+            is_whole(count) and count >= 1, "patches", count, "a whole number of at least 1"
+        )
         above = 0 < real(least_jacobian) < 1
         refuse_unless(above, "least_jacobian", least_jacobian, "a number above 0 and below 1")
-        size = usual_radius(image.shape, sizes) / 2 if radius is None else float(radius)
+        usual = usual_radius(image.shape, sizes)
+        # A ball that is pulled squeezes what is beside it more than a disc, the more the smaller.
+        size = usual * (n - 1) / 2 if radius is None else float(radius)
         where, centres = control_patches(
-            image, rows, sizes, count=int(patches), radius=size, hold_edge=hold_edge
+            image, rows, sizes, count=int(count), radius=size, hold_edge=hold_edge
         )
-        apart = _distance_to_next(centres, usual_radius(image.shape, sizes) * 4)
+        apart = _distance_to_next(centres, 4 * usual)
         case = Case(
             Grid(image.shape, sizes, unit),
             image,
@@ -265,7 +296,7 @@ class RandomDeformation:
             hold_edge,
             where,
             centres,
-            _range(amplitude, _REACH * apart),
+            _range(amplitude, _REACH[n] * apart),
             apart if smoothness is None else float(smoothness),
             float(weight),
             float(least_jacobian),

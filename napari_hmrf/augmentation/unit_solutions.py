@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -26,7 +25,7 @@ BoolArray = npt.NDArray[np.bool_]
 #: How far a sum may be from the converged field, in pixels, by what its parts are wrong by.
 WRONG = 5e-3
 # Values that are summed at once: they stay in the cache.
-_BLOCK = 1 << 15
+_BLOCK = 1 << 16
 _GIB = 2.0**30
 
 
@@ -211,8 +210,8 @@ class UnitSolutions:
     Attributes
     ----------
     case : Case
-    displacements : ndarray, shape (causes, [D,] H, W, n), float32
-        Of each of its units.
+    displacements : ndarray, shape (causes, sites, n), float32
+        Of each of its units, of all sites of tissue.
     tissue : ndarray of bool, shape ([D,] H, W)
         What moves.
     """
@@ -225,6 +224,11 @@ class UnitSolutions:
     def _most(self) -> Array:
         return np.array([unit.values.max() for unit in self.case.units])
 
+    @cached_property
+    def _places(self) -> npt.NDArray[np.intp]:
+        """Of each component at each site, in a row of all."""
+        return np.flatnonzero(np.repeat(self.tissue.ravel(), self.tissue.ndim))
+
     def field(self, causes: Causes) -> npt.NDArray[np.float32]:
         """The displacement that these causes make together, ([D,] H, W, n).
 
@@ -233,15 +237,16 @@ class UnitSolutions:
         # Without a weight there are no unit solutions of it.
         shares = (causes.values[: len(self._most)] / self._most).astype(np.float32)
         units = self.displacements.reshape(len(shares), -1)
-        made = np.empty(units.shape[1], dtype=np.float32)
+        total = np.zeros(units.shape[1], dtype=np.float32)
         part = np.empty(_BLOCK, dtype=np.float32)
-        for begin in range(0, made.size, _BLOCK):
-            block = units[:, begin : begin + _BLOCK]
-            total, each = made[begin : begin + _BLOCK], part[: block.shape[1]]
-            total[...] = 0
+        for begin in range(0, total.size, _BLOCK):
+            block, sums = units[:, begin : begin + _BLOCK], total[begin : begin + _BLOCK]
             for unit, share in zip(block, shares, strict=True):
-                total += np.multiply(unit, share, out=each)
-        return made.reshape(self.displacements.shape[1:])
+                sums += np.multiply(unit, share, out=part[: sums.size])
+        n = self.tissue.ndim
+        made = np.zeros(self.tissue.size * n, dtype=np.float32)
+        made[self._places] = total
+        return made.reshape(*self.tissue.shape, n)
 
 
 def solve_units(
@@ -270,9 +275,9 @@ def solve_units(
     ConvergenceError, BackendError
         As of `solve`.
     """
-    units = case.units
-    shape = (len(units), *case.grid.shape, len(case.grid.shape))
-    needed = 4 * math.prod(shape)
+    units, n = case.units, len(case.grid.shape)
+    there = stiffness_image(case.labels, case.materials) > 0
+    needed = 4 * len(units) * n * int(there.sum())
     allowed = psutil.virtual_memory().available / 2 if memory is None else memory
     if needed > allowed:
         raise ProblemError(
@@ -284,10 +289,13 @@ def solve_units(
         )
     # Each unit is as much of its cause as a sample has: a sum is wrong by no more than all.
     tolerance = WRONG / len(units)
-    displacements, tissue = np.empty(shape, dtype=np.float32), np.zeros(case.grid.shape, dtype=bool)
+    displacements = np.empty((0, 0, n), dtype=np.float32)
     for number, unit in enumerate(units):
         solution = solve_study(case.study(unit, tolerance), backend=backend)
-        displacements[number], tissue = solution.displacement, solution.tissue
+        tissue = solution.tissue
+        if not number:  # tissue that nothing holds is left out
+            displacements = np.empty((len(units), int(tissue.sum()), n), dtype=np.float32)
+        displacements[number] = solution.displacement[tissue]
         if progress is not None:
             progress(number + 1, len(units))
     return UnitSolutions(case, displacements, tissue)
