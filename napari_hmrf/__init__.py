@@ -20,6 +20,7 @@ from napari_hmrf.errors import (
     HmrfError,
     ProblemError,
 )
+from napari_hmrf.field.brightness import at_edges, luminance
 from napari_hmrf.field.deformation import (
     arrows,
     count_folds,
@@ -73,7 +74,6 @@ from napari_hmrf.tissue.boundary_rules import (
 )
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
-from napari_hmrf.tissue.surroundings import at_edges, luminance
 
 __version__ = "0.1.0"
 

@@ -137,7 +137,10 @@ def _add_file_commands(commands: Any) -> None:
         help="instead: how likely tissue 1, 2 ... is, an image for each",
     )
     solve.add_argument(
-        "--materials", type=Path, metavar="TABLE", help=".csv: label,name,stiffness,poisson,growth"
+        "--materials",
+        type=Path,
+        metavar="TABLE",
+        help=".csv: label,name,stiffness,poisson,growth; a growth of 0.2 or 20%% is a fifth longer",
     )
     solve.add_argument(
         "--boundary",

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
+from napari_hmrf.field.brightness import at_edges
 from napari_hmrf.field.deformation import count_folds
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.measurement import Measurement, measure
@@ -36,7 +37,6 @@ from napari_hmrf.study.ground import Ground, solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
-from napari_hmrf.tissue.surroundings import at_edges
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
 
