@@ -29,7 +29,7 @@ from napari_hmrf import (
 from napari_hmrf.augmentation.fold_limit import largest_scale
 from napari_hmrf.augmentation.ground_truth import landmarks
 from napari_hmrf.field.deformation import smallest_determinant
-from napari_hmrf.tissue.normals import outer_rim
+from napari_hmrf.solver.normals import outer_rim
 
 AIR, MUSCLE, TUMOUR, BONE = range(4)
 MATERIALS = (
