@@ -21,6 +21,7 @@ from napari_hmrf.contributions import (
     open_landmarks,
     open_scan,
     open_solution,
+    open_study,
     sample_bar,
     sample_expansion,
     sample_growth,
@@ -277,3 +278,10 @@ def test_the_dock_is_in_the_menus():
     menus = manifest.contributions.menus
     assert "napari-hmrf.soft_tissue" in [item.command for item in menus["napari/layers/transform"]]
     assert [widget.display_name for widget in manifest.contributions.widgets] == ["Soft tissue"]
+
+
+def test_a_study_that_was_saved_under_another_ending_is_offered_to_be_opened(tmp_path):
+    from napari_hmrf import Grid, Motion, Study, save_study
+
+    path = save_study(tmp_path / "mine.npz", Study(Grid((8, 8), (1.0, 1.0)), motion=Motion(True)))
+    assert open_solution(str(path)) is open_study(str(path)) is not None

@@ -224,8 +224,8 @@ def measured(path: Path, labels: Path | None = None) -> Measured:
     image = None if tissue is None else tissue.labels
     if labels is not None:
         image = _as_labels(_on_grid(labels, solution), labels)
-    if image is None:
-        raise HmrfError(f"{path.name}: the file holds no tissue labels. Give --labels.")
+    if image is None:  # nothing tells one tissue from another
+        image, names = np.ones(solution.tissue.shape, np.int32), {1: "tissue"}
     unit = unit_symbol(Frame.of_solution(solution).unit)
     return Measured(measure(solution, image, names=names), unit, solution.tissue.ndim == 3)
 

@@ -335,8 +335,7 @@ class LiveStudy:
         if not self.pointer.hand.holding or (len(shape) == 2 and quick):
             return None
         seen = () if len(shape) == 2 else plane_shown(study.grid.place, self.form.view())
-        grid = CoarseGrid.of_at_most(GLANCED, shape)
-        return Glance(grid, *seen)
+        return Glance(CoarseGrid.of_at_most(GLANCED, shape), *seen)
 
     def _as_followed(self, study: Study) -> Study:
         """A study as it is solved: a frame of a drag need not be nearer than can be seen."""
