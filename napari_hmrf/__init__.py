@@ -42,6 +42,7 @@ from napari_hmrf.field.warp import inverse_map, warp
 from napari_hmrf.io.fields import Field, export_field, read_field, write_field
 from napari_hmrf.io.landmark_files import LandmarkFile, load_points, save_points
 from napari_hmrf.io.moving_pictures import save_moving_picture
+from napari_hmrf.io.segmentation_tables import read_label_names
 from napari_hmrf.io.study_file import is_study_file, load_study, replay, save_study
 from napari_hmrf.samples.head import HeadPhantom, head_phantom
 from napari_hmrf.samples.phantoms import (
@@ -73,6 +74,12 @@ from napari_hmrf.tissue.boundary_rules import (
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.tissue.surroundings import at_edges, luminance
+from napari_hmrf.tissue.tissue_names import (
+    KnownTissue,
+    NamedMaterials,
+    known_tissue,
+    materials_by_name,
+)
 
 __version__ = "0.1.0"
 
@@ -93,6 +100,7 @@ __all__ = [
     "Grid",
     "HeadPhantom",
     "HmrfError",
+    "KnownTissue",
     "Landmark",
     "LandmarkFile",
     "LiveSolver",
@@ -102,6 +110,7 @@ __all__ = [
     "Monitor",
     "Motion",
     "Multigrid",
+    "NamedMaterials",
     "NeoHookeanPrior",
     "Phantom",
     "Picture",
@@ -133,10 +142,12 @@ __all__ = [
     "is_solution_file",
     "is_study_file",
     "jacobian_determinant",
+    "known_tissue",
     "load_points",
     "load_study",
     "luminance",
     "magnitude",
+    "materials_by_name",
     "measure",
     "phantom",
     "poisson_image",
@@ -144,6 +155,7 @@ __all__ = [
     "principal_strains",
     "reactions",
     "read_field",
+    "read_label_names",
     "reference_displacement",
     "replay",
     "resample",

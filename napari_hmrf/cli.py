@@ -96,6 +96,23 @@ def _apply(options: argparse.Namespace) -> int:
     return int(failed > 0)
 
 
+def _materials(options: argparse.Namespace) -> int:
+    from napari_hmrf.io.case import labels_in
+    from napari_hmrf.io.segmentation_tables import read_label_names
+    from napari_hmrf.io.tables import named_materials_in_words, save_named_materials
+    from napari_hmrf.tissue.tissue_names import materials_by_name
+
+    names = read_label_names(options.table)
+    if options.labels is not None:
+        there = labels_in(options.labels)
+        names = {label: names.get(label, "not in the table") for label in there}
+    found = materials_by_name(names)
+    print(named_materials_in_words(found))
+    if options.out is not None:
+        print(f"written: {save_named_materials(options.out, found)}")
+    return 0
+
+
 def _measure(options: argparse.Namespace) -> int:
     from pandas import DataFrame
 
@@ -259,6 +276,7 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "apply": _apply,
     "demo": _demo,
     "export": _export,
+    "materials": _materials,
     "measure": _measure,
     "play": _play,
     "replay": _replay,

@@ -137,7 +137,11 @@ def _add_file_commands(commands: Any) -> None:
         help="instead: how likely tissue 1, 2 ... is, an image for each",
     )
     solve.add_argument(
-        "--materials", type=Path, metavar="TABLE", help=".csv: label,name,stiffness,poisson,growth"
+        "--materials",
+        type=Path,
+        metavar="TABLE",
+        help=".csv: label,name,stiffness,poisson,growth; or what a segmentation calls its labels, "
+        "as for the command materials",
     )
     solve.add_argument(
         "--boundary",
@@ -168,9 +172,29 @@ def _add_file_commands(commands: Any) -> None:
     )
     solve.add_argument("--model", type=_dashed, choices=MODELS, help="default: elastic")
     solve.add_argument("--backend", choices=BACKEND_NAMES, default="auto")
+    _add_many_commands(commands)
     replay = commands.add_parser("replay", help="solve a saved study again, and compare the fields")
     replay.add_argument("study", type=Path, metavar="STUDY")
     replay.add_argument("--image", type=Path, metavar="IMAGE", help="if it is not in the file")
+
+
+def _add_many_commands(commands: Any) -> None:
+    materials = commands.add_parser(
+        "materials", help="find stiffness by what a segmentation calls its labels"
+    )
+    materials.add_argument(
+        "table",
+        type=Path,
+        metavar="TABLE",
+        help="TotalSegmentator's class map or dataset.json, FreeSurferColorLUT.txt, label "
+        "descriptions of ITK-SNAP, a colour table or .seg.nrrd of 3D Slicer, or a .csv: label,name",
+    )
+    materials.add_argument(
+        "--labels", type=Path, metavar="IMAGE", help="only what is in this image"
+    )
+    materials.add_argument(
+        "-o", "--out", type=Path, metavar="TABLE", help="a .csv to write as well"
+    )
 
 
 def _size(text: str) -> int:
