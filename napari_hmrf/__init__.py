@@ -39,6 +39,9 @@ from napari_hmrf.field.strain import (
     strain_through_slice,
 )
 from napari_hmrf.field.warp import inverse_map, warp
+from napari_hmrf.io.batch import BatchProgress, CaseOutcome, solve_cases
+from napari_hmrf.io.case import Case
+from napari_hmrf.io.case_tables import NamedCase, read_cases
 from napari_hmrf.io.fields import Field, export_field, read_field, write_field
 from napari_hmrf.io.landmark_files import LandmarkFile, load_points, save_points
 from napari_hmrf.io.moving_pictures import save_moving_picture
@@ -90,8 +93,11 @@ __all__ = [
     "ArgumentError",
     "Arrow",
     "BackendError",
+    "BatchProgress",
     "BoundaryRule",
     "Cancelled",
+    "Case",
+    "CaseOutcome",
     "ConvergenceError",
     "Drawing",
     "ElasticPrior",
@@ -110,6 +116,7 @@ __all__ = [
     "Monitor",
     "Motion",
     "Multigrid",
+    "NamedCase",
     "NamedMaterials",
     "NeoHookeanPrior",
     "Phantom",
@@ -154,6 +161,7 @@ __all__ = [
     "pressure",
     "principal_strains",
     "reactions",
+    "read_cases",
     "read_field",
     "read_label_names",
     "reference_displacement",
@@ -165,6 +173,7 @@ __all__ = [
     "save_study",
     "small_strain",
     "solve",
+    "solve_cases",
     "solve_study",
     "statement_of",
     "stiffness_image",

@@ -196,6 +196,33 @@ def _add_many_commands(commands: Any) -> None:
         "-o", "--out", type=Path, metavar="TABLE", help="a .csv to write as well"
     )
 
+    batch = commands.add_parser("batch", help="solve many cases, by several processes or machines")
+    batch.add_argument(
+        "cases",
+        type=Path,
+        metavar="CASES",
+        help=".csv, a case a line: name, image or study, and the options of solve; growth:TISSUE, "
+        "stiffness:TISSUE, amount:BOUNDARY and poisson are numbers other than in its files. "
+        "Several values in a cell, with semicolons between them, are a case each; a slice may be "
+        "3-7, or all",
+    )
+    batch.add_argument("out", type=Path, metavar="OUT", help="a folder for a folder of each case")
+    where = batch.add_mutually_exclusive_group()
+    where.add_argument(
+        "--jobs", type=_count, metavar="N", help="processes, of one thread each (default: cores)"
+    )
+    where.add_argument(
+        "--scheduler", metavar="ADDRESS", help="of dask.distributed, or its file; default: none"
+    )
+    batch.add_argument("--resume", action="store_true", help="do only what is not finished")
+    batch.add_argument("--backend", choices=BACKEND_NAMES, default="cpu")
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
+    return int(text)
+
 
 def _size(text: str) -> int:
     try:

@@ -78,6 +78,7 @@ WHAT_A_CALL_IS_ABOUT = {
     "save_study": 3,
     "small_strain": 1,
     "solve": 2,
+    "solve_cases": 2,
     "solve_study": 1,
     "warp": 2,
     "write_field": 2,
@@ -121,6 +122,7 @@ def test_whatever_has_a_choice_is_in_that_list():
     records = {"Material", "Monitor", "Phantom", "Provenance", "Solution", "phantom"}
     records |= {"Study", "Grid", "Tissue", "Motion", "Pictures"}
     records |= {"Field", "LandmarkFile", "Measurement", "NamedMaterials"}
+    records |= {"BatchProgress", "Case", "CaseOutcome", "NamedCase"}
     records |= {"Drawing", "Arrow", "Landmark", "Stroke"}
     choices = set()
     for name in napari_hmrf.__all__:

@@ -34,6 +34,7 @@ from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.ground import Ground, solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
+from napari_hmrf.study.sweeps import Change, changed
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.material_presets import Preset
@@ -172,15 +173,27 @@ def _names(case: Case) -> dict[str, str]:
     return {"image": case.image.name.partition(".")[0], **files}
 
 
-def solve_case(case: Case, folder: Path, *, backend: str = "auto") -> Saved:
+def solve_case(
+    case: Case, folder: Path, *, backend: str = "auto", changes: Sequence[Change] = ()
+) -> Saved:
     """Solve a case and write the study with its field, and the image as it is seen after.
+
+    Parameters
+    ----------
+    case : Case
+    folder : Path
+        Made if it is not there.
+    backend : str
+        As of `solve`.
+    changes : sequence of Change
+        Which numbers are other than in its files.
 
     Raises
     ------
     HmrfError, OSError
-        As of `read_case`, `solve_study` and `save_study`.
+        As of `read_case`, `changed`, `solve_study` and `save_study`.
     """
-    study = read_case(case)
+    study = changed(read_case(case), changes)
     if case.boundary is None and not case.hold_edge and not is_study_file(case.image):
         raise HmrfError(
             "nothing says how the tissue moves. Give --boundary with what moves, and --hold-edge "

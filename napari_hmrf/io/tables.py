@@ -13,7 +13,7 @@ import csv
 import io
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
@@ -108,6 +108,21 @@ _OF_RULES = {
     **dict.fromkeys(("plane", "row", "col", "amount"), _LENGTH),
     "confidence": _Column(_number(0, 1), "a number from 0 to 1"),
 }
+
+
+def value_of(column: str, text: str) -> Any:
+    """Read a cell as that of a table of materials or rules.
+
+    Raises
+    ------
+    ValueError
+        Saying what it should be.
+    """
+    kind = {**_OF_RULES, **_OF_MATERIALS}[column]
+    try:
+        return kind.read(text)
+    except ValueError:
+        raise ValueError(kind.right) from None
 
 
 def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
@@ -298,6 +313,15 @@ def _in_words(row: Measurement, name: str, axes: int) -> str:
         pixel = (row.area / row.pixels) ** (1 / axes)
         value = as_seen(value, [pixel if name.endswith("displacement") else 1.0])
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
+
+
+def save_rows(path: Path, titles: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write lines under titles to a .csv; what is None is left empty."""
+    file = io.StringIO()
+    writer = csv.DictWriter(file, titles, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_whole(path, file.getvalue().encode())
 
 
 def save_measurements(
