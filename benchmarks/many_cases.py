@@ -1,10 +1,10 @@
 """How fast and how surely many cases are solved: `python benchmarks/many_cases.py`.
 
-Solves 200 cases of 256 x 256, of which one is broken, by two processes, kills them in the middle with
-SIGKILL, and resumes. Then the throughput of whole batches, beside a loop in one process that does the
-same work (reads, solves, writes) warm, and on one thread; and the same by a local dask cluster of two
-workers, where dask.distributed is installed. Measured twice, as others may use the machine: by the
-clock, and by the processors' time that the processes took.
+Solves 200 cases of 256 x 256, of which one is broken, by two processes, kills them in the middle
+with SIGKILL, and resumes. Then the throughput of whole batches, beside a loop in one process that
+does the same work (reads, solves, writes) warm and on one thread; and the same by a local dask
+cluster of two workers, where dask.distributed is installed. Measured twice, as others may use the
+machine: by the clock, and by what the processors did.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ import csv
 import importlib.util
 import json
 import os
-import resource
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
-from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+import psutil
 
 from napari_hmrf import phantom, read_cases, solve_cases
 from napari_hmrf.io.batch import RECORD, one_thread
@@ -32,6 +32,8 @@ from napari_hmrf.io.case import solve_case
 from napari_hmrf.io.images import ImageFile, save_image
 
 SIZE, WORKERS = 256, 2
+#: dask has its workers give memory back at once, which costs a fifth of the time, unless told so.
+KEPT = {"distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None}
 
 
 def write_cases(folder: Path, count: int, broken: bool = True) -> Path:
@@ -51,9 +53,7 @@ def write_cases(folder: Path, count: int, broken: bool = True) -> Path:
     for number in range(count):
         image = "gone.tif" if broken and number == count // 3 else "image.tif"
         amount = 2 + 4 * number / count
-        lines.append(
-            f"case {number},{image},labels.tif,materials.csv,rim.tif,rules.csv,{amount:g}"
-        )
+        lines.append(f"case {number},{image},labels.tif,materials.csv,rim.tif,rules.csv,{amount:g}")
     table = folder / "cases.csv"
     table.write_text("\n".join(lines))
     return table
@@ -88,28 +88,17 @@ def killed_and_resumed(folder: Path, count: int) -> None:
         for row, amount in zip(rows, (2 + 4 * n / count for n in range(count)), strict=True)
         if row["state"] == "done"
     }
-    print(f"killed with {len(before)} of {count} cases finished, and resumed (exit {done.returncode})")
+    print(
+        f"killed with {len(before)} of {count} cases finished, and resumed (exit {done.returncode})"
+    )
     print(f"  left alone: {kept} of {len(before)}; right: {len(most)}; not: {', '.join(wrong)}")
     print(f"  largest displacement beside what was asked for: within {max(most.values()):.2g} px")
     halves = [path.name for path in out.iterdir() if path.is_dir() and not (path / RECORD).exists()]
     print(f"  folders that are not whole: {len(halves)}")
 
 
-@contextmanager
-def timed(results: dict[str, tuple[float, float]], name: str, count: int):
-    """Seconds for a case by the clock and by the processors, those of processes that have ended too."""
-
-    def processors() -> float:
-        both = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-        return sum(each.ru_utime + each.ru_stime for each in both)
-
-    clock, busy = time.perf_counter(), processors()
-    yield
-    results[name] = ((time.perf_counter() - clock) / count, (processors() - busy) / count)
-
-
 def loop(table: Path, out: Path, count: int) -> dict[str, float]:
-    """A loop of warm cases in this process, on one thread; what one takes, by clock and processor."""
+    """Solve cases here on one thread, warm; what one takes, by the clock and the processor."""
     one_thread()
     cases = [each for each in read_cases(table) if each.case.image.exists()][: count + 3]
     for case in cases[:3]:
@@ -121,16 +110,42 @@ def loop(table: Path, out: Path, count: int) -> dict[str, float]:
     return {"clock": clock / len(cases[3:]), "processor": busy / len(cases[3:])}
 
 
-def batch_pace(run: Callable[[Callable[[object], None]], object]) -> dict[str, float]:
-    """Of a batch: seconds for a case, all of it, and once both processes are warm."""
-    times = []
-    begun = time.perf_counter()
-    run(lambda progress: times.append(time.perf_counter()))
-    warm = 4 * WORKERS  # the first cases load the loops
-    return {
-        "all": (times[-1] - begun) / len(times),
-        "warm": (times[-1] - times[warm - 1]) / (len(times) - warm),
-    }
+class Pace(NamedTuple):
+    """Seconds for a case of a batch.
+
+    Attributes
+    ----------
+    first : float
+        Until the first came: processes are started, and load the loops.
+    clock, processors : float
+        Of one of the others by the clock, and by the processors in all processes of ours.
+    """
+
+    first: float
+    clock: float
+    processors: float
+
+
+def processors() -> float:
+    """Seconds that processors have worked for this process and those it has started."""
+    here = psutil.Process()
+    return sum(sum(each.cpu_times()[:2]) for each in (here, *here.children(recursive=True)))
+
+
+def pace_of(run: Callable[[Callable[[object], None]], object]) -> Pace:
+    """Time a batch."""
+    marks = [(time.perf_counter(), processors())]
+    warm, come = 4 * WORKERS, []
+
+    def tell(_: object) -> None:
+        come.append(time.perf_counter())
+        if len(come) >= warm:
+            marks[1:] = [*marks[1:2], (come[-1], processors())]
+
+    run(tell)
+    count = len(come) - warm
+    begun, (clock, busy), (clock_end, busy_end) = marks
+    return Pace(come[0] - begun[0], (clock_end - clock) / count, (busy_end - busy) / count)
 
 
 def throughput(folder: Path, count: int) -> None:
@@ -147,27 +162,37 @@ def throughput(folder: Path, count: int) -> None:
 
     before = looped()
     cases = read_cases(table)
-    paces = {"2 processes": batch_pace(
-        lambda tell: solve_cases(cases, folder / "pool", jobs=WORKERS, progress=tell)
-    )}
+    paces = {
+        "2 processes": pace_of(
+            lambda tell: solve_cases(cases, folder / "pool", jobs=WORKERS, progress=tell)
+        )
+    }
     if importlib.util.find_spec("distributed"):
+        import dask
         from distributed import LocalCluster
 
         options = {"n_workers": WORKERS, "threads_per_worker": 1, "dashboard_address": None}
-        with LocalCluster(**options) as cluster:
+        with dask.config.set(KEPT), LocalCluster(**options) as cluster:
             address = cluster.scheduler_address
-            paces["dask, 2 workers"] = batch_pace(
+            paces["dask, 2 workers"] = pace_of(
                 lambda tell: solve_cases(cases, folder / "dask", scheduler=address, progress=tell)
             )
     after = looped()
-    clock = (before["clock"] + after["clock"]) / 2
-    print(f"\na loop in one process: {1 / clock:.1f} cases a second ({1000 * clock:.0f} ms each; "
-          f"before {1000 * before['clock']:.0f}, after {1000 * after['clock']:.0f}; processor "
-          f"{500 * (before['processor'] + after['processor']):.0f} ms)")
+    clock, busy = ((before[each] + after[each]) / 2 for each in ("clock", "processor"))
+    print(
+        f"\na loop in one process, warm: {1000 * clock:.0f} ms a case ({1000 * busy:.0f} of it "
+        f"a processor's; {1000 * before['clock']:.0f} before the others, "
+        f"{1000 * after['clock']:.0f} after them)"
+    )
     for name, pace in paces.items():
-        for part, each in pace.items():
-            share = clock / (each * WORKERS)
-            print(f"{name}, {part}: {1 / each:.1f} cases a second, a core {share:.2f} of the loop's")
+        print(
+            f"{name}: the first case after {pace.first:.1f} s, then {1000 * pace.clock:.0f} ms a "
+            f"case ({1000 * pace.processors:.0f} of processors)"
+        )
+        print(
+            f"  throughput a core beside the loop: {clock / (pace.clock * WORKERS):.2f} by the "
+            f"clock, {busy / pace.processors:.2f} by what processors did"
+        )
     if len(paces) == 1:
         print("dask.distributed is not installed: no cluster")
 

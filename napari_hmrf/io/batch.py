@@ -20,7 +20,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import cache, partial
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Literal
@@ -29,7 +29,6 @@ import numpy as np
 import pydantic
 import threadpoolctl
 
-from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import HmrfError, in_words
 from napari_hmrf.field.deformation import count_folds, magnitude
 from napari_hmrf.field.units import unit_symbol
@@ -193,7 +192,7 @@ def solve_into(case: NamedCase, folder: Path, backend: str = "cpu") -> CaseOutco
         saved = solve_case(case.case, part, backend=backend, changes=case.changes)
         outcome = _outcome(case.name, saved, time.perf_counter() - begun)
         record = {"cells": dict(case.cells), "outcome": asdict(outcome)}
-        write_whole(part / RECORD, json.dumps(record, indent=2).encode())
+        (part / RECORD).write_text(json.dumps(record, indent=2), encoding="utf-8")
         _publish(part, folder / case.name)
     except Exception as error:  # noqa: BLE001 - one that fails stops no other
         said = in_words(error)
@@ -205,6 +204,7 @@ def solve_into(case: NamedCase, folder: Path, backend: str = "cpu") -> CaseOutco
     return outcome
 
 
+@cache
 def one_thread() -> None:
     """Have this process compute on one thread, as others do beside it."""
     os.environ.update(dict.fromkeys(_THREADS, "1"))
