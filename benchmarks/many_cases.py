@@ -132,20 +132,18 @@ def processors() -> float:
     return sum(sum(each.cpu_times()[:2]) for each in (here, *here.children(recursive=True)))
 
 
-def pace_of(run: Callable[[Callable[[object], None]], object]) -> Pace:
-    """Time a batch."""
-    marks = [(time.perf_counter(), processors())]
-    warm, come = 4 * WORKERS, []
+def pace_of(count: int, run: Callable[[Callable[[object], None]], object]) -> Pace:
+    """Time a batch of so many cases."""
+    warm, come, busy = 4 * WORKERS, [time.perf_counter()], []
 
     def tell(_: object) -> None:
         come.append(time.perf_counter())
-        if len(come) >= warm:
-            marks[1:] = [*marks[1:2], (come[-1], processors())]
+        if len(come) - 1 in (warm, count):  # to ask takes as long as a case
+            busy.append(processors())
 
     run(tell)
-    count = len(come) - warm
-    begun, (clock, busy), (clock_end, busy_end) = marks
-    return Pace(come[0] - begun[0], (clock_end - clock) / count, (busy_end - busy) / count)
+    some = count - warm
+    return Pace(come[1] - come[0], (come[-1] - come[warm]) / some, (busy[1] - busy[0]) / some)
 
 
 def throughput(folder: Path, count: int) -> None:
@@ -164,7 +162,7 @@ def throughput(folder: Path, count: int) -> None:
     cases = read_cases(table)
     paces = {
         "2 processes": pace_of(
-            lambda tell: solve_cases(cases, folder / "pool", jobs=WORKERS, progress=tell)
+            count, lambda tell: solve_cases(cases, folder / "pool", jobs=WORKERS, progress=tell)
         )
     }
     if importlib.util.find_spec("distributed"):
@@ -175,7 +173,8 @@ def throughput(folder: Path, count: int) -> None:
         with dask.config.set(KEPT), LocalCluster(**options) as cluster:
             address = cluster.scheduler_address
             paces["dask, 2 workers"] = pace_of(
-                lambda tell: solve_cases(cases, folder / "dask", scheduler=address, progress=tell)
+                count,
+                lambda tell: solve_cases(cases, folder / "dask", scheduler=address, progress=tell),
             )
     after = looped()
     clock, busy = ((before[each] + after[each]) / 2 for each in ("clock", "processor"))

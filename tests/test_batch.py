@@ -293,7 +293,7 @@ def test_how_far_a_batch_is_is_said_in_words():
     assert batch.BatchProgress(5, 0, 9, 36000.0).words == "5 of 9 cases, about 10 h left"
 
 
-def test_without_dask_a_scheduler_is_refused_and_with_it_one_that_is_not_there(files, monkeypatch):
+def test_without_dask_a_scheduler_is_refused(files, monkeypatch):
     table = write_table(files, "a,image.tif")
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(HmrfError, match=r'pip install "napari-hmrf\[cluster\]"'):
