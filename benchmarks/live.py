@@ -53,9 +53,9 @@ class Drag:
         drawn = phantom("mass-effect", size)
         self.problem = drawn.problem
         self._size = size
-        self._rendering = Rendering(
-            Canvas(self.problem.observed.copy(), self.problem.confidence.copy())
-        )
+        base = Canvas.blank(drawn.image.shape[:2], self.problem.spacing)
+        base.observed[...], base.confidence[...] = self.problem.observed, self.problem.confidence
+        self._rendering = Rendering(base)
         self._warper = Warper(np.stack([drawn.image] * 3, axis=-1))
         self.costs: dict[str, list[float]] = {stage: [] for stage in STAGES}
         self.shown: list[Update] = []

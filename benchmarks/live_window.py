@@ -131,7 +131,7 @@ class Window:
             The times at a stretch in which it answered nothing.
         """
         self.start()
-        drawn = self._widget.history.changed
+        drawn = self._widget.history.edits.changed
         drawn.connect(self._on_drawing)
         mouse = _Poster(self._on_mouse, 1 / _MOUSE, compress=True)
         questions = _Poster(lambda asked: None, _ASKING)
@@ -229,7 +229,7 @@ class Window:
         self.moves += 1
         self._send(QEvent.Type.MouseMove, self._place(moved - self._begun), _LEFT)
 
-    def _on_drawing(self, drawing: object) -> None:
+    def _on_drawing(self, _: object, drawing: object) -> None:
         self._moved[id(drawing)] = (drawing, self._event_time)
 
     def _on_seen(self, seen: Any) -> None:

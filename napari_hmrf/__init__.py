@@ -19,6 +19,7 @@ from napari_hmrf.errors import (
     HmrfError,
     ProblemError,
 )
+from napari_hmrf.field.brightness import at_edges, luminance
 from napari_hmrf.field.deformation import (
     arrows,
     count_folds,
@@ -76,7 +77,6 @@ from napari_hmrf.tissue.boundary_rules import (
 )
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
-from napari_hmrf.tissue.surroundings import at_edges, luminance
 from napari_hmrf.tissue.tissue_names import (
     KnownTissue,
     NamedMaterials,

@@ -89,7 +89,9 @@ def _apply(options: argparse.Namespace) -> int:
     for file in options.files:
         try:
             written = apply_field(field, file, options.out / file.name, labels=options.labels)
-            print(f"written: {written}", flush=True)
+            print(f"written: {written.path}", flush=True)
+            if written.note:
+                print(f"note: {written.note}", flush=True)
         except (HmrfError, OSError) as error:
             failed += 1
             _tell(f"napari-hmrf: {in_words(error)}")

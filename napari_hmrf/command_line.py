@@ -140,8 +140,8 @@ def _add_file_commands(commands: Any) -> None:
         "--materials",
         type=Path,
         metavar="TABLE",
-        help=".csv: label,name,stiffness,poisson,growth; or what a segmentation calls its labels, "
-        "as for the command materials",
+        help=".csv: label,name,stiffness,poisson,growth; a growth of 0.2 or 20%% is a fifth "
+        "longer; or what a segmentation calls its labels, as for the command materials",
     )
     solve.add_argument(
         "--boundary",

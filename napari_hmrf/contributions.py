@@ -96,11 +96,13 @@ def phantom_layers(found: Phantom | HeadPhantom) -> list[LayerData]:
 
 
 def open_solution(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]] | None:
-    """Offer to read a saved result; None for any other file."""
+    """Offer to read a saved result, or a study that was saved so; None for any other file."""
     from napari_hmrf.solver.solution import is_solution_file
 
     paths = _listed(path)
-    return _read if paths and all(is_solution_file(each) for each in paths) else None
+    if paths and all(is_solution_file(each) for each in paths):
+        return _read
+    return open_study(path)
 
 
 def _read(path: PathOrPaths) -> list[LayerData]:

@@ -7,6 +7,9 @@ would have to be undone.
 from __future__ import annotations
 
 import errno
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
 
 #: What the system says of a file that cannot be opened, and what to do.
 _OPENING = {
@@ -54,6 +57,23 @@ class ProblemError(HmrfError, ValueError):
         super().__init__(f"{field}: {message}")
 
 
+class LayerError(ProblemError):
+    """What is wrong with a layer, in a sentence for people.
+
+    Parameters
+    ----------
+    layer : napari.layers.Layer or str
+        Or its name.
+    message : str
+        What is wrong and what to do, as it goes on after the layer's name.
+    """
+
+    def __init__(self, layer: Any, message: str) -> None:
+        name = layer if isinstance(layer, str) else str(layer.name)
+        super().__init__(name, message)
+        self.args = (f"'{name}' {message}",)
+
+
 class ArgumentError(HmrfError, ValueError, TypeError):
     """An argument is of a kind, or has a value, that it cannot have."""
 
@@ -75,6 +95,20 @@ class Cancelled(HmrfError):
 
     def __init__(self) -> None:
         super().__init__("the solve was cancelled")
+
+
+@contextmanager
+def naming(**layers: Any) -> Iterator[None]:
+    """Let errors about an input of the problem name the layer these came from."""
+    try:
+        yield
+    except LayerError:
+        raise
+    except ProblemError as error:
+        layer = layers.get(error.field)
+        if layer is None:
+            raise
+        raise LayerError(layer, error.message) from error
 
 
 def in_words(error: Exception) -> str:

@@ -111,7 +111,7 @@ MUTATIONS = (
         "test_layers_outputs.py",
     ),
     Mutation(
-        "layers/landmarks.py",
+        "field/landmark_pairs.py",
         "(away / 2)[which.reshape(-1)]",
         "away[which.reshape(-1)]",
         "test_landmark_boundary.py",

@@ -7,7 +7,7 @@ from typing import Any
 from window import ROOT, Person, save, wait_until
 
 FOLDER = ROOT / "docs" / "images"
-SAMPLE = "mass-effect"
+SAMPLE = "growth"
 SIZE = (1400, 900)
 #: Steps of a drag: the tissue follows each.
 _STEPS = 10

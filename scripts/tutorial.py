@@ -27,6 +27,9 @@ SIZE = (1280, 690)
 #: Of the animation: what is seen of the window, how large it becomes, how long a frame stays.
 CROP, FRAME, MILLISECONDS = (470, 560), (376, 448), 60
 PLUGIN, TITLE = "napari-hmrf", "Soft tissue"
+GROWING, PUSHED = "Brain with a growing tumour", "Brain with a tumour whose rim is pushed"
+#: Of the tables: growth in per cent, and how far outward a boundary moves.
+GROWS, OUT = 4, 5
 CTRL = Qt.KeyboardModifier.ControlModifier
 
 
@@ -87,10 +90,10 @@ def first(_: dict[str, Path]) -> None:
     """The first deformation: a sample, the dock, a drag, a click."""
     person = Person(SIZE)
     menu = person.menu("File", "Open Sample", PLUGIN)
-    chosen = next(each for each in menu.actions() if "growing" in each.text())
+    chosen = next(each for each in menu.actions() if each.text() == GROWING)
     person.point_at(menu, menu.actionGeometry(chosen).center())
     menu.setActiveAction(chosen)
-    save(person.screen().crop((0, 0, 860, 330)), FOLDER / "first-sample.png")
+    save(person.screen().crop((0, 0, 920, 330)), FOLDER / "first-sample.png")
     person.click(menu, menu.actionGeometry(chosen).center())
     wait(1)
     menu = person.menu("Plugins")
@@ -121,7 +124,7 @@ def first(_: dict[str, Path]) -> None:
 def animation(_: dict[str, Path]) -> None:
     """Tissue that is pulled, as it moves."""
     person = Person(SIZE)
-    open_sample(person, "Brain with a growing tumour")
+    open_sample(person, GROWING)
     dock = open_dock(person)
     take(person, dock, "pull")
     person.viewer.canvas.overlays.text.visible = False
@@ -162,29 +165,44 @@ def animation(_: dict[str, Path]) -> None:
 
 
 def tumour(_: dict[str, Path]) -> None:
-    """A growing tumour: what is painted, what comes of it, and a change."""
+    """A tumour that grows until linear tissue folds, then in large motion; one that is pushed."""
     person = Person(SIZE)
-    open_sample(person, "Brain with a growing tumour")
-    person.menu("Plugins", f"{TITLE} ({PLUGIN})")
-    dock = person.dock(TITLE)
+    open_sample(person, GROWING)
+    dock = open_dock(person)
     form = dock._form
     wait_until(lambda: dock.solution is not None and not dock.busy)
     keep(person, "tumour-painted", pointer=False)
     person.show(form.result.overlay.native)
-    person.choose(form.result.overlay, "Jacobian")
+    person.choose(form.result.overlay, "strain: equivalent")
     wait_until(lambda: not dock.busy)
     dock.result.visible = False
     wait_until(lambda: not dock.busy)
-    keep(person, "tumour-jacobian")
+    keep(person, "tumour-strain")
     person.choose(form.result.overlay, "nothing")
-    table = form.motion.boundary.table
-    person.show(table)
-    person.write(table, 1, 5, "12")
-    wait(0.5)
-    keep(person, "tumour-table", table, form.motion.boundary.choice)
+    dock.result.visible = True
+    table = form.tissue.table
+    (row,) = [number for number, each in enumerate(table.rows) if each.name == "tumour"]
+    person.write(table, row, GROWS, "60")
     wait_until(lambda: not dock.busy)
-    keep(person, "tumour-more")
+    person.show(form.image)
+    keep(person, "tumour-table", table, form.tissue.choice)
+    person.write(table, row, GROWS, "120")
+    wait_until(lambda: not dock.busy)
+    person.click(form.footer.chip)
+    wait_until(lambda: not dock.busy)
     print(dock.status, dock.warning)
+    keep(person, "tumour-folds")
+    person.click(form.footer.unfold)
+    wait_until(lambda: not dock.busy)
+    print(dock.model, dock.status, dock.warning)
+    keep(person, "tumour-large")
+    person.viewer.close()
+    person = Person(SIZE)
+    open_sample(person, PUSHED)
+    dock = open_dock(person)
+    wait_until(lambda: dock.solution is not None and not dock.busy)
+    person.show(dock._form.motion.boundary.table)
+    keep(person, "tumour-pushed", pointer=False)
     person.viewer.close()
 
 
@@ -249,7 +267,7 @@ def typed(person: Person, field: Any, number: str) -> None:
 def brushes(_: dict[str, Path]) -> None:
     """What is doubted: confidence that is painted with a soft edge, and its layer."""
     person = Person(SIZE)
-    open_sample(person, "Brain with a growing tumour")
+    open_sample(person, GROWING)
     dock = open_dock(person)
     take(person, dock, "pull")
     person.choose(dock.fields.components, "left and right only (columns)")
@@ -349,7 +367,7 @@ def volume(_: dict[str, Path]) -> None:
     print(dock.status, dock.warning)
     table = form.motion.boundary.table
     person.show(table)
-    person.write(table, 1, 5, "3")
+    person.write(table, 1, OUT, "3")
     wait_until(lambda: not dock.busy)
     print(dock.status, dock.warning)
     take(person, dock, "pull")

@@ -92,6 +92,23 @@ def test_landmarks_go_where_the_tissue_goes(solved, tmp_path):
     )
 
 
+def test_landmarks_in_other_slices_stay_and_it_is_said(tmp_path, capsys):
+    case = Case("slice")
+    case.write(tmp_path / "back.mha")
+    at = np.full((3, case.axes), 8.0)
+    at[:, 0] = 0, 4, -0.4
+    place = load_field(tmp_path / "back.mha").place
+    save_points(tmp_path / "there.fcsv", place.to_space(at))
+    before = load_points(tmp_path / "there.fcsv").points
+    out = tmp_path / "o"
+    files = [str(tmp_path / name) for name in ("back.mha", "there.fcsv")]
+    assert main(["apply", *files, "-o", str(out)]) == 0
+    steps = np.linalg.norm(load_points(out / "there.fcsv").points - before, axis=1)
+    assert steps[1] < 1e-9
+    assert (steps[[0, 2]] > 0.1).all()
+    assert "1 of 3 points lie in other slices" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("name", ["slice", "3-D"])
 def test_points_move_as_simpleitk_moves_them(name, tmp_path):
     case = Case(name)

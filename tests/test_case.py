@@ -107,6 +107,27 @@ def test_what_is_wrong_with_a_table_is_said_by_its_line(tmp_path, text, sentence
         read_materials(tmp_path / "t.csv")
 
 
+def test_the_shell_takes_growth_pressure_and_large_motion(tmp_path, capsys):
+    labels, paint = np.ones((24, 24), np.uint8), np.zeros((24, 24), np.uint8)
+    labels[8:16, 8:16], paint[-1], paint[0, 6:18] = 2, 1, 2
+    save_image(tmp_path / "labels.png", ImageFile(labels))
+    save_image(tmp_path / "paint.png", ImageFile(paint))
+    (tmp_path / "m.csv").write_text("label,stiffness,growth\n1,1,\n2,6,0/0.4\n")
+    (tmp_path / "r.csv").write_text("label,action,amount\n1,fixed,\n2,press,0.2\n")
+    given = ["solve", "labels.png", "--labels", "labels.png", "--materials", "m.csv"]
+    given += ["--boundary", "paint.png", "--rules", "r.csv", "--model", "large-motion"]
+    given = [str(tmp_path / text) if "." in text else text for text in given]
+    assert main([*given, "-o", str(tmp_path / "out"), "--backend", "cpu"]) == 0
+    assert (
+        "note: forces are in the unit of stiffness, which is not known" in capsys.readouterr().out
+    )
+    study, solution = load_study(tmp_path / "out" / "labels.study")
+    assert study.model_name == "large motion"
+    assert study.tissue.materials[1].growth == (0.0, 0.4)
+    assert solution.displacement[0, 12, 0] > 1  # pressed downwards
+    assert solution.reach.least_jacobian > 0
+
+
 def test_the_shell_solves_what_python_would(files, capsys):
     folder, scan, labels, rim = files
     out = folder / "out"

@@ -21,8 +21,10 @@ from napari_hmrf.contributions import (
     open_landmarks,
     open_scan,
     open_solution,
+    open_study,
     sample_bar,
     sample_expansion,
+    sample_growth,
     sample_head,
     sample_mass_effect,
     save_solution,
@@ -85,20 +87,29 @@ def _imported(python_name):
 
 
 @pytest.mark.parametrize(
-    ("opened", "name"),
-    [(sample_expansion, "expansion"), (sample_mass_effect, "mass-effect"), (sample_bar, "bar")],
+    ("opened", "drawn"),
+    [
+        (sample_expansion, sample("expansion")),
+        (sample_growth, sample("mass-effect").growing()),
+        (sample_mass_effect, sample("mass-effect")),
+        (sample_bar, sample("bar")),
+    ],
+    ids=["expansion", "growth", "mass-effect", "bar"],
 )
-def test_a_sample_makes_the_very_problem_of_its_phantom(opened, name):
+def test_a_sample_makes_the_very_problem_of_its_phantom(opened, drawn):
     image, tissue, boundary = (Layer.create(*data) for data in opened())
     assert isinstance(image, Image)
     assert isinstance(tissue, Labels)
     request = Request(
         tissue, boundary, image, rows_of(tissue, "tissue"), rows_of(boundary, "boundary")
     )
-    problem = read_layers(request).problem
-    expected = sample(name).problem
+    problem = read_layers(request, ElasticPrior()).problem
+    expected = drawn.problem
     for field in ("observed", "confidence", "stiffness"):
         np.testing.assert_array_equal(getattr(problem, field), getattr(expected, field))
+    assert (problem.loads is None) == (expected.loads is None)
+    if expected.loads is not None:
+        assert problem.loads.same_as(expected.loads)
 
 
 @pytest.fixture(scope="module")
@@ -267,3 +278,10 @@ def test_the_dock_is_in_the_menus():
     menus = manifest.contributions.menus
     assert "napari-hmrf.soft_tissue" in [item.command for item in menus["napari/layers/transform"]]
     assert [widget.display_name for widget in manifest.contributions.widgets] == ["Soft tissue"]
+
+
+def test_a_study_that_was_saved_under_another_ending_is_offered_to_be_opened(tmp_path):
+    from napari_hmrf import Grid, Motion, Study, save_study
+
+    path = save_study(tmp_path / "mine.npz", Study(Grid((8, 8), (1.0, 1.0)), motion=Motion(True)))
+    assert open_solution(str(path)) is open_study(str(path)) is not None

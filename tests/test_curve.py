@@ -13,6 +13,7 @@ from qtpy.QtWidgets import QApplication, QFileDialog
 from screen import Cell
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.brightness import luminance
 from napari_hmrf.io.material_tables import load_materials
 from napari_hmrf.layers.metadata import METADATA, TISSUE, described
 from napari_hmrf.study.ground import Ground
@@ -20,7 +21,6 @@ from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
-from napari_hmrf.tissue.surroundings import luminance
 from napari_hmrf.ui.curve.editor import CurveEditor
 
 CURVE = StiffnessCurve(((50, 10), (100, 20), (200, 40)), void_below=20, unit="kPa")

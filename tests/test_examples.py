@@ -44,6 +44,8 @@ def test_a_tumour_grows_at_the_cost_of_what_is_around_it(said, tmp_path):
     assert number("area of the ventricles: # %", text) < 100
     assert number("area of the normal tissue: # %", text) < 100
     assert number("tissue folds: #", text) == 0
+    assert number("elastic, grown by 150 %: folds at # pixels", text) > 5
+    assert number("large motion, grown by 150 %: folds at # pixels", text) == 0
     before, after = re.findall(r"(\d+) before, (\d+) after", text)[0]
     assert int(after) > 1.2 * int(before)
     saved = Solution.load(tmp_path / "growing-tumour.npz")

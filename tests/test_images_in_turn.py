@@ -261,3 +261,18 @@ def test_an_image_that_is_chosen_and_lies_elsewhere_is_gone_to(viewer, widget, s
     widget.image = near
     assert camera_of(viewer).zoom == 10, "what is seen already stays as it is"
     settle(widget)
+
+
+def test_what_is_painted_on_a_second_image_is_seen_above_it(viewer, widget, settle):
+    first = brain(viewer)
+    widget.drawing = MARKS
+    settle(widget)
+    second = brain(viewer, 40)
+    widget.image = second[0]
+    strokes = (Stroke("pin", (((20, 20),),), 4.0), Stroke("confidence", (((20, 20),),), 6.0))
+    widget.drawing = Drawing((*MARKS.marks, *strokes))
+    settle(widget)
+    names = [layer.name for layer in viewer.layers]
+    painted = [at for at, name in enumerate(names) if name.startswith(("Motion, p", "Confidence"))]
+    assert len(painted) == 2
+    assert min(painted) > viewer.layers.index(second[0]) > viewer.layers.index(first[0])

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.brightness import luminance
 from napari_hmrf.tissue.stiffness_curve import (
     StiffnessCurve,
     first_curve,
     with_point,
 )
-from napari_hmrf.tissue.surroundings import luminance
 
 RAMP = StiffnessCurve(((0, 1), (100, 100)))
 

@@ -10,18 +10,15 @@ import pytest
 from finite_oracle import bar, solved, turned
 
 from napari_hmrf import (
-    ArgumentError,
     BackendError,
     Cancelled,
     ElasticPrior,
-    Grid,
     Loads,
     Multigrid,
     NeoHookeanPrior,
     Problem,
     ProblemError,
     Solution,
-    Study,
     solve,
 )
 
@@ -219,8 +216,6 @@ def test_what_it_does_not_take_is_refused_in_a_sentence() -> None:
     c = np.ones((4, 4, 4, 3))
     with pytest.raises(ProblemError, match="large motion is for 2-D"):
         solve(Problem(c, c, np.ones((4, 4, 4))), NeoHookeanPrior())
-    with pytest.raises(ArgumentError, match="no large motion yet"):
-        Study(Grid((8, 8), (1, 1)), prior=NeoHookeanPrior())
     soft = bar(8, 8, np.zeros((8, 2)))
     shear = np.zeros((8, 8, 2, 2))
     shear[..., 0, 1] = shear[..., 1, 0] = 1.5

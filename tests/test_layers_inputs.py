@@ -423,7 +423,7 @@ def test_a_mask_elsewhere_in_the_stack_does_not_matter(which):
     data = np.ma.masked_array(np.ones((4, *SHAPE)), mask=np.zeros((4, *SHAPE), bool))
     data.mask[2] = True
     wanted = request((4, *SHAPE), boundary=Vectors([[(0, 5, 3), (0, 1, 1)]]))
-    assert read_layers(replace(wanted, **{which: Image(data)})).notes == ()
+    assert read_layers(replace(wanted, hold_edge=True, **{which: Image(data)})).notes == ()
 
 
 @pytest.mark.parametrize("dtype", [np.int64, np.uint64])

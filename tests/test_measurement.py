@@ -105,6 +105,14 @@ def solved(tmp_path):
     return save_study(tmp_path / "case", study, solve_study(study, backend="cpu"))
 
 
+def test_without_labels_all_tissue_is_measured_as_in_the_window(tmp_path, capsys):
+    pull = Drawing((Arrow((8, 8), (0, 2), 3),))
+    study = Study(Grid((16, 16), (1.0, 1.0)), motion=Motion(hold_edge=True, drawing=pull))
+    path = save_study(tmp_path / "plain", study, solve_study(study, backend="cpu"))
+    assert main(["measure", str(path)]) == 0
+    assert "tissue" in capsys.readouterr().out
+
+
 def test_the_shell_prints_and_writes_the_table(solved, tmp_path, capsys):
     assert main(["measure", str(solved), "-o", str(tmp_path / "table.csv")]) == 0
     said = capsys.readouterr().out

@@ -9,6 +9,7 @@ import pytest
 from napari_hmrf import (
     BoundaryRule,
     ElasticPrior,
+    FileFormatError,
     Grid,
     Loads,
     Material,
@@ -129,7 +130,7 @@ def test_large_motion_of_a_volume_is_refused_with_what_to_do():
         solve_study(replace(block, prior=NeoHookeanPrior()))
 
 
-@pytest.mark.parametrize("wrong", [-1.0, math.nan, (0.1, 0.1, 0.1), (0.1, -2.0), "much"])
+@pytest.mark.parametrize("wrong", [-1.0, 150.0, math.nan, (0.1, 0.1, 0.1), (0.1, -2.0), "much"])
 def test_growth_that_means_nothing_is_refused_by_its_row(wrong):
     with pytest.raises(ProblemError, match=r"label 2 \(tumour\).*growth"):
         solve_study(study(BRAIN, replace(TUMOUR, growth=wrong)))
@@ -175,7 +176,7 @@ def test_growth_goes_with_a_table_of_materials(tmp_path, amount):
 
 def test_a_spreadsheet_says_growth_and_forces(tmp_path):
     materials, rules = tmp_path / "materials.csv", tmp_path / "rules.csv"
-    materials.write_text("label,stiffness,growth\n1,2\n2,6,0.2\n3,6,0.2/0\n")
+    materials.write_text("label,stiffness,growth\n1,2\n2,6,0.2\n3,6,20%/0\n")
     rules.write_text("label,action,row,col,amount\n1,press,,,0.3\n2,pull,0,0.2,\n")
     assert [row.growth for row in read_materials(materials)] == [0.0, 0.2, (0.2, 0.0)]
     press, pull = read_rules(rules)
@@ -228,3 +229,11 @@ def test_the_sample_tumour_grows_about_as_far_as_its_rim_is_pushed():
     assert far[1] == pytest.approx(far[0], rel=0.25)
     assert isinstance(grown.problem.loads, Loads)
     assert not grown.boundary_labels[rim].any()
+
+
+@pytest.mark.parametrize("text", ["150", "-1", "-100%", "0.2/-1", "much", "/"])
+def test_growth_that_is_a_slip_is_refused_by_its_line(tmp_path, text):
+    path = tmp_path / "materials.csv"
+    path.write_text(f"label,stiffness,growth\n1,2,{text}\n")
+    with pytest.raises(FileFormatError, match=r"line 2: growth .*a fifth longer"):
+        read_materials(path)

@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +34,15 @@ Pixels = npt.NDArray[Any]
 
 #: What files make of 0, in mm.
 _ROUNDING = 1e-4
+#: How far from its middle, in slices, a point is in a slice.
+_IN_SLICE = 0.5 + 1e-3
+
+
+class Applied(NamedTuple):
+    """The file that was written, and what people should know of it, as a clause."""
+
+    path: Path
+    note: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,16 +150,16 @@ def save_field(path: str | os.PathLike[str], field: FieldFile, *, forward: bool 
 
 def apply_field(
     field: FieldFile, path: str | os.PathLike[str], target: str | os.PathLike[str], *, labels: bool
-) -> Path:
+) -> Applied:
     """Move what is in a file with the tissue, and write it to another of the same kind.
 
     Parameters
     ----------
     field : FieldFile
     path : str or path-like
-        An image, or landmarks. Of a volume the slice in which the field lies is moved; if that is
-        not known, all its slices are, as those of a film are. By a field of a volume all of it is
-        moved; its axes come in the order of the field's.
+        An image, or landmarks. Of a volume the slice in which the field lies is moved, and the
+        landmarks in it; if that is not known, all its slices are, as those of a film are. By a
+        field of a volume all of it is moved; its axes come in the order of the field's.
     target : str or path-like
     labels : bool
         Whether an image's values are labels, between which there is nothing.
@@ -189,7 +198,7 @@ def apply_field(
         moved = pixels.copy()
         for number in _slices(field, image, name):
             moved[number] = _moved(field, pixels[number], order)
-    return save_image(target, image._replace(pixels=moved))
+    return Applied(save_image(target, image._replace(pixels=moved)))
 
 
 def _moved(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
@@ -238,12 +247,16 @@ def _slices(field: FieldFile, image: ImageFile, name: str) -> list[int]:
 
 def _move_landmarks(
     field: FieldFile, path: str | os.PathLike[str], target: str | os.PathLike[str]
-) -> Path:
+) -> Applied:
     file, name, n = load_points(path), Path(path).name, len(field.shape)
     place = place_for(file, field.place, name, n)
     at = place.to_pixels(file.points)
-    at[:, -n:] += field.field.at(at[:, -n:]) / field.spacing
-    return save_points(target, place.to_space(at), file.targets, names=file.names)
+    # As of images, other slices stay where they are.
+    here = (np.abs(at[:, :-n]) <= _IN_SLICE).all(axis=1)
+    at[here, -n:] += field.field.at(at[here, -n:]) / field.spacing
+    apart = int((~here).sum())
+    note = f"{apart} of {len(here)} points lie in other slices, and stay" if apart else ""
+    return Applied(save_points(target, place.to_space(at), file.targets, names=file.names), note)
 
 
 def place_for(file: LandmarkFile, place: Place | None, name: str, n: int) -> Place:

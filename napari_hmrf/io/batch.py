@@ -44,6 +44,8 @@ UNFINISHED = ".unfinished"
 SUMMARY = "summary.csv"
 #: How often the summary is written while cases come, in seconds.
 _SELDOM = 5.0
+#: By how many cases the pace is told.
+_PACE = 20
 #: What libraries are told of how many threads to start.
 _THREADS = "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 
@@ -260,8 +262,8 @@ class _Batch:
         self._found = {case.name: found.get(case.name, CaseOutcome(case.name)) for case in cases}
         self._folder = folder
         self._todo = len(cases) - len(found)
-        self._come = 0
-        self._begun = self._written = time.monotonic()
+        self._come: list[float] = []
+        self._written = time.monotonic()
 
     @property
     def outcomes(self) -> tuple[CaseOutcome, ...]:
@@ -270,16 +272,23 @@ class _Batch:
     def take(self, outcome: CaseOutcome) -> BatchProgress:
         """Take one more, and write the summary now and then."""
         self._found[outcome.case] = outcome
-        self._come += 1
         now = time.monotonic()
+        self._come.append(now)
         if now > self._written + _SELDOM:
             self.write()
             self._written = now
         states = [each.state for each in self._found.values()]
-        left = (now - self._begun) / self._come * (self._todo - self._come)
+        left = self._seconds_left()
         return BatchProgress(
             states.count("done"), states.count("failed"), len(states), left, outcome
         )
+
+    def _seconds_left(self) -> float | None:
+        """By the newest cases, as the first wait for processes and loops."""
+        newest = self._come[-_PACE:]
+        if len(newest) < _PACE:
+            return None
+        return (newest[-1] - newest[0]) / (_PACE - 1) * (self._todo - len(self._come))
 
     def write(self) -> None:
         """Write the summary: a line for each case."""

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
+from napari_hmrf.field.brightness import at_edges
 from napari_hmrf.field.deformation import count_folds
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.measurement import Measurement, measure
@@ -38,7 +39,6 @@ from napari_hmrf.study.sweeps import Change, changed
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.material_presets import Preset
-from napari_hmrf.tissue.surroundings import at_edges
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
 
@@ -240,8 +240,8 @@ def measured(path: Path, labels: Path | None = None) -> Measured:
     image = None if tissue is None else tissue.labels
     if labels is not None:
         image = _as_labels(_on_grid(labels, solution), labels)
-    if image is None:
-        raise HmrfError(f"{path.name}: the file holds no tissue labels. Give --labels.")
+    if image is None:  # nothing tells one tissue from another
+        image, names = np.ones(solution.tissue.shape, np.int32), {1: "tissue"}
     unit = unit_symbol(Frame.of_solution(solution).unit)
     return Measured(measure(solution, image, names=names), unit, solution.tissue.ndim == 3)
 

@@ -119,7 +119,7 @@ def _version(preset: Preset) -> int:
     return _RIGID if any(row.is_rigid for row in preset.materials) else _FIRST
 
 
-_Strain = Annotated[float, pydantic.Field(gt=-1, allow_inf_nan=False)]
+_Strain = Annotated[float, pydantic.Field(gt=-1, le=10, allow_inf_nan=False)]
 
 
 class _Row(pydantic.BaseModel, strict=True):

@@ -31,6 +31,7 @@ from napari_hmrf.tissue.boundary_rules import (
     Action,
     BoundaryRule,
     Material,
+    is_growth,
     read_stiffness,
     stiffness_in_words,
 )
@@ -42,6 +43,8 @@ _LARGEST = 2**20
 _OF_VOLUMES = {"pixels": "voxels", "area": "volume", "area_change": "volume_change"}
 #: Of measurements, those in per cent: their columns say so.
 _PER_CENT = ("area_change", "mean_strain", "largest_strain")
+#: Components below this part of a force are left out.
+_NOISE = 1e-3
 
 
 class _Column(NamedTuple):
@@ -83,8 +86,12 @@ def _action(text: str) -> str:
 
 
 def _growth(text: str) -> float | tuple[float, ...]:
-    parts = tuple(map(_number(), text.split("/")))
-    if min(parts) <= -1:
+    # As a part, or in per cent if it says so.
+    parts = tuple(
+        _number()(part.strip().removesuffix("%")) / (100 if "%" in part else 1)
+        for part in text.split("/")
+    )
+    if not all(is_growth(part) for part in parts):
         raise ValueError
     return parts if len(parts) > 1 else parts[0]
 
@@ -98,7 +105,7 @@ _OF_MATERIALS = {
     "poisson": _Column(
         _number(*POISSON_RANGE), "a number from {:g} to {:g}".format(*POISSON_RANGE)
     ),
-    "growth": _Column(_growth, "a number above -1, or one for each axis: 0.1/0"),
+    "growth": _Column(_growth, "0.2 or 20% (a fifth longer; up to 10), or one for each axis"),
     "source": _Column(str, "where the numbers are from"),
 }
 _OF_RULES = {
@@ -292,12 +299,13 @@ def forces_in_words(
     """
     volume = len(ways.order) == 3
     content, site = ("²", "voxel") if volume else ("", "pixel")
-    of = f"{stiffness or 'stiffness'} {unit}{content}"
+    of = f"{stiffness or 'relative'} {unit}{content}"
     titles = ["what", f"around {site}", f"{site}s", f"force ({of})", "which way"]
     cells = []
     for row in rows:
-        seen = tuple(float(f"{part:.3g}") for part in ways.seen(row.force))
         size = math.hypot(*row.force)
+        parts = (part if abs(part) > _NOISE * size else 0.0 for part in ways.seen(row.force))
+        seen = tuple(float(f"{part:.3g}") for part in parts)
         where = ", ".join(f"{round(along)}" for along in row.centre)
         what = "moved" if row.moves else "held"
         cells.append([what, where, f"{row.sites}", f"{size:.3g}", ways.step(seen)])

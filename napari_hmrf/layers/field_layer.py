@@ -13,7 +13,7 @@ from typing import Any
 import numpy.typing as npt
 from napari.layers import Image, Labels, Points, Shapes
 
-from napari_hmrf.errors import ProblemError
+from napari_hmrf.errors import ProblemError, naming
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.moved_points import bendable
@@ -22,8 +22,7 @@ from napari_hmrf.field.other_grid import OtherGrid
 from napari_hmrf.layers.label_colours import OBSERVED
 from napari_hmrf.layers.metadata import IMAGE, METADATA, TISSUE, known_of, role_of, rows_of
 from napari_hmrf.layers.result_layers import ARROWS, Answer, LayerData
-from napari_hmrf.layers.slice_view import View, copy_slice, frame_of, layer_extents
-from napari_hmrf.study.layer_names import full_resolution, naming
+from napari_hmrf.layers.slice_view import View, copy_slice, frame_of, full_resolution, layer_extents
 
 Array = npt.NDArray[Any]
 #: What the metadata of a layer say that was moved.

@@ -11,8 +11,7 @@ from napari.layers import Image
 
 from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, known_of, role_of
-from napari_hmrf.layers.slice_view import View, fits
-from napari_hmrf.study.layer_names import full_resolution
+from napari_hmrf.layers.slice_view import View, fits, full_resolution
 
 #: Ways of drawing an image that leave nothing to be seen of what lies beneath.
 _OPAQUE = ("opaque", "translucent", "translucent_no_depth")

@@ -312,8 +312,9 @@ class Result:
         layers = self._viewer.layers
         if made.kind == "vectors" or _kind_of(made) in MARKS:  # as lines often lie where folds are
             return len(layers)
-        if part in (PAINTED, CONFIDENCE):  # below what else is drawn
-            drawn = (at for at, each in enumerate(layers) if _is_drawn(each))
+        if part in (PAINTED, CONFIDENCE):  # below what else is drawn on it
+            lowest = self._above(self.layer("image"), self.anchor())
+            drawn = (at for at, each in enumerate(layers) if at >= lowest and _is_drawn(each))
             return next(drawn, len(layers))
         below = [] if part == "image" else [self.layer("image")]
         if part == "overlay":  # through paint its colours would be read as others
@@ -322,6 +323,11 @@ class Result:
             below.append(self.anchor())
         else:
             below += [source, *(each for each in layers if _is_moved(each, self.where))]
+        return self._above(*below)
+
+    def _above(self, *below: Any) -> int:
+        """Where a layer lies directly above others."""
+        layers = self._viewer.layers
         return max((layers.index(each) + 1 for each in below if each in layers), default=0)
 
 

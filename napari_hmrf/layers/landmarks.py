@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from napari.layers import Shapes
-from scipy.spatial import KDTree
 
+from napari_hmrf.errors import LayerError, naming
 from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.landmark_pairs import LandmarkPairs
 from napari_hmrf.layers.slice_view import View, frame_of
-from napari_hmrf.study.layer_names import LayerError, naming
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
@@ -63,28 +63,13 @@ def read_landmarks(
         or a landmark cannot be placed, lies outside the image, or contradicts another.
     """
     pairs = landmark_pairs(where, should, frame, shape, view)
-    radii = _radii(pairs.at, radius, frame, shape)
+    wanted = usual_radius(shape, frame.spacing) if radius is None else radius
+    radii = pairs.radii(wanted, frame.spacing)
     with naming(observed=where, confidence=where):
         return tuple(
             Landmark(tuple(a), tuple(b), size, confidence)
             for a, b, size in zip(pairs.at.tolist(), pairs.to.tolist(), radii, strict=True)
         )
-
-
-class LandmarkPairs(NamedTuple):
-    """Landmarks of a slice.
-
-    Attributes
-    ----------
-    numbers : ndarray of int
-        Which of their layer they are.
-    at, to : ndarray, shape (N, n)
-        Where things are and should be, in pixels of the slice.
-    """
-
-    numbers: npt.NDArray[np.intp]
-    at: FloatArray
-    to: FloatArray
 
 
 def landmark_pairs(
@@ -112,37 +97,15 @@ def landmark_pairs(
         raise LayerError(
             where, f"has {what} {numbers[outside][0]} outside the image. Move it, or remove it."
         )
-    _refuse_contradiction(where, what, at, to, numbers)
-    return LandmarkPairs(numbers, at, to)
-
-
-def _refuse_contradiction(
-    where: Any, what: str, at: FloatArray, to: FloatArray, numbers: npt.NDArray[np.intp]
-) -> None:
-    """Refuse landmarks of one pixel that should go to different places."""
-    first: dict[tuple[float, ...], int] = {}
-    for each, pixel in enumerate(np.rint(at).tolist()):
-        earlier = first.setdefault(tuple(pixel), each)
-        if not np.allclose(to[each] - at[each], to[earlier] - at[earlier], atol=1e-3):
-            one, other = numbers[[earlier, each]]
-            raise LayerError(
-                where,
-                f"has {what}s {one} and {other} in one pixel, which lead to different places. "
-                "Remove one of them.",
-            )
-
-
-def _radii(
-    at: FloatArray, radius: float | None, frame: Frame, shape: tuple[int, ...]
-) -> list[float]:
-    """The radius of each patch; where points are close, half of the way to the next one."""
-    # Of two patches that overlap the later would win, and the earlier point not go where it should.
-    wanted = usual_radius(shape, frame.spacing) if radius is None else radius
-    # Those of one pixel lead to one place: they are one patch, and not in each other's way.
-    _, first, which = np.unique(np.rint(at), axis=0, return_index=True, return_inverse=True)
-    lengths = at[first] * frame.spacing
-    away = KDTree(lengths).query(lengths, k=2)[0][:, 1]  # infinite of a single one
-    return [min(wanted, half) for half in (away / 2)[which.reshape(-1)].tolist()]
+    pairs = LandmarkPairs(numbers, at, to)
+    if (contradiction := pairs.contradiction) is not None:
+        one, other = contradiction
+        raise LayerError(
+            where,
+            f"has {what}s {one} and {other} in one pixel, which lead to different places. "
+            "Remove one of them.",
+        )
+    return pairs
 
 
 def _placed(

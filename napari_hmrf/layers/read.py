@@ -10,6 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Labels, Layer, Vectors
 
+from napari_hmrf.errors import LayerError, naming
+from napari_hmrf.field.brightness import at_edges
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import arrow_observation
@@ -30,13 +32,11 @@ from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.result_layers import layer_on
 from napari_hmrf.layers.slice_view import View, check_size, frame_of, plane_shape
 from napari_hmrf.solver.problem import grid_in_words
-from napari_hmrf.study.layer_names import LayerError, naming
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
-from napari_hmrf.tissue.surroundings import at_edges
 
 #: What is observed is sure where the image has edges.
 EDGES = "edges"

@@ -9,11 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Points, Shapes, Vectors
 
-from napari_hmrf.errors import HmrfError
+from napari_hmrf.errors import HmrfError, LayerError
 from napari_hmrf.field.drawn_slice import pixel_drawn, sliders_at
 from napari_hmrf.field.frame import Frame, as_tuples, is_flat
 from napari_hmrf.field.units import unit_factor
-from napari_hmrf.study.layer_names import LayerError, full_resolution
 
 
 @dataclass(frozen=True)
@@ -207,6 +206,11 @@ def plane_shown(frame: Frame, view: View) -> tuple[int, int]:
     shown = {axis - missing for axis in view.displayed[-2:]}
     across = next(at for at, axis in enumerate(frame.plane) if axis not in shown)
     return across, int(view.pixel(frame, view.point)[frame.plane[across]])
+
+
+def full_resolution(layer: Any) -> Any:
+    """The data of an Image or Labels layer, the finest level of a multiscale one."""
+    return layer.data[0] if getattr(layer, "multiscale", False) else layer.data
 
 
 def layer_extents(layer: Any) -> tuple[int, ...]:

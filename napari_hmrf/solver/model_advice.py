@@ -33,14 +33,14 @@ ABOUT_POISSON = (
 )
 
 
-def when_to_take(model: ModelName, plane: Plane) -> str:
+def when_to_take(model: ModelName, plane: Plane | None) -> str:
     """Say what a choice is good for, and what was measured of it.
 
     Parameters
     ----------
-    model : {"elastic", "paper", "paper, converged"}
-    plane : {"stress", "strain"}
-        Of elastic tissue.
+    model : {"elastic", "large motion", "paper", "paper, converged"}
+    plane : {"stress", "strain"} or None
+        None of a volume.
     """
     said = f"{_WHEN[model]} {_FROM_FEM.format(_OFF[model])}" if model in _OFF else _WHEN[model]
-    return f"{said} {_WHEN_PLANE[plane]} {_HOW_MUCH}" if model in ELASTIC else said
+    return f"{said} {_WHEN_PLANE[plane]} {_HOW_MUCH}" if plane and model in ELASTIC else said

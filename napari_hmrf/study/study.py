@@ -13,17 +13,16 @@ from typing import Any
 
 import numpy.typing as npt
 
-from napari_hmrf.errors import ProblemError
+from napari_hmrf.errors import ProblemError, naming
+from napari_hmrf.field.brightness import luminance
 from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
-from napari_hmrf.study.layer_names import naming
 from napari_hmrf.study.models import chosen
 from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
-from napari_hmrf.tissue.surroundings import luminance
 
 Array = npt.NDArray[Any]
 

@@ -18,9 +18,9 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import is_one_of, is_whole, real, reals, refuse_unless, shown
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.normals import outward_normals
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.solver.problem import FloatArray, as_numbers
-from napari_hmrf.tissue.normals import outward_normals
 
 Action = Literal["fixed", "move", "expand", "press", "pull"]
 #: Those that are forces, and observe nothing.
@@ -36,6 +36,8 @@ _RIGID = "rigid"
 #: The name of label 0, and the stiffness of a new tissue where nothing is known.
 UNPAINTED = "everything unpainted"
 _STIFFNESS = 20.0
+#: Ten times longer: more is a number in per cent.
+_LARGEST_GROWTH = 10.0
 #: Single precision holds no larger one: it would come out as rigid.
 LARGEST_STIFFNESS = float(np.finfo(np.float32).max)
 
@@ -148,6 +150,11 @@ def default_rigid(label: int) -> Material:
 def default_rule(label: int) -> BoundaryRule:
     """A new boundary stays where it is, until told otherwise."""
     return BoundaryRule(label, "fixed", name=f"boundary {label}")
+
+
+def is_growth(strain: Any) -> bool:
+    """Whether tissue can grow by that: it does not shrink to nothing, nor is it a slip of 100."""
+    return -1 < real(strain) <= _LARGEST_GROWTH
 
 
 def read_stiffness(value: Any) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from functools import reduce
 from operator import add
@@ -15,7 +14,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.body_forces import pressure, traction
 from napari_hmrf.solver.loads import Loads, growth
 from napari_hmrf.solver.problem import FloatArray
-from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material, quoted
+from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material, is_growth, quoted
 
 
 def growth_loads(labels: npt.ArrayLike, materials: Iterable[Material]) -> Loads | None:
@@ -35,7 +34,7 @@ def growth_loads(labels: npt.ArrayLike, materials: Iterable[Material]) -> Loads 
     Raises
     ------
     ProblemError
-        If a growth is no number above -1, nor such a number for each axis.
+        If a growth is no number above -1 and up to 10, nor such a number for each axis.
     """
     image, parts = np.asarray(labels), []
     for material in materials:
@@ -44,11 +43,11 @@ def growth_loads(labels: npt.ArrayLike, materials: Iterable[Material]) -> Loads 
             continue
         along = np.ndim(material.growth) > 0
         amounts = reals(material.growth, image.ndim) if along else (real(material.growth),)
-        if not all(-1 < amount < math.inf for amount in amounts):
+        if not all(map(is_growth, amounts)):
             raise ProblemError(
                 "stiffness",
                 f"gives {quoted(material)} a growth of {shown(material.growth)}. Give a number "
-                f"above -1 (0.1: a tenth longer), or {image.ndim} of them, one along each axis.",
+                f"above -1, up to 10 (0.1: a tenth longer), or {image.ndim}, one along each axis.",
             )
         ways = np.eye(image.ndim) if along else [None]
         parts += [growth(far * there, along=way) for far, way in zip(amounts, ways, strict=True)]

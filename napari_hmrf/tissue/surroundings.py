@@ -1,4 +1,4 @@
-"""What a picture says of itself: its dark surroundings, how bright its colours are, its edges."""
+"""The dark surroundings of a picture, which are no tissue, or soft."""
 
 from __future__ import annotations
 
@@ -7,10 +7,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
-from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.solver.normals import outside_of
 
 # Of how far what is bright is from air, so much must what is dark be apart to be two things.
 _APART = 0.35
@@ -23,10 +21,6 @@ _known: list[tuple[weakref.ref[Any], npt.NDArray[np.bool_]]] = []
 _AROUND = 0.75
 # So far above what surrounds it tissue begins, on the way to its usual intensity.
 _ABOVE = 0.01
-# Of red, green and blue: how bright they look (ITU-R BT.709).
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
-# Pixels whose slope is steeper than that of this share of all are edges.
-_SHARE = 0.9
 
 
 def background_of(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bool_]:
@@ -136,58 +130,3 @@ def air_that_is_tissue(picture: npt.NDArray[Any], tissue: npt.NDArray[np.bool_])
         "the dark surroundings of the image move as tissue does, too: if they are air, leave them "
         "unpainted and tick 'the dark border is no tissue'"
     )
-
-
-def outside_of(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """What is around a mask and hangs together with the image's edge: no holes in it."""
-    # A ring around the image joins all that reaches its edge.
-    pieces, _ = scipy.ndimage.label(np.pad(~mask, 1, constant_values=True))
-    found: npt.NDArray[np.bool_] = (pieces == pieces.flat[0])[(slice(1, -1),) * mask.ndim]
-    return found
-
-
-def luminance(colours: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    """How bright colours are, from 0 to the largest value of their type.
-
-    Parameters
-    ----------
-    colours : ndarray, shape (..., 3 or 4)
-        Red, green and blue; how opaque they are does not count.
-
-    Returns
-    -------
-    ndarray, shape (...), float32
-
-    Raises
-    ------
-    ProblemError
-        If these are no colours.
-    """
-    colours = as_numbers("colours", colours)
-    if colours.ndim == 0 or colours.shape[-1] not in (3, 4):
-        raise ProblemError(
-            "colours", f"has shape {colours.shape}. Give (..., 3 or 4): red, green, blue."
-        )
-    bright: npt.NDArray[np.float32] = colours[..., :3].astype(np.float32) @ _LUMINANCE
-    return bright
-
-
-def at_edges(image: npt.NDArray[Any], *, axes: int = 2) -> npt.NDArray[np.float32]:
-    """Complete confidence where an image has its steepest edges, and none elsewhere.
-
-    Parameters
-    ----------
-    image : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
-    axes : int
-        How many of it are not colours: 3 of a volume.
-
-    Returns
-    -------
-    ndarray, shape ([D,] H, W), float32
-        1 at the steepest tenth of the pixels.
-    """
-    from skimage.filters import gaussian, sobel
-
-    slope = sobel(gaussian(luminance(image) if image.ndim > axes else image.astype(float), 1))
-    steep: npt.NDArray[np.float32] = (slope > np.quantile(slope, _SHARE)).astype(np.float32)
-    return steep

@@ -38,7 +38,6 @@ _WORDS = {
     "confidence": "chose what says how sure the boundary is",
     "border": "changed whether the dark border is tissue",
     "edge": "changed whether the edge is held",
-    "way": "changed which way weight pulls",
     "weight": "changed the weight",
     "extent": "changed between slice and volume",
 }
@@ -77,8 +76,7 @@ class Choices:
             "confidence": motion.boundary.confidence,
             "border": form.tissue.border,
             "edge": motion.edge,
-            "weight": motion.weight.amount,
-            "way": motion.weight.way,
+            "weight": motion.weight,
             "extent": form.extent,
             "second": form.result.second,
         }
@@ -159,7 +157,7 @@ class Choices:
             preset=form.motion.fields.preset.value,
             without_border=form.tissue.border.value,
             curve=form.tissue.curve,
-            weight=form.motion.weight.vector,
+            weight=form.motion.weight.value,
         )
 
     def look(self, *_: Any) -> None:

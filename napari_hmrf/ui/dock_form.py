@@ -85,6 +85,7 @@ class DockForm:
         keys = ", ".join(f"{tool.key}: {tool.title.lower()}" for tool in TOOLS)
         self.footer = Footer(f"Tools: {keys}.")
         self.tissue.edited.connect(self._on_tissue)
+        self.extent.changed.connect(lambda _: self.model.extent_is(self.extent.is_volume))
         model, motion = self.model, self.motion
         fields = (self.extent, model, model.in_detail, motion.edge, motion.weight)
         presets = motion.fields.preset

@@ -47,7 +47,7 @@ class Footer(QWidget):
         Their tooltips say what they would do.
     chip : QPushButton
         There only when there is something to know of the tissue that is seen.
-    unfold : QPushButton
+    other : QPushButton
         There only when another model would mend it.
     """
 
@@ -62,7 +62,7 @@ class Footer(QWidget):
         self.help = PushButton(text="?", tooltip=_HELP + tools)
         self.help.native.setFixedWidth(28)
         self.chip = QPushButton()
-        self.unfold = QPushButton("Take large motion, which never folds")
+        self.other = QPushButton()
         self.warning = ""
         self._status = Prose(_LINES)
         layout = QVBoxLayout(self)
@@ -72,13 +72,13 @@ class Footer(QWidget):
         self._rows = row(self.live, self.undo, self.redo, self.help), row(self.deform, self.cancel)
         self.chip.setStyleSheet(_CHIP)
         self.chip.hide()
-        self.unfold.hide()
+        self.other.hide()
         words = self._status.native
         words.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         words.setContentsMargins(4, 0, 4, 0)
         for each in self._rows:
             each.margins = (2, 0, 2, 0)
-        for part in (words, self.chip, self.unfold, *(each.native for each in self._rows)):
+        for part in (words, self.chip, self.other, *(each.native for each in self._rows)):
             layout.addWidget(part)
         self.help.changed.connect(self._show_help)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
@@ -109,6 +109,11 @@ class Footer(QWidget):
         self.chip.setVisible(bool(sentences))
         self.chip.setText(f"⚠  {short or 'Good to know'}")
         self.chip.setToolTip(sentences)
+
+    def offer(self, words: str) -> None:
+        """Have a button for something that helps; "" if there is nothing."""
+        self.other.setVisible(bool(words))
+        self.other.setText(words)
 
     def show_work(self, going_on: bool) -> None:
         """Show whether there is anything to be cancelled before the next can begin."""

@@ -13,7 +13,6 @@ from napari.utils.notifications import show_error, show_warning
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.field.animation import MARKS, Mark
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.pixel_copy import LayerCopies
@@ -35,7 +34,7 @@ from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import repeating, single_shot
 from napari_hmrf.ui.follower import Done, Follower, Seen
 from napari_hmrf.ui.motion.pointer import Pointer
-from napari_hmrf.ui.result.result_messages import NOTHING
+from napari_hmrf.ui.warning_chip import WarningChip
 
 _log = logging.getLogger("napari_hmrf")
 #: How often it is asked how far a solve is, in milliseconds.
@@ -44,6 +43,8 @@ _POLL = 30
 _PATIENCE = 0.4
 #: How long tissue must rest until all layers of a result are drawn, in milliseconds.
 _REST = 200
+#: How close large motion is while a hand moves it, in pixels.
+_NEAR = 0.1
 #: Sites on which a volume, or an image in large motion, is solved while a hand moves it: several
 #: pictures a second. Images of up to so many times these are followed on all of theirs.
 GLANCED, _FOLLOWED = 100_000, 4
@@ -70,6 +71,8 @@ class LiveStudy:
         Whether a study is solved from nothing.
     curve_layer : CurveLayer
         Shows the curve by which tissue is made, if it is.
+    chip : WarningChip
+        Says what is to be known of the latest result.
     """
 
     #: The tissue as it is seen from now on: a `Deformation`.
@@ -108,9 +111,8 @@ class LiveStudy:
         self.curve_layer = CurveLayer(viewer, form.tissue.editor)
         form.footer.live.changed.connect(self.touch)
         pointer.drawn.connect(self._on_drawn)
-        form.footer.chip.clicked.connect(self._on_chip)
-        form.footer.unfold.clicked.connect(self._unfold)
-        form.result.overlay.changed.connect(self._describe)
+        self.chip = WarningChip(viewer, form, lambda: self._latest_here)
+        self.chip.said.connect(lambda sentence: self.said.emit(sentence))
 
     # What there is
 
@@ -264,7 +266,7 @@ class LiveStudy:
         self.study = self.source = self._asked = None
         self._failed = self._report = ""
         self.pointer.stand_on(None)
-        self._describe()
+        self.chip.look()
 
     def release(self) -> None:
         """Follow nothing any more."""
@@ -293,7 +295,7 @@ class LiveStudy:
                 self.source, self._report = source, ""
             self._asked = None
             self.pointer.stand_on(study, source)
-            self._describe()
+            self.chip.look()
             self.form.footer.live.judge(math.prod(study.grid.shape[-2:]))
             self._follower.rehearse(study)
             self.moved_on.emit(study)
@@ -320,8 +322,7 @@ class LiveStudy:
             self._since = time.monotonic()
         self._asked = study
         self._resting.stop()
-        if self._is_hasty(study):
-            study = replace(study, optimizer=Multigrid(TOLERANCE))
+        study = self._as_followed(study)
         device = self.form.model.in_detail.details.device
         self._follower.follow(study, device, self._glanced_at(study))
         if not self._poll.isActive():
@@ -334,14 +335,15 @@ class LiveStudy:
         if not self.pointer.hand.holding or (len(shape) == 2 and quick):
             return None
         seen = () if len(shape) == 2 else plane_shown(study.grid.place, self.form.view())
-        grid = CoarseGrid.of_at_most(GLANCED, shape)
-        return Glance(grid, *seen)
+        return Glance(CoarseGrid.of_at_most(GLANCED, shape), *seen)
 
-    def _is_hasty(self, study: Study) -> bool:
-        """Whether a frame of a drag is enough, that need not be nearer than can be seen."""
+    def _as_followed(self, study: Study) -> Study:
+        """A study as it is solved: a frame of a drag need not be nearer than can be seen."""
         optimizer = study.optimizer
-        near = isinstance(optimizer, Multigrid) and optimizer.tolerance < TOLERANCE
-        return near and self.pointer.hand.holding
+        near = _NEAR if study.model_name == "large motion" else TOLERANCE
+        if not self.pointer.hand.holding or not isinstance(optimizer, Multigrid):
+            return study
+        return replace(study, optimizer=Multigrid(max(near, optimizer.tolerance)))
 
     def _on_seen(self, seen: Seen) -> None:
         study, moved = self.study, seen.moved
@@ -371,7 +373,7 @@ class LiveStudy:
         self._done[self.source], self._failed = done, ""
         self._report = messages.report(done)
         self._show(done)
-        self._describe()
+        self.chip.look()
         settled = self.settling
         if settled:
             self._stop()
@@ -429,24 +431,19 @@ class LiveStudy:
         if anew or self._told != before:
             self.said.emit(self._told)
 
-    def _describe(self, *_: Any) -> None:
-        """Say of the latest result what is to be known, if it is of what is worked on."""
-        done, seen = self._latest_here, self.form.result.overlay.value
-        self.form.footer.warn(*(("",) if done is None else messages.warnings_of(done, seen)))
-        self.form.footer.unfold.setVisible(done is not None and messages.can_unfold(done))
-
     def _cannot(self, error: Exception) -> None:
         """The tissue does not follow; the last result stays."""
         sentence = messages.in_short(error)
         # With nothing chosen nobody has done anything yet.
         self._failed = "" if sentence in (messages.WELCOME, messages.CHOOSE) else sentence
+        self.chip.look()
         self._tell(anew=sentence == messages.WELCOME)
 
     def _come_to_rest(self) -> None:
         """Nothing is held or moved: all is where it was, and there is nothing to say of it."""
         before, self._failed = self._done.pop(self.source, None), ""
         self._report = self._report if before is None else messages.STILL
-        self._describe()
+        self.chip.look()
         self._tell()
 
     def _refuse(self, error: Exception) -> None:
@@ -456,32 +453,6 @@ class LiveStudy:
         show = show_warning if isinstance(error, HmrfError | ValueError) else show_error
         show(messages.in_short(error))
         self.finished.emit(None)
-
-    def _on_chip(self) -> None:
-        """Say what there is to know, and mark folds, then overlaps, then neither."""
-        overlay, latest, went = self.form.result.overlay, self.latest, ""
-        mark = None if latest is None else messages.next_mark(latest.outputs, overlay.value)
-        if latest is not None and mark is not None:
-            overlay.value = mark
-            went = self._go_to_most(latest, mark)
-        elif overlay.value in MARKS:
-            overlay.value = NOTHING
-        self.said.emit(f"{self.form.footer.warning} {went}".rstrip())
-
-    def _unfold(self) -> None:
-        """Take the model that folds nothing."""
-        self.form.model.model.value = "large motion"
-
-    def _go_to_most(self, latest: Done, mark: Mark) -> str:
-        """Show the slice of a volume in which most sites are marked, and say which that is."""
-        dims, place, view = self._viewer.dims, latest.moved.study.grid.place, self.form.view()
-        if len(place.plane) == 2 or dims.ndisplay == 3:
-            return ""
-        across, _ = plane_shown(place, view)
-        plane = place.plane_at(across, latest.outputs.fullest[mark][across])
-        there = view.point_at(plane, plane.index)
-        dims.set_point([*there], [*there.values()])
-        return messages.MOST.format(plane.slice_seen)
 
     def _stop(self) -> None:
         """Show that nothing goes on any more."""

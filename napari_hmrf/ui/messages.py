@@ -44,9 +44,14 @@ BOUNDARY_GONE = "'{name}' is gone: it holds and moves nothing any more. napari b
 
 MODELS: dict[ModelName, str] = {
     "elastic": "elastic: as finite elements",
-    "large motion": "large motion: elastic, never folds",
+    "large motion": "large motion: never folds",
     "paper": "paper's: 70 sweeps per level",
     "paper, converged": "paper's, computed to the end",
+}
+#: What another model is offered for.
+OFFERS: dict[ModelName, str] = {
+    "large motion": "Take large motion, which never folds",
+    "elastic": "Take the elastic model",
 }
 PLANES: dict[Plane, str] = {"stress": "free to bulge", "strain": "held at its faces"}
 #: What people can do something about, or have to wait for.

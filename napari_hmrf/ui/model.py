@@ -113,6 +113,7 @@ class ModelForm(Container):
         self.poisson.native.setKeyboardTracking(False)  # "0." is no ratio yet
         self.in_detail = DetailsForm()
         self._tissue: Any = None
+        self._volume = False
         self.model.changed.connect(self._on_model)
         # A menu tells of no change where what is chosen already is chosen again.
         self.model.native.activated.connect(lambda _: self._on_model(self.model.value))
@@ -151,6 +152,11 @@ class ModelForm(Container):
             self._tissue = layer
             self._show()
 
+    def extent_is(self, volume: bool) -> None:
+        """Tell whether a volume is deformed, which lies in no plane."""
+        self._volume = volume
+        self._show()
+
     def _on_model(self, model: str) -> None:
         if model == "paper":
             device = self.in_detail["device"].value
@@ -160,8 +166,8 @@ class ModelForm(Container):
     def _show(self, *_: Any) -> None:
         """Show what applies."""
         model = self.model.value
-        self._when.say(when_to_take(model, self.plane.value))
-        self.plane.visible = self.is_elastic
+        self._when.say(when_to_take(model, None if self._volume else self.plane.value))
+        self.plane.visible = self.is_elastic and not self._volume
         self.poisson.visible = self.is_elastic and isinstance(self._tissue, Image)
         for field in self.in_detail:
             field.visible = field.name in asked(model)

@@ -8,10 +8,11 @@ import numpy as np
 from napari.layers.base import ActionType
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.landmark_pairs import LandmarkPairs
 from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.units import as_seen
 from napari_hmrf.layers.image_result import ResultLayers
-from napari_hmrf.layers.landmarks import LandmarkPairs, landmark_pairs
+from napari_hmrf.layers.landmarks import landmark_pairs
 from napari_hmrf.layers.result_layers import Answer
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared

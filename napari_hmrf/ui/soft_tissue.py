@@ -120,6 +120,25 @@ class SoftTissue(Dock):
         "cancel" before a window closes on that: by default a person.
     compare_with, residual : napari.layers.Image or None, str
         A second image over the one that moves, and how far landmarks are from where they belong.
+    at : callable
+        Given a point of the world, says what happens to the tissue that is seen there: a `Probe`;
+        None beside it.
+    undo, redo : callable
+        Take back what was done last, and do again what was taken back.
+    remove, clear : callable
+        Remove what is selected, and all that is drawn on the slice that is shown.
+    play, pause : callable
+        Go back and forth between 0 and 100 % until `pause`, and stay at what is seen.
+    save_study, save_materials : callable
+        Given a path, save all of `study`, and its field if that is up to date, as
+        `napari_hmrf.save_study`; and the table of tissues, as `material_tables.save_materials`.
+        They return the `Path` that was written.
+    cancel : callable
+        Stop; nothing is changed, and the dock is idle at once, whatever the thread does.
+    touch : callable
+        Something was edited in a way that nobody is told of: have the tissue follow.
+    say : callable
+        Given a sentence, say it at the bottom.
     sides : Sides
         Which side of the patient lies at each edge of the canvas, where an image knows: "R", say.
     """
@@ -133,7 +152,7 @@ class SoftTissue(Dock):
     rules = Part[tuple[BoundaryRule, ...]]("_form.motion.boundary.table.rows")
     curve = Part[StiffnessCurve | None]("_choices.curve")
     hold_edge = Part[bool]("_form.motion.edge.value")
-    weight = Part[tuple[float, ...]]("_form.motion.weight.vector")
+    weight = Part[tuple[float, ...]]("_form.motion.weight.value")
     without_border = Part[bool]("_form.tissue.border.value")
     fields = Part[ToolFields]("_form.motion.fields")
     model = Part[ModelName]("_form.model.model.value")
@@ -163,10 +182,23 @@ class SoftTissue(Dock):
     seen = Part[Any]("_live_study.seen")
     followed = Part[Any]("_live_study.followed")
     finished = Part[Any]("_live_study.finished")
+    at = Part[Callable[[Any], Probe | None]]("_view.cursor.at")
+    undo = Part[Callable[[], None]]("_steps.undo")
+    redo = Part[Callable[[], None]]("_steps.redo")
+    remove = Part[Callable[[], None]]("_pointer.remove")
+    clear = Part[Callable[[], None]]("_pointer.clear")
+    play = Part[Callable[[], None]]("_view.play")
+    pause = Part[Callable[[], None]]("_view.player.stop")
+    save_study = Part[Callable[[str | Path], Path]]("_unsaved.save")
+    save_materials = Part[Callable[[str | Path], Path]]("_form.tissue.menu.save")
+    cancel = Part[Callable[[], None]]("_live_study.cancel")
+    touch = Part[Callable[[], None]]("_live_study.touch")
+    say = Part[Callable[[str], None]]("_guide.say")
 
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
         viewer, steps = self._viewer, steps_of(self._viewer)
+        self._steps = steps
         self._taken: tuple[Landmark, ...] = ()
         # Whether a tool was taken up by itself, and nobody has used it yet.
         self._unused = False
@@ -246,10 +278,6 @@ class SoftTissue(Dock):
         by_itself = self._choices.by_itself
         self._pointer.set_drawing(drawing, "" if by_itself else "took over a drawing")
 
-    def at(self, position: Any) -> Probe | None:
-        """Say what happens to the tissue that is seen at a point of the world; None beside it."""
-        return self._view.cursor.at(position)
-
     # What can be done
 
     def start(self) -> bool:
@@ -268,37 +296,9 @@ class SoftTissue(Dock):
         if self.active and self.image in self._viewer.layers:
             self._viewer.layers.selection = {self.image}
 
-    def undo(self) -> None:
-        """Take back what was done last."""
-        steps_of(self._viewer).undo()
-
-    def redo(self) -> None:
-        """Do again what was taken back."""
-        steps_of(self._viewer).redo()
-
-    def remove(self) -> None:
-        """Remove what is selected."""
-        self._pointer.remove()
-
-    def clear(self) -> None:
-        """Remove all that is drawn on the slice that is shown."""
-        self._pointer.clear()
-
-    def play(self) -> None:
-        """Go back and forth between 0 and 100 % until `pause`."""
-        self._view.play()
-
-    def pause(self) -> None:
-        """Stay at what is seen."""
-        self._view.player.stop()
-
     def save_pictures(self, folder: str | Path) -> None:
         """Write pictures into a folder that exists; `saved` is emitted when they are there."""
         attempt(partial(self.more.save_pictures, folder), self.say)
-
-    def save_study(self, path: str | Path) -> Path:
-        """Save all of `study`, and its field if that is up to date; as `napari_hmrf.save_study`."""
-        return self._unsaved.save(path)
 
     def open_study(self, path: str | Path) -> None:
         """Add the layers of a saved study, and set all as it was; errors are of `load_study`."""
@@ -313,10 +313,6 @@ class SoftTissue(Dock):
                 table.look()
             self._choices.begin()
             self._live_study.settle()
-
-    def cancel(self) -> None:
-        """Stop; nothing is changed, and the dock is idle at once, whatever the thread does."""
-        self._live_study.cancel()
 
     def make_layers(self) -> None:
         """Add a tissue and a boundary layer on the pixels of the image, and choose them.
@@ -377,10 +373,6 @@ class SoftTissue(Dock):
             raise HmrfError("No Labels layer is chosen as tissue, so there is no table to fill.")
         self._form.tissue.menu.take(materials)
 
-    def save_materials(self, path: str | Path) -> Path:
-        """Save the table of tissues to a file; as `material_tables.save_materials`."""
-        return self._form.tissue.menu.save(path)
-
     def hand_brush(self, layer: Any) -> None:
         """Have a layer painted on next: seen, active, on the image as it was before it moved."""
         if layer in self._viewer.layers:
@@ -388,14 +380,6 @@ class SoftTissue(Dock):
             layer.visible = True
             layer.mode = "paint"
             self.say(messages.MEANWHILE if self.before else "")
-
-    def touch(self) -> None:
-        """Something was edited in a way that nobody is told of: have the tissue follow."""
-        self._live_study.touch()
-
-    def say(self, sentence: str) -> None:
-        """Say something at the bottom."""
-        self._guide.say(sentence)
 
     def _connect(self) -> None:
         form, pointer, live = self._form, self._pointer, self._live_study

@@ -6,23 +6,24 @@ Materials come from a menu, too: published ones, those of other layers and of fi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from psygnal import Signal
 from qtpy.QtWidgets import QFileDialog, QMenu, QPushButton
 
+from napari_hmrf.errors import LayerError
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.io.material_tables import ENDING, save_materials
 from napari_hmrf.io.segmentation_tables import ENDINGS, tissue_table
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Table, tissue_recorded
 from napari_hmrf.solver.model_advice import ABOUT_POISSON
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
-from napari_hmrf.study.layer_names import LayerError
 from napari_hmrf.tissue.boundary_rules import (
     FORCES,
     LARGEST_STIFFNESS,
@@ -32,6 +33,7 @@ from napari_hmrf.tissue.boundary_rules import (
     Material,
     default_material,
     default_rule,
+    is_growth,
     read_stiffness,
     stiffness_in_words,
 )
@@ -45,8 +47,8 @@ _ACTIONS: dict[Action, str] = {
     "fixed": "fixed",
     "move": "moves",
     "expand": "expands",
-    "press": "is pressed",
-    "pull": "is pulled",
+    "press": "pressed",
+    "pull": "pulled",
 }
 _BY_WORD = {word: action for action, word in _ACTIONS.items()}
 _FILES = f"Materials (*{ENDING})"
@@ -83,7 +85,7 @@ class MaterialTable(LabelTable):
                 "How much longer it would be if it were free, below 0 shorter: 26 % is twice the "
                 "volume.\nTwo numbers, such as 20 / 0: along rows and columns apart.\nNot in the "
                 "paper's model.",
-                lambda row: _growth_in_words(row) if row.is_deformable else "",
+                lambda row: _joined(100 * np.atleast_1d(row.growth)) if row.is_deformable else "",
                 _growth,
             ),
         ]
@@ -109,15 +111,15 @@ def _poisson(material: Material, text: str) -> Material:
     return replace(material, poisson=poisson)
 
 
-def _growth_in_words(material: Material) -> str:
-    parts = material.growth if isinstance(material.growth, tuple) else (material.growth,)
-    return " / ".join(f"{round(100 * part, 9):g}" for part in parts)
+def _joined(parts: Iterable[float]) -> str:
+    """Numbers as people type them together."""
+    return " / ".join(f"{round(part, 9):g}" for part in parts)
 
 
 def _growth(material: Material, text: str) -> Material:
     parts = tuple(number_of(part) / 100 for part in text.split("/"))
-    if len(parts) > 3 or not all(-1 < part < math.inf for part in parts):
-        raise ValueError("Growth must be a number of per cent above -100, or two: 20 / 0")
+    if len(parts) > 3 or not all(map(is_growth, parts)):
+        raise ValueError("Growth must be per cent, above -100 and up to 1000; or two: 20 / 0")
     return replace(material, growth=parts if len(parts) > 1 else parts[0])
 
 
@@ -131,39 +133,27 @@ class BoundaryTable(LabelTable):
     def columns(self) -> list[Column]:
         """Distances in the unit of the image, along the ways of the patient or the screen."""
         unit, ways, stiffness = self._place
-        per_area = stiffness or "stiffness"
+        per_area = stiffness or "relative"
         return [
             *super().columns,
             Column(
                 "Action",
                 "Fixed: stays where it is.\nMoves: so far along the rows and the columns.\n"
                 "Expands: so far outward; what is painted must be a closed ring or filled.\n"
-                "Is pressed, is pulled: by a force per area, where tissue ends under the paint",
+                "Pressed, pulled: by a force per area, where tissue ends under the paint",
                 lambda row: _ACTIONS[row.action],
                 _act,
                 tuple(_BY_WORD),
             ),
             *(_along(axis, unit, ways, "move") for axis in (0, 1)),
-            _distance(
-                "out",
-                "How far outward; negative: inward",
-                unit,
-                lambda row: row.amount if row.action == "expand" else None,
-                lambda row, amount: replace(row, amount=amount),
-            ),
+            _amount("out", "How far outward; negative: inward", unit, "expand"),
             Column(
                 "confi-\ndence",
                 "How sure: 0 to 1.\nTwo numbers, such as 1 / 0.5: for rows and columns apart",
-                _sure_in_words,
+                lambda row: _joined(() if row.action in FORCES else dict.fromkeys(row.confidence)),
                 _sure,
             ),
-            _distance(
-                "pressure",
-                "Force per area onto the surface; negative: it sucks",
-                per_area,
-                lambda row: row.amount if row.action == "press" else None,
-                lambda row, amount: replace(row, amount=amount),
-            ),
+            _amount("pressure", "Force per area; negative: it sucks", per_area, "press"),
             *(_along(axis, per_area, ways, "pull") for axis in (0, 1)),
         ]
 
@@ -200,6 +190,15 @@ def _along(axis: int, unit: str, ways: Directions, action: Action) -> Column:
     return _distance(title, ways.about(axis), unit, seen, typed)
 
 
+def _amount(title: str, about: str, unit: str, action: Action) -> Column:
+    """A column of amounts, which rules of one action have."""
+
+    def shown(rule: BoundaryRule) -> float | None:
+        return rule.amount if rule.action == action else None
+
+    return _distance(title, about, unit, shown, lambda row, far: replace(row, amount=far))
+
+
 def _distance(
     title: str,
     about: str,
@@ -220,12 +219,6 @@ def _distance(
 
     words = title.replace("along ", "along\n")  # the dock is narrow
     return Column(f"{words}\n{unit}", f"{about}, in {unit}", shown, typed)
-
-
-def _sure_in_words(rule: BoundaryRule) -> str:
-    """Of forces there is no doubt."""
-    parts = () if rule.action in FORCES else dict.fromkeys(rule.confidence)
-    return " / ".join(f"{part:g}" for part in parts)
 
 
 def _sure(rule: BoundaryRule, text: str) -> BoundaryRule:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.solver.normals import outward_normals
 from napari_hmrf.tissue.drawing.marks import (
     COMPONENTS,
     Action,
@@ -21,7 +22,6 @@ from napari_hmrf.tissue.drawing.marks import (
     Point,
     Stroke,
 )
-from napari_hmrf.tissue.normals import outward_normals
 
 FloatArray = npt.NDArray[np.float32]
 #: What a part of an image has along each axis; it ends where it begins if it has no pixels.

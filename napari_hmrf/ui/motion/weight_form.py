@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 from magicgui.widgets import ComboBox, Container, FloatSpinBox
 
 from napari_hmrf.field.directions import Directions
@@ -9,7 +12,7 @@ from napari_hmrf.ui.forms import narrow
 
 #: Water's, in kPa / mm.
 _WATER = 0.00981
-_NOWHERE = ("nowhere", ())
+Step = tuple[float, ...]
 
 
 class WeightForm(Container):
@@ -21,49 +24,67 @@ class WeightForm(Container):
         A step in the order of the axes of the image; () where tissue has no weight.
     amount : FloatSpinBox
         In the unit of stiffness per length.
+    value : tuple of float
+        Both as one vector.
     """
 
     def __init__(self) -> None:
+        self._ways = Directions()
+        # A way that has no word: an image was turned.
+        self._oblique: Step = ()
         self.way = ComboBox(
             name="way",
-            choices=[_NOWHERE],
+            choices=self._offered,
             label="weight pulls",
             tooltip="All tissue by its weight, as in an open skull; it has to be held somewhere",
         )
         narrow(self.way)
-        self.amount = FloatSpinBox(name="amount", label="weight", max=1e6, step=0.001)
+        tip = f"Density times acceleration. That of water is {_WATER} kPa / mm"
+        self.amount = FloatSpinBox(name="amount", max=1e6, step=0.001, tooltip=tip)
         super().__init__(widgets=[self.way, self.amount])
         self.amount.native.setDecimals(5)
-        self.amount.value = _WATER
         self.amount.native.setKeyboardTracking(False)  # "0." is no weight yet
+        self.amount.value = _WATER
         self.margins = (0, 0, 0, 0)
         self.way.changed.connect(self._show)
-        self.show_place("px", Directions(), "")
+        self.show_place("px", self._ways, "")
 
     @property
-    def vector(self) -> tuple[float, ...]:
+    def value(self) -> Step:
         """What pulls at each part of tissue, in the order of the axes; () if nothing does."""
         return tuple(self.amount.value * step for step in self.way.value)
 
-    @vector.setter
-    def vector(self, vector: tuple[float, ...]) -> None:
-        size = float(sum(part * part for part in vector)) ** 0.5
-        step = tuple(part / size for part in vector) if size else ()
-        if step not in self.way.choices:
-            self.way.choices = [*self.way.choices, step]
-        self.way.value, self.amount.value = step, size or self.amount.value
+    @value.setter
+    def value(self, vector: Step) -> None:
+        size = math.hypot(*vector)
+        self._choose(tuple(part / size for part in vector) if size else ())
+        self.amount.value = size or self.amount.value
 
     def show_place(self, unit: str, ways: Directions, stiffness: str) -> None:
-        """Offer the ways of the screen or the patient, and say in which unit it is."""
-        before = self.way.value
-        with self.way.changed.blocked():
-            self.way.choices = [_NOWHERE, *ways.steps]
-            self.way.value = before if before in self.way.choices else ()
-        of = stiffness or "stiffness"
-        self.amount.tooltip = (
-            f"Density times acceleration, in {of} / {unit}. That of water is {_WATER} kPa / mm"
-        )
+        """Offer the ways of the screen or the patient, and say in which unit it is.
+
+        What pulls tissue stays its own direction, however the image is turned.
+        """
+        self.amount.label = f"{stiffness or 'relative'} / {unit}"
+        if ways != self._ways:
+            self._ways, before = ways, self.way.value
+            with self.way.changed.blocked():
+                self._choose(before if len(before) == len(ways.order) else ())
         self._show()
+
+    def _choose(self, step: Step) -> None:
+        same = (each for _, each in self._ways.steps if np.shape(each) == np.shape(step))
+        known = next((each for each in same if np.allclose(each, step, atol=1e-6)), None)
+        self._oblique = step if known is None else ()
+        self.way.reset_choices()
+        self.way.value = step if known is None else known
+
+    def _offered(self, _: ComboBox) -> list[tuple[str, Step]]:
+        offered = [("nowhere", ()), *self._ways.steps]
+        if self._oblique:
+            seen = tuple(round(part, 2) for part in self._ways.seen(self._oblique))
+            offered.append((self._ways.step(seen), self._oblique))
+        return offered
 
     def _show(self, *_: object) -> None:
         self.amount.visible = bool(self.way.value)

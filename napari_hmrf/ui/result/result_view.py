@@ -8,13 +8,13 @@ from typing import Any
 
 from psygnal import Signal
 
+from napari_hmrf.errors import naming
 from napari_hmrf.field.comparison import Comparison, compare
 from napari_hmrf.layers.field_layer import can_be_source, field_of, result_of, source_of
 from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.result_layers import Name, Overlay, overlay_of
 from napari_hmrf.layers.screen_directions import ways_of
-from napari_hmrf.study.layer_names import naming
 from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.forms import attempt
 from napari_hmrf.ui.handover import Errands

@@ -10,7 +10,6 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.tissue.surroundings import outside_of
 
 #: How far an outline is smoothed before its normal is taken, in pixels.
 _SMOOTHING = 1.5
@@ -141,3 +140,11 @@ def outer_rim(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         if part.size > _SPECK:
             rim[box] &= ~(part & scipy.ndimage.binary_erosion(~outside_of(part)))
     return np.asarray(rim)
+
+
+def outside_of(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """What is around a mask and hangs together with the image's edge: no holes in it."""
+    # A ring around the image joins all that reaches its edge.
+    pieces, _ = scipy.ndimage.label(np.pad(~mask, 1, constant_values=True))
+    found: npt.NDArray[np.bool_] = (pieces == pieces.flat[0])[(slice(1, -1),) * mask.ndim]
+    return found
