@@ -10,6 +10,7 @@ Paint the inputs, or make them, then::
 Importing this package imports neither napari nor Qt, OpenGL or numba, nor any part of SciPy.
 """
 
+from napari_hmrf.augmentation.random_deformation import RandomDeformation, RandomSample
 from napari_hmrf.errors import (
     ArgumentError,
     BackendError,
@@ -125,6 +126,8 @@ __all__ = [
     "Problem",
     "ProblemError",
     "Provenance",
+    "RandomDeformation",
+    "RandomSample",
     "SeilerPrior",
     "Solution",
     "StiffnessCurve",

@@ -222,6 +222,31 @@ def _replay(options: argparse.Namespace) -> int:
     return int(apart > allowed and now.provenance.backend == before.provenance.backend)
 
 
+def _truth(options: argparse.Namespace) -> int:
+    from napari_hmrf.augmentation.ground_truth import Truth, write_truth
+    from napari_hmrf.io.case import Case
+
+    def tell(truth: Truth) -> None:
+        progress.end()
+        part = "" if truth.scale == 1 else f", of what was drawn {truth.scale:.0%}"
+        print(f"written: {truth.folder} (moved up to {truth.farthest:.3g}{part})", flush=True)
+
+    progress = _ProgressLine()
+    given = {name: getattr(options, name) for name in ("amplitude", "patches")}
+    written = write_truth(
+        Case(image=options.image, labels=options.labels, materials=options.materials),
+        options.out,
+        count=options.count,
+        seed=options.seed,
+        progress=lambda done, of: progress.show(Monitor(f"solving {done} of {of}", done / of)),
+        tell=tell,
+        **{name: value for name, value in given.items() if value is not None},
+    )
+    worst = max(each.inexact for each in written)
+    print(f"field.mha inverts the motion to {worst:.2g} px")
+    return 0
+
+
 def _demo(options: argparse.Namespace) -> int:
     from napari_hmrf.contributions import phantom_layers
     from napari_hmrf.samples.demo import demonstrate, table, write_results
@@ -310,6 +335,7 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "replay": _replay,
     "selftest": _selftest,
     "solve": _solve,
+    "truth": _truth,
 }
 
 # Seconds between two lines of progress where they stay.

@@ -176,6 +176,39 @@ def _add_file_commands(commands: Any) -> None:
     replay = commands.add_parser("replay", help="solve a saved study again, and compare the fields")
     replay.add_argument("study", type=Path, metavar="STUDY")
     replay.add_argument("--image", type=Path, metavar="IMAGE", help="if it is not in the file")
+    _add_truth(commands)
+
+
+def _add_truth(commands: Any) -> None:
+    truth = commands.add_parser(
+        "truth",
+        help="deform an image at random by a field that is known, to validate a registration",
+    )
+    truth.add_argument("image", type=Path, metavar="IMAGE")
+    truth.add_argument("--labels", type=Path, required=True, help="an image of tissue labels")
+    truth.add_argument(
+        "--materials",
+        type=Path,
+        required=True,
+        metavar="TABLE",
+        help=".csv: label,name,stiffness,poisson,growth; a row for each label",
+    )
+    truth.add_argument("-o", "--out", type=Path, required=True, metavar="DIR")
+    truth.add_argument("--count", type=int, default=1, metavar="N", help="pairs; default: 1")
+    truth.add_argument("--seed", type=int, default=0, metavar="S", help="default: 0")
+    truth.add_argument(
+        "--amplitude",
+        type=float,
+        metavar="A",
+        help="how far tissue is pulled where it is pulled farthest, in mm, or in pixels of what "
+        "has no size; by default from nothing to a quarter of how far its pulls lie apart",
+    )
+    truth.add_argument(
+        "--patches",
+        type=int,
+        metavar="P",
+        help="places where tissue is pulled (default: 12, in a volume 8)",
+    )
 
 
 def _add_many_commands(commands: Any) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def phantom_layers(found: Phantom | HeadPhantom) -> list[LayerData]:
     ]
 
 
-def open_solution(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]] | None:
+def open_solution(path: PathOrPaths) -> Callable[[PathOrPaths], Sequence[Any]] | None:
     """Offer to read a saved result, or a study that was saved so; None for any other file."""
     from napari_hmrf.solver.solution import is_solution_file
 

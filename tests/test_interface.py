@@ -47,6 +47,7 @@ WHAT_A_CALL_IS_ABOUT = {
     "NeoHookeanPrior": 1,
     "Picture": 1,
     "Problem": 3,
+    "RandomDeformation": 2,
     "SeilerPrior": 0,
     "StiffnessCurve": 1,
     "Warper": 1,

@@ -28,7 +28,7 @@ HEAVY += ("scipy.ndimage", "scipy.optimize", "scipy.linalg", "scipy.sparse")
 ROOMS = (
     {"ui"},
     {"layers"},
-    {"samples"},
+    {"samples", "augmentation"},
     {"io"},
     {"study"},
     {"tissue", "field"},
@@ -212,7 +212,8 @@ def test_what_is_imported_from_the_package_is_there(folder):
 def test_what_is_imported_is_declared_and_what_is_declared_is_imported():
     project = tomllib.loads(read("pyproject.toml"))["project"]
     extras = project["optional-dependencies"]
-    wanted = [*project["dependencies"], *extras["medical"], *extras["film"], *extras["cluster"]]
+    wanted = [*project["dependencies"], *extras["medical"], *extras["film"]]
+    wanted += [*extras["monai"], *extras["cluster"]]
     declared = {re.match(r"[\w-]+", requirement)[0].lower() for requirement in wanted}
     imported = set().union(*(packages(imports(module)) for module in MODULES))
     others = {name.lower() for name in imported - sys.stdlib_module_names - {"napari_hmrf"}}

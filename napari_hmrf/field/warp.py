@@ -263,6 +263,7 @@ def _added(
     # a loop over three components takes as long as one over a hundred.
     (height, width), n = mask.shape[-2:], mask.ndim
     moved, size = np.empty(d.shape), np.tile(sizes, width)
+    scaled = bool((sizes != 1).any())
     own = np.zeros((height, width, n))
     own[..., n - 2], own[..., n - 1] = np.ogrid[:height, :width]
     for plane in np.ndindex(mask.shape[:-2]):
@@ -271,8 +272,10 @@ def _added(
         there = np.repeat(mask[plane], n, axis=-1)
         line = moved[plane].reshape(there.shape)
         line[...] = np.where(there, d[plane].reshape(there.shape), 0)
-        line *= fraction
-        line /= size
+        if fraction != 1:
+            line *= fraction
+        if scaled:
+            line /= size
         line += own.reshape(there.shape)
     return moved
 

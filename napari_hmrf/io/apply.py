@@ -252,10 +252,10 @@ def _move_landmarks(
     place = place_for(file, field.place, name, n)
     at = place.to_pixels(file.points)
     # As of images, other slices stay where they are.
-    here = (np.abs(at[:, :-n]) <= _IN_SLICE).all(axis=1)
+    here = np.abs(at[:, :-n]).max(axis=1, initial=0.0) <= _IN_SLICE
     at[here, -n:] += field.field.at(at[here, -n:]) / field.spacing
-    apart = int((~here).sum())
-    note = f"{apart} of {len(here)} points lie in other slices, and stay" if apart else ""
+    apart = np.count_nonzero(~here)
+    note = f"{apart} of {len(at)} points lie in other slices, and stay" if apart else ""
     return Applied(save_points(target, place.to_space(at), file.targets, names=file.names), note)
 
 

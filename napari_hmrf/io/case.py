@@ -195,6 +195,11 @@ def solve_case(
     """
     study = changed(read_case(case), changes)
     if case.boundary is None and not case.hold_edge and not is_study_file(case.image):
+        if study.bears_loads:
+            raise HmrfError(
+                "nothing holds the tissue. Give --hold-edge if its outer edge stays, or --boundary "
+                "with what holds it."
+            )
         raise HmrfError(
             "nothing says how the tissue moves. Give --boundary with what moves, and --hold-edge "
             "if its outer edge stays."

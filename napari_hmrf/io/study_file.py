@@ -34,8 +34,8 @@ from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 #: How the names of studies' files end.
 SUFFIX = ".study"
 #: Types of labels, and of numbers of any kind.
-_LABELS = ("|u1", "<u2", "<u4", "<u8", "|i1", "<i2", "<i4", "<i8")
-_NUMBERS = ("|b1", *_LABELS, "<f2", "<f4", "<f8")
+LABEL_TYPES = ("|u1", "<u2", "<u4", "<u8", "|i1", "<i2", "<i4", "<i8")
+_NUMBERS = ("|b1", *LABEL_TYPES, "<f2", "<f4", "<f8")
 _OF_SOLUTION = "solution_"
 #: Check the types of what a file holds.
 _MATERIALS = TypeAdapter(tuple[Material, ...])
@@ -350,14 +350,14 @@ STUDY_FORMAT: array_file.Format[_Content] = array_file.Format(
     schema=1,
     what="napari-hmrf study",
     arrays={
-        "tissue_labels": Kind(_LABELS, (2, 3), optional=True),
+        "tissue_labels": Kind(LABEL_TYPES, (2, 3), optional=True),
         "stiffness": Kind(_NUMBERS, (2, 3), optional=True),
         "poisson": Kind(("<f4",), (2, 3), optional=True),
-        "boundary_labels": Kind(_LABELS, (2, 3), optional=True),
+        "boundary_labels": Kind(LABEL_TYPES, (2, 3), optional=True),
         "observed": Kind(_NUMBERS, (3, 4), optional=True),
         "counts": Kind(_NUMBERS, (2, 3, 4), optional=True),
         "image": Kind(_NUMBERS, (2, 3, 4), optional=True),
-        "labels": Kind(_LABELS, (2, 3), optional=True),
+        "labels": Kind(LABEL_TYPES, (2, 3), optional=True),
     }
     | {
         _OF_SOLUTION + name: kind._replace(optional=True)

@@ -31,7 +31,6 @@ from napari_hmrf.solver.priors.elements import (
     Lame,
     differences,
     lame_parameters,
-    of_elements,
     stiffest,
 )
 from napari_hmrf.solver.priors.growth import Load, growth_load, slabs
@@ -156,12 +155,10 @@ class ElasticPrior:
         """
         m = problem.stiffness[sites] / np.float64(stiffest(problem.stiffness))
         nu = self.poisson if isinstance(self.poisson, float) else self.poisson[sites]
-        first, shear = lame_parameters(m, nu, self._strain(problem))
-        if not problem.rigid.any():
-            return Lame(first, shear)
-        # Rigid tissue does not stretch: it has no energy.
-        stretches = np.isfinite(of_elements(m))
-        return Lame(np.where(stretches, first, 0.0), np.where(stretches, shear, 0.0))
+        if problem.rigid.any():
+            # Rigid tissue does not stretch: it has no energy, as what is void has none.
+            m = np.where(np.isinf(m), 0.0, m)
+        return lame_parameters(m, nu, self._strain(problem))
 
     def shape(self, spacing: tuple[float, ...]) -> ElementShape | BrickShape:
         """The constants of an element of this size of pixel; only the pixel's shape matters."""

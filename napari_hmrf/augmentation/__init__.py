@@ -1,0 +1,1 @@
+"""Random deformations of one case, exact and endless: to learn from, and to validate with."""

@@ -1,0 +1,86 @@
+"""The file of a case's unit solutions, from which any process draws without solving."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from napari_hmrf import array_file
+from napari_hmrf.array_file import Arrays, Header, Invalid, Kind
+from napari_hmrf.augmentation.unit_solutions import Case, UnitSolutions
+from napari_hmrf.io.study_file import LABEL_TYPES, materials_of
+from napari_hmrf.study.study import Grid
+
+_NUMBERS = "smoothness", "weight", "least_jacobian"
+
+
+def _describe(solutions: UnitSolutions) -> tuple[Header, Arrays]:
+    case = solutions.case
+    header = {
+        "spacing": list(case.grid.spacing),
+        "unit": case.grid.unit,
+        "materials": [row.as_row() for row in case.materials],
+        "hold_edge": case.hold_edge,
+        "amplitude": list(case.amplitude),
+        **{name: getattr(case, name) for name in _NUMBERS},
+    }
+    return header, {
+        "labels": case.labels,
+        "patches": case.patches,
+        "centres": case.centres,
+        "displacements": solutions.displacements,
+        "tissue": solutions.tissue,
+    }
+
+
+def _parse(header: Header, arrays: Arrays) -> UnitSolutions:
+    labels, patches, centres = (arrays[name] for name in ("labels", "patches", "centres"))
+    displacements, tissue, n = arrays["displacements"], arrays["tissue"], labels.ndim
+    spacing = tuple(float(size) for size in header["spacing"])
+    low, high = (float(far) for far in header["amplitude"])
+    smoothness, weight, least = (float(header[name]) for name in _NUMBERS)
+    numbers = (*spacing, low, high, smoothness, weight, least)
+    if not (all(map(math.isfinite, numbers)) and min(*spacing, high, smoothness) > 0):
+        raise Invalid("it holds lengths that are none")
+    if not (0 <= low <= high and weight >= 0 and 0 < least < 1):
+        raise Invalid("it holds an amplitude, a weight or a Jacobian that is none")
+    if len(spacing) != n or centres.shape[1] != n or not np.isfinite(centres).all():
+        raise Invalid("its labels, spacing and patches disagree")
+    if patches.shape != labels.shape or tissue.shape != labels.shape:
+        raise Invalid(f"its labels {labels.shape} and patches {patches.shape} disagree")
+    case = Case(
+        Grid(labels.shape, spacing, str(header["unit"])),
+        labels,
+        materials_of(header["materials"]),
+        bool(header["hold_edge"]),
+        patches,
+        centres,
+        (low, high),
+        smoothness,
+        weight,
+        least,
+    )
+    needed = (len(case.units), int(tissue.sum()), n)
+    if displacements.shape != needed or not len(centres):
+        raise Invalid(f"its solutions are {displacements.shape}, not {needed}")
+    if not np.isfinite(displacements).all():
+        raise Invalid("its solutions hold values that are not numbers")
+    return UnitSolutions(case, displacements, tissue)
+
+
+#: The file that `RandomDeformation.save` writes.
+DEFORMATION_FORMAT: array_file.Format[UnitSolutions] = array_file.Format(
+    name="napari-hmrf random deformation",
+    schema=1,
+    what="napari-hmrf random deformation",
+    arrays={
+        "labels": Kind(LABEL_TYPES, (2, 3)),
+        "patches": Kind(("<i4",), (2, 3)),
+        "centres": Kind(("<f8",), (2,)),
+        "displacements": Kind(("<f4",), (3,)),
+        "tissue": Kind(("|b1",), (2, 3)),
+    },
+    describe=_describe,
+    parse=_parse,
+)

@@ -1,0 +1,154 @@
+"""How far a displacement may be scaled up before tissue is squeezed to little, or folds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import combinations, product
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.field.slabs import with_neighbours
+
+FloatArray = npt.NDArray[np.floating[Any]]
+Float64Array = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+# A scale is found to this part of itself.
+_NEAR = 1e-4
+# What the smallest determinant keeps above the least one: more than rounding takes.
+_MARGIN = 1e-5
+# Sites that are looked at together: what lies between stays in the cache.
+_SITES = 1 << 17
+
+
+def largest_scale(
+    displacement: FloatArray, spacing: Sequence[float], tissue: BoolArray, least: float
+) -> float:
+    """Find the largest part of a displacement, at most all of it, that squeezes no tissue too much.
+
+    The measure is that of `smallest_determinant`: each corner of one-sided differences around a
+    site. On the way to that part, from none of it on, no corner is squeezed more either.
+
+    Parameters
+    ----------
+    displacement : ndarray, shape ([D,] H, W, n)
+        In the unit of `spacing`.
+    spacing : sequence of float, shape (n,)
+    tissue : ndarray of bool, shape ([D,] H, W)
+    least : float
+        The smallest determinant that is allowed, above 0 and below 1.
+
+    Returns
+    -------
+    float
+        Above 0, and at most 1.
+    """
+    least = least + _MARGIN
+    planes = max(1, _SITES // math.prod(tissue.shape[1:]))
+    found = [
+        _corners_of(displacement, spacing, tissue, least, slice(begin, begin + planes))
+        for begin in range(0, len(tissue), planes)
+    ]
+    return _march(np.concatenate(found, axis=1), least)
+
+
+def _corners_of(
+    displacement: FloatArray,
+    spacing: Sequence[float],
+    tissue: BoolArray,
+    least: float,
+    slab: slice,
+) -> Float64Array:
+    """The `_corners` of the sites of some planes that may be squeezed too much."""
+    n = tissue.ndim
+    wide, inner = with_neighbours(slab, len(tissue))
+    d, there = displacement[wide].reshape(-1, n), tissue[wide]
+    weights = (1 / np.square(spacing)).astype(d.dtype)
+    # A gradient of norm g < 1 leaves a determinant of at least (1 - g)^n: where that is enough, no
+    # corner is looked at. Its square is at most the sum over the axes of the longer of both steps.
+    squares, steps = np.zeros(len(d), dtype=d.dtype), []
+    for axis in range(n):
+        step = _steps(there, axis)
+        change = d[step.stride :] - d[: -step.stride]
+        length = np.square(change, out=change) @ weights
+        length *= step.exists[: -step.stride]
+        longer = np.zeros(len(d), dtype=d.dtype)
+        longer[: -step.stride] = length
+        np.maximum(longer[step.stride :], length, out=longer[step.stride :])
+        squares += longer
+        steps.append(step)
+    doubtful = there & (squares > (1 - least ** (1 / n)) ** 2).reshape(there.shape)
+    doubtful[: inner.start] = doubtful[inner.stop :] = False
+    return _corners(d, spacing, steps, np.flatnonzero(doubtful), least)
+
+
+class _Steps(NamedTuple):
+    """From each site to the next along an axis, sites in a row."""
+
+    # How much further in the row the next one is.
+    stride: int
+    # Whether both are tissue, and there is a next one.
+    exists: BoolArray
+
+
+def _steps(tissue: BoolArray, axis: int) -> _Steps:
+    exists = np.zeros(tissue.shape, dtype=bool)
+    there = tissue.swapaxes(0, axis)
+    np.logical_and(there[1:], there[:-1], out=exists.swapaxes(0, axis)[:-1])
+    return _Steps(math.prod(tissue.shape[axis + 1 :]), exists.ravel())
+
+
+def _corners(
+    d: FloatArray,
+    spacing: Sequence[float],
+    steps: list[_Steps],
+    sites: npt.NDArray[np.intp],
+    least: float,
+) -> Float64Array:
+    """The coefficients, (n, corners), of what corners' determinants are at a scale s."""
+    # det(1 + s G) = 1 + s a + s^2 b + s^3 c. Corners that cannot come near the least are left out.
+    n, sides = len(steps), []
+    size = np.asarray(spacing, dtype=np.float64)
+    for stride, exists in steps:
+        last = len(d) - 1
+        behind, ahead = np.maximum(sites - stride, 0), np.minimum(sites + stride, last)
+        is_after, is_before = exists[sites, None], exists[behind, None] & (sites >= stride)[:, None]
+        here = d[sites].astype(np.float64)
+        after = np.where(is_after, d[ahead] - here, 0.0) / size
+        before = np.where(is_before, here - d[behind], 0.0) / size
+        # As in the measure: where a neighbour is missing, the step to the other one counts.
+        sides.append((np.where(is_after, after, before).T, np.where(is_before, before, after).T))
+    found = []
+    for g in product(*sides):
+        minors = {
+            (i, j): g[i][i] * g[j][j] - g[i][j] * g[j][i] for i, j in combinations(range(n), 2)
+        }
+        powers = [sum(g[i][i] for i in range(n)), sum(minors.values())]
+        if n == 3:
+            first = g[0][1] * (g[1][2] * g[2][0] - g[1][0] * g[2][2])
+            second = g[0][2] * (g[1][0] * g[2][1] - g[1][1] * g[2][0])
+            powers.append(g[0][0] * minors[1, 2] + first + second)
+        made = np.stack(powers)
+        found.append(made[:, np.abs(made).sum(axis=0) > 1 - least])
+    return np.concatenate(found, axis=1)
+
+
+def _march(coefficients: Float64Array, least: float) -> float:
+    """Go from 0 towards 1, never past the first scale at which a determinant is the least one."""
+    # Up to 1 no determinant falls faster than `fall`: a step by it oversteps nothing.
+    powers, scale = np.arange(1, len(coefficients) + 1), 0.0
+    fall = powers @ np.abs(coefficients)
+    while scale < 1:
+        slack = 1 - least + scale**powers @ coefficients
+        near = slack < fall * (1 - scale)
+        if not near.any():
+            return 1.0
+        coefficients, fall = coefficients[:, near], fall[near]
+        gain = float((slack[near] / fall).min())
+        scale += gain
+        if gain < _NEAR * scale:
+            return scale
+    return 1.0

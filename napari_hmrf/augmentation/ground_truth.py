@@ -1,0 +1,152 @@
+"""Pairs of images whose deformation is known: to validate a registration with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.arguments import is_whole, refuse_unless
+from napari_hmrf.augmentation.random_deformation import RandomDeformation, RandomSample
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.deformation import spread
+from napari_hmrf.io.case import Case, read_case
+from napari_hmrf.io.fields import Place, place_of, write_field
+from napari_hmrf.io.images import ImageFile, save_image
+from napari_hmrf.io.landmark_files import save_points
+from napari_hmrf.io.study_file import save_study
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.study import Pictures, Study
+
+# Landmarks of each pair, roughly.
+_LANDMARKS = 200
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What was written of one pair.
+
+    Attributes
+    ----------
+    folder : Path
+    farthest : float
+        How far the tissue moves that moves farthest, in the unit of the study.
+    scale : float
+        Which part of what was drawn is left, for nothing to be squeezed too much.
+    inexact : float
+        How far the field that was written is from an inverse of the motion at the worst site, in
+        pixels.
+    """
+
+    folder: Path
+    farthest: float
+    scale: float
+    inexact: float
+
+
+def write_truth(
+    case: Case,
+    folder: Path,
+    *,
+    count: int = 1,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+    tell: Callable[[Truth], None] = lambda _: None,
+    **options: Any,
+) -> list[Truth]:
+    """Deform an image at random, and write what came of it and what is known.
+
+    In the folder are ``image.mha`` and ``labels.mha``, and for each pair a folder ``001``, ``002``
+    ... with ``deformed.mha``, ``deformed_labels.mha``, ``field.mha``, which moves the image to the
+    deformed one as registrations state it (where what is seen there came from, mm, LPS),
+    ``landmarks.csv``, pairs of points in the image and in the deformed one (BigWarp's columns), and
+    ``truth.study``, which can be solved in full and opened in napari.
+
+    Parameters
+    ----------
+    case : Case
+        An image with its labels and materials; or a study that has them.
+    folder : Path
+    count : int
+        How many pairs.
+    seed : int
+        Of the first; the next ones follow.
+    progress : callable, optional
+        As of `RandomDeformation`.
+    tell : callable, optional
+        Called with each pair that is written.
+    **options
+        Of `RandomDeformation`, such as `amplitude`.
+
+    Raises
+    ------
+    HmrfError, OSError
+        As of `read_case` and `RandomDeformation`; or if the case has no image or no labels.
+    """
+    refuse_unless(is_whole(count) and count >= 1, "count", count, "a whole number of at least 1")
+    study = read_case(case)
+    image, labels = study.pictures.image, study.tissue.labels
+    if image is None or labels is None:
+        raise HmrfError(f"{case.image.name} comes without its image or its labels. Give both.")
+    folder.mkdir(parents=True, exist_ok=True)  # before the work, so that it is not done in vain
+    colours = image.ndim > len(study.grid.shape)
+    random = RandomDeformation(
+        labels,
+        study.tissue.materials,
+        spacing=study.grid.spacing,
+        unit=study.grid.unit,
+        progress=progress,
+        **options,
+    )
+    written = []
+    for number in range(count):
+        sample = random.sample((seed, number))
+        solution = replace(sample.solution, frame=study.grid.place and study.grid.place.as_dict())
+        place = place_of(solution)
+        if not number:
+            save_image(folder / "image.mha", ImageFile(image, place, colours))
+            save_image(folder / "labels.mha", ImageFile(labels, place))
+        within = folder / f"{number + 1:03}"
+        within.mkdir(exist_ok=True)
+        moved = {
+            "deformed.mha": ImageFile(sample.image(image), place, colours),
+            "deformed_labels.mha": ImageFile(sample.labels(labels), place),
+        }
+        for name, each in moved.items():
+            save_image(within / name, each)
+        inexact = _write_motion(within, sample, solution, place)
+        save_study(within / "truth.study", _whole(study, sample), solution)
+        farthest = float(np.linalg.norm(sample.displacement, axis=-1).max())
+        written.append(Truth(within, farthest, sample.scale, inexact))
+        tell(written[-1])
+    return written
+
+
+def _write_motion(within: Path, sample: RandomSample, solution: Solution, place: Place) -> float:
+    """Write the field and the landmarks; how far the field is from an inverse, in pixels."""
+    n = sample.tissue.ndim
+    mm = solution.displacement * (np.array(place.spacing[-n:]) / solution.spacing)
+    inexact = write_field(within / "field.mha", mm, **place._asdict(), tissue=sample.tissue)
+    points = landmarks(sample.tissue)
+    ends = []
+    for each in (points, sample.points(points)):
+        # A slice is the first of its place.
+        ends.append(place.to_space(np.pad(each, ((0, 0), (len(place.spacing) - n, 0)))))
+    save_points(within / "landmarks.csv", *ends)
+    return inexact
+
+
+def landmarks(tissue: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
+    """Pixels spread evenly over tissue, (N, n), about two hundred."""
+    apart = max(1.0, (float(tissue.sum()) / _LANDMARKS) ** (1 / tissue.ndim))
+    return spread(tissue, apart)
+
+
+def _whole(study: Study, sample: RandomSample) -> Study:
+    """The study of a sample, with its image and where that lies."""
+    picture = Pictures(study.pictures.image, study.tissue.labels, study.pictures.name)
+    return replace(sample.study, grid=study.grid, pictures=picture, names=study.names)

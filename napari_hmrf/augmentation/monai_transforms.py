@@ -1,0 +1,103 @@
+"""Random deformations as a transform of MONAI: ``pip install "napari-hmrf[monai]"``.
+
+Nothing else here knows of MONAI, and nothing imports this module but those who ask for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping
+from typing import Any
+
+import numpy as np
+from monai.config import KeysCollection
+from monai.transforms import MapTransform, RandomizableTransform
+from monai.utils import TransformBackends, convert_to_dst_type, convert_to_numpy, ensure_tuple_rep
+
+from napari_hmrf.augmentation.random_deformation import RandomDeformation
+from napari_hmrf.errors import ArgumentError
+from napari_hmrf.field.live_warp import Picture
+from napari_hmrf.field.resample import emptiness
+
+#: How each is looked up, by MONAI's words.
+_ORDERS = {"bilinear": 1, "nearest": 0}
+
+
+class RandPhysicalDeformationd(RandomizableTransform, MapTransform):
+    """Move what is under some keys of a dictionary by one random deformation, now and then.
+
+    As `Rand2DElasticd` and `Rand3DElasticd` are used, but tissue moves as tissue does: bone stays
+    rigid, air stays empty, and nothing folds. Arrays are channel first; NumPy's, torch's and
+    `MetaTensor` come out as what they were.
+
+    Parameters
+    ----------
+    keys : hashable or sequence of hashable
+        Of arrays, (channels, H, W) or (channels, D, H, W), on the grid of the deformation.
+    deformation : RandomDeformation or callable
+        Of the one case that all dictionaries are of; or what gives that of a dictionary, by its
+        subject, say.
+    prob : float
+        How often a dictionary is deformed.
+    mode : {"bilinear", "nearest"} or sequence of these
+        Of each key: images are "bilinear", labels "nearest".
+    allow_missing_keys : bool
+        Whether a key may be missing.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no such mode, or the deformation is none.
+    """
+
+    backend = [TransformBackends.NUMPY]  # noqa: RUF012 - as MONAI has it
+
+    def __init__(
+        self,
+        keys: KeysCollection,
+        deformation: RandomDeformation | Callable[[Mapping[Hashable, Any]], RandomDeformation],
+        *,
+        prob: float = 0.1,
+        mode: Any = "bilinear",
+        allow_missing_keys: bool = False,
+    ) -> None:
+        MapTransform.__init__(self, keys, allow_missing_keys)
+        RandomizableTransform.__init__(self, prob)
+        self.mode = ensure_tuple_rep(mode, len(self.keys))
+        if not set(self.mode) <= set(_ORDERS):
+            raise ArgumentError(f"mode must be of {', '.join(_ORDERS)}, not {self.mode}")
+        if not (isinstance(deformation, RandomDeformation) or callable(deformation)):
+            raise ArgumentError("deformation must be a RandomDeformation, or what gives one")
+        self.deformation = deformation
+        self._seed = 0
+
+    def randomize(self, data: Any = None) -> None:
+        """Draw whether to deform the next dictionary, and how."""
+        super().randomize(data)
+        self._seed = int(self.R.randint(2**31 - 1))
+
+    def __call__(self, data: Mapping[Hashable, Any]) -> dict[Hashable, Any]:
+        """Deform a dictionary.
+
+        Raises
+        ------
+        ProblemError
+            If an array is not on the grid of the deformation.
+        """
+        found = dict(data)
+        self.randomize(found)
+        if not self._do_transform:
+            return found
+        deformation = self.deformation
+        if not isinstance(deformation, RandomDeformation):
+            deformation = deformation(found)
+        sample = deformation.sample(self._seed)
+        there = list(self.key_iterator(found, self.mode))
+        pictures = []
+        for key, mode in there:
+            last = np.moveaxis(convert_to_numpy(found[key]), 0, -1)
+            dark = emptiness(last, last.ndim) if mode == "bilinear" else 0
+            pictures.append(Picture(last, order=_ORDERS[mode], fill=dark))
+        for (key, _), moved in zip(there, sample.pictures(*pictures), strict=True):
+            first = np.ascontiguousarray(np.moveaxis(moved, -1, 0))
+            found[key] = convert_to_dst_type(first, found[key])[0]
+        return found

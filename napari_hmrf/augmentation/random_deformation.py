@@ -1,0 +1,442 @@
+"""Endless random deformations of one case, each as exact as a full solve, at the price of a sum.
+
+Elasticity is linear: tissue that is pulled at two places moves as by the one pull and by the other.
+So a few solutions of a case, one for each thing that can move it, are solved once; a random field
+is a random sum of them. It is scaled down where it would squeeze tissue to little: nothing folds.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf import array_file
+from napari_hmrf.arguments import is_whole, real, reals, refuse_unless
+from napari_hmrf.augmentation.deformation_file import DEFORMATION_FORMAT
+from napari_hmrf.augmentation.fold_limit import largest_scale
+from napari_hmrf.augmentation.unit_solutions import (
+    WRONG,
+    Array,
+    Case,
+    Causes,
+    UnitSolutions,
+    control_patches,
+    solve_units,
+)
+from napari_hmrf.errors import ArgumentError
+from napari_hmrf.field.live_warp import Picture, Warper
+from napari_hmrf.field.moved_points import moved_points
+from napari_hmrf.field.resample import as_image, emptiness
+from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.optimizers.base import Convergence
+from napari_hmrf.solver.problem import as_numbers, checked_spacing
+from napari_hmrf.solver.solution import Provenance, Solution
+from napari_hmrf.study.study import Grid, Study
+from napari_hmrf.tissue.boundary_rules import Material, stiffness_image
+from napari_hmrf.tissue.usual_lengths import usual_radius
+
+#: What a generator is made from: a seed, or a generator itself, which goes on.
+Seed = int | Sequence[int] | np.random.Generator | None
+
+# Patches that are pulled, where nobody says how many: in an image, and in a volume, where each has
+# three unit solutions.
+_PATCHES = {2: 12, 3: 8}
+# How far a sample pulls at most, as a part of how far patches lie from their next.
+_REACH = {2: 1 / 4, 3: 1 / 8}
+_MOVING = "pictures to be moved"
+
+
+@dataclass(frozen=True, eq=False)
+class RandomSample:
+    """One random deformation.
+
+    Attributes
+    ----------
+    displacement : ndarray, shape (H, W, 2) or (D, H, W, 3), float32
+        In the order of the axes, in the unit of `spacing`. Material: the tissue at X moves to
+        X + d(X). Zero where there is no tissue.
+    tissue : ndarray of bool, shape ([D,] H, W)
+        What moves.
+    spacing : tuple of float
+    causes : Causes
+        What moves it: pulls, growth and weight, scaled down as all of it was.
+    scale : float
+        Which part of what was drawn is left, for nothing to be squeezed too much: at most 1.
+    case : Case
+        The tissue.
+    """
+
+    displacement: npt.NDArray[np.float32]
+    tissue: npt.NDArray[np.bool_]
+    spacing: tuple[float, ...]
+    causes: Causes
+    scale: float
+    case: Case
+
+    def __repr__(self) -> str:
+        farthest = float(np.linalg.norm(self.displacement, axis=-1).max(initial=0.0))
+        return f"RandomSample(moved up to {farthest:.3g}, scale {self.scale:.3g})"
+
+    @cached_property
+    def study(self) -> Study:
+        """What `solve_study` solves in full to the same field, and `save_study` keeps."""
+        return self.case.study(self.causes)
+
+    @cached_property
+    def solution(self) -> Solution:
+        """The field as a result: for `measure`, `export_field`, `save_study` and the like."""
+        study = self.study
+        return Solution(
+            displacement=self.displacement,
+            energy=np.zeros(1),
+            levels=(),
+            tissue=self.tissue,
+            spacing=self.spacing,
+            provenance=Provenance(
+                backend="sum",
+                renderer="a sum of unit solutions",
+                parameters={
+                    "prior": study.prior.parameters,
+                    "optimizer": study.optimizer.parameters,
+                },
+            ),
+            convergence=Convergence(WRONG, 0.0),
+        )
+
+    def pictures(self, *pictures: Picture) -> list[npt.NDArray[Any]]:
+        """Move several pictures at once, which takes less than one after the other.
+
+        Parameters
+        ----------
+        *pictures : Picture
+
+        Returns
+        -------
+        list of ndarray
+            Each of the shape and type of its picture.
+
+        Raises
+        ------
+        ProblemError
+            If one is not of the grid of the labels.
+        """
+        images = [as_image(each.image, self.tissue.shape) for each in pictures]
+        # What is around tissue stays as it is; a spline of higher order looks at all of an image.
+        smooth = any(each.order > 1 for each in pictures)
+        box = (slice(None),) * self.tissue.ndim if smooth else self._box
+        parts = [
+            replace(each, image=image[box]) for each, image in zip(pictures, images, strict=True)
+        ]
+
+        def moved() -> list[npt.NDArray[Any]]:
+            return Warper(parts, spacing=self.spacing)(self.displacement[box], self.tissue[box])
+
+        whole = []
+        for image, part in zip(images, compute_thread.result_of(moved, _MOVING), strict=True):
+            whole.append(image.copy())
+            whole[-1][box] = part
+        return whole
+
+    @cached_property
+    def _box(self) -> tuple[slice, ...]:
+        """What holds all tissue, as it was and as it has moved, and a pixel around that."""
+        sides, n = [], self.tissue.ndim
+        for axis in range(n):
+            others = tuple({*range(n)} - {axis})
+            there = np.flatnonzero(self.tissue.any(axis=others))
+            along = self.displacement[..., axis] / self.spacing[axis]
+            first = min(0.0, float((there + along.min(axis=others)[there]).min()) - there[0])
+            last = max(0.0, float((there + along.max(axis=others)[there]).max()) - there[-1])
+            begin = int(there[0]) + math.floor(first) - 1
+            sides.append(slice(max(0, begin), int(there[-1]) + math.ceil(last) + 2))
+        return tuple(sides)
+
+    def image(self, image: npt.ArrayLike, *, order: int = 1) -> npt.NDArray[Any]:
+        """Move an image, ([D,] H, W) or with channels behind, as `warp` does.
+
+        Where tissue has left it is black, or as dark as the darkest there is (air in CT).
+        """
+        pixels = as_numbers("image", image)
+        fill = emptiness(pixels, self.tissue.ndim)
+        return self.pictures(Picture(pixels, order=order, fill=fill))[0]
+
+    def labels(self, labels: npt.ArrayLike, *, fill: int = 0) -> npt.NDArray[Any]:
+        """Move labels, ([D,] H, W): each pixel has the label of the tissue that came to it."""
+        return self.pictures(Picture(labels, order=0, fill=fill))[0]
+
+    def points(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Move points, (N, n) in pixels in the order of the axes, with the tissue."""
+        return moved_points(points, self.displacement, spacing=self.spacing)
+
+
+class RandomDeformation:
+    """Random deformations of the tissue in one image of labels.
+
+    Its unit solutions are solved when it is made, which takes a solve for each: two of a patch, or
+    three in a volume, one of each tissue that grows, and one along each axis of the weight. After
+    that a sample takes a sum, and no solve.
+
+    Parameters
+    ----------
+    labels : array_like of int, shape (H, W) or (D, H, W)
+    materials : iterable of Material
+        One for each value in `labels`, 0 included. Tissue of stiffness 0 is empty, and stays so;
+        what is rigid moves as one and does not bend; what has a growth grows by a random part of
+        it.
+    spacing : sequence of float, shape (n,), optional
+        Size of a pixel along each axis; by default 1.
+    unit : str
+        Of all lengths.
+    amplitude : float or (float, float), optional
+        How far that of the control patches is pulled that is pulled farthest, in the unit of
+        `spacing`: always so far, or evenly between two lengths. By default from nothing to a
+        quarter of how far patches lie from their next, in a volume an eighth. Where that squeezed
+        tissue too much, it is less.
+    patches : int, optional
+        How many control patches there are, at most; where tissue is narrow there is room for fewer.
+        By default 12, in a volume 8.
+    radius : float, optional
+        Of a control patch, in the unit of `spacing`; by default a 32nd of the shortest side, in a
+        volume a 16th.
+    smoothness : float, optional
+        Over which length the pulls of patches are alike, in the unit of `spacing`; by default as
+        far as patches lie from their next.
+    weight : float
+        How much pulls at each part of all tissue, at most, in the unit of stiffness per length, in
+        a random direction: tissue's own weight as its posture changes. 0 is none.
+    hold_edge : bool
+        Whether the outer edge of the tissue stays where it is.
+    least_jacobian : float
+        To which part of its area, or its volume, tissue is squeezed at most, at any corner of any
+        pixel; above 0, so that nothing folds.
+    memory : float, optional
+        Bytes that the unit solutions may take; by default half of what is free.
+    backend : str
+        As for `solve`.
+    progress : callable, optional
+        Called after each solve with how many are done, and how many there are.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is of another kind, or out of range.
+    ProblemError
+        If labels and materials make no problem, if no patch has room, or if the unit solutions take
+        more memory.
+    ConvergenceError, BackendError
+        As of `solve`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from napari_hmrf import Material, RandomDeformation
+    >>> labels = np.ones((48, 48), int)
+    >>> labels[20:28, 20:28] = 2
+    >>> materials = [Material(1, "muscle", 10.0), Material(2, "bone", float("inf"))]
+    >>> deformation = RandomDeformation(labels, materials, amplitude=2, patches=4)
+    >>> sample = deformation.sample(seed=1)
+    >>> sample.displacement.shape, sample.labels(labels).shape
+    ((48, 48, 2), (48, 48))
+    """
+
+    def __init__(
+        self,
+        labels: npt.ArrayLike,
+        materials: Iterable[Material],
+        *,
+        spacing: Sequence[float] | None = None,
+        unit: str = "pixel",
+        amplitude: float | tuple[float, float] | None = None,
+        patches: int | None = None,
+        radius: float | None = None,
+        smoothness: float | None = None,
+        weight: float = 0.0,
+        hold_edge: bool = True,
+        least_jacobian: float = 0.2,
+        memory: float | None = None,
+        backend: str = "auto",
+        progress: Callable[[int, int], None] | None = None,
+    ) -> None:
+        image, rows = as_numbers("labels", labels).copy(), tuple(materials)
+        stiffness_image(image, rows)  # which refuses what is no image of labels
+        n = image.ndim
+        sizes = checked_spacing((1.0,) * n if spacing is None else spacing, n)
+        for name, value, low, what in (
+            ("radius", radius, 0, "a length above 0"),
+            ("smoothness", smoothness, 0, "a length above 0"),
+            ("memory", memory, 0, "a number of bytes"),
+        ):
+            refuse_unless(value is None or low < real(value) < math.inf, name, value, what)
+        refuse_unless(0 <= real(weight) < math.inf, "weight", weight, "a number of at least 0")
+        count = _PATCHES[n] if patches is None else patches
+        refuse_unless(
+            is_whole(count) and count >= 1, "patches", count, "a whole number of at least 1"
+        )
+        above = 0 < real(least_jacobian) < 1
+        refuse_unless(above, "least_jacobian", least_jacobian, "a number above 0 and below 1")
+        usual = usual_radius(image.shape, sizes)
+        # A ball that is pulled squeezes what is beside it more than a disc, the more the smaller.
+        size = usual * (n - 1) / 2 if radius is None else float(radius)
+        where, centres = control_patches(
+            image, rows, sizes, count=int(count), radius=size, hold_edge=hold_edge
+        )
+        apart = _distance_to_next(centres, 4 * usual)
+        case = Case(
+            Grid(image.shape, sizes, unit),
+            image,
+            rows,
+            hold_edge,
+            where,
+            centres,
+            _range(amplitude, _REACH[n] * apart),
+            apart if smoothness is None else float(smoothness),
+            float(weight),
+            float(least_jacobian),
+        )
+        self._take(solve_units(case, backend=backend, memory=memory, progress=progress))
+
+    def _take(self, solutions: UnitSolutions) -> None:
+        """Draw from these from now on."""
+        self._solutions, self._case = solutions, solutions.case
+        self._factor = _factor(self._case.centres, self._case.smoothness)
+
+    @property
+    def tissue(self) -> npt.NDArray[np.bool_]:
+        """What moves, ([D,] H, W)."""
+        return self._solutions.tissue
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the unit solutions."""
+        return self._solutions.displacements.nbytes
+
+    @property
+    def amplitude(self) -> tuple[float, float]:
+        """How far that patch is pulled that is pulled farthest, at least and at most."""
+        return self._case.amplitude
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Save the unit solutions and all that belongs to them to one .npz file, whole or not.
+
+        Parameters
+        ----------
+        path : str or path-like
+            ".npz" is added if the name has no suffix.
+
+        Returns
+        -------
+        Path
+            The file that was written.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be written; the message names it.
+        """
+        return array_file.write(path, DEFORMATION_FORMAT, self._solutions)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> RandomDeformation:
+        """Read back what `save` wrote: the same seeds give the same bits, and nothing is solved.
+
+        Raises
+        ------
+        FileFormatError
+            If it is anything else, or damaged.
+        OSError
+            If it cannot be opened.
+        """
+        made = cls.__new__(cls)
+        made._take(array_file.read(path, DEFORMATION_FORMAT))
+        return made
+
+    def __repr__(self) -> str:
+        case, (low, high) = self._case, self.amplitude
+        return (
+            f"RandomDeformation({' x '.join(map(str, case.grid.shape))} sites, "
+            f"{len(case.centres)} patches pulled from {low:.3g} to {high:.3g}, "
+            f"{len(case.growing)} tissues that grow, {self.nbytes / 2**20:.3g} MiB)"
+        )
+
+    def sample(self, seed: Seed = None) -> RandomSample:
+        """Draw a deformation.
+
+        Parameters
+        ----------
+        seed : int, sequence of int or numpy.random.Generator, optional
+            The same seed gives the same field, to the bit, wherever the unit solutions are the
+            same; a generator goes on to others. By default one that nobody can tell before.
+
+        Returns
+        -------
+        RandomSample
+
+        Raises
+        ------
+        ArgumentError
+            If it is no seed.
+        """
+        drawn = self._draw(_generator(seed))
+        displacement, case = self._solutions.field(drawn), self._case
+        scale = largest_scale(displacement, case.grid.spacing, self.tissue, case.least_jacobian)
+        if scale < 1:
+            displacement *= np.float32(scale)
+        return RandomSample(
+            displacement, self.tissue, case.grid.spacing, drawn * scale, scale, case
+        )
+
+    def _draw(self, random: np.random.Generator) -> Causes:
+        """What moves tissue this time."""
+        case, n = self._case, len(self._case.grid.shape)
+        pulls = self._factor @ random.standard_normal(case.centres.shape)
+        pulls *= random.uniform(*self.amplitude) / np.linalg.norm(pulls, axis=1).max()
+        growth = random.uniform(size=len(case.growing))
+        way = random.standard_normal(n)
+        weight = case.weight * random.uniform() * way / np.linalg.norm(way)
+        return Causes(pulls, growth, weight)
+
+
+def _generator(seed: Seed) -> np.random.Generator:
+    try:
+        return np.random.default_rng(seed)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(
+            f"seed must be a whole number of at least 0, or a Generator, not {seed!r}"
+        ) from error
+
+
+def _range(amplitude: Any, usual: float) -> tuple[float, float]:
+    """How far what is pulled farthest is pulled, at least and at most."""
+    if amplitude is None:
+        return 0.0, usual
+    given = reals(amplitude, 2) if np.ndim(amplitude) else (real(amplitude),) * 2
+    low, high = given[0], given[-1]
+    right = 0 <= low <= high < math.inf and high > 0
+    refuse_unless(right, "amplitude", amplitude, "a length above 0, or two of them, (low, high)")
+    return low, high
+
+
+def _distance_to_next(centres: Array, alone: float) -> float:
+    """How far patches lie from their next, on average; of one patch a length that is given."""
+    if len(centres) == 1:
+        return alone
+    apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
+    np.fill_diagonal(apart, np.inf)
+    return float(apart.min(axis=1).mean())
+
+
+def _factor(centres: Array, smoothness: float) -> Array:
+    """What makes numbers that know nothing of each other alike where patches are near."""
+    apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
+    alike = np.exp(-0.5 * (apart / smoothness) ** 2)
+    # A little of its own for each: where all are alike, the matrix has no factor.
+    factor: Array = np.linalg.cholesky(alike + 1e-6 * np.eye(len(centres)))
+    return factor

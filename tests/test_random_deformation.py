@@ -1,0 +1,369 @@
+"""Random deformations of a case: tissue moves as tissue does, exactly, and nothing folds."""
+
+import json
+import pickle
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import random_deformations
+from scipy.ndimage import binary_erosion
+
+from napari_hmrf import (
+    RIGID,
+    ArgumentError,
+    FileFormatError,
+    Material,
+    Picture,
+    ProblemError,
+    RandomDeformation,
+    deformation_gradient,
+    folds,
+    load_study,
+    measure,
+    save_study,
+    solve_study,
+    warp,
+)
+from napari_hmrf.augmentation.fold_limit import largest_scale
+from napari_hmrf.augmentation.ground_truth import landmarks
+from napari_hmrf.field.deformation import smallest_determinant
+from napari_hmrf.solver.normals import outer_rim
+
+AIR, MUSCLE, TUMOUR, BONE = range(4)
+MATERIALS = (
+    Material(AIR, "air", 0.0),
+    Material(MUSCLE, "muscle", 3.0, 0.4),
+    Material(TUMOUR, "tumour", 10.0, 0.45, 0.15),
+    Material(BONE, "bone", RIGID),
+)
+SPACING = (0.5, 0.8)
+
+
+@cache
+def labels(size=64, axes=2):
+    """A round body in air with an air hole, a bone and a tumour."""
+    at = np.moveaxis(np.indices((size,) * axes), 0, -1) / (size - 1)
+    middle = (0.5,) * (axes - 2)
+
+    def ball(row, col, radius):
+        return np.linalg.norm(at - (*middle, row, col), axis=-1) < radius
+
+    image = np.where(ball(0.5, 0.5, 0.49), MUSCLE, AIR)
+    image[ball(0.7, 0.4, 0.13)] = TUMOUR
+    image[ball(0.3, 0.6, 0.12)] = BONE
+    image[ball(0.5, 0.78, 0.06)] = AIR
+    return image
+
+
+@cache
+def flat():
+    return RandomDeformation(labels(), MATERIALS, spacing=SPACING, amplitude=(1, 8), weight=0.03)
+
+
+@cache
+def deep():
+    return RandomDeformation(labels(20, axes=3), MATERIALS, amplitude=2, patches=3, radius=1.5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_sum_is_what_a_full_solve_of_the_same_boundary_finds(seed):
+    sample = flat().sample(seed)
+    solved = solve_study(sample.study, backend="cpu")
+    far = np.abs(solved.displacement - sample.displacement) / SPACING
+    assert far.max() < 0.01
+    assert np.abs(sample.displacement).max() > 0.5
+
+
+def test_in_a_volume_a_sum_is_what_a_full_solve_finds():
+    sample = deep().sample(1)
+    solved = solve_study(sample.study, backend="cpu")
+    assert np.abs(solved.displacement - sample.displacement).max() < 0.01
+    assert np.abs(sample.displacement).max() > 0.5
+
+
+@pytest.mark.parametrize("deformation", [flat, deep])
+def test_no_field_folds_and_none_is_squeezed_to_less_than_a_fifth(deformation):
+    random, scales = deformation(), []
+    for seed in range(40):
+        sample = random.sample(seed)
+        field, tissue = sample.displacement, sample.tissue
+        assert not folds(field, spacing=sample.spacing, tissue=tissue).any()
+        assert smallest_determinant(field, sample.spacing, tissue)[tissue].min() > 0.199
+        scales.append(sample.scale)
+    assert min(scales) < 1, "so much was asked for that something would have been squeezed"
+
+
+def test_what_is_scaled_down_is_as_far_as_it_may_be():
+    for seed in range(20):
+        sample = flat().sample(seed)
+        if sample.scale < 1:
+            least = smallest_determinant(sample.displacement, SPACING, sample.tissue)
+            assert np.nanmin(least) == pytest.approx(0.2, abs=0.01)
+
+
+def test_a_half_turn_is_no_way_to_unfold():
+    """At all of it each determinant is above 0; half way there tissue has been turned over."""
+    at = np.moveaxis(np.indices((8, 8)), 0, -1)
+    turned = -2.5 * (at - 3.5)
+    everywhere = np.ones((8, 8), bool)
+    assert not folds(turned).any()
+    assert largest_scale(turned, (1, 1), everywhere, 0.2) == pytest.approx(0.2211, abs=5e-4)
+
+
+def test_differences_are_never_taken_across_what_is_no_tissue():
+    moved = np.zeros((6, 9, 2))
+    moved[:, 5:, 1] = -4
+    tissue = np.ones((6, 9), bool)
+    assert largest_scale(moved, (1, 1), tissue, 0.2) < 0.25
+    tissue[:, 4] = False
+    assert largest_scale(moved, (1, 1), tissue, 0.2) == 1
+
+
+@pytest.mark.parametrize("deformation", [flat, deep])
+def test_bone_does_not_bend(deformation):
+    random = deformation()
+    grid = labels() if random.tissue.ndim == 2 else labels(20, axes=3)
+    bone = grid == BONE
+    # A site without a neighbour along an axis knows no turn.
+    inside = binary_erosion(bone)[bone]
+    assert inside.any()
+    for seed in range(3):
+        sample = random.sample(seed)
+        gradient = deformation_gradient(sample.displacement, spacing=sample.spacing, tissue=bone)[
+            bone
+        ]
+        turn = (gradient - np.eye(grid.ndim))[inside]
+        assert np.abs(turn + turn.swapaxes(-1, -2)).max() < 2e-3, "it moves and turns, no more"
+        assert np.abs(sample.displacement[bone]).max() > 0.05
+
+
+def test_air_stays_empty_and_the_edge_stays_where_it_is():
+    sample, image = flat().sample(3), labels()
+    air = image == AIR
+    assert not sample.displacement[air].any()
+    assert not sample.tissue[air].any()
+    edge = outer_rim(~air)
+    assert np.abs(sample.displacement[edge]).max() < 1e-3
+    hole = air & (np.hypot(*np.indices(image.shape) - np.array([32, 49])[:, None, None]) < 6)
+    beside = np.abs(np.stack(np.nonzero(edge)) - np.array([[32], [49]])).max(axis=0).min() > 10
+    assert hole.any()
+    assert beside, "a hole's own edge is free"
+    moved = sample.labels(image)
+    assert (moved == AIR).sum() == pytest.approx(air.sum(), rel=0.05)
+
+
+def test_a_free_edge_moves():
+    free = RandomDeformation(labels(), MATERIALS, amplitude=3, patches=4, hold_edge=False)
+    sample = free.sample(0)
+    assert np.abs(sample.displacement[outer_rim(sample.tissue)]).max() > 0.2
+
+
+def test_what_may_grow_grows_by_a_part_of_what_its_material_says():
+    random = RandomDeformation(labels(), MATERIALS, amplitude=1e-3, patches=1)
+    grown = []
+    for seed in range(4):
+        sample = random.sample(seed)
+        (share,) = sample.causes.growth
+        rows = {row.label: row for row in measure(sample.solution, labels())}
+        assert 0 <= share <= 1
+        grown.append((share, rows[TUMOUR].area_change))
+    shares, areas = np.array(grown).T
+    assert np.ptp(shares) > 0.1
+    np.testing.assert_allclose(areas / shares, (areas / shares)[0], rtol=0.2)
+    assert (areas > 0).all()
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_one_another_field():
+    once, again = flat().sample(7), flat().sample(7)
+    assert once.displacement.tobytes() == again.displacement.tobytes()
+    assert once.displacement.dtype == np.float32
+    assert np.abs(once.displacement - flat().sample(8).displacement).max() > 0.1
+    ours, theirs = np.random.default_rng(5), np.random.default_rng(5)
+    for _ in range(2):
+        first, second = flat().sample(ours), flat().sample(theirs)
+        assert first.displacement.tobytes() == second.displacement.tobytes()
+    assert flat().sample().displacement.tobytes() != flat().sample().displacement.tobytes()
+
+
+def test_another_process_gets_the_same_bits_from_a_pickle():
+    copy = pickle.loads(pickle.dumps(flat()))
+    assert copy.sample(2).displacement.tobytes() == flat().sample(2).displacement.tobytes()
+
+
+def test_image_labels_and_points_move_by_the_field_that_comes_with_them():
+    sample, tissue_labels = flat().sample(4), labels()
+    image = np.random.default_rng(0).random((64, 64), dtype=np.float32) - 3
+    d, there = sample.displacement, sample.tissue
+    moved = sample.image(image)
+    expected = warp(image, d, spacing=SPACING, tissue=there, fill=image.min())
+    np.testing.assert_allclose(moved, expected, atol=1e-5)
+    expected = warp(tissue_labels, d, spacing=SPACING, tissue=there, order=0)
+    np.testing.assert_array_equal(sample.labels(tissue_labels), expected)
+    both = sample.pictures(Picture(image, fill=image.min()), Picture(tissue_labels, order=0))
+    np.testing.assert_array_equal(both[0], moved)
+    np.testing.assert_array_equal(both[1], expected)
+    points = np.argwhere(tissue_labels == TUMOUR)
+    went = sample.points(points)
+    np.testing.assert_allclose(went - points, d[tissue_labels == TUMOUR] / SPACING, atol=1e-5)
+    seen = sample.labels(tissue_labels)[tuple(np.rint(went).astype(int).T)]
+    assert (seen == TUMOUR).mean() > 0.9
+
+
+def test_the_amplitude_is_how_far_the_farthest_patch_is_pulled():
+    small = RandomDeformation(labels(), MATERIALS[:2] + MATERIALS[3:] + (Material(2, "", 3.0),))
+    low, high = small.amplitude
+    assert low == 0 < high
+    one = RandomDeformation(labels(), MATERIALS, amplitude=0.5, spacing=SPACING, patches=5)
+    for seed in range(3):
+        sample = one.sample(seed)
+        assert sample.scale == 1
+        assert np.linalg.norm(sample.causes.pulls, axis=1).max() == pytest.approx(0.5)
+    between = [
+        np.linalg.norm(s.causes.pulls / s.scale, axis=1).max()
+        for s in map(flat().sample, range(20))
+    ]
+    assert 1 <= min(between) < 3
+    assert 6 < max(between) <= 8
+
+
+def test_weight_pulls_in_all_directions():
+    weights = np.array([flat().sample(seed).causes.weight for seed in range(20)])
+    assert (np.linalg.norm(weights, axis=1) <= 0.03 + 1e-9).all()
+    assert (weights.min(axis=0) < 0).all()
+    assert (weights.max(axis=0) > 0).all()
+
+
+def test_a_sample_is_saved_and_opened_as_any_study(tmp_path):
+    sample = flat().sample(1)
+    path = save_study(tmp_path / "sample", sample.study, sample.solution)
+    study, solution = load_study(path)
+    np.testing.assert_array_equal(solution.displacement, sample.displacement)
+    assert solution.provenance.model == "elastic"
+    again = solve_study(study, backend="cpu").displacement
+    assert np.abs((again - sample.displacement) / SPACING).max() < 0.01
+
+
+@pytest.mark.parametrize("deformation", [flat, deep])
+def test_a_deformation_is_saved_and_another_process_draws_the_same_bits_from_it(
+    deformation, tmp_path, monkeypatch
+):
+    random = deformation()
+    path = random.save(tmp_path / "case")
+    assert path.name == "case.npz"
+    monkeypatch.setattr("napari_hmrf.augmentation.unit_solutions.solve_study", None)
+    loaded = RandomDeformation.load(path)
+    assert repr(loaded) == repr(random)
+    for seed in range(2):
+        before, after = random.sample(seed), loaded.sample(seed)
+        assert before.displacement.tobytes() == after.displacement.tobytes()
+        assert before.study.tissue.materials == after.study.tissue.materials
+        assert before.study.motion.rules == after.study.motion.rules
+
+
+def test_a_file_that_is_none_or_disagrees_with_itself_is_refused(tmp_path):
+    path = save_study(tmp_path / "case.npz", flat().sample(0).study)
+    with pytest.raises(FileFormatError, match="another kind of file"):
+        RandomDeformation.load(path)
+    whole = dict(np.load(flat().save(path)))
+    for name, value, said in (
+        ("displacements", whole["displacements"][1:], "its solutions are"),
+        ("displacements", whole["displacements"] * np.float32(np.nan), "not numbers"),
+        ("patches", whole["patches"][1:], "disagree"),
+        ("centres", whole["centres"][:, :1], "disagree"),
+        ("header", _header(whole, amplitude=[2, 1]), "amplitude"),
+        ("header", _header(whole, smoothness=0), "lengths"),
+    ):
+        np.savez(path, **{**whole, name: value})
+        with pytest.raises(FileFormatError, match=said):
+            RandomDeformation.load(path)
+
+
+def _header(whole, **changes):
+    return np.array(json.dumps({**json.loads(whole["header"].item()), **changes}))
+
+
+def test_labels_that_change_later_change_nothing():
+    image = labels().copy()
+    random = RandomDeformation(image, MATERIALS, amplitude=1, patches=1)
+    image[...] = AIR
+    assert (random.sample(0).study.tissue.labels == labels()).all()
+
+
+def test_unit_solutions_are_kept_in_single_precision_and_refused_where_memory_ends():
+    random = flat()
+    causes = 2 * len(random.sample(0).causes.pulls) + 1 + 2
+    tissue = random.tissue.sum()
+    assert random.nbytes == causes * tissue * 2 * 4
+    with pytest.raises(ProblemError, match=r"64 x 64.* GiB are allowed: 3 of them"):
+        RandomDeformation(labels(), MATERIALS, memory=3.5 * tissue * 8)
+
+
+def test_patches_lie_in_soft_tissue_apart_from_each_other():
+    study = flat().sample(0).study
+    patches, image = study.motion.labels, labels()
+    assert set(image[patches > 0]) <= {MUSCLE, TUMOUR}
+    assert 6 <= patches.max() <= 12
+    counts = np.bincount(patches[patches > 0])[1:]
+    assert counts.min() >= 4
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"amplitude": 0}, "amplitude must be"),
+        ({"amplitude": (2, 1)}, "amplitude must be"),
+        ({"amplitude": "far"}, "amplitude must be"),
+        ({"patches": 0}, "patches must be"),
+        ({"least_jacobian": 0}, "least_jacobian must be"),
+        ({"smoothness": -1}, "smoothness must be"),
+        ({"weight": -1}, "weight must be"),
+        ({"radius": 400}, "have no soft tissue"),
+        ({"spacing": (1, 1, 1)}, "spacing"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_before_any_work(wrong, said):
+    with pytest.raises((ArgumentError, ProblemError), match=said):
+        RandomDeformation(labels(), MATERIALS, **wrong)
+
+
+def test_a_label_without_a_material_and_a_seed_that_is_none_are_refused():
+    with pytest.raises(ProblemError, match="without a stiffness: 3"):
+        RandomDeformation(labels(), MATERIALS[:3])
+    with pytest.raises(ArgumentError, match="seed must be"):
+        flat().sample("yes")
+
+
+def test_landmarks_are_spread_over_tissue():
+    tissue = flat().tissue
+    found = landmarks(tissue)
+    assert 150 < len(found) < 300
+    assert tissue[tuple(found.T)].all()
+
+
+def test_pictures_are_those_of_warp_wherever_the_tissue_lies():
+    image = np.zeros((50, 60), int)
+    image[10:30, 25:50] = MUSCLE
+    random = RandomDeformation(image, MATERIALS, amplitude=4, patches=3, hold_edge=False)
+    noise = np.random.default_rng(2).random(image.shape)
+    for seed in range(4):
+        sample = random.sample(seed)
+        for order in (0, 1, 3):
+            expected = warp(noise, sample.displacement, tissue=sample.tissue, order=order)
+            (moved,) = sample.pictures(Picture(noise, order=order))
+            np.testing.assert_allclose(moved, expected, atol=1e-9)
+
+
+def test_the_benchmark_runs_and_finds_no_fold(capsys):
+    assert random_deformations.main(["--quick"]) == 0
+    said = capsys.readouterr().out
+    assert "10 random fields: 0 fold" in said
+    assert said.count("0 of other bits") == 2
+    assert "CPU time a sample" in said
+
+
+def test_a_line_says_what_it_is():
+    assert "64 x 64 sites" in repr(flat())
+    assert "scale" in repr(flat().sample(0))
+    assert replace(flat().sample(0), scale=0.5).scale == 0.5

@@ -1,0 +1,121 @@
+"""Pairs of images whose deformation is known, as SimpleITK sees them."""
+
+import numpy as np
+import pytest
+
+from napari_hmrf import load_points, load_study, solve_study, warp
+from napari_hmrf.cli import main
+from napari_hmrf.io.fields import Place
+from napari_hmrf.io.images import ImageFile, load_image, save_image
+
+sitk = pytest.importorskip("SimpleITK")
+
+SHAPE = (40, 48)
+TURN = np.array([[0.8, -0.6], [0.6, 0.8]])
+PLACE = Place((0.5, 0.7), (-10.0, 20.0), TURN)
+
+
+def blob(shape, at, radius):
+    away = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), -1) - at
+    return np.linalg.norm(away, axis=-1) < radius
+
+
+def smooth_image(shape):
+    waves = np.prod([np.sin(np.arange(n) / 3) for n in shape[-1:]], axis=0)
+    return (100 + 50 * waves + 5 * np.arange(shape[-2])[:, None]) * np.ones(shape)
+
+
+@pytest.fixture
+def files(tmp_path):
+    labels = np.ones(SHAPE, np.uint8)
+    labels[blob(SHAPE, (20, 24), 7)] = 2
+    save_image(tmp_path / "scan.mha", ImageFile(smooth_image(SHAPE).astype(np.float32), PLACE))
+    save_image(tmp_path / "labels.png", ImageFile(labels))
+    (tmp_path / "m.csv").write_text("label,name,stiffness\n1,brain,3\n2,bone,rigid\n")
+    return tmp_path
+
+
+def truth(folder, *more):
+    arguments = [folder / "scan.mha", "--labels", folder / "labels.png", "--materials"]
+    arguments += [folder / "m.csv", "-o", folder / "out", "--patches", 4, *more]
+    return main(["truth", *map(str, arguments)])
+
+
+def test_the_field_that_is_written_makes_the_deformed_image_for_simpleitk(files, capsys):
+    assert truth(files, "--amplitude", 2, "--seed", 4) == 0
+    out = files / "out"
+    said = capsys.readouterr().out
+    assert "moved up to" in said
+    assert "inverts the motion" in said
+    image = sitk.ReadImage(str(out / "image.mha"), sitk.sitkFloat64)
+    deformed = sitk.ReadImage(str(out / "001" / "deformed.mha"), sitk.sitkFloat64)
+    field = sitk.ReadImage(str(out / "001" / "field.mha"), sitk.sitkVectorFloat64)
+    transform = sitk.DisplacementFieldTransform(field)
+    seen = sitk.GetArrayFromImage(sitk.Resample(image, deformed, transform, sitk.sitkLinear))
+    inner = np.s_[2:-2, 2:-2]
+    off = np.abs(seen - sitk.GetArrayFromImage(deformed))[inner]
+    moved = np.abs(sitk.GetArrayFromImage(image) - sitk.GetArrayFromImage(deformed))[inner]
+    assert off.max() < 0.05 * moved.max()
+    points = load_points(out / "001" / "landmarks.csv")
+    back = [transform.TransformPoint(tuple(to[::-1]))[::-1] for to in points.targets]
+    off = np.linalg.norm(np.array(back) - points.points, axis=1)
+    assert np.quantile(off, 0.9) < 0.005
+    assert off.max() < 0.1, "where the motion bends within a pixel"
+    assert np.linalg.norm(points.targets - points.points, axis=1).max() > 0.5
+
+
+def test_labels_move_with_the_image_and_the_study_solves_to_the_field(files):
+    assert truth(files, "--amplitude", 2, "--seed", 4) == 0
+    pair = files / "out" / "001"
+    study, solution = load_study(pair / "truth.study")
+    assert study.grid.unit == "millimeter"
+    again = solve_study(study, backend="cpu").displacement
+    assert (np.abs(again - solution.displacement) / solution.spacing).max() < 0.01
+    labels = load_image(files / "out" / "labels.mha").pixels
+    moved = warp(labels, solution.displacement, spacing=solution.spacing, order=0)
+    np.testing.assert_array_equal(load_image(pair / "deformed_labels.mha").pixels, moved)
+
+
+def test_each_of_several_pairs_is_another_and_a_seed_repeats_them(files):
+    assert truth(files, "--count", 2, "--seed", 1) == 0
+    first = [load_image(files / "out" / f"00{n}" / "deformed.mha").pixels for n in (1, 2)]
+    assert not np.array_equal(*first)
+    assert truth(files, "--count", 1, "--seed", 1) == 0
+    again = load_image(files / "out" / "001" / "deformed.mha").pixels
+    np.testing.assert_array_equal(again, first[0])
+
+
+def test_a_volume_is_deformed_too(tmp_path):
+    shape = (12, 14, 16)
+    labels = np.ones(shape, np.uint8)
+    labels[blob(shape, (6, 7, 8), 2.5)] = 2
+    place = Place((2.0, 0.5, 0.7), (-10.0, 20.0, 5.0), np.eye(3))
+    save_image(tmp_path / "scan.mha", ImageFile(smooth_image(shape).astype(np.float32), place))
+    save_image(tmp_path / "labels.mha", ImageFile(labels, place))
+    (tmp_path / "m.csv").write_text("label,name,stiffness\n1,brain,3\n2,bone,rigid\n")
+    arguments = ["truth", tmp_path / "scan.mha", "--labels", tmp_path / "labels.mha"]
+    arguments += ["--materials", tmp_path / "m.csv", "-o", tmp_path / "out", "--patches", 1]
+    assert main([*map(str, arguments), "--amplitude", "0.5"]) == 0
+    field = sitk.ReadImage(str(tmp_path / "out" / "001" / "field.mha"))
+    assert field.GetSize() == shape[::-1]
+    assert 0.2 < np.abs(sitk.GetArrayFromImage(field)).max() < 0.51, "of voxels up to 2 mm"
+
+
+def test_a_picture_lies_in_its_pixels(files):
+    picture = np.clip(smooth_image(SHAPE), 0, 255).astype(np.uint8)
+    save_image(files / "scan.png", ImageFile(picture))
+    arguments = ["truth", files / "scan.png", "--labels", files / "labels.png", "--materials"]
+    arguments += [files / "m.csv", "-o", files / "out", "--patches", 2]
+    assert main([*map(str, arguments)]) == 0
+    assert load_image(files / "out" / "image.mha").pixels.dtype == np.uint8
+
+
+def test_what_makes_no_sense_is_said_before_any_work(files, capsys):
+    assert truth(files, "--count", 0) == 1
+    assert truth(files, "--amplitude", -1) == 1
+    (files / "m.csv").write_text("label,name,stiffness\n1,brain,3\n")
+    assert truth(files) == 1
+    said = capsys.readouterr().err
+    assert "count must be" in said
+    assert "amplitude must be" in said
+    assert "without a stiffness: 2" in said
