@@ -41,9 +41,13 @@ from napari_hmrf.field.strain import (
     strain_through_slice,
 )
 from napari_hmrf.field.warp import inverse_map, warp
+from napari_hmrf.io.batch import BatchProgress, CaseOutcome, solve_cases
+from napari_hmrf.io.case import Case
+from napari_hmrf.io.case_tables import NamedCase, read_cases
 from napari_hmrf.io.fields import Field, export_field, read_field, write_field
 from napari_hmrf.io.landmark_files import LandmarkFile, load_points, save_points
 from napari_hmrf.io.moving_pictures import save_moving_picture
+from napari_hmrf.io.segmentation_tables import read_label_names
 from napari_hmrf.io.study_file import is_study_file, load_study, replay, save_study
 from napari_hmrf.samples.head import HeadPhantom, head_phantom
 from napari_hmrf.samples.phantoms import (
@@ -74,6 +78,12 @@ from napari_hmrf.tissue.boundary_rules import (
 )
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
+from napari_hmrf.tissue.tissue_names import (
+    KnownTissue,
+    NamedMaterials,
+    known_tissue,
+    materials_by_name,
+)
 
 __version__ = "0.1.0"
 
@@ -84,8 +94,11 @@ __all__ = [
     "ArgumentError",
     "Arrow",
     "BackendError",
+    "BatchProgress",
     "BoundaryRule",
     "Cancelled",
+    "Case",
+    "CaseOutcome",
     "ConvergenceError",
     "Drawing",
     "ElasticPrior",
@@ -94,6 +107,7 @@ __all__ = [
     "Grid",
     "HeadPhantom",
     "HmrfError",
+    "KnownTissue",
     "Landmark",
     "LandmarkFile",
     "LiveSolver",
@@ -103,6 +117,8 @@ __all__ = [
     "Monitor",
     "Motion",
     "Multigrid",
+    "NamedCase",
+    "NamedMaterials",
     "NeoHookeanPrior",
     "Phantom",
     "Picture",
@@ -136,17 +152,21 @@ __all__ = [
     "is_solution_file",
     "is_study_file",
     "jacobian_determinant",
+    "known_tissue",
     "load_points",
     "load_study",
     "luminance",
     "magnitude",
+    "materials_by_name",
     "measure",
     "phantom",
     "poisson_image",
     "pressure",
     "principal_strains",
     "reactions",
+    "read_cases",
     "read_field",
+    "read_label_names",
     "reference_displacement",
     "replay",
     "resample",
@@ -156,6 +176,7 @@ __all__ = [
     "save_study",
     "small_strain",
     "solve",
+    "solve_cases",
     "solve_study",
     "statement_of",
     "stiffness_image",

@@ -98,6 +98,23 @@ def _apply(options: argparse.Namespace) -> int:
     return int(failed > 0)
 
 
+def _materials(options: argparse.Namespace) -> int:
+    from napari_hmrf.io.case import labels_in
+    from napari_hmrf.io.segmentation_tables import read_label_names
+    from napari_hmrf.io.tables import named_materials_in_words, save_named_materials
+    from napari_hmrf.tissue.tissue_names import materials_by_name
+
+    names = read_label_names(options.table)
+    if options.labels is not None:
+        there = labels_in(options.labels)
+        names = {label: names.get(label, "not in the table") for label in there}
+    found = materials_by_name(names)
+    print(named_materials_in_words(found))
+    if options.out is not None:
+        print(f"written: {save_named_materials(options.out, found)}")
+    return 0
+
+
 def _measure(options: argparse.Namespace) -> int:
     from pandas import DataFrame
 
@@ -145,6 +162,31 @@ def _solve(options: argparse.Namespace) -> int:
     written = ", ".join(sorted(path.name for path in options.out.iterdir()))
     print(f"in {options.out}: {written}")
     return 0
+
+
+def _batch(options: argparse.Namespace) -> int:
+    from napari_hmrf.io.batch import SUMMARY, solve_cases
+    from napari_hmrf.io.case_tables import read_cases
+
+    line = _ProgressLine()
+    outcomes = solve_cases(
+        read_cases(options.cases),
+        options.out,
+        jobs=options.jobs,
+        scheduler=options.scheduler,
+        resume=options.resume,
+        backend=options.backend,
+        progress=lambda progress: line.write(progress.words),
+    )
+    line.end()
+    failed = [each for each in outcomes if each.state != "done"]
+    for each in failed[:_MOST]:
+        _tell(f"{each.case}: {each.error}")
+    if len(failed) > _MOST:
+        _tell(f"and {len(failed) - _MOST} more")
+    done = f"{len(outcomes) - len(failed)} of {len(outcomes)} cases are solved"
+    print(f"{done}; all of them are listed in {options.out / SUMMARY}")
+    return int(bool(failed))
 
 
 def _replay(options: argparse.Namespace) -> int:
@@ -284,8 +326,10 @@ def _show_in_napari(
 
 _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "apply": _apply,
+    "batch": _batch,
     "demo": _demo,
     "export": _export,
+    "materials": _materials,
     "measure": _measure,
     "play": _play,
     "replay": _replay,
@@ -296,6 +340,8 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
 
 # Seconds between two lines of progress where they stay.
 _SELDOM = 10.0
+# Of many cases so many that failed are said; all are in the summary.
+_MOST = 10
 
 
 class _ProgressLine:
@@ -308,15 +354,18 @@ class _ProgressLine:
 
     def show(self, monitor: Monitor) -> None:
         line = f"{monitor.fraction:4.0%}  {monitor.message}"
+        stage = monitor.message.partition(" ")[0]
+        if self._live or stage in ("compiling", "preparing"):
+            self.write(line, stage)
+
+    def write(self, line: str, stage: str = "") -> None:
         if self._live:
             sys.stderr.write("\r" + line.ljust(self._shown))
             sys.stderr.flush()
             self._shown = len(line)
             return
-        stage, now = monitor.message.partition(" ")[0], time.monotonic()
-        if stage in ("compiling", "preparing") and (
-            stage != self._stage or now > self._told + _SELDOM
-        ):
+        now = time.monotonic()
+        if stage != self._stage or now > self._told + _SELDOM:
             _tell(line.strip())
             self._stage, self._told = stage, now
 

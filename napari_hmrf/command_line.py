@@ -140,7 +140,8 @@ def _add_file_commands(commands: Any) -> None:
         "--materials",
         type=Path,
         metavar="TABLE",
-        help=".csv: label,name,stiffness,poisson,growth; a growth of 0.2 or 20%% is a fifth longer",
+        help=".csv: label,name,stiffness,poisson,growth; a growth of 0.2 or 20%% is a fifth "
+        "longer; or what a segmentation calls its labels, as for the command materials",
     )
     solve.add_argument(
         "--boundary",
@@ -171,6 +172,7 @@ def _add_file_commands(commands: Any) -> None:
     )
     solve.add_argument("--model", type=_dashed, choices=MODELS, help="default: elastic")
     solve.add_argument("--backend", choices=BACKEND_NAMES, default="auto")
+    _add_many_commands(commands)
     replay = commands.add_parser("replay", help="solve a saved study again, and compare the fields")
     replay.add_argument("study", type=Path, metavar="STUDY")
     replay.add_argument("--image", type=Path, metavar="IMAGE", help="if it is not in the file")
@@ -207,6 +209,52 @@ def _add_truth(commands: Any) -> None:
         metavar="P",
         help="places where tissue is pulled (default: 12, in a volume 8)",
     )
+
+
+def _add_many_commands(commands: Any) -> None:
+    materials = commands.add_parser(
+        "materials", help="find stiffness by what a segmentation calls its labels"
+    )
+    materials.add_argument(
+        "table",
+        type=Path,
+        metavar="TABLE",
+        help="TotalSegmentator's class map or dataset.json, FreeSurferColorLUT.txt, label "
+        "descriptions of ITK-SNAP, a colour table or .seg.nrrd of 3D Slicer, or a .csv: label,name",
+    )
+    materials.add_argument(
+        "--labels", type=Path, metavar="IMAGE", help="only what is in this image"
+    )
+    materials.add_argument(
+        "-o", "--out", type=Path, metavar="TABLE", help="a .csv to write as well"
+    )
+
+    batch = commands.add_parser("batch", help="solve many cases, by several processes or machines")
+    batch.add_argument(
+        "cases",
+        type=Path,
+        metavar="CASES",
+        help=".csv, a case a line: name, image or study, and the options of solve; growth:TISSUE, "
+        "stiffness:TISSUE, amount:BOUNDARY and poisson are numbers other than in its files. "
+        "Several values in a cell, with semicolons between them, are a case each; a slice may be "
+        "3-7, or all",
+    )
+    batch.add_argument("out", type=Path, metavar="OUT", help="a folder for a folder of each case")
+    where = batch.add_mutually_exclusive_group()
+    where.add_argument(
+        "--jobs", type=_count, metavar="N", help="processes, of one thread each (default: cores)"
+    )
+    where.add_argument(
+        "--scheduler", metavar="ADDRESS", help="of dask.distributed, or its file; default: none"
+    )
+    batch.add_argument("--resume", action="store_true", help="do only what is not finished")
+    batch.add_argument("--backend", choices=BACKEND_NAMES, default="cpu")
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
+    return int(text)
 
 
 def _size(text: str) -> int:

@@ -66,6 +66,7 @@ WHAT_A_CALL_IS_ABOUT = {
     "resample": 3,
     "export_field": 2,
     "load_study": 1,
+    "materials_by_name": 1,
     "measure": 2,
     "pressure": 3,
     "reactions": 3,
@@ -78,6 +79,7 @@ WHAT_A_CALL_IS_ABOUT = {
     "save_study": 3,
     "small_strain": 1,
     "solve": 2,
+    "solve_cases": 2,
     "solve_study": 1,
     "warp": 2,
     "write_field": 2,
@@ -120,7 +122,8 @@ def test_whatever_has_a_choice_is_in_that_list():
     """But for `phantom(name, size)`, and records: rows of tables, marks, studies and results."""
     records = {"Material", "Monitor", "Phantom", "Provenance", "Solution", "phantom"}
     records |= {"Study", "Grid", "Tissue", "Motion", "Pictures"}
-    records |= {"Field", "LandmarkFile", "Measurement"}
+    records |= {"Field", "LandmarkFile", "Measurement", "NamedMaterials"}
+    records |= {"BatchProgress", "Case", "CaseOutcome", "NamedCase"}
     records |= {"Drawing", "Arrow", "Landmark", "Stroke"}
     choices = set()
     for name in napari_hmrf.__all__:

@@ -213,7 +213,7 @@ def test_what_is_imported_is_declared_and_what_is_declared_is_imported():
     project = tomllib.loads(read("pyproject.toml"))["project"]
     extras = project["optional-dependencies"]
     wanted = [*project["dependencies"], *extras["medical"], *extras["film"]]
-    wanted += extras["monai"]
+    wanted += [*extras["monai"], *extras["cluster"]]
     declared = {re.match(r"[\w-]+", requirement)[0].lower() for requirement in wanted}
     imported = set().union(*(packages(imports(module)) for module in MODULES))
     others = {name.lower() for name in imported - sys.stdlib_module_names - {"napari_hmrf"}}

@@ -113,7 +113,10 @@ def count_folds(
     ProblemError
         Naming the input at fault.
     """
-    return int((smallest_determinant(displacement, spacing, tissue) <= 0).sum())
+    moved, mask = moved_sites(displacement, spacing, tissue)
+    if mask.ndim == 2 and _is_little_strained(moved):
+        return 0
+    return int((_over_quadrants("smallest", moved, mask) <= 0).sum())
 
 
 def smallest_determinant(
@@ -363,6 +366,16 @@ def _lattice(sites: float, spacing: Float64Array) -> tuple[int, ...]:
     return row, col
 
 
+def _is_little_strained(moved: Float64Array) -> bool:
+    """Whether all pixels are so near to one step apart that none can fold over its neighbour."""
+    # Where each step is less than half a pixel off along both axes, the matrix of steps is
+    # diagonally dominant, and its determinant is positive.
+    return all(
+        bool(np.abs(np.diff(moved, axis=axis) - step).max(initial=0) < 0.5)
+        for axis, step in enumerate(np.eye(2))
+    )
+
+
 def _over_quadrants(kind: _Kind, moved: Float64Array, mask: BoolArray) -> FloatArray:
     """What becomes of the determinants of the quadrants around each site; NaN in void."""
     if mask.ndim == 3 and loops.ready_for_volumes():
@@ -387,10 +400,13 @@ def _over_quadrants(kind: _Kind, moved: Float64Array, mask: BoolArray) -> FloatA
 
 def _reduced(kind: _Kind, each: list[Float64Array]) -> Float64Array:
     """What becomes of the determinants of several quadrants."""
-    smallest, mean = np.minimum.reduce(each), np.add.reduce(each) / len(each)
-    if kind == "mean or fold":
-        return np.asarray(np.where(smallest <= 0, smallest, mean))
-    return np.asarray(smallest if kind == "smallest" else mean)
+    if kind == "smallest":
+        return np.asarray(np.minimum.reduce(each))
+    mean = np.add.reduce(each) / len(each)
+    if kind == "mean":
+        return np.asarray(mean)
+    smallest = np.minimum.reduce(each)
+    return np.asarray(np.where(smallest <= 0, smallest, mean))
 
 
 def _quadrants(moved: Float64Array, mask: BoolArray) -> list[Float64Array]:

@@ -21,7 +21,7 @@ from napari_hmrf.io.apply import load_field, place_for
 from napari_hmrf.io.fields import Place, place_of
 from napari_hmrf.io.images import ImageFile, load_image, save_image
 from napari_hmrf.io.landmark_files import POINT_SUFFIXES, load_points
-from napari_hmrf.io.material_tables import load_materials
+from napari_hmrf.io.segmentation_tables import tissue_table
 from napari_hmrf.io.study_file import (
     Saved,
     is_study_file,
@@ -29,14 +29,16 @@ from napari_hmrf.io.study_file import (
     load_study,
     save_study,
 )
-from napari_hmrf.io.tables import read_materials, read_rules
+from napari_hmrf.io.tables import read_rules
 from napari_hmrf.solver.caveats import shortfall
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.ground import Ground, solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
+from napari_hmrf.study.sweeps import Change, changed
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
+from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
 
@@ -49,7 +51,8 @@ class Case:
     image : Path
         An image, or a study's file, which needs nothing else.
     labels, materials : Path, optional
-        An image of tissue labels and a table of materials, .csv or .json.
+        An image of tissue labels and a table of materials, .csv or .json, or one of what a
+        segmentation calls its labels, as of `read_label_names`.
     maps : sequence of Path
         Instead of `labels`: how likely each tissue is, an image for each. Where one of them is more
         likely than not, its place in this list, from 1 on, is the label.
@@ -109,18 +112,19 @@ def read_case(case: Case) -> Study:
     _refuse_unused(case, whole.ndim == 2)
     image, place = _part(whole, case)
     grid = _grid(image, whole, case)
-    materials = () if case.materials is None else _materials(case.materials)
     labels = None if case.labels is None else _pixels(case, case.labels, whole, labels=True)
     if case.maps:
         labels = _most_likely([_pixels(case, each, whole) for each in case.maps])
+    materials, unit, notes = _materials(case.materials, labels)
     motion = replace(_motion(case, grid, place, whole), hold_edge=case.hold_edge)
     return Study(
         grid,
-        Tissue(labels=labels, materials=materials),
+        Tissue(labels=labels, materials=materials, unit=unit),
         motion,
         model=case.model or "elastic",
         pictures=Pictures(image.pixels, labels, case.image.name.partition(".")[0]),
         names=_names(case),
+        notes=notes,
     )
 
 
@@ -169,15 +173,27 @@ def _names(case: Case) -> dict[str, str]:
     return {"image": case.image.name.partition(".")[0], **files}
 
 
-def solve_case(case: Case, folder: Path, *, backend: str = "auto") -> Saved:
+def solve_case(
+    case: Case, folder: Path, *, backend: str = "auto", changes: Sequence[Change] = ()
+) -> Saved:
     """Solve a case and write the study with its field, and the image as it is seen after.
+
+    Parameters
+    ----------
+    case : Case
+    folder : Path
+        Made if it is not there.
+    backend : str
+        As of `solve`.
+    changes : sequence of Change
+        Which numbers are other than in its files.
 
     Raises
     ------
     HmrfError, OSError
-        As of `read_case`, `solve_study` and `save_study`.
+        As of `read_case`, `changed`, `solve_study` and `save_study`.
     """
-    study = read_case(case)
+    study = changed(read_case(case), changes)
     if case.boundary is None and not case.hold_edge and not is_study_file(case.image):
         if study.bears_loads:
             raise HmrfError(
@@ -233,6 +249,17 @@ def measured(path: Path, labels: Path | None = None) -> Measured:
         image, names = np.ones(solution.tissue.shape, np.int32), {1: "tissue"}
     unit = unit_symbol(Frame.of_solution(solution).unit)
     return Measured(measure(solution, image, names=names), unit, solution.tissue.ndim == 3)
+
+
+def labels_in(path: Path) -> tuple[int, ...]:
+    """The labels that are somewhere in an image.
+
+    Raises
+    ------
+    HmrfError, OSError
+        If it cannot be read, or holds no labels.
+    """
+    return tuple(np.unique(_as_labels(load_image(path).pixels, path)).tolist())
 
 
 def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArray[Any]]:
@@ -302,10 +329,19 @@ def _grid(part: ImageFile, whole: ImageFile, case: Case) -> Grid:
     return Grid(shape, place.spacing[-n:], unit, frame)
 
 
-def _materials(path: Path) -> tuple[Material, ...]:
-    if path.suffix.lower() == ".json":
-        return load_materials(path).materials
-    return read_materials(path)
+def _materials(
+    path: Path | None, labels: npt.NDArray[Any] | None
+) -> tuple[tuple[Material, ...], str, tuple[str, ...]]:
+    """The materials of a table, their unit, and a note on the names that are unknown."""
+    if path is None or labels is None:
+        return (), "", ()
+    table = tissue_table(path)
+    if isinstance(table, Preset):
+        return table.materials, table.unit, ()
+    there, unknown = set(np.unique(labels).tolist()), table.unknown
+    named = ", ".join(f"{label} ({unknown[label]})" for label in unknown if label in there)
+    notes = (f"{path.name}: no stiffness is known for {named}",) if named else ()
+    return table.materials, table.unit, notes
 
 
 def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> npt.NDArray[Any]:

@@ -1,10 +1,10 @@
 """Tables of materials and of boundary rules as comma-separated text, as spreadsheets write it.
 
 Materials have the columns ``label,stiffness`` and, if wanted, ``name``, ``poisson`` and ``growth``
-(0.1: a tenth longer; ``0.1/0``: along rows only); the stiffness of what moves as one is the word
-``rigid``. Rules have ``label,action`` and, if wanted, ``name``, ``row`` and ``col`` (how far what
-moves goes, or how strongly it is pulled; in a volume ``plane``, too), ``amount`` (by how much what
-expands grows, or the pressure) and ``confidence``.
+(0.1: a tenth longer; ``0.1/0``: along rows only), and ``source``, which is for people; the
+stiffness of what moves as one is the word ``rigid``. Rules have ``label,action`` and, if wanted,
+``name``, ``row`` and ``col`` (how far what moves goes, or how strongly it is pulled; in a volume
+``plane``, too), ``amount`` (by how much what expands grows, or the pressure) and ``confidence``.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import csv
 import io
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
@@ -33,7 +33,9 @@ from napari_hmrf.tissue.boundary_rules import (
     Material,
     is_growth,
     read_stiffness,
+    stiffness_in_words,
 )
+from napari_hmrf.tissue.tissue_names import KnownTissue, NamedMaterials
 
 #: Larger files are no tables of ours, and are not read.
 _LARGEST = 2**20
@@ -104,6 +106,7 @@ _OF_MATERIALS = {
         _number(*POISSON_RANGE), "a number from {:g} to {:g}".format(*POISSON_RANGE)
     ),
     "growth": _Column(_growth, "0.2 or 20% (a fifth longer; up to 10), or one for each axis"),
+    "source": _Column(str, "where the numbers are from"),
 }
 _OF_RULES = {
     "label": _label(1),
@@ -112,6 +115,21 @@ _OF_RULES = {
     **dict.fromkeys(("plane", "row", "col", "amount"), _LENGTH),
     "confidence": _Column(_number(0, 1), "a number from 0 to 1"),
 }
+
+
+def value_of(column: str, text: str) -> Any:
+    """Read a cell as that of a table of materials or rules.
+
+    Raises
+    ------
+    ValueError
+        Saying what it should be.
+    """
+    kind = {**_OF_RULES, **_OF_MATERIALS}[column]
+    try:
+        return kind.read(text)
+    except ValueError:
+        raise ValueError(kind.right) from None
 
 
 def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
@@ -129,7 +147,47 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
         raise FileFormatError(
             f"{Path(path).name} has no stiffness above 0. Give one to what is tissue."
         )
+    for _, row in rows:
+        row.pop("source", None)
     return tuple(Material(**{"name": f"tissue {row['label']}", **row}) for _, row in rows)
+
+
+def save_named_materials(path: str | os.PathLike[str], found: NamedMaterials) -> Path:
+    """Write the materials of a segmentation to a .csv that `read_materials` reads.
+
+    What is unknown has a line without a stiffness, which is to be filled in, or removed.
+
+    Parameters
+    ----------
+    path : str or path-like
+    found : NamedMaterials
+
+    Raises
+    ------
+    FileFormatError
+        If its name does not end in .csv.
+    OSError
+        If it cannot be written.
+    """
+    target = Path(checked_path(path))
+    if target.suffix.lower() != ".csv":
+        raise FileFormatError(f"{target.name}: materials are saved as text. End its name in .csv.")
+    known = {
+        row.label: (
+            stiffness_in_words(row.stiffness),
+            f"{row.poisson:g}" if row.is_deformable else "",
+            "{0.name}: {0.source}".format(found.tissues[row.label]),
+        )
+        for row in found.materials
+    }
+    names = {**{row.label: row.name for row in found.materials}, **found.unknown}
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(["label", "name", "stiffness", "poisson", "source"])
+    for label in sorted(names):
+        writer.writerow([label, names[label], *known.get(label, ("", "", ""))])
+    write_whole(target, file.getvalue().encode())
+    return target
 
 
 def read_rules(path: str | os.PathLike[str]) -> tuple[BoundaryRule, ...]:
@@ -155,6 +213,24 @@ def read_rules(path: str | os.PathLike[str]) -> tuple[BoundaryRule, ...]:
         confidence = (row.pop("confidence", 1.0),) * 2
         rules.append(BoundaryRule(**row, vector=vector, confidence=confidence))
     return tuple(rules)
+
+
+def named_materials_in_words(found: NamedMaterials) -> str:
+    """Say which labels were taken for which tissue, and of which nothing is known, in lines."""
+    of_tissue: dict[KnownTissue, list[str]] = {}
+    for row in found.materials:
+        of_tissue.setdefault(found.tissues[row.label], []).append(f"{row.label} {row.name}")
+    lines = []
+    for tissue, labels in of_tissue.items():
+        stiffness = stiffness_in_words(tissue.stiffness, found.unit)
+        values = (
+            f"{stiffness}, nu {tissue.poisson:g}" if 0 < tissue.stiffness < RIGID else stiffness
+        )
+        lines.append(f"{tissue.name} ({values}): {', '.join(labels)}")
+    if found.unknown:
+        labels = [f"{label} {name}" for label, name in found.unknown.items()]
+        lines.append(f"unknown, to be filled in or removed: {', '.join(labels)}")
+    return "\n".join(lines)
 
 
 def measurement_titles(*, volume: bool) -> list[str]:
@@ -245,6 +321,15 @@ def _in_words(row: Measurement, name: str, axes: int) -> str:
         pixel = (row.area / row.pixels) ** (1 / axes)
         value = as_seen(value, [pixel if name.endswith("displacement") else 1.0])
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
+
+
+def save_rows(path: Path, titles: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write lines under titles to a .csv; what is None is left empty."""
+    file = io.StringIO()
+    writer = csv.DictWriter(file, titles, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_whole(path, file.getvalue().encode())
 
 
 def save_measurements(

@@ -19,7 +19,8 @@ from qtpy.QtWidgets import QFileDialog, QMenu, QPushButton
 
 from napari_hmrf.errors import LayerError
 from napari_hmrf.field.directions import Directions
-from napari_hmrf.io.material_tables import ENDING, load_materials, save_materials
+from napari_hmrf.io.material_tables import ENDING, save_materials
+from napari_hmrf.io.segmentation_tables import ENDINGS, tissue_table
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Table, tissue_recorded
 from napari_hmrf.solver.model_advice import ABOUT_POISSON
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
@@ -37,6 +38,7 @@ from napari_hmrf.tissue.boundary_rules import (
     stiffness_in_words,
 )
 from napari_hmrf.tissue.material_presets import PRESETS, Preset, take_over
+from napari_hmrf.tissue.tissue_names import NamedMaterials
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu, number_of
 from napari_hmrf.ui.label_table import Column, LabelTable
 
@@ -50,6 +52,7 @@ _ACTIONS: dict[Action, str] = {
 }
 _BY_WORD = {word: action for action, word in _ACTIONS.items()}
 _FILES = f"Materials (*{ENDING})"
+_TABLES = f"Materials, names of labels ({' '.join(f'*{ending}' for ending in ENDINGS)})"
 
 
 class MaterialTable(LabelTable):
@@ -272,7 +275,7 @@ class MaterialMenu(QPushButton):
             if layer is not self._table.layer and (found := materials_of(layer)):
                 self._offer(taken, found)
         taken.setEnabled(bool(taken.actions()))
-        about = "A file that was saved here, or written by hand"
+        about = "A file that was saved here or written by hand, or a segmentation's names of labels"
         add_entry(menu, "Load from file ...", about, self._load)
         add_entry(menu, "Save to file ...", "For other images, and for other people", self._save)
 
@@ -284,16 +287,19 @@ class MaterialMenu(QPushButton):
         LayerError
             If the layer has none.
         FileFormatError, OSError
-            As `load_materials`.
+            As `tissue_table`.
         """
-        preset: Preset | None = materials
+        preset: Preset | NamedMaterials | None = materials
         if isinstance(materials, str | Path):
-            preset = load_materials(materials)
+            preset = tissue_table(materials)
         elif not isinstance(materials, Preset):
             preset = materials_of(materials)
         if preset is None:
             raise LayerError(materials, "has no table of materials. Choose another layer.")
-        rows, words = take_over(preset, self._table.rows)
+        if isinstance(preset, NamedMaterials):
+            rows, words = preset.take_over(self._table.rows)
+        else:
+            rows, words = take_over(preset, self._table.rows)
         self._table.contents = Table(rows, preset.unit, preset.name, preset.source)
         self.said.emit(f"Materials: {preset.name}. {words}".rstrip())
 
@@ -310,7 +316,7 @@ class MaterialMenu(QPushButton):
         add_entry(menu, title, about, lambda: self.take(preset))
 
     def _load(self) -> None:
-        path, _ = QFileDialog.getOpenFileName(self, "Load materials", "", _FILES)
+        path, _ = QFileDialog.getOpenFileName(self, "Load materials", "", _TABLES)
         if path:
             attempt(partial(self.take, path), self.said.emit)
 

@@ -1,0 +1,215 @@
+"""How fast and how surely many cases are solved: `python benchmarks/many_cases.py`.
+
+Solves 200 cases of 256 x 256, of which one is broken, by two processes, kills them in the middle
+with SIGKILL, and resumes. Then the throughput of whole batches, beside a loop in one process that
+does the same work (reads, solves, writes) warm and on one thread; and the same by a local dask
+cluster of two workers, where dask.distributed is installed. Measured twice, as others may use the
+machine: by the clock, and by what the processors did.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import psutil
+
+from napari_hmrf import phantom, read_cases, solve_cases
+from napari_hmrf.io.batch import RECORD, one_thread
+from napari_hmrf.io.case import solve_case
+from napari_hmrf.io.images import ImageFile, save_image
+
+SIZE, WORKERS = 256, 2
+#: dask has its workers give memory back at once, which costs a fifth of the time, unless told so.
+KEPT = {"distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None}
+
+
+def write_cases(folder: Path, count: int, broken: bool = True) -> Path:
+    """A table of as many cases of one phantom, by how far the rim of its tumour moves."""
+    case = phantom("mass-effect", size=SIZE)
+    images = {
+        "image": case.image,
+        "labels": case.tissue_labels,
+        "rim": case.boundary_labels,
+    }
+    for name, pixels in images.items():
+        save_image(folder / f"{name}.tif", ImageFile(np.asarray(pixels).astype(np.uint8)))
+    rows = [f"{row.label},{row.stiffness},{row.poisson}" for row in case.materials]
+    (folder / "materials.csv").write_text("\n".join(["label,stiffness,poisson", *rows]))
+    (folder / "rules.csv").write_text("label,action,amount\n1,fixed,\n2,expand,4\n")
+    lines = ["name,image,labels,materials,boundary,rules,amount:2"]
+    for number in range(count):
+        image = "gone.tif" if broken and number == count // 3 else "image.tif"
+        amount = 2 + 4 * number / count
+        lines.append(f"case {number},{image},labels.tif,materials.csv,rim.tif,rules.csv,{amount:g}")
+    table = folder / "cases.csv"
+    table.write_text("\n".join(lines))
+    return table
+
+
+def in_shell(table: Path, out: Path, *more: str) -> list[str]:
+    """The command that solves a table."""
+    code = "import sys; from napari_hmrf.cli import main; sys.exit(main())"
+    return [sys.executable, "-c", code, "batch", str(table), str(out), *more]
+
+
+def finished(out: Path) -> list[Path]:
+    return sorted(out.glob(f"*/{RECORD}"))
+
+
+def killed_and_resumed(folder: Path, count: int) -> None:
+    """Kill a batch in the middle with all of its processes' parent, and do the rest."""
+    table, out = write_cases(folder, count), folder / "killed"
+    process = subprocess.Popen(in_shell(table, out, "--jobs", f"{WORKERS}"))
+    while len(finished(out)) < count // 2 and process.poll() is None:
+        time.sleep(0.05)
+    process.kill()
+    process.wait()
+    before = {path: path.stat().st_mtime_ns for path in finished(out)}
+    done = subprocess.run(in_shell(table, out, "--jobs", f"{WORKERS}", "--resume"), check=False)
+    with open(out / "summary.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    wrong = [row["case"] for row in rows if row["state"] != "done"]
+    kept = sum(path.stat().st_mtime_ns == when for path, when in before.items())
+    most = {
+        row["case"]: abs(float(row["largest_displacement"]) - amount)
+        for row, amount in zip(rows, (2 + 4 * n / count for n in range(count)), strict=True)
+        if row["state"] == "done"
+    }
+    print(
+        f"killed with {len(before)} of {count} cases finished, and resumed (exit {done.returncode})"
+    )
+    print(f"  left alone: {kept} of {len(before)}; right: {len(most)}; not: {', '.join(wrong)}")
+    print(f"  largest displacement beside what was asked for: within {max(most.values()):.2g} px")
+    halves = [path.name for path in out.iterdir() if path.is_dir() and not (path / RECORD).exists()]
+    print(f"  folders that are not whole: {len(halves)}")
+
+
+def loop(table: Path, out: Path, count: int) -> dict[str, float]:
+    """Solve cases here on one thread, warm; what one takes, by the clock and the processor."""
+    one_thread()
+    cases = [each for each in read_cases(table) if each.case.image.exists()][: count + 3]
+    for case in cases[:3]:
+        solve_case(case.case, out / case.name, backend="cpu", changes=case.changes)
+    clock, busy = time.perf_counter(), time.process_time()
+    for case in cases[3:]:
+        solve_case(case.case, out / case.name, backend="cpu", changes=case.changes)
+    clock, busy = time.perf_counter() - clock, time.process_time() - busy
+    return {"clock": clock / len(cases[3:]), "processor": busy / len(cases[3:])}
+
+
+class Pace(NamedTuple):
+    """Seconds for a case of a batch.
+
+    Attributes
+    ----------
+    first : float
+        Until the first came: processes are started, and load the loops.
+    clock, processors : float
+        Of one of the others by the clock, and by the processors in all processes of ours.
+    """
+
+    first: float
+    clock: float
+    processors: float
+
+
+def processors() -> float:
+    """Seconds that processors have worked for this process and those it has started."""
+    here = psutil.Process()
+    return sum(sum(each.cpu_times()[:2]) for each in (here, *here.children(recursive=True)))
+
+
+def pace_of(count: int, run: Callable[[Callable[[object], None]], object]) -> Pace:
+    """Time a batch of so many cases."""
+    warm, come, busy = 4 * WORKERS, [time.perf_counter()], []
+
+    def tell(_: object) -> None:
+        come.append(time.perf_counter())
+        if len(come) - 1 in (warm, count):  # to ask takes as long as a case
+            busy.append(processors())
+
+    run(tell)
+    some = count - warm
+    return Pace(come[1] - come[0], (come[-1] - come[warm]) / some, (busy[1] - busy[0]) / some)
+
+
+def throughput(folder: Path, count: int) -> None:
+    """Cases a second and a core, of the loop, of the pool and of a cluster, by turns."""
+    table, again = write_cases(folder, count, broken=False), [sys.executable, __file__, "--loop"]
+
+    def looped() -> dict[str, float]:
+        out = folder / "loop"
+        shutil.rmtree(out, ignore_errors=True)
+        done = subprocess.run(
+            [*again, str(table), str(out)], capture_output=True, text=True, check=True
+        )
+        return json.loads(done.stdout.splitlines()[-1])
+
+    before = looped()
+    cases = read_cases(table)
+    paces = {
+        "2 processes": pace_of(
+            count, lambda tell: solve_cases(cases, folder / "pool", jobs=WORKERS, progress=tell)
+        )
+    }
+    if importlib.util.find_spec("distributed"):
+        import dask
+        from distributed import LocalCluster
+
+        options = {"n_workers": WORKERS, "threads_per_worker": 1, "dashboard_address": None}
+        with dask.config.set(KEPT), LocalCluster(**options) as cluster:
+            address = cluster.scheduler_address
+            paces["dask, 2 workers"] = pace_of(
+                count,
+                lambda tell: solve_cases(cases, folder / "dask", scheduler=address, progress=tell),
+            )
+    after = looped()
+    clock, busy = ((before[each] + after[each]) / 2 for each in ("clock", "processor"))
+    print(
+        f"\na loop in one process, warm: {1000 * clock:.0f} ms a case ({1000 * busy:.0f} of it "
+        f"a processor's; {1000 * before['clock']:.0f} before the others, "
+        f"{1000 * after['clock']:.0f} after them)"
+    )
+    for name, pace in paces.items():
+        print(
+            f"{name}: the first case after {pace.first:.1f} s, then {1000 * pace.clock:.0f} ms a "
+            f"case ({1000 * pace.processors:.0f} of processors)"
+        )
+        print(
+            f"  throughput a core beside the loop: {clock / (pace.clock * WORKERS):.2f} by the "
+            f"clock, {busy / pace.processors:.2f} by what processors did"
+        )
+    if len(paces) == 1:
+        print("dask.distributed is not installed: no cluster")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=200)
+    parser.add_argument("--loop", nargs=2, type=Path, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.loop:
+        print(json.dumps(loop(*options.loop, options.cases)))
+        return 0
+    print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}; {SIZE} x {SIZE} pixels")
+    with tempfile.TemporaryDirectory() as folder:
+        killed_and_resumed(Path(folder), options.cases)
+        throughput(Path(folder), options.cases)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,436 @@
+"""Many cases, solved into a folder each: by processes of this machine, or by a dask cluster.
+
+A folder is complete or not there: a case is written beside the others, under `UNFINISHED`, and
+moved to its place when it is whole, with `RECORD` in it. So whatever ends a batch, and whenever,
+what is there is right, and `resume` does the rest. Only the process that was asked writes the
+summary.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import secrets
+import shutil
+import signal
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Generator, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from functools import cache, partial
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pydantic
+import threadpoolctl
+
+from napari_hmrf.errors import HmrfError, in_words
+from napari_hmrf.field.deformation import count_folds, magnitude
+from napari_hmrf.field.units import unit_symbol
+from napari_hmrf.io.case import solve_case
+from napari_hmrf.io.case_tables import NamedCase
+from napari_hmrf.io.study_file import Saved
+from napari_hmrf.io.tables import save_rows
+
+#: In each case's folder: what the table said of it, and what came of it.
+RECORD = "case.json"
+#: Where cases are written until they are whole.
+UNFINISHED = ".unfinished"
+SUMMARY = "summary.csv"
+#: How often the summary is written while cases come, in seconds.
+_SELDOM = 5.0
+#: By how many cases the pace is told.
+_PACE = 20
+#: What libraries are told of how many threads to start.
+_THREADS = "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
+
+
+@dataclass(frozen=True)
+class CaseOutcome:
+    """What came of a case.
+
+    Attributes
+    ----------
+    case : str
+        Its name.
+    state : {"done", "failed", "not done"}
+    error : str
+        Why it failed, in words.
+    seconds : float
+        From its files to its files.
+    folds : int
+        Pixels at which the tissue folds over itself, which no tissue does.
+    error_bound : float, optional
+        How far the field is from the exact one at most, in pixels; None of a model that has none.
+    largest_displacement : float, optional
+        In `unit`.
+    unit : str
+        Of the image's lengths.
+    """
+
+    case: str
+    state: Literal["done", "failed", "not done"] = "not done"
+    error: str = ""
+    seconds: float = 0.0
+    folds: int = 0
+    error_bound: float | None = None
+    largest_displacement: float | None = None
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class BatchProgress:
+    """How far a batch is.
+
+    Attributes
+    ----------
+    done, failed, of : int
+        Cases that are right, those that failed, and how many there are.
+    seconds_left : float, optional
+        At the pace so far; None until that is known.
+    newest : CaseOutcome, optional
+    """
+
+    done: int
+    failed: int
+    of: int
+    seconds_left: float | None = None
+    newest: CaseOutcome | None = None
+
+    @property
+    def words(self) -> str:
+        """That in a line."""
+        said = f"{self.done + self.failed} of {self.of} cases"
+        said += f", {self.failed} failed" if self.failed else ""
+        left = self.seconds_left
+        return said if left is None else f"{said}, about {_duration(left)} left"
+
+
+def solve_cases(
+    cases: Sequence[NamedCase],
+    folder: str | os.PathLike[str],
+    *,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    resume: bool = False,
+    backend: str = "cpu",
+    progress: Callable[[BatchProgress], object] | None = None,
+) -> tuple[CaseOutcome, ...]:
+    """Solve many cases, into a folder each; one that fails stops no other.
+
+    Processes are started anew, by "spawn", so that a script needs
+    ``if __name__ == "__main__":`` around what it does.
+
+    Parameters
+    ----------
+    cases : sequence of NamedCase
+        As of `read_cases`.
+    folder : path-like
+        Where the folders go, and `summary.csv`. One batch at a time writes there.
+    jobs : int, optional
+        Processes, of one thread each; by default one for each core.
+    scheduler : str, optional
+        The address of a dask scheduler, or its file (.json): its workers solve the cases. They have
+        to see the same files.
+    resume : bool
+        Leave alone what is finished and is still the same in the table, and do the rest.
+    backend : str
+        As of `solve`; with the loops a field does not depend on the machine's GPU.
+    progress : callable, optional
+        Called with a `BatchProgress` after each case.
+
+    Returns
+    -------
+    tuple of CaseOutcome
+        In the order of the cases.
+
+    Raises
+    ------
+    HmrfError
+        If the folder has finished cases and it is not to `resume`; or there is no scheduler.
+    OSError
+        If the folder cannot be written.
+    """
+    target = Path(folder).absolute()
+    found = {case.name: outcome for case in cases if (outcome := _finished(case, target))}
+    there = [case.name for case in cases if (target / case.name).exists()]
+    if there and not resume:
+        raise HmrfError(
+            f"{target.name}: {there[0]!r} is there already. Resume the batch (--resume), or "
+            "take another folder."
+        )
+    target.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(target / UNFINISHED, ignore_errors=True)
+    todo = [case for case in cases if case.name not in found]
+    solve_one = partial(solve_into, folder=target, backend=backend)
+    batch = _Batch(cases, found, target)
+    if scheduler is None:
+        coming = _by_processes(todo, solve_one, jobs or _cores())
+    else:
+        coming = _by_cluster(todo, solve_one, scheduler)
+    try:
+        for outcome in coming:
+            said = batch.take(outcome)
+            if progress is not None:
+                progress(said)
+    finally:
+        coming.close()
+        shutil.rmtree(target / UNFINISHED, ignore_errors=True)
+        batch.write()
+    return batch.outcomes
+
+
+def solve_into(case: NamedCase, folder: Path, backend: str = "cpu") -> CaseOutcome:
+    """Solve a case in this process, on one thread, into a folder that is whole or not there."""
+    one_thread()
+    begun = time.perf_counter()
+    part = folder / UNFINISHED / f"{case.name}-{secrets.token_hex(4)}"
+    try:
+        saved = solve_case(case.case, part, backend=backend, changes=case.changes)
+        outcome = _outcome(case.name, saved, time.perf_counter() - begun)
+        record = {"cells": dict(case.cells), "outcome": asdict(outcome)}
+        (part / RECORD).write_text(json.dumps(record, indent=2), encoding="utf-8")
+        _publish(part, folder / case.name)
+    except Exception as error:  # noqa: BLE001 - one that fails stops no other
+        said = in_words(error)
+        known = isinstance(error, HmrfError | OSError)
+        said = said if known else f"{type(error).__name__}: {said}"
+        return CaseOutcome(case.name, "failed", said, time.perf_counter() - begun)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    return outcome
+
+
+@cache
+def one_thread() -> None:
+    """Have this process compute on one thread, as others do beside it."""
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    if "numba" not in sys.modules:  # it does not change its mind
+        os.environ["NUMBA_NUM_THREADS"] = "1"
+    threadpoolctl.threadpool_limits(1)
+
+
+def _outcome(name: str, saved: Saved, seconds: float) -> CaseOutcome:
+    study, solution = saved
+    assert solution is not None
+    d, tissue = solution.displacement, solution.tissue
+    return CaseOutcome(
+        name,
+        "done",
+        seconds=round(seconds, 4),
+        folds=count_folds(d, spacing=solution.spacing, tissue=tissue),
+        error_bound=None if solution.convergence is None else float(solution.convergence.error),
+        largest_displacement=float(np.max(magnitude(d)[tissue], initial=0.0)),
+        unit=unit_symbol(study.grid.unit),
+    )
+
+
+def _publish(part: Path, target: Path) -> None:
+    """Give a whole folder its name; one of an earlier table makes way."""
+    if target.exists():
+        target.rename(part.with_name(f"{part.name}-old"))
+    part.rename(target)
+
+
+class _Record(pydantic.BaseModel):
+    """What the record of a case says."""
+
+    cells: dict[str, str]
+    outcome: CaseOutcome
+
+
+def _finished(case: NamedCase, folder: Path) -> CaseOutcome | None:
+    """What came of a case earlier, if the table still says the same of it."""
+    try:
+        record = _Record.model_validate_json((folder / case.name / RECORD).read_bytes())
+    except (OSError, pydantic.ValidationError):
+        return None
+    return record.outcome if record.cells == dict(case.cells) else None
+
+
+class _Batch:
+    """What has come so far, and the summary of it."""
+
+    def __init__(
+        self, cases: Sequence[NamedCase], found: dict[str, CaseOutcome], folder: Path
+    ) -> None:
+        self._found = {case.name: found.get(case.name, CaseOutcome(case.name)) for case in cases}
+        self._folder = folder
+        self._todo = len(cases) - len(found)
+        self._come: list[float] = []
+        self._written = time.monotonic()
+
+    @property
+    def outcomes(self) -> tuple[CaseOutcome, ...]:
+        return tuple(self._found.values())
+
+    def take(self, outcome: CaseOutcome) -> BatchProgress:
+        """Take one more, and write the summary now and then."""
+        self._found[outcome.case] = outcome
+        now = time.monotonic()
+        self._come.append(now)
+        if now > self._written + _SELDOM:
+            self.write()
+            self._written = now
+        states = [each.state for each in self._found.values()]
+        left = self._seconds_left()
+        return BatchProgress(
+            states.count("done"), states.count("failed"), len(states), left, outcome
+        )
+
+    def _seconds_left(self) -> float | None:
+        """By the newest cases, as the first wait for processes and loops."""
+        newest = self._come[-_PACE:]
+        if len(newest) < _PACE:
+            return None
+        return (newest[-1] - newest[0]) / (_PACE - 1) * (self._todo - len(self._come))
+
+    def write(self) -> None:
+        """Write the summary: a line for each case."""
+        rows = [asdict(outcome) for outcome in self.outcomes]
+        save_rows(self._folder / SUMMARY, [*CaseOutcome.__dataclass_fields__], rows)
+
+
+# By processes of this machine
+
+
+@dataclass
+class _Worker:
+    """A process that solves one case after the other, and how to speak to it."""
+
+    process: Any
+    pipe: Connection
+    case: NamedCase
+
+    @classmethod
+    def start(cls, solve_one: Callable[[NamedCase], CaseOutcome], case: NamedCase) -> _Worker:
+        context = multiprocessing.get_context("spawn")
+        here, there = context.Pipe()
+        process = context.Process(target=_work, args=(there, solve_one), daemon=True)
+        process.start()
+        there.close()  # so that this end sees when the process is gone
+        worker = cls(process, here, case)
+        worker.give(case)
+        return worker
+
+    def give(self, case: NamedCase) -> None:
+        self.case = case
+        with suppress(OSError):  # one that is gone is seen when its answer does not come
+            self.pipe.send(case)
+
+    def answer(self) -> CaseOutcome:
+        """What came of its case; that it failed, if the process has ended over it."""
+        try:
+            outcome: CaseOutcome = self.pipe.recv()
+        except (EOFError, OSError):
+            self.process.join()
+            return CaseOutcome(self.case.name, "failed", _ended(self.process.exitcode))
+        return outcome
+
+
+def _by_processes(
+    cases: Sequence[NamedCase], solve_one: Callable[[NamedCase], CaseOutcome], count: int
+) -> Generator[CaseOutcome, None, None]:
+    """The outcomes as they come; a process that ends takes only its own case with it."""
+    todo = deque(cases)
+    workers: dict[Connection, _Worker] = {}
+    idle: list[_Worker] = []
+
+    def start() -> None:
+        worker = _Worker.start(solve_one, todo.popleft())
+        workers[worker.pipe] = worker
+
+    try:
+        while todo and len(workers) < count:
+            start()
+        while workers:
+            for pipe in wait(list(workers)):
+                worker = workers[pipe]  # type: ignore[index]
+                outcome = worker.answer()
+                if worker.process.is_alive() and todo:
+                    worker.give(todo.popleft())
+                else:
+                    idle.append(workers.pop(worker.pipe))
+                    worker.pipe.close()  # which ends it
+                    if todo:
+                        start()
+                yield outcome
+    finally:
+        for worker in workers.values():
+            worker.process.terminate()
+        for worker in (*workers.values(), *idle):
+            worker.process.join()
+
+
+def _work(pipe: Connection, solve_one: Callable[[NamedCase], CaseOutcome]) -> None:
+    """Solve what comes until nothing does, or nobody asks any more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that was asked
+    one_thread()
+    with suppress(EOFError, OSError):
+        while True:
+            pipe.send(solve_one(pipe.recv()))
+
+
+def _ended(exitcode: int | None) -> str:
+    if exitcode is not None and exitcode < 0:
+        with suppress(ValueError):
+            name = signal.Signals(-exitcode).name
+            more = ", as where memory runs out" if name == "SIGKILL" else ""
+            return f"the process that solved it was ended by {name}{more}"
+    return f"the process that solved it ended with exit code {exitcode}"
+
+
+def _cores() -> int:
+    """How many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+# By a dask cluster
+
+
+def _by_cluster(
+    cases: Sequence[NamedCase], solve_one: Callable[[NamedCase], CaseOutcome], address: str
+) -> Generator[CaseOutcome, None, None]:
+    """The outcomes as they come from the workers of a dask scheduler."""
+    try:
+        from distributed import Client, as_completed
+    except ImportError:
+        raise HmrfError(
+            'a scheduler takes dask.distributed: pip install "napari-hmrf[cluster]"'
+        ) from None
+    where = {"scheduler_file": address} if address.endswith(".json") else {"address": address}
+    try:
+        client = Client(**where, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise HmrfError(f"no dask scheduler answers at {address}: {error}") from error
+    futures: dict[Any, NamedCase] = {}
+    try:
+        futures = dict(
+            zip(client.map(solve_one, list(cases), pure=False, retries=0), cases, strict=True)
+        )
+        for future in as_completed(list(futures), loop=client.loop):
+            case = futures.pop(future)
+            if future.status == "finished":
+                yield future.result()
+            else:
+                why = future.exception()
+                said = f"its worker did not finish: {type(why).__name__}: {why}"
+                yield CaseOutcome(case.name, "failed", said)
+    finally:
+        client.cancel(list(futures))
+        client.close()
+
+
+def _duration(seconds: float) -> str:
+    whole = round(seconds)
+    if whole < 100:
+        return f"{whole} s"
+    minutes = round(whole / 60)
+    return f"{minutes} min" if minutes < 100 else f"{round(minutes / 60)} h"

@@ -1,0 +1,229 @@
+"""Tables of cases: what to solve, a line for each study or image, with sweeps over its numbers.
+
+The columns are the words of ``napari-hmrf solve`` (``image`` or ``study``, ``labels``, ``maps``,
+``materials``, ``boundary``, ``rules``, ``confidence``, ``slice``, ``hold-edge``, ``model``), the
+``name`` of the case, and what it has other numbers of: ``poisson``, ``growth:TISSUE``,
+``stiffness:TISSUE``, ``poisson:TISSUE`` and ``amount:BOUNDARY``, by label or by name. Paths are
+relative to the table. Several values in a cell, with semicolons between them, are a case each;
+``slice`` takes ``3-7`` and ``all``, too, which are the time points of a film.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+from typing import Any, get_args
+
+from napari_hmrf.arguments import checked_path
+from napari_hmrf.errors import FileFormatError, HmrfError
+from napari_hmrf.io.case import Case
+from napari_hmrf.io.images import load_image
+from napari_hmrf.io.tables import value_of
+from napari_hmrf.solver.model_names import ModelName
+from napari_hmrf.study.sweeps import OF_BOUNDARIES, OF_TISSUES, Change
+
+#: Larger files are no tables of ours, and are not read.
+_LARGEST = 2**24
+_FILES = "image", "labels", "materials", "boundary", "rules", "confidence"
+_COLUMNS = ("name", "study", *_FILES, "maps", "slice", "hold-edge", "model", "poisson")
+#: Of these several values are a case each.
+_SEVERAL = "slice", "model", "poisson"
+_SWEEPS = (*OF_TISSUES, *OF_BOUNDARIES)
+#: What no name of a folder has.
+_PLAIN = str.maketrans(':/\\*?"<>|', " ________")
+_YES, _NO = ("yes", "true", "1", "x"), ("", "no", "false", "0")
+
+
+@dataclass(frozen=True)
+class NamedCase:
+    """A case of many.
+
+    Attributes
+    ----------
+    name : str
+        Also that of the folder with what comes of it.
+    case : Case
+    changes : tuple of Change
+        Which numbers it has other than its files.
+    cells : mapping of str to str
+        What the table says of it, which tells whether a case is still the same.
+    """
+
+    name: str
+    case: Case
+    changes: tuple[Change, ...] = ()
+    cells: Mapping[str, str] = field(default_factory=dict)
+
+
+def read_cases(path: str | os.PathLike[str]) -> tuple[NamedCase, ...]:
+    """Read a table of cases.
+
+    Parameters
+    ----------
+    path : str or path-like
+        A .csv.
+
+    Raises
+    ------
+    FileFormatError
+        Saying what is wrong with which line. Whether the files that it names are there, and what is
+        in them, is seen when a case is solved.
+    OSError
+        If it cannot be opened.
+    """
+    source = Path(checked_path(path))
+    titles, lines = _lines(source)
+    cases: dict[str, NamedCase] = {}
+    for number, line in lines:
+        where = f"{source.name}: line {number}"
+        filled = dict(zip(titles, line, strict=True))
+        cells = {title: cell for title, cell in filled.items() if title and cell}
+        for case in _cases_of(cells, source.parent, where):
+            if case.name in cases:
+                raise FileFormatError(
+                    f"{where}: there is a case {case.name!r} already. Give each a name of its own."
+                )
+            cases[case.name] = case
+    if not cases:
+        raise FileFormatError(f"{source.name} has no line below the names of its columns.")
+    return tuple(cases.values())
+
+
+def _lines(source: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """The titles of a table, and its lines with their numbers, as many cells each."""
+    if source.stat().st_size > _LARGEST:
+        raise FileFormatError(f"{source.name} is too large to be a table.")
+    try:
+        reader = csv.reader(io.StringIO(source.read_text("utf-8-sig")), skipinitialspace=True)
+        rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
+    except (csv.Error, UnicodeDecodeError):
+        raise FileFormatError(
+            f"{source.name} is no table of comma-separated text. Save it as .csv, in UTF-8."
+        ) from None
+    titles = [_title(cell) for cell in rows[0][1]] if rows else []
+    for title in filter(None, titles):
+        kind, _, of = title.partition(":")
+        if not (title in _COLUMNS or (kind in _SWEEPS and of)):
+            raise FileFormatError(
+                f"{source.name} has a column {title!r}, which says nothing here. Its columns are "
+                f"{', '.join(_COLUMNS)}, and {', '.join(f'{each}:NAME' for each in _SWEEPS)}."
+            )
+        if titles.count(title) > 1:
+            raise FileFormatError(f"{source.name} has two columns {title!r}. Remove one of them.")
+    if not {"image", "study"} & set(titles):
+        raise FileFormatError(
+            f"{source.name} lacks the column 'image'. Its first line names the columns, with "
+            f"commas between them: {', '.join(_COLUMNS)}."
+        )
+    for number, cells in rows[1:]:
+        if any(cells[len(titles) :]):
+            raise FileFormatError(
+                f"{source.name}: line {number} has more cells than there are columns. Write text "
+                "that holds a comma in quotation marks."
+            )
+    filled = [(number, cells) for number, cells in rows[1:] if any(cells)]
+    width = len(titles)
+    return titles, [(number, (cells + [""] * width)[:width]) for number, cells in filled]
+
+
+def _title(cell: str) -> str:
+    """A title, as it is typed in a shell or in Python; what follows a colon is a name."""
+    kind, colon, of = cell.partition(":")
+    return f"{kind.strip().casefold().replace('_', '-')}{colon}{of.strip()}"
+
+
+def _cases_of(cells: dict[str, str], folder: Path, where: str) -> Iterator[NamedCase]:
+    """The cases of a line: one for each value of what has several."""
+    image = cells.get("image") or cells.get("study")
+    if image is None or ("image" in cells and "study" in cells):
+        raise FileFormatError(f"{where}: give an image, or a study.")
+    swept = {title: text for title, text in cells.items() if ":" in title or title in _SEVERAL}
+    values = {title: _values(title, text, folder / image) for title, text in swept.items()}
+    # A line without a name is called after all of its numbers, as others may be of the same image.
+    told = [title for title in values if "name" not in cells or len(values[title]) > 1]
+    for chosen in product(*values.values()):
+        here = dict(zip(values, chosen, strict=True))
+        parts = [cells.get("name", Path(image).name.partition(".")[0])]
+        parts += [f"{title}={here[title]}".translate(_PLAIN) for title in told]
+        name = ", ".join(parts)
+        if re.search(r'[\\/:*?"<>|\0]', name) or name[0] in ". " or name[-1] in ". ":
+            raise FileFormatError(f"{where}: {name!r} is no name for a folder. Give another name.")
+        yield _named_case(name, {**cells, **here}, folder, where)
+
+
+def _values(title: str, text: str, image: Path) -> list[str]:
+    """The values of a cell, each as text."""
+    parts = [part.strip() for part in text.split(";") if part.strip()]
+    if title != "slice":
+        return parts or [text]
+    found: list[str] = []
+    for part in parts:
+        if part.casefold() == "all":
+            found += map(str, range(_slices(image)))
+        elif ends := re.fullmatch(r"(\d+)\s*-\s*(\d+)", part):
+            found += map(str, range(int(ends[1]), int(ends[2]) + 1))
+        else:
+            found.append(part)
+    return found or [text]
+
+
+def _slices(image: Path) -> int:
+    """How many slices an image has; one that cannot be read is a case that says so."""
+    try:
+        file = load_image(image)
+    except (HmrfError, OSError):
+        return 1
+    return len(file.pixels) if file.ndim == 3 else 1
+
+
+def _named_case(name: str, cells: dict[str, str], folder: Path, where: str) -> NamedCase:
+    def refuse(title: str, right: str) -> FileFormatError:
+        return FileFormatError(f"{where}: {title} is {cells[title][:40]!r}. Give {right}.")
+
+    files: dict[str, Any] = {each: folder / cells[each] for each in _FILES if each in cells}
+    if "study" in cells:
+        files["image"] = folder / cells["study"]
+    if cells.get("confidence") == "edges":
+        files["confidence"] = "edges"
+    if maps := cells.get("maps"):
+        files["maps"] = tuple(folder / each.strip() for each in maps.split(";"))
+    held = cells.get("hold-edge", "").casefold()
+    if held not in (*_YES, *_NO):
+        raise refuse("hold-edge", "yes or no")
+    number = cells.get("slice")
+    if number is not None and not number.isdecimal():
+        raise refuse("slice", "a whole number, 3-7, or all")
+    case = Case(
+        **files,
+        slice=None if number is None else int(number),
+        hold_edge=held in _YES,
+    )
+    changes: list[Change] = []
+    for title in cells:
+        kind, _, of = title.partition(":")
+        if title == "model":
+            model = _model(cells[title])
+            if model is None:
+                raise refuse(title, "elastic, large-motion, paper or paper-converged")
+            changes.insert(0, Change("model", model))
+        elif title == "poisson" or kind in _SWEEPS:
+            try:
+                changes.append(Change(kind, value_of(kind, cells[title]), of))
+            except ValueError as error:
+                raise refuse(title, str(error)) from None
+    return NamedCase(name, case, tuple(changes), cells)
+
+
+def _model(text: str) -> str | None:
+    """A model, as it is typed in a shell or in Python."""
+
+    def plain(name: str) -> str:
+        return re.sub(r"[\s,_-]+", " ", name.casefold()).strip()
+
+    return next((name for name in get_args(ModelName) if plain(name) == plain(text)), None)

@@ -1,0 +1,188 @@
+"""Tissues by the names that segmentations give them, with published stiffness.
+
+`sample_data/tissue_names.json` has the tissues, their sources and their names. A name counts where
+its words stand in that of a label, one after the other, however they are joined: "fat" in
+"subcutaneous_fat_left". What is longer counts first: "kidney_cyst_left" is no kidney. A name in
+which two tissues are left, or a word that makes it doubtful, such as "lesion", is unknown.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import NamedTuple
+
+from napari_hmrf.resources import resource_folder
+from napari_hmrf.tissue.boundary_rules import Material, read_stiffness
+
+_Words = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class KnownTissue:
+    """A tissue with a published stiffness.
+
+    Attributes
+    ----------
+    name : str
+    stiffness : float
+        Young's modulus in kPa; 0 is no tissue, and infinity is rigid.
+    poisson : float
+        Poisson's ratio.
+    source : str
+        Where the values come from, and what was made of them.
+    """
+
+    name: str
+    stiffness: float
+    poisson: float
+    source: str
+
+
+@dataclass(frozen=True)
+class NamedMaterials:
+    """Materials of labels that have names.
+
+    Attributes
+    ----------
+    materials : tuple of Material
+        Of the labels with a name that is known, by label.
+    unknown : mapping of int to str
+        The other labels, and their names: nothing is said of their stiffness.
+    tissues : mapping of int to KnownTissue
+        What each material was taken for.
+    unit : str
+        Of stiffness.
+    name : str
+        Of the table that the names are from.
+    """
+
+    materials: tuple[Material, ...]
+    unknown: Mapping[int, str]
+    tissues: Mapping[int, KnownTissue]
+    unit: str
+    name: str = ""
+
+    @property
+    def source(self) -> str:
+        """Where the values are from, tissue by tissue."""
+        used = dict.fromkeys(self.tissues.values())
+        return "; ".join(f"{tissue.name}: {tissue.source}" for tissue in used)
+
+    def take_over(self, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:
+        """Put the materials in place of those of a table, label by label.
+
+        Of a label of which nothing is known, void and what is rigid stay; other tissue is as the
+        first that is known, since an old stiffness may be in another unit.
+
+        Parameters
+        ----------
+        rows : sequence of Material
+            The table. No label is added to it.
+
+        Returns
+        -------
+        materials : tuple of Material
+            By label.
+        words : str
+            What became of the labels of which nothing is known; empty if there are none.
+        """
+        known = {row.label: row for row in self.materials}
+        first = next((row for row in self.materials if row.is_deformable), None)
+        now, guessed = [], []
+        for row in rows:
+            other = replace(row, name=self.unknown.get(row.label, row.name))
+            if row.label not in known and first is not None and row.is_deformable:
+                other = replace(other, stiffness=first.stiffness, poisson=first.poisson)
+                guessed.append(f"{row.label} ({other.name})")
+            now.append(known.get(row.label, other))
+        if first is None or not guessed:
+            return tuple(now), ""
+        as_stiff = f"No stiffness is known for {', '.join(guessed)}, now as stiff as {first.name}."
+        return tuple(now), as_stiff
+
+
+class _Rules(NamedTuple):
+    """What `tissue_names.json` says."""
+
+    unit: str
+    doubts: frozenset[_Words]
+    tissues: dict[_Words, KnownTissue]
+
+
+def known_tissue(name: str) -> KnownTissue | None:
+    """The tissue that a name is that of; None if there is none, or more than one.
+
+    Parameters
+    ----------
+    name : str
+        As segmentations have it: "Left-Cerebral-White-Matter", "lung_upper_lobe_left".
+    """
+    words = _words(name)
+    rules = _rules()
+    spans = [(i, j) for i in range(len(words)) for j in range(i + 1, len(words) + 1)]
+    said = [(i, j) for i, j in spans if words[i:j] in rules.tissues]
+    said = [span for span in said if not _is_within(span, said)]
+    doubts = [(i, j) for i, j in spans if words[i:j] in rules.doubts]
+    found = {rules.tissues[words[i:j]] for i, j in said}
+    if len(found) != 1 or any(not _is_within(span, said) for span in doubts):
+        return None
+    return found.pop()
+
+
+def materials_by_name(names: Mapping[int, str], *, name: str = "") -> NamedMaterials:
+    """Give labels the published stiffness of the tissues that they are called after.
+
+    Parameters
+    ----------
+    names : mapping of int to str
+        What each label of a segmentation is called, as `read_label_names` reads it.
+    name : str
+        Of the table that they are from.
+
+    Returns
+    -------
+    NamedMaterials
+        Materials in kPa, with their sources; and the labels of which nothing is known.
+
+    Examples
+    --------
+    >>> from napari_hmrf import materials_by_name
+    >>> found = materials_by_name({5: "liver", 20: "colon", 91: "skull"})
+    >>> [(row.name, row.stiffness) for row in found.materials], found.unknown
+    ([('liver', 5.4), ('skull', inf)], {20: 'colon'})
+    """
+    tissues = {label: known_tissue(names[label]) for label in sorted(names)}
+    known = {label: tissue for label, tissue in tissues.items() if tissue is not None}
+    materials = tuple(
+        Material(label, names[label], tissue.stiffness, tissue.poisson)
+        for label, tissue in known.items()
+    )
+    unknown = {label: names[label] for label in tissues if label not in known}
+    return NamedMaterials(materials, unknown, known, _rules().unit, name)
+
+
+def _words(name: str) -> _Words:
+    """The words of a name, in small letters."""
+    return tuple(re.findall(r"[^\W_]+", name.casefold()))
+
+
+def _is_within(span: tuple[int, int], others: list[tuple[int, int]]) -> bool:
+    """Whether one of the others is longer and has all words of a span."""
+    first, last = span
+    return any(i <= first and last <= j and j - i > last - first for i, j in others)
+
+
+@cache
+def _rules() -> _Rules:
+    file = resource_folder("sample_data") / "tissue_names.json"
+    content = json.loads(file.read_text(encoding="utf-8"))
+    tissues: dict[_Words, KnownTissue] = {}
+    for row in content["tissues"]:
+        stiffness = read_stiffness(row["stiffness"])
+        tissue = KnownTissue(row["name"], stiffness, row["poisson"], row["source"])
+        tissues |= {_words(name): tissue for name in row["names"]}
+    return _Rules(content["unit"], frozenset(map(_words, content["doubts"])), tissues)

@@ -1,0 +1,313 @@
+"""Many cases are solved from a table; what fails or ends stops no other, and nothing is half."""
+
+import csv
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from napari_hmrf import (
+    BoundaryRule,
+    Case,
+    FileFormatError,
+    Grid,
+    HmrfError,
+    Material,
+    Motion,
+    Study,
+    Tissue,
+    load_study,
+    read_cases,
+    save_study,
+    solve_cases,
+)
+from napari_hmrf.cli import main
+from napari_hmrf.io import batch
+from napari_hmrf.io.images import ImageFile, save_image
+from napari_hmrf.study.sweeps import Change, changed
+
+SHAPE = (24, 30)
+MATERIALS = (Material(1, "brain", 3.0), Material(2, "Tumour", 8.0), Material(3, "skull", np.inf))
+RULES = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 2.0), name="rim"))
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    """A film of three images, with one set of labels, tables and a boundary."""
+    monkeypatch.chdir(tmp_path)
+    labels = np.ones(SHAPE, np.uint8)
+    labels[10:14, 12:18] = 2
+    rim = np.zeros(SHAPE, np.uint8)
+    rim[:, 0], rim[:, -1] = 1, 2
+    film = np.random.default_rng(0).integers(1, 200, (3, *SHAPE), dtype=np.uint8)
+    for name, pixels in {"labels.tif": labels, "rim.tif": rim, "image.tif": labels}.items():
+        save_image(name, ImageFile(pixels))
+    save_image("film.tif", ImageFile(film))
+    (tmp_path / "m.csv").write_text("label,name,stiffness\n1,brain,3\n2,tumour,8\n")
+    (tmp_path / "r.csv").write_text("label,name,action,row,col\n1,,fixed,,\n2,rim,move,0,2\n")
+    return tmp_path
+
+
+def write_table(folder, *lines, more=""):
+    """A table whose lines say a name, an image and what else there are columns for."""
+    titles = f"name,image,labels,materials,boundary,rules{more}"
+    parts = [line.split(",", 2) for line in lines]
+    rows = [
+        ",".join([name, image, "labels.tif", "m.csv", "rim.tif", "r.csv", *rest])
+        for name, image, *rest in parts
+    ]
+    (folder / "cases.csv").write_text("\n".join([titles, *rows]))
+    return folder / "cases.csv"
+
+
+def summary(folder):
+    with open(folder / "summary.csv", newline="") as file:
+        return {row["case"]: row for row in csv.DictReader(file)}
+
+
+def moved(folder, name):
+    study, solution = load_study(folder / name / "image.study")
+    assert study is not None
+    return float(np.abs(solution.displacement).max())
+
+
+def test_values_that_a_cell_has_several_of_are_a_case_each(files):
+    table = write_table(
+        files,
+        "film,film.tif,all,0.1;0.2,",
+        ",image.tif,,0.1/0,paper-converged",
+        "b,film.tif,1-2,,",
+        more=",slice,growth:tumour,model",
+    )
+    cases = read_cases(table)
+    assert [case.name for case in cases] == [
+        *(f"film, slice={n}, growth tumour={by}" for n in range(3) for by in (0.1, 0.2)),
+        "image, growth tumour=0.1_0, model=paper-converged",
+        "b, slice=1",
+        "b, slice=2",
+    ]
+    assert cases[3].changes == (Change("growth", 0.2, "tumour"),)
+    assert cases[3].case == Case(
+        files / "film.tif",
+        labels=files / "labels.tif",
+        materials=files / "m.csv",
+        boundary=files / "rim.tif",
+        rules=files / "r.csv",
+        slice=1,
+    )
+    assert cases[6].changes == (
+        Change("model", "paper, converged"),
+        Change("growth", (0.1, 0.0), "tumour"),
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", r"t\.csv lacks the column 'image'"),
+        ("image\n", r"t\.csv has no line below the names"),
+        ("image,growth\na.tif,1\n", r"has a column 'growth', which says nothing here"),
+        ("image,lables\na.tif,b\n", r"has a column 'lables', which says nothing here"),
+        ("image,image\na.tif,b\n", r"t\.csv has two columns 'image'"),
+        ("image\na.tif\na.png\n", r"line 3: there is a case 'a' already\. Give each a name"),
+        ("name,image\na/b,a.tif\n", r"line 2: 'a/b' is no name for a folder"),
+        ("name,image\n..,a.tif\n", r"line 2: '\.\.' is no name for a folder"),
+        ("image,labels\n,b\n", r"line 2: give an image, or a study"),
+        ("image,study\na.tif,b\n", r"line 2: give an image, or a study"),
+        ("image,slice\na.tif,x\n", r"line 2: slice is 'x'\. Give a whole number, 3-7, or all"),
+        ("image,model\na.tif,soft\n", r"line 2: model is 'soft'\. Give elastic, large-motion"),
+        ("image,poisson\na.tif,0.7\n", r"line 2: poisson is '0\.7'\. Give a number from 0 to"),
+        ("image,growth:1\na.tif,-2\n", r"growth:1 is '-2'\. Give "),
+        ("image,amount:1\na.tif,;\n", r"amount:1 is ';'\. Give a number, a length"),
+        ("image,hold-edge\na.tif,maybe\n", r"hold-edge is 'maybe'\. Give yes or no"),
+        ("image\na.tif,b\n", r"line 2 has more cells than there are columns"),
+    ],
+)
+def test_what_is_wrong_with_a_table_of_cases_is_said_by_its_line(tmp_path, text, sentence):
+    (tmp_path / "t.csv").write_text(text)
+    with pytest.raises(FileFormatError, match=sentence):
+        read_cases(tmp_path / "t.csv")
+
+
+def study(**more):
+    labels = np.ones(SHAPE, np.uint8)
+    motion = Motion(labels=np.ones(SHAPE, np.uint8), rules=RULES)
+    return Study(
+        Grid(SHAPE, (1.0, 1.0)), Tissue(labels=labels, materials=MATERIALS), motion, **more
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "rows"),
+    [
+        (Change("growth", 0.2, "2"), {2: (8.0, 0.45, 0.2)}),
+        (Change("stiffness", 5.0, "tumour"), {2: (5.0, 0.45, 0.0)}),
+        (Change("stiffness", 5.0, "bone"), {3: (5.0, 0.45, 0.0)}),
+        (Change("poisson", 0.3), {1: (3.0, 0.3, 0), 2: (8.0, 0.3, 0), 3: (np.inf, 0.3, 0)}),
+    ],
+    ids=lambda value: ":".join(map(str, value)) if isinstance(value, Change) else "",
+)
+def test_a_sweep_changes_the_tissue_of_a_label_of_a_name_or_of_a_kind(change, rows):
+    found = changed(study(), [change]).tissue.materials
+    now = {row.label: (row.stiffness, row.poisson, row.growth) for row in found}
+    was = {row.label: (row.stiffness, row.poisson, row.growth) for row in MATERIALS}
+    assert now == {**was, **rows}
+
+
+def test_a_sweep_changes_how_far_what_moves_does_and_the_model():
+    both = [Change("amount", 5.0, "rim"), Change("model", "paper")]
+    found = changed(study(), both)
+    assert found.motion.rules == (RULES[0], BoundaryRule(2, "move", vector=(0, 5.0), name="rim"))
+    assert found.model_name == "paper"
+    bare = Study(Grid(SHAPE, (1.0, 1.0)))
+    assert changed(bare, [Change("poisson", 0.3)]).prior.poisson == 0.3
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (
+            Change("growth", 0.1, "bowel"),
+            "growth:bowel: there is no such tissue. There is: 1",
+        ),
+        (Change("amount", 3.0, "brain"), "amount:brain: there is no such boundary. There is:"),
+        (Change("amount", 3.0, "1"), "amount:1: the boundary does not move"),
+    ],
+)
+def test_a_sweep_over_what_is_not_there_is_refused(change, sentence):
+    with pytest.raises(HmrfError) as error:
+        changed(study(), [change])
+    assert sentence in str(error.value)
+    with pytest.raises(HmrfError, match="poisson is for elastic tissue"):
+        changed(study(model="paper"), [Change("poisson", 0.3)])
+
+
+def test_one_case_that_fails_stops_no_other_and_is_named(files, capsys):
+    save_study("own.study", study())
+    table = write_table(files, "a,image.tif,4;5", "broken,gone.tif,4", more=",amount:rim")
+    with open(table, "a") as file:
+        file.write("\nstudy,own.study,,,,,3\n")
+    assert main(["batch", str(table), "out", "--jobs", "2"]) == 1
+    said = capsys.readouterr()
+    assert "broken: " in said.err
+    assert "gone.tif: there is no such file or folder" in said.err
+    assert "3 of 4 cases are solved" in said.out
+    out = files / "out"
+    assert sorted(path.name for path in out.iterdir()) == [
+        "a, amount rim=4",
+        "a, amount rim=5",
+        "study",
+        "summary.csv",
+    ]
+    rows = summary(out)
+    assert [rows[name]["state"] for name in rows] == ["done", "done", "failed", "done"]
+    assert float(rows["a, amount rim=5"]["largest_displacement"]) == pytest.approx(5)
+    assert 0 < float(rows["a, amount rim=5"]["error_bound"]) < 0.01
+    assert rows["study"]["folds"] == "0"
+    assert moved(out, "a, amount rim=4") == pytest.approx(4)
+    assert load_study(out / "study" / "own.study").solution is not None
+    # What is there is not written over, nor done again, but for what the table says otherwise.
+    assert main(["batch", str(table), "out"]) == 1
+    assert "'a, amount rim=4' is there already. Resume the batch" in capsys.readouterr().err
+    before = (out / "study").stat().st_ino
+    write_table(files, "a,image.tif,4", "broken,image.tif,6", more=",amount:rim")
+    text = table.read_text().replace("a,image", '"a, amount rim=5",image')
+    table.write_text(f"{text}\nstudy,own.study,,,,,3\n")
+    assert main(["batch", str(table), "out", "--jobs", "1", "--resume"]) == 0
+    assert (out / "study").stat().st_ino == before
+    assert moved(out, "a, amount rim=5") == pytest.approx(4)
+    assert moved(out, "broken") == pytest.approx(6)
+    assert not (out / batch.UNFINISHED).exists()
+
+
+ENDLESS = """
+import sys
+from napari_hmrf import read_cases, solve_cases
+if __name__ == "__main__":
+    said = lambda progress: print(progress.newest.case, flush=True)
+    solve_cases(read_cases("cases.csv"), "out", jobs=1, progress=said)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")
+def test_a_batch_that_is_killed_is_resumed_where_it_was(files):
+    write_table(files, f"a,image.tif,{';'.join(map(str, range(1, 13)))}", more=",poisson")
+    table = (files / "cases.csv").read_text().replace(";", ";0.0")
+    (files / "cases.csv").write_text(table.replace(",1;", ",0.01;"))
+    (files / "run.py").write_text(ENDLESS)
+    process = subprocess.Popen([sys.executable, "run.py"], stdout=subprocess.PIPE, text=True)
+    finished = {process.stdout.readline().strip() for _ in range(2)}
+    process.kill()
+    process.wait()
+    process.stdout.close()
+    before = {name: (files / "out" / name / "case.json").stat().st_mtime_ns for name in finished}
+    assert len(before) == 2
+    assert main(["batch", "cases.csv", "out", "--resume", "--jobs", "1"]) == 0
+    rows = summary(files / "out")
+    assert len(rows) == 12
+    assert {row["state"] for row in rows.values()} == {"done"}
+    after = {name: (files / "out" / name / "case.json").stat().st_mtime_ns for name in finished}
+    assert after == before
+    assert all(moved(files / "out", name) == pytest.approx(2) for name in rows)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")
+def test_a_process_that_ends_takes_one_case_with_it(files):
+    table = write_table(files, "a,image.tif,1;2;3;4", more=",amount:rim")
+    killed = []
+
+    def kill_once(_):
+        if not killed:
+            killed.extend(multiprocessing.active_children())
+            for each in killed:
+                each.kill()
+
+    outcomes = solve_cases(read_cases(table), files / "out", jobs=1, progress=kill_once)
+    assert [each.state for each in outcomes].count("done") == 3
+    (failed,) = [each for each in outcomes if each.state == "failed"]
+    assert f"was ended by {signal.Signals.SIGKILL.name}" in failed.error
+
+
+def test_a_batch_that_is_interrupted_says_so_and_what_is_not_done(files, monkeypatch, capsys):
+    def interrupt(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(batch.BatchProgress, "words", property(interrupt))
+    table = write_table(files, "a,image.tif,1;2;3;4;5;6", more=",amount:rim")
+    assert main(["batch", str(table), "out", "--jobs", "1"]) == 130
+    assert "interrupted" in capsys.readouterr().err
+    states = [row["state"] for row in summary(files / "out").values()]
+    assert states[0] == "done"
+    assert states[-1] == "not done"
+    assert not (files / "out" / batch.UNFINISHED).exists()
+
+
+def test_how_far_a_batch_is_is_said_in_words():
+    assert batch.BatchProgress(0, 0, 9).words == "0 of 9 cases"
+    assert batch.BatchProgress(5, 1, 9, 42.0).words == "6 of 9 cases, 1 failed, about 42 s left"
+    assert batch.BatchProgress(5, 0, 9, 600.0).words == "5 of 9 cases, about 10 min left"
+    assert batch.BatchProgress(5, 0, 9, 36000.0).words == "5 of 9 cases, about 10 h left"
+
+
+def test_without_dask_a_scheduler_is_refused(files, monkeypatch):
+    table = write_table(files, "a,image.tif")
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(HmrfError, match=r'pip install "napari-hmrf\[cluster\]"'):
+        solve_cases(read_cases(table), files / "out", scheduler="tcp://127.0.0.1:1")
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_the_workers_of_a_dask_scheduler_solve_cases(files):
+    distributed = pytest.importorskip("distributed")
+    table = write_table(files, "a,image.tif,1;2", "broken,gone.tif,1", more=",amount:rim")
+    options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None}
+    with distributed.LocalCluster(**options) as cluster:
+        command = ["batch", str(table), "out", "--scheduler", cluster.scheduler_address]
+        assert main(command) == 1
+    states = {name: row["state"] for name, row in summary(files / "out").items()}
+    assert states == {"a, amount rim=1": "done", "a, amount rim=2": "done", "broken": "failed"}
+    assert moved(files / "out", "a, amount rim=2") == pytest.approx(2)
