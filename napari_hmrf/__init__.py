@@ -49,6 +49,12 @@ from napari_hmrf.io.landmark_files import LandmarkFile, load_points, save_points
 from napari_hmrf.io.moving_pictures import save_moving_picture
 from napari_hmrf.io.segmentation_tables import read_label_names
 from napari_hmrf.io.study_file import is_study_file, load_study, replay, save_study
+from napari_hmrf.io.tissue_names import (
+    KnownTissue,
+    NamedMaterials,
+    known_tissue,
+    materials_by_name,
+)
 from napari_hmrf.samples.head import HeadPhantom, head_phantom
 from napari_hmrf.samples.phantoms import (
     PHANTOM_NAMES,
@@ -78,12 +84,6 @@ from napari_hmrf.tissue.boundary_rules import (
 )
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
-from napari_hmrf.tissue.tissue_names import (
-    KnownTissue,
-    NamedMaterials,
-    known_tissue,
-    materials_by_name,
-)
 
 __version__ = "0.1.0"
 

@@ -102,7 +102,7 @@ def _materials(options: argparse.Namespace) -> int:
     from napari_hmrf.io.case import labels_in
     from napari_hmrf.io.segmentation_tables import read_label_names
     from napari_hmrf.io.tables import named_materials_in_words, save_named_materials
-    from napari_hmrf.tissue.tissue_names import materials_by_name
+    from napari_hmrf.io.tissue_names import materials_by_name
 
     names = read_label_names(options.table)
     if options.labels is not None:

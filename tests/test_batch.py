@@ -28,7 +28,7 @@ from napari_hmrf import (
 from napari_hmrf.cli import main
 from napari_hmrf.io import batch
 from napari_hmrf.io.images import ImageFile, save_image
-from napari_hmrf.study.sweeps import Change, changed
+from napari_hmrf.io.sweeps import Change, changed
 
 SHAPE = (24, 30)
 MATERIALS = (Material(1, "brain", 3.0), Material(2, "Tumour", 8.0), Material(3, "skull", np.inf))

@@ -21,7 +21,7 @@ from napari_hmrf.layers.metadata import (
 )
 from napari_hmrf.solver.solution import Provenance
 from napari_hmrf.tissue.boundary_rules import RIGID, Material, default_material
-from napari_hmrf.tissue.material_presets import PRESETS, Preset, take_over
+from napari_hmrf.tissue.material_presets import PRESETS, Preset
 
 LIVER = Preset(
     "Liver",
@@ -149,13 +149,13 @@ def test_a_preset_goes_by_names_then_by_numbers_and_says_what_it_does_not_have()
         Material(2, "soft tissue", 10.0),
         Material(3, "tumour", 40.0),
     )
-    found, words = take_over(brain, table)
+    found, words = brain.take_over(table)
     assert [(row.label, row.stiffness) for row in found] == [(0, 0), (1, 0.1), (2, 0.1), (3, 8)]
     assert words == "'normal tissue' is fluid now, 'soft tissue' is as stiff as fluid now."
-    found, words = take_over(PRESETS[0], table)
+    found, words = PRESETS[0].take_over(table)
     assert (found[1:], words) == (PRESETS[0].materials, ""), "they are called the same"
     liver = next(preset for preset in PRESETS if preset.name.startswith("Liver"))
-    words = take_over(liver, (Material(0, "unpainted", 20.0), *table[1:]))[1]
+    words = liver.take_over((Material(0, "unpainted", 20.0), *table[1:]))[1]
     assert words == (
         "'unpainted' is as stiff as liver now, 'normal tissue' is liver now, "
         "'soft tissue' is hepatocellular carcinoma now, 'tumour' is as stiff as liver now."
@@ -164,15 +164,15 @@ def test_a_preset_goes_by_names_then_by_numbers_and_says_what_it_does_not_have()
 
 def test_a_preset_leaves_rigid_tissue_rigid_and_makes_nothing_else_so():
     table = (Material(0, "air", 0.0), Material(1, "gel", 20.0), Material(9, "implant", RIGID))
-    found, words = take_over(LIVER, table)
+    found, words = LIVER.take_over(table)
     assert found[-1].is_rigid
     assert "implant" not in words
     bone_first = Preset("", "kPa", "", (Material(1, "bone", RIGID), Material(2, "brain", 3.0)))
-    found, words = take_over(bone_first, (*table, Material(4, "fat", 2.0)))
+    found, words = bone_first.take_over((*table, Material(4, "fat", 2.0)))
     assert [row.stiffness for row in found] == [0, RIGID, 3, 3, RIGID]
     assert words.endswith("'fat' is as stiff as brain now.")
     only_bone = replace(bone_first, materials=bone_first.materials[:1])
-    assert take_over(only_bone, (*table, Material(4, "fat", 2.0)))[0][2].stiffness == 2.0
+    assert only_bone.take_over((*table, Material(4, "fat", 2.0)))[0][2].stiffness == 2.0
 
 
 def test_a_new_label_is_never_rigid_by_itself():
@@ -183,6 +183,6 @@ def test_a_new_label_is_never_rigid_by_itself():
 
 def test_a_material_whose_number_is_taken_by_a_name_gets_another():
     brain = Preset("", "kPa", "", (Material(1, "fluid", 0.1), Material(2, "tumour", 8.0)))
-    found, words = take_over(brain, (Material(1, "tumour", 40.0),))
+    found, words = brain.take_over((Material(1, "tumour", 40.0),))
     assert found == (Material(1, "tumour", 8.0), Material(3, "fluid", 0.1))
     assert not words

@@ -121,6 +121,18 @@ class Directions(NamedTuple):
                 found.append((_to(word) if word else f"{step}", along))
         return found
 
+    def nearest(self, step: tuple[float, ...]) -> tuple[float, ...]:
+        """The step of `steps` that this one is, to a rounding; itself, if it is none of them."""
+        same = (each for _, each in self.steps if np.shape(each) == np.shape(step))
+        return next((each for each in same if np.allclose(each, step, atol=1e-6)), step)
+
+    def steps_with(self, step: tuple[float, ...]) -> list[tuple[str, tuple[float, ...]]]:
+        """The ways of `steps`, and that of another step if it is none of them, nor ()."""
+        steps = self.steps
+        if step and step not in [each for _, each in steps]:
+            steps.append((self.step(tuple(round(part, 2) for part in self.seen(step))), step))
+        return steps
+
     def about(self, axis: int) -> str:
         """What a number along an axis says: "How far down, along the rows; below 0: up"."""
         along, way = ("the rows", "the columns")[axis], self[:2][axis]

@@ -29,13 +29,13 @@ from napari_hmrf.io.study_file import (
     load_study,
     save_study,
 )
+from napari_hmrf.io.sweeps import Change, changed
 from napari_hmrf.io.tables import read_rules
 from napari_hmrf.solver.caveats import shortfall
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.ground import Ground, solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
-from napari_hmrf.study.sweeps import Change, changed
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.material_presets import Preset

@@ -24,9 +24,9 @@ from napari_hmrf.arguments import checked_path
 from napari_hmrf.errors import FileFormatError, HmrfError
 from napari_hmrf.io.case import Case
 from napari_hmrf.io.images import load_image
+from napari_hmrf.io.sweeps import OF_BOUNDARIES, OF_TISSUES, Change
 from napari_hmrf.io.tables import value_of
 from napari_hmrf.solver.model_names import ModelName
-from napari_hmrf.study.sweeps import OF_BOUNDARIES, OF_TISSUES, Change
 
 #: Larger files are no tables of ours, and are not read.
 _LARGEST = 2**24

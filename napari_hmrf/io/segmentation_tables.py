@@ -25,8 +25,8 @@ from napari_hmrf.arguments import checked_path
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.io.material_tables import FORMAT, load_materials
 from napari_hmrf.io.tables import read_materials
+from napari_hmrf.io.tissue_names import NamedMaterials, materials_by_name
 from napari_hmrf.tissue.material_presets import Preset
-from napari_hmrf.tissue.tissue_names import NamedMaterials, materials_by_name
 
 #: Larger files are no tables, and are not read; of an image only so much is its header.
 _LARGEST = 2**22

@@ -24,6 +24,7 @@ from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.held_forces import HeldForce
 from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.field.units import as_seen
+from napari_hmrf.io.tissue_names import KnownTissue, NamedMaterials
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.tissue.boundary_rules import (
     LARGEST_STIFFNESS,
@@ -35,7 +36,6 @@ from napari_hmrf.tissue.boundary_rules import (
     read_stiffness,
     stiffness_in_words,
 )
-from napari_hmrf.tissue.tissue_names import KnownTissue, NamedMaterials
 
 #: Larger files are no tables of ours, and are not read.
 _LARGEST = 2**20

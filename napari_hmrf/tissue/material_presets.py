@@ -38,6 +38,46 @@ class Preset:
     source: str
     materials: tuple[Material, ...]
 
+    def take_over(self, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:
+        """Put these materials in place of those of a table.
+
+        A row becomes the material of its name, else the one of its number that goes to no name;
+        what no row becomes is added. A row that becomes none stays void or rigid, or is as the
+        preset's first tissue, since an old stiffness may be in another unit.
+
+        Parameters
+        ----------
+        rows : sequence of Material
+            The table.
+
+        Returns
+        -------
+        materials : tuple of Material
+            By label.
+        words : str
+            What became of the rows that are called otherwise; empty if there are none.
+        """
+        called = (each for each in self.materials if each.label > 0 and each.name.strip())
+        named = {_key(each): each for each in called}
+        now = {row.label: named[_key(row)] for row in rows if row.label > 0 and _key(row) in named}
+        for material in self.materials:
+            if material not in now.values():
+                known = (*now, *(each.label for each in (*rows, *self.materials)))
+                now[max(known) + 1 if material.label in now else material.label] = material
+        first = next((each for each in self.materials if each.is_deformable), None)
+        words = []
+        for row in rows:
+            if row.label in now:
+                if _key(row) != _key(now[row.label]):
+                    words.append(f"'{row.name}' is {now[row.label].name} now")
+            elif first is None or not row.is_deformable:
+                now[row.label] = row
+            else:
+                now[row.label] = replace(row, stiffness=first.stiffness, poisson=first.poisson)
+                words.append(f"'{row.name}' is as stiff as {first.name} now")
+        materials = (replace(each, label=label) for label, each in sorted(now.items()))
+        return tuple(materials), f"{', '.join(words)}." if words else ""
+
 
 def _published() -> Iterator[Preset]:
     """The presets of `sample_data/materials.json`."""
@@ -50,47 +90,6 @@ def _published() -> Iterator[Preset]:
 #: Published stiffnesses differ by orders of magnitude between studies; ratios within one agree
 #: better, and only ratios matter here.
 PRESETS: tuple[Preset, ...] = tuple(_published())
-
-
-def take_over(preset: Preset, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:
-    """Put the materials of a preset in place of those of a table.
-
-    A row becomes the material of its name, else the one of its number that goes to no name; what
-    no row becomes is added. A row that becomes none stays void or rigid, or is as the preset's
-    first tissue, since an old stiffness may be in another unit.
-
-    Parameters
-    ----------
-    preset : Preset
-    rows : sequence of Material
-        The table.
-
-    Returns
-    -------
-    materials : tuple of Material
-        By label.
-    words : str
-        What became of the rows that are called otherwise; empty if there are none.
-    """
-    named = {_key(each): each for each in preset.materials if each.label > 0 and each.name.strip()}
-    now = {row.label: named[_key(row)] for row in rows if row.label > 0 and _key(row) in named}
-    for material in preset.materials:
-        if material not in now.values():
-            known = (*now, *(each.label for each in (*rows, *preset.materials)))
-            now[max(known) + 1 if material.label in now else material.label] = material
-    first = next((each for each in preset.materials if each.is_deformable), None)
-    words = []
-    for row in rows:
-        if row.label in now:
-            if _key(row) != _key(now[row.label]):
-                words.append(f"'{row.name}' is {now[row.label].name} now")
-        elif first is None or not row.is_deformable:
-            now[row.label] = row
-        else:
-            now[row.label] = replace(row, stiffness=first.stiffness, poisson=first.poisson)
-            words.append(f"'{row.name}' is as stiff as {first.name} now")
-    materials = (replace(each, label=label) for label, each in sorted(now.items()))
-    return tuple(materials), f"{', '.join(words)}." if words else ""
 
 
 def _key(row: Material) -> str:

@@ -21,6 +21,7 @@ from napari_hmrf.errors import LayerError
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.io.material_tables import ENDING, save_materials
 from napari_hmrf.io.segmentation_tables import ENDINGS, tissue_table
+from napari_hmrf.io.tissue_names import NamedMaterials
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Table, tissue_recorded
 from napari_hmrf.solver.model_advice import ABOUT_POISSON
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
@@ -37,8 +38,7 @@ from napari_hmrf.tissue.boundary_rules import (
     read_stiffness,
     stiffness_in_words,
 )
-from napari_hmrf.tissue.material_presets import PRESETS, Preset, take_over
-from napari_hmrf.tissue.tissue_names import NamedMaterials
+from napari_hmrf.tissue.material_presets import PRESETS, Preset
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu, number_of
 from napari_hmrf.ui.label_table import Column, LabelTable
 
@@ -296,10 +296,7 @@ class MaterialMenu(QPushButton):
             preset = materials_of(materials)
         if preset is None:
             raise LayerError(materials, "has no table of materials. Choose another layer.")
-        if isinstance(preset, NamedMaterials):
-            rows, words = preset.take_over(self._table.rows)
-        else:
-            rows, words = take_over(preset, self._table.rows)
+        rows, words = preset.take_over(self._table.rows)
         self._table.contents = Table(rows, preset.unit, preset.name, preset.source)
         self.said.emit(f"Materials: {preset.name}. {words}".rstrip())
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from magicgui.widgets import ComboBox, Container, FloatSpinBox
 
 from napari_hmrf.field.directions import Directions
@@ -30,8 +29,7 @@ class WeightForm(Container):
 
     def __init__(self) -> None:
         self._ways = Directions()
-        # A way that has no word: an image was turned.
-        self._oblique: Step = ()
+        self._step: Step = ()
         self.way = ComboBox(
             name="way",
             choices=self._offered,
@@ -73,18 +71,12 @@ class WeightForm(Container):
         self._show()
 
     def _choose(self, step: Step) -> None:
-        same = (each for _, each in self._ways.steps if np.shape(each) == np.shape(step))
-        known = next((each for each in same if np.allclose(each, step, atol=1e-6)), None)
-        self._oblique = step if known is None else ()
+        self._step = self._ways.nearest(step)
         self.way.reset_choices()
-        self.way.value = step if known is None else known
+        self.way.value = self._step
 
     def _offered(self, _: ComboBox) -> list[tuple[str, Step]]:
-        offered = [("nowhere", ()), *self._ways.steps]
-        if self._oblique:
-            seen = tuple(round(part, 2) for part in self._ways.seen(self._oblique))
-            offered.append((self._ways.step(seen), self._oblique))
-        return offered
+        return [("nowhere", ()), *self._ways.steps_with(self._step)]
 
     def _show(self, *_: object) -> None:
         self.amount.visible = bool(self.way.value)

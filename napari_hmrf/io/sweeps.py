@@ -8,11 +8,11 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.io.tissue_names import known_tissue
 from napari_hmrf.solver.priors import Elastic
 from napari_hmrf.study.models import chosen
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
-from napari_hmrf.tissue.tissue_names import known_tissue
 
 #: What can be changed of a tissue, of a boundary, and of all of a study.
 OF_TISSUES = "growth", "stiffness", "poisson"
