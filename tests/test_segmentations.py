@@ -150,7 +150,7 @@ def test_other_tools_tables_name_labels(tmp_path, file, content, expected):
 @pytest.mark.parametrize(
     ("file", "content", "sentence"),
     [
-        ("a.txt", "a letter to a friend\n", r"a\.txt names no labels\. Give a class map"),
+        ("a.txt", "a letter to a friend\n", r"a\.txt names no labels\. Give a file of materials"),
         ("a.json", "{]", r"a\.json names no labels"),
         (
             "a.ctbl",

@@ -77,9 +77,9 @@ def read_label_names(path: str | os.PathLike[str]) -> dict[int, str]:
             )
     if not names:
         raise FileFormatError(
-            f"{source.name} names no labels. Give a class map (.json), a .csv with the columns "
-            "label and name, a colour table of FreeSurfer or 3D Slicer, label descriptions of "
-            "ITK-SNAP, or a .seg.nrrd."
+            f"{source.name} names no labels. Give a file of materials that was saved here, a class "
+            "map (.json), a .csv with the columns label and name, a colour table of FreeSurfer or "
+            "3D Slicer, label descriptions of ITK-SNAP, or a .seg.nrrd."
         )
     return names
 
