@@ -11,6 +11,7 @@ from finite_oracle import solved
 
 from napari_hmrf import (
     ElasticPrior,
+    LiveSolver,
     Loads,
     Multigrid,
     NeoHookeanPrior,
@@ -131,3 +132,16 @@ def test_growth_that_is_dragged_begins_with_the_last_fields() -> None:
     cold = solve(problem, prior, backend="cpu")
     assert frames[0].iterations <= 1 < cold.iterations
     assert np.abs(frames[0].displacement - cold.displacement).max() < 0.02
+
+
+def test_tissue_that_was_crushed_finds_back_as_from_nothing() -> None:
+    prior, updates = NeoHookeanPrior(), []
+    easy, crowded = (held(growth(a * DISC), np.where(DISC, 30.0, 1.0)) for a in (0.1, 5.0))
+    with LiveSolver(updates.append, prior, backend="cpu") as live:
+        for problem in (crowded, easy):
+            live.submit(problem)
+            assert live.wait(100)
+    crushed, back = (update.solution for update in updates)
+    assert crushed.reach.least_jacobian < 0.01
+    cold = solve(easy, prior, optimizer=Multigrid(0.01), backend="cpu")
+    np.testing.assert_array_equal(back.displacement, cold.displacement)

@@ -33,6 +33,9 @@ PATIENCE = 0.1
 # What a site takes from nothing, on two cores.
 _SITE_SECONDS = 2e-7
 
+# Of its area, at some corner of a pixel.
+_CRUSHED = 0.01
+
 _log = logging.getLogger("napari_hmrf")
 
 
@@ -307,7 +310,8 @@ class LiveSolver:
         stop: CancelFlag,
     ) -> Solution:
         """Solve from what is known, and know it."""
-        initial = self._earlier.solutions if isinstance(optimizer, Multigrid) else None
+        known = self._earlier.solutions if isinstance(optimizer, Multigrid) else ()
+        initial = [each for each in known if not _is_crushed(each)] or None
         solution = run_here(problem, prior, optimizer, backend, self._progress, stop, initial)
         self._earlier.add(problem, solution)
         return solution
@@ -333,6 +337,11 @@ class LiveSolver:
 
     def _waits(self) -> bool:
         return self._waiting is not None
+
+
+def _is_crushed(solution: Solution) -> bool:
+    """Whether it is no beginning for large motion: the way back takes longer than from nothing."""
+    return solution.reach is not None and solution.reach.least_jacobian < _CRUSHED
 
 
 class _Request(NamedTuple):
