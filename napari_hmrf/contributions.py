@@ -187,11 +187,21 @@ def _read_landmarks(path: PathOrPaths) -> list[LayerData]:
     for each in _listed(path):
         file, name = load_points(each), Path(each).name.partition(".")[0]
         n = file.points.shape[1]
-        place = {"units": ("mm",) * n if file.unit == "mm" else ("pixel",) * n}
+        place = {"units": (file.unit,) * n if file.unit else _units_of_images(n)}
         layers.append((file.points, {"name": name, **place}, "points"))
         if file.targets is not None:
             layers.append((file.targets, {"name": f"{name}, should be", **place}, "points"))
     return layers
+
+
+def _units_of_images(n: int) -> tuple[str, ...]:
+    """The units of n axes of the newest image that is open: BigWarp's numbers are in those."""
+    import napari
+
+    viewer = napari.current_viewer()
+    images = [] if viewer is None else [each for each in viewer.layers if each.ndim >= n]
+    known = [each.units for each in images if isinstance(each, napari.layers.Image)]
+    return tuple(map(str, known[-1][-n:])) if known else ("pixel",) * n
 
 
 def _field(path: str) -> LayerData:

@@ -273,6 +273,14 @@ def test_pairs_of_bigwarp_become_two_layers_of_points_in_one_order(tmp_path):
     assert open_landmarks(str(others)) is None, "napari reads its own"
 
 
+def test_pairs_of_bigwarp_are_in_the_unit_of_the_image_that_is_open(tmp_path, make_napari_viewer):
+    viewer = make_napari_viewer()
+    viewer.add_image(np.zeros((8, 9)), scale=(2, 2), units=("mm", "mm"))
+    path = save_points(tmp_path / "pairs.csv", [[1.0, 2], [3, 4]], [[1.5, 2], [3, 5]])
+    where, should = viewer.open(path, plugin="napari-hmrf")
+    assert {str(unit) for each in (where, should) for unit in each.units} == {"millimeter"}
+
+
 def test_the_dock_is_in_the_menus():
     manifest = PluginManifest.from_distribution("napari-hmrf")
     menus = manifest.contributions.menus

@@ -118,7 +118,9 @@ def _placed(
     to = frame.from_pixels_of(frame_of(layer))  # where they lack an axis they lie on the slice
     if to is None:
         raise LayerError(
-            layer, "is measured in other units than the image. Give both a unit of length."
+            layer,
+            "is not in the image's unit. If its numbers are, type in napari's console: "
+            f"viewer.layers['{layer.name}'].units = '{frame.unit}'.",
         )
     pixels = places @ to[:, :-1].T + to[:, -1]
     here = frame.has(pixels)
