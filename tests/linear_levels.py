@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from opengl_here import on_compute_thread
@@ -10,7 +12,7 @@ from opengl_here import on_compute_thread
 from napari_hmrf import ElasticPrior, Problem
 from napari_hmrf.solver.backends.cpu import CpuBackend
 from napari_hmrf.solver.backends.opengl import OpenGLBackend
-from napari_hmrf.solver.optimizers.cycle import Cycle
+from napari_hmrf.solver.optimizers.cycle import Cycle, chebyshev
 from napari_hmrf.solver.priors import Prior
 
 
@@ -86,6 +88,85 @@ def assert_same(actual, expected, relative=1e-5):
     """Equal to a fraction of the largest value, as float32 arithmetic allows."""
     for ours, theirs in zip(actual, expected, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=relative * np.abs(theirs).max())
+
+
+def assert_loads_go_down_alike(stage, given: Example, choices: Sequence, again=False):
+    """What is left of a load on each level, and on the next one, by each choice of steps."""
+    for number, (host, below) in enumerate(pairwise([*host_levels(given), None])):
+        load = given.planes(host)
+        for steps in choices:
+
+            def job(level, coarse, load=load, steps=steps, below=below):
+                level.load = level.vector(load.copy())
+                level.descend(steps, coarse)
+                made = [level.planes(level.correction).copy()]
+                if coarse is not None:
+                    made.append(np.where(below.inverse > 0, coarse.planes(coarse.load), 0))
+                if again:
+                    level.descend(steps, coarse, again=True)
+                    made.append(level.planes(level.correction).copy())
+                return made
+
+            loops, shaders = with_levels(stage, given, job, number)
+            assert_same(shaders, loops)
+
+
+def assert_corrections_come_up_alike(stage, given: Example, steps):
+    """What each level makes of a correction of the next one."""
+    for number, (host, below) in enumerate(pairwise(host_levels(given))):
+        random = [given.planes(each) for each in (host, host, below)]
+
+        def job(level, coarse, random=random):
+            load, correction, of_coarse = random
+            level.load = level.vector(load.copy())
+            level.correction = level.vector(correction.copy())
+            coarse.correction = coarse.vector(of_coarse.copy())
+            level.ascend(steps, coarse)
+            return [level.planes(level.correction).copy()]
+
+        loops, shaders = with_levels(stage, given, job, number)
+        assert_same(shaders, loops)
+
+
+def assert_the_coarsest_is_alike(stage, given: Example, take_steps):
+    """What many steps, as `take_steps(level, steps)` takes them, make on the coarsest level."""
+    hosts = host_levels(given)
+    load = given.planes(hosts[-1])
+
+    def job(level, _):
+        level.load = level.vector(load.copy())
+        made = []
+        for steps in (chebyshev(0.05, 2.5, 20), chebyshev(0.1, 5.0, 11)):
+            take_steps(level, steps)
+            made.append(level.planes(level.correction).copy())
+        return made
+
+    loops, shaders = with_levels(stage, given, job, len(hosts) - 1)
+    assert_same(shaders, loops, 3e-5)
+
+
+def assert_a_ratio_is_nothing_unless_both_are_positive(stage, given: Example):
+    """Of scalar products of both signs and of 0, as a step uses them."""
+    (host, *_) = host_levels(given)
+    values = given.planes(host)
+
+    def job(level, _):
+        vector, opposite, zero = level.vector(values.copy()), level.vector(-values), level.vector()
+        square, negative = level.product(vector, vector), level.product(vector, opposite)
+        none = level.largest(zero)
+        over = [(square, square), (square, negative), (negative, square), (square, none)]
+        ratios = [level.ratio(*each) for each in over]
+        used = []
+        for share in ratios:
+            direction = level.vector(values.copy())
+            level.turn(vector, direction, share)
+            used.append(level.planes(direction).copy())
+        return level.read(*ratios), used
+
+    for numbers, used in with_levels(stage, given, job):
+        assert numbers == (1, 0, 0, 0)
+        for number, turned in zip(numbers, used, strict=True):
+            np.testing.assert_array_equal(turned, (1 + number) * values)
 
 
 def torn(ratio, shape=(67, 90), spacing=(1.0, 1.0)) -> Problem:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from linear_levels import (
     Example,
+    assert_a_ratio_is_nothing_unless_both_are_positive,
+    assert_corrections_come_up_alike,
+    assert_loads_go_down_alike,
     assert_same,
+    assert_the_coarsest_is_alike,
     cycles,
     host_levels,
     random_example,
@@ -63,57 +65,17 @@ def example(shape, prior=PRIORS[0], spacing=(1.0, 1.0), ratio=4.0) -> Example:
 @pytest.mark.parametrize(("shape", "ratio", "spacing", "prior"), CASES)
 def test_what_is_left_of_a_load_goes_down_alike(stage, shape, ratio, spacing, prior):
     given = example(shape, prior, spacing, ratio)
-    hosts = host_levels(given)
-    for number, (host, below) in enumerate(pairwise([*hosts, None])):
-        load = given.planes(host)
-        for steps in (STEPS[:1], STEPS[:2], STEPS):
-
-            def job(level, coarse, load=load, steps=steps, below=below):
-                level.load = level.vector(load.copy())
-                level.descend(steps, coarse)
-                made = [level.planes(level.correction).copy()]
-                if coarse is not None:
-                    made.append(np.where(below.inverse > 0, coarse.planes(coarse.load), 0))
-                return made
-
-            loops, shaders = with_levels(stage, given, job, number)
-            assert_same(shaders, loops)
+    assert_loads_go_down_alike(stage, given, (STEPS[:1], STEPS[:2], STEPS))
 
 
 @pytest.mark.parametrize(("shape", "ratio", "spacing", "prior"), CASES[:-1])
 def test_a_coarse_correction_comes_up_alike(stage, shape, ratio, spacing, prior):
-    given = example(shape, prior, spacing, ratio)
-    hosts = host_levels(given)
-    for number, (host, below) in enumerate(pairwise(hosts)):
-        random = [given.planes(each) for each in (host, host, below)]
-
-        def job(level, coarse, random=random):
-            load, correction, of_coarse = random
-            level.load = level.vector(load.copy())
-            level.correction = level.vector(correction.copy())
-            coarse.correction = coarse.vector(of_coarse.copy())
-            level.ascend(STEPS, coarse)
-            return [level.planes(level.correction).copy()]
-
-        loops, shaders = with_levels(stage, given, job, number)
-        assert_same(shaders, loops)
+    assert_corrections_come_up_alike(stage, example(shape, prior, spacing, ratio), STEPS)
 
 
 def test_all_steps_of_the_coarsest_level_at_once_are_those_one_by_one(stage):
     given = example((31, 37), PRIORS[1])
-    hosts = host_levels(given)
-    load = given.planes(hosts[-1])
-
-    def job(level, _):
-        level.load = level.vector(load.copy())
-        made = []
-        for steps in (chebyshev(0.05, 2.5, 20), chebyshev(0.1, 5.0, 11)):
-            level.descend(steps, None)
-            made.append(level.planes(level.correction).copy())
-        return made
-
-    loops, shaders = with_levels(stage, given, job, len(hosts) - 1)
-    assert_same(shaders, loops, 3e-5)
+    assert_the_coarsest_is_alike(stage, given, lambda level, steps: level.descend(steps, None))
 
 
 @pytest.mark.parametrize(
@@ -145,27 +107,7 @@ def test_a_step_of_conjugate_gradients_is_the_same_everywhere(stage, shape, prio
 
 
 def test_a_ratio_is_nothing_unless_both_are_positive(stage):
-    given = example((9, 8))
-    (host, *_) = host_levels(given)
-    values = given.planes(host)
-
-    def job(level, _):
-        vector, opposite, zero = level.vector(values.copy()), level.vector(-values), level.vector()
-        square, negative = level.product(vector, vector), level.product(vector, opposite)
-        none = level.largest(zero)
-        over = [(square, square), (square, negative), (negative, square), (square, none)]
-        ratios = [level.ratio(*each) for each in over]
-        used = []
-        for share in ratios:
-            direction = level.vector(values.copy())
-            level.turn(vector, direction, share)
-            used.append(level.planes(direction).copy())
-        return level.read(*ratios), used
-
-    for numbers, used in with_levels(stage, given, job):
-        assert numbers == (1, 0, 0, 0)
-        for number, turned in zip(numbers, used, strict=True):
-            np.testing.assert_array_equal(turned, (1 + number) * values)
+    assert_a_ratio_is_nothing_unless_both_are_positive(stage, example((9, 8)))
 
 
 @pytest.mark.parametrize("shape", [(1200, 3), (65, 131), (600, 2), (4, 5)])

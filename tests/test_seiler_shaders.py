@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from functools import cache
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from linear_levels import (
     Example,
+    assert_corrections_come_up_alike,
+    assert_loads_go_down_alike,
     assert_same,
+    assert_the_coarsest_is_alike,
     cycles,
     host_levels,
     random_example,
@@ -62,58 +64,18 @@ def by_cycles(monkeypatch):
 @pytest.mark.parametrize(("shape", "ratio", "spacing", "prior"), CASES)
 def test_what_is_left_of_a_load_goes_down_alike(stage, shape, ratio, spacing, prior):
     given = random_example(shape, prior, spacing, ratio)
-    hosts = host_levels(given)
-    for number, (host, below) in enumerate(pairwise([*hosts, None])):
-        load = given.planes(host)
-        for steps in (STEPS[:1], STEPS):
-
-            def job(level, coarse, load=load, steps=steps, below=below):
-                level.load = level.vector(load.copy())
-                level.descend(steps, coarse)
-                made = [level.planes(level.correction).copy()]
-                if coarse is not None:
-                    made.append(np.where(below.inverse > 0, coarse.planes(coarse.load), 0))
-                return made
-
-            loops, shaders = with_levels(stage, given, job, number)
-            assert_same(shaders, loops)
+    assert_loads_go_down_alike(stage, given, (STEPS[:1], STEPS))
 
 
 @pytest.mark.parametrize(("shape", "ratio", "spacing", "prior"), CASES[:-1])
 def test_a_coarse_correction_comes_up_alike(stage, shape, ratio, spacing, prior):
-    given = random_example(shape, prior, spacing, ratio)
-    hosts = host_levels(given)
-    for number, (host, below) in enumerate(pairwise(hosts)):
-        random = [given.planes(each) for each in (host, host, below)]
-
-        def job(level, coarse, random=random):
-            load, correction, of_coarse = random
-            level.load = level.vector(load.copy())
-            level.correction = level.vector(correction.copy())
-            coarse.correction = coarse.vector(of_coarse.copy())
-            level.ascend(STEPS, coarse)
-            return [level.planes(level.correction).copy()]
-
-        loops, shaders = with_levels(stage, given, job, number)
-        assert_same(shaders, loops)
+    assert_corrections_come_up_alike(stage, random_example(shape, prior, spacing, ratio), STEPS)
 
 
 @readings
 def test_all_steps_of_the_coarsest_level_at_once_are_those_one_by_one(stage, prior):
     given = random_example((31, 37), prior)
-    hosts = host_levels(given)
-    load = given.planes(hosts[-1])
-
-    def job(level, _):
-        level.load = level.vector(load.copy())
-        made = []
-        for steps in (chebyshev(0.05, 2.5, 20), chebyshev(0.1, 5.0, 11)):
-            level.descend(steps, None)
-            made.append(level.planes(level.correction).copy())
-        return made
-
-    loops, shaders = with_levels(stage, given, job, len(hosts) - 1)
-    assert_same(shaders, loops, 3e-5)
+    assert_the_coarsest_is_alike(stage, given, lambda level, steps: level.descend(steps, None))
 
 
 @pytest.mark.parametrize(("shape", "ratio", "spacing", "prior"), CASES)

@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
 import pytest
-from linear_levels import Example, assert_same, cycles, host_levels, random_example, with_levels
+from linear_levels import (
+    Example,
+    assert_a_ratio_is_nothing_unless_both_are_positive,
+    assert_corrections_come_up_alike,
+    assert_loads_go_down_alike,
+    assert_same,
+    assert_the_coarsest_is_alike,
+    cycles,
+    host_levels,
+    random_example,
+    with_levels,
+)
 from opengl_here import left, on_compute_thread, require_opengl
 
 from napari_hmrf import (
@@ -125,55 +135,18 @@ def test_what_is_far_from_one_is_no_less_exact(given):
 
 
 def test_what_is_left_of_a_load_goes_down_alike(given):
-    for number, (host_level, below) in enumerate(pairwise([*host_levels(given), None])):
-        load = given.planes(host_level)
-        for steps in (STEPS[:1], STEPS[:2], STEPS):
-
-            def job(level, coarse, load=load, steps=steps, below=below):
-                level.load = level.vector(load.copy())
-                level.descend(steps, coarse)
-                made = [level.planes(level.correction).copy()]
-                if coarse is not None:
-                    made.append(np.where(below.inverse > 0, coarse.planes(coarse.load), 0))
-                level.descend(steps, coarse, again=True)
-                return [*made, level.planes(level.correction).copy()]
-
-            loops, shaders = with_levels("compute", given, job, number)
-            assert_same(shaders, loops)
+    choices = STEPS[:1], STEPS[:2], STEPS
+    assert_loads_go_down_alike("compute", given, choices, again=True)
 
 
 def test_a_coarse_correction_comes_up_alike(given):
-    for number, (host_level, below) in enumerate(pairwise(host_levels(given))):
-        random = [given.planes(each) for each in (host_level, host_level, below)]
-
-        def job(level, coarse, random=random):
-            load, correction, of_coarse = random
-            level.load = level.vector(load.copy())
-            level.correction = level.vector(correction.copy())
-            coarse.correction = coarse.vector(of_coarse.copy())
-            level.ascend(STEPS, coarse)
-            return [level.planes(level.correction).copy()]
-
-        loops, shaders = with_levels("compute", given, job, number)
-        assert_same(shaders, loops)
+    assert_corrections_come_up_alike("compute", given, STEPS)
 
 
 @pytest.mark.parametrize("sites", [128, 0])
 def test_the_coarsest_level_takes_all_steps_at_once_or_one_by_one(given, sites, monkeypatch):
     monkeypatch.setattr(volume_level, "SITES", sites)
-    hosts = host_levels(given)
-    load = given.planes(hosts[-1])
-
-    def job(level, _):
-        level.load = level.vector(load.copy())
-        made = []
-        for steps in (chebyshev(0.05, 2.5, 20), chebyshev(0.1, 5.0, 11)):
-            level.finish((), steps)
-            made.append(level.planes(level.correction).copy())
-        return made
-
-    loops, shaders = with_levels("compute", given, job, len(hosts) - 1)
-    assert_same(shaders, loops, 3e-5)
+    assert_the_coarsest_is_alike("compute", given, lambda level, steps: level.finish((), steps))
 
 
 def test_a_step_of_conjugate_gradients_is_the_same_everywhere(given):
@@ -202,26 +175,7 @@ def test_a_step_of_conjugate_gradients_is_the_same_everywhere(given):
 
 def test_a_ratio_is_nothing_unless_both_are_positive():
     given = random_example((4, 5, 6), ElasticPrior(0.3), OBLONG)
-    (host_level, *_) = host_levels(given)
-    values = given.planes(host_level)
-
-    def job(level, _):
-        vector, opposite, zero = level.vector(values.copy()), level.vector(-values), level.vector()
-        square, negative = level.product(vector, vector), level.product(vector, opposite)
-        none = level.largest(zero)
-        over = [(square, square), (square, negative), (negative, square), (square, none)]
-        ratios = [level.ratio(*each) for each in over]
-        used = []
-        for share in ratios:
-            direction = level.vector(values.copy())
-            level.turn(vector, direction, share)
-            used.append(level.planes(direction).copy())
-        return level.read(*ratios), used
-
-    for numbers, used in with_levels("compute", given, job):
-        assert numbers == (1, 0, 0, 0)
-        for number, turned in zip(numbers, used, strict=True):
-            np.testing.assert_array_equal(turned, (1 + number) * values)
+    assert_a_ratio_is_nothing_unless_both_are_positive("compute", given)
 
 
 @pytest.mark.parametrize("of_void", [0, 20])
