@@ -129,8 +129,8 @@ def progress(monitor: Monitor, what: str = "Deforming") -> str:
     """How far the work is, in words for all; `monitor` has the others."""
     if monitor.message.startswith(_WAITS):
         return f"{what}: {monitor.message}."
-    percent = round(100 * monitor.fraction)
-    return f"{what}: {percent} %" if percent else f"{what} ..."
+    percent = round(100 * monitor.fraction)  # once it is solved, it has to be drawn
+    return f"{what}: {percent} %" if 0 < percent < 100 else f"{what} ..."
 
 
 def chosen(image: Any, hidden: Sequence[Any]) -> str:
