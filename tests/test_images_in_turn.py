@@ -203,6 +203,7 @@ def test_what_is_undone_on_another_image_is_seen(viewer, widget, settle):
     assert widget.image is first[0]
     assert first[0].visible
     assert not second[0].visible
+    assert widget.status.startswith(f"Took back on '{first[0].name}': took over a drawing.")
 
 
 def test_what_is_drawn_is_seen_again_when_its_image_is_chosen_again(viewer, widget, settle):

@@ -177,7 +177,14 @@ class ViewerSteps:
             if slot.what == PAINT and paint_steps(slot.layer, name):  # it keeps a hundred at most
                 getattr(slot.layer, name)()
             self.go_to(slot)
+            what += self._of_image(slot)
         self.said.emit(nothing if step is None else f"{what}: {step.word}.", step)
+
+    def _of_image(self, slot: Any) -> str:
+        """Say of which image something is, where several were worked on."""
+        images = {each.layer for each in self.edits.slots if each.what == DRAWING}
+        said = len(images) > 1 and slot.what in (DRAWING, CHOICE)
+        return f" on '{slot.layer.name}'" if said else ""
 
     def go_to(self, slot: Any, turn: bool = False) -> None:
         """Show the slice that something was drawn on; only with `turn` if other axes are shown."""
