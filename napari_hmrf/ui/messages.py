@@ -20,10 +20,7 @@ WELCOME = "Open an image first (File > Open), or a sample (File > Open Sample)."
 CHOOSE = "Choose an image above, or open one (File > Open)."
 READY = "Press Deform."
 STILL = "Nothing moves yet: take a tool and drag tissue, or paint what moves."
-PAINT = (
-    "Paint tissues in 'Tissue' and what holds or moves in 'Boundary': click a row of a table, then "
-    "paint with its label."
-)
+PAINT = "Paint in {}: click a row of a table, then paint with its label."
 CURVE = "A first guess: the brighter, the stiffer. Drag the points of the curve."
 MEANWHILE = "What was deformed is hidden while you paint."
 CHANGED = "Changed since the last result: press Deform."
