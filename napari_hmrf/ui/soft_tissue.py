@@ -285,8 +285,8 @@ class SoftTissue(Dock):
         if self._viewer.dims.ndisplay != 2 or self.image is None:
             self._guide.invite()
         elif self._live_study.look():
-            self._watch.hide_paint()
             self._pointer.take()
+            self._watch.hide_paint()
             self.touch()  # what is drawn on is followed, live or not
         self._watch.look_at_mouse()
         return self.active
