@@ -205,7 +205,10 @@ def test_two_files_of_one_name_and_a_field_for_an_image_are_refused(solved, tmp_
 def test_a_study_is_exported_replayed_and_read_again_in_the_shell(solved, tmp_path, capsys):
     path, solution = solved
     assert main(["export", str(path), str(tmp_path / "field.mha")]) == 0
-    assert "it moves images, and is an inverse to" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "it moves images, and is an inverse to" in said
+    assert "px in the middle of any pixel that tissue came to" in said
+    assert "at the rim of the tissue a round trip may miss by more" in said
     again = load_field(tmp_path / "field.mha").displacement
     # Inverted twice, and a pulled patch has an edge.
     assert np.abs(again - solution.displacement).max() < 0.2

@@ -384,6 +384,7 @@ def test_a_sample_brings_its_tissue_and_hides_the_paint(open_beside, settle):
     assert not layers["Tissue"].visible
     assert not layers["Boundary"].visible
     settle(widget)
+    assert "Hidden, to show 'Brain': 'Tissue', 'Boundary'. Click an eye" in widget.status
     widget.boundary = layers["Boundary"]
     settle(widget)
     painted = layers["Boundary"].data == 2

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from conftest import quick
 from napari.layers import Layer
+from screen import Screen
 
 from napari_hmrf import head_phantom
 from napari_hmrf.contributions import phantom_layers, volume_layers
@@ -203,6 +204,15 @@ def test_what_is_undone_on_another_image_is_seen(viewer, widget, settle):
     assert widget.image is first[0]
     assert first[0].visible
     assert not second[0].visible
+    assert widget.status.startswith(f"Took back on '{first[0].name}': took over a drawing.")
+
+
+def test_layers_to_paint_on_are_called_by_the_names_they_have(viewer, widget):
+    brain(viewer)
+    viewer.add_image(np.ones((20, 24)), name="photo", translate=(0, 300))
+    widget.image = viewer.layers["photo"]
+    Screen(widget).press("Layers to paint on")
+    assert widget.status.startswith("Paint in 'Tissue [1]' and 'Boundary [1]': click a row")
 
 
 def test_what_is_drawn_is_seen_again_when_its_image_is_chosen_again(viewer, widget, settle):

@@ -1,16 +1,19 @@
 """Live mode: whatever is edited, the newest edit is what is seen in the end."""
 
+import threading
+
 import numpy as np
 import pytest
 from conftest import dock_in, forget_choice, quick
-from patience import LONG_MS
+from patience import LONG, LONG_MS
 from person import CTRL, Person
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
-from screen import Cell
+from screen import Cell, Screen
 
 from napari_hmrf import Multigrid, solve
 from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.study.ground import statement_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.ui.messages import CHOOSE, STILL
@@ -192,7 +195,7 @@ def test_cancel_gives_an_edit_up_and_the_next_one_is_followed(living, settle, bu
     qtbot.waitUntil(lambda: widget._form.footer.cancel.enabled, timeout=LONG_MS)
     assert widget.status.startswith("Following the last edit")
     widget.cancel()
-    assert widget.status.startswith("Cancelled; nothing was changed. The last result stays,")
+    assert widget.status.startswith("Cancelled: picture and warnings lack")
     assert not widget._form.footer.cancel.enabled
     busy_thread.set()
     settle(widget)
@@ -200,6 +203,29 @@ def test_cancel_gives_an_edit_up_and_the_next_one_is_followed(living, settle, bu
     paint(boundary, [(row, 14) for row in range(6, 14)], 1)
     settle(widget)
     assert_newest(widget)
+
+
+def test_an_undo_that_is_cancelled_stays_and_all_say_so_until_deform(pulling_beside, settle, qtbot):
+    touch, widget = pulling_beside
+    touch.drag((30, 30), (34, 34))
+    settle(widget)
+    go_on = threading.Event()
+    compute_thread.submit(lambda: go_on.wait(LONG))
+    widget.undo()
+    qtbot.waitUntil(Screen(widget).button("Cancel").isEnabled, timeout=LONG_MS)
+    Screen(widget).press("Cancel")
+    go_on.set()
+    settle(widget)
+    picture = touch.viewer.layers["MR deformed, elastic"]
+    assert not widget.drawing.marks
+    assert widget.solution.displacement.any()
+    assert known_of(picture)["inputs_changed"]
+    assert "picture and warnings lack what was edited since" in widget.status
+    assert "nothing was changed" not in widget.status
+    Screen(widget).press("Deform")
+    settle(widget)
+    assert not widget.solution.displacement.any()
+    assert widget.status == STILL
 
 
 def test_nothing_is_followed_while_it_is_off_and_all_is_once_it_is_on(living, settle):

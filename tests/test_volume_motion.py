@@ -340,7 +340,7 @@ def test_arrows_of_a_volume_count_with_all_components_for_the_voxel_they_start_i
     vectors = np.array([[[1.2, 2, 3], [1, 0.5, -1]], [[4, 4.4, 4], [3, 0, 0]]])
     beyond = vectors.copy()
     beyond[1, 0] = 24, 4, 4
-    y, known, out = arrow_observation(vectors, here, size, shape)
+    y, known, out, _ = arrow_observation(vectors, here, size, shape)
     assert np.argwhere(known).tolist() == [[1, 3, 2], [4, 4, 4]]
     np.testing.assert_allclose(y[1, 3, 2], np.multiply((1, -1, 0.5), size))
     assert out == 0, "nothing leads out of a volume"
@@ -348,7 +348,7 @@ def test_arrows_of_a_volume_count_with_all_components_for_the_voxel_they_start_i
         arrow_observation(beyond, here, size, shape)
     film = Frame.at((1.0, *SIZE), ("s", "mm", "mm", "mm"), index=(2, 0, 0, 0), volume=True)
     moments = np.array([[[moment, 1, 2, 3], [0, 1, 1, 1]] for moment in (1, 2)])
-    _, known, _ = arrow_observation(moments, film, SIZE, SHAPE)
+    _, known, *_ = arrow_observation(moments, film, SIZE, SHAPE)
     assert known.sum() == 1
 
 

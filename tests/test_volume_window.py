@@ -435,7 +435,7 @@ def test_a_volume_that_is_cancelled_is_seen_as_it_came_to_rest_last(cancelled, s
     assert known_of(picture)["inputs_changed"]
     assert len(widget.drawing.marks) == 2
     assert widget.status.startswith("Cancelled")
-    assert "without what was edited since" in widget.status
+    assert "lack what was edited since" in widget.status
     person.drag((20, 20), (21, 21))
     settle(widget)
     assert len(widget.drawing.marks) == 3

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import PixelField
+from napari_hmrf.field.units import as_seen
 from napari_hmrf.solver.solution import Solution
 
 
@@ -31,6 +32,14 @@ class Comparison(NamedTuple):
     difference: npt.NDArray[np.float32]
     rmsd: float
     part: float
+
+    def in_words(self, solution: Solution, unit: str) -> str:
+        """How far a result is from the reference, in a sentence; of rounding nothing is said."""
+        if not self.part:
+            return f"'{self.reference}' reaches none of this tissue."
+        where = "" if self.part > 0.995 else f" over {self.part:.0%} of the tissue"
+        rmsd = as_seen(self.rmsd, solution.spacing)
+        return f"RMSD from '{self.reference}'{where}: {rmsd:.3g} {unit}."
 
 
 def compare(solution: Solution, frame: Frame, field: PixelField, reference: str) -> Comparison:

@@ -436,6 +436,20 @@ class Frame:
 _PLACES = TypeAdapter(Frame)
 
 
+@dataclass(frozen=True)
+class Place:
+    """A slice: the axes of a layer it shows, where it lies on each, and its name to be read."""
+
+    plane: tuple[int, ...]
+    index: tuple[int, ...]
+    name: str = field(default="", compare=False)
+
+    @classmethod
+    def of(cls, frame: Frame) -> Place:
+        """Where a slice lies."""
+        return cls(frame.plane, frame.index, frame.slice_seen)
+
+
 def _ordered(picture: npt.NDArray[Any], axes: npt.NDArray[np.intp]) -> npt.NDArray[Any]:
     """A picture with its axes in this order; colours, if there are any, stay last."""
     return picture.transpose(*axes, *range(len(axes), picture.ndim))

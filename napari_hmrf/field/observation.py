@@ -30,11 +30,14 @@ class Observation(NamedTuple):
     out : float
         How far a field leads out of the slice at most, or how many arrows point straight out of it,
         which do not count: the displacement does not say so. Nothing leads out of a volume.
+    note : str
+        What was taken for granted of units, as a clause; "" if nothing.
     """
 
     displacement: npt.NDArray[np.float32]
     known: npt.NDArray[np.bool_]
     out: float
+    note: str = ""
 
 
 class PixelField(NamedTuple):
@@ -103,7 +106,11 @@ class PixelField(NamedTuple):
         ends, last = [axis - 1 for axis in axes], range(-len(axes) - 1, -1)
         ordered = np.moveaxis(self.field.displacement, ends, tuple(last))
         d = ordered.reshape(*shape, -1)[..., axes] * frame.spacing
-        return Observation(d.astype(np.float32), np.ones(shape, bool), 0.0)
+        note = (
+            f"is in {self.frame.unit} and the image in {frame.unit}: a pixel of the one was taken "
+            "for a pixel of the other. Give the image its unit of length if that is wrong"
+        )
+        return Observation(d.astype(np.float32), np.ones(shape, bool), 0.0, note)
 
 
 def arrow_observation(

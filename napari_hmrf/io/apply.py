@@ -136,7 +136,9 @@ def save_field(path: str | os.PathLike[str], field: FieldFile, *, forward: bool 
     if forward:
         return f"Saved {name}: it says where tissue goes, which moves points."
     said = (
-        f"Saved {name}: it moves images, and is an inverse to {residual:.2g} px at the worst site."
+        f"Saved {name}: it moves images, and is an inverse to {residual:.2g} px in the middle of "
+        "any pixel that tissue came to. Between these and at the rim of the tissue a round trip "
+        "may miss by more."
     )
     folded = count_folds(d, spacing=field.spacing, tissue=field.tissue)
     if not folded:

@@ -8,14 +8,13 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from napari.layers import Labels
 from psygnal import Signal
 
-from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.frame import Place
 from napari_hmrf.layers.compat import paint_steps, unwrapped
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
 from napari_hmrf.layers.slice_view import View
@@ -34,20 +33,6 @@ CHOICE = "choice"
 MODEL = "model"
 #: And that with the number of strokes that napari's brush has painted in a layer.
 PAINT = "paint"
-
-
-@dataclass(frozen=True)
-class Place:
-    """A slice: the axes of a layer it shows, where it lies on each, and its name to be read."""
-
-    plane: tuple[int, ...]
-    index: tuple[int, ...]
-    name: str = field(default="", compare=False)
-
-    @classmethod
-    def of(cls, frame: Frame) -> Place:
-        """Where a slice lies."""
-        return cls(frame.plane, frame.index, frame.slice_seen)
 
 
 class Slot(NamedTuple):
@@ -177,7 +162,14 @@ class ViewerSteps:
             if slot.what == PAINT and paint_steps(slot.layer, name):  # it keeps a hundred at most
                 getattr(slot.layer, name)()
             self.go_to(slot)
+            what += self._of_image(slot)
         self.said.emit(nothing if step is None else f"{what}: {step.word}.", step)
+
+    def _of_image(self, slot: Any) -> str:
+        """Say of which image something is, where several were worked on."""
+        images = {each.layer for each in self.edits.slots if each.what == DRAWING}
+        said = len(images) > 1 and slot.what in (DRAWING, CHOICE)
+        return f" on '{slot.layer.name}'" if said else ""
 
     def go_to(self, slot: Any, turn: bool = False) -> None:
         """Show the slice that something was drawn on; only with `turn` if other axes are shown."""

@@ -241,13 +241,13 @@ class _Reader:
         if field is None:
             check_size(layer, own, self._reference, frame, shape)
 
-        def observe() -> tuple[npt.NDArray[Any], npt.NDArray[Any], float]:
+        def observe() -> tuple[npt.NDArray[Any], npt.NDArray[Any], float, str]:
             with naming(observed=layer):
                 if field is not None:
-                    y, known, out = field.on(frame, shape)
+                    y, known, out, note = field.on(frame, shape)
                 else:
                     arrows = np.array(data, float)
-                    y, known, out = arrow_observation(arrows, own, frame.spacing, shape)
+                    y, known, out, note = arrow_observation(arrows, own, frame.spacing, shape)
             c = np.where(known, 1 if sure is None else sure, 0).astype(np.float32)
             if known.any() and not c.any():
                 raise LayerError(
@@ -255,10 +255,12 @@ class _Reader:
                     f"is 0 wherever '{layer.name}' says how tissue moves, so that nothing of that "
                     "counts. Paint where it is sure, or choose ----- in 'confidence'.",
                 )
-            return y, np.repeat(c[..., None], len(shape), axis=-1), out
+            return y, np.repeat(c[..., None], len(shape), axis=-1), out, note
 
         of = (data, sure, own, frame.spacing, shape, *(field or ()))
-        y, c, out = self._copies.made(layer, of, observe)
+        y, c, out, note = self._copies.made(layer, of, observe)
+        if note:
+            self._notes.append(f"'{layer.name}' {note}")
         if out > (0 if field is None else _OUT * max(frame.spacing)):
             self._notes.append(f"'{layer.name}' leads out of the slice, too, which did not count")
         return y, c

@@ -226,10 +226,10 @@ class LiveStudy:
         self._follower.forget()
         self._asked = None
         if settling or going_on:
-            stays = messages.STAYS if self.fresh else messages.BEHIND
+            edited = self.latest is not None or (self.study is not None and self.study.moves)
             self._stop()
             self._go_back()
-            self.said.emit(f"{messages.CANCELLED} {stays if self.latest else ''}".rstrip())
+            self.said.emit(messages.BEHIND if edited and not self.fresh else messages.CANCELLED)
         if settling:
             self.finished.emit(None)
 
@@ -392,11 +392,10 @@ class LiveStudy:
 
     def _go_back(self) -> None:
         """Show the latest result again, in place of what there was of a study that is given up."""
-        moved, latest = self.pointer.display.moved, self._latest_here
-        rest = None if latest is None else latest.moved
-        if moved is not None and moved.solution is not None and moved is not rest:
+        moved = self.pointer.display.moved
+        if moved is not None and moved.solution is not None:
             self._resting.stop()
-            self._show(latest)
+            self._show(self._latest_here)
             self.pointer.draw()
 
     def _on_poll(self) -> None:

@@ -285,8 +285,8 @@ class SoftTissue(Dock):
         if self._viewer.dims.ndisplay != 2 or self.image is None:
             self._guide.invite()
         elif self._live_study.look():
-            self._watch.hide_paint()
             self._pointer.take()
+            self._watch.hide_paint()
             self.touch()  # what is drawn on is followed, live or not
         self._watch.look_at_mouse()
         return self.active
@@ -331,7 +331,8 @@ class SoftTissue(Dock):
         made = add_missing(self._viewer, self.image, *chosen, self._form.view())
         with self._choices.nobody_chooses():  # undo would not take the layers away
             self.tissue, self.boundary = BRIGHTNESS if by_itself else made[0], made[1]
-        self.say(messages.PAINT)
+        painted = (f"'{layer.name}'" for layer in made if isinstance(layer, Labels))
+        self.say(messages.PAINT.format(" and ".join(painted)))
 
     def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> StiffnessCurve:
         """Have the image's intensity say how stiff tissue is; returns the curve by which it does.

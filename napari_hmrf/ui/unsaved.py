@@ -19,6 +19,7 @@ from qtpy.QtCore import QEvent, QFile, QObject, Qt, QThread, QTimer
 from qtpy.QtWidgets import QApplication, QFileDialog, QMessageBox
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.frame import Place
 from napari_hmrf.io import recovery
 from napari_hmrf.io.study_file import SUFFIX, image_named_in, load_study, save_study
 from napari_hmrf.layers.compat import is_quitting, stop_quitting
@@ -27,7 +28,6 @@ from napari_hmrf.layers.edit_history import (
     DRAWING,
     MODEL,
     PAINT,
-    Place,
     Slot,
     UnsavedWork,
     steps_of,

@@ -99,9 +99,14 @@ class ViewerWatch:
 
     def hide_paint(self) -> None:
         """Hide what is painted: it says where tissue is before it moves, and would tint it."""
-        for layer in self._viewer.layers:
-            if layer in self._painted or role_of(layer) in (TISSUE, BOUNDARY):
-                layer.visible = False
+        painted, roles = self._painted, (TISSUE, BOUNDARY)
+        seen = [each for each in self._viewer.layers if each.visible]
+        seen = [each for each in seen if each in painted or role_of(each) in roles]
+        for layer in seen:
+            layer.visible = False
+        if seen:
+            hidden = messages.chosen(self._form.image.value, seen)
+            self._guide.say(f"{self._guide.invitation} {hidden}", "step")
 
     @property
     def _painted(self) -> tuple[Any, Any]:

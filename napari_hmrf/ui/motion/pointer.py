@@ -9,8 +9,9 @@ from typing import Any
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.frame import Place
 from napari_hmrf.layers.compat import text_of
-from napari_hmrf.layers.edit_history import DRAWING, Place, Slot, ViewerSteps
+from napari_hmrf.layers.edit_history import DRAWING, Slot, ViewerSteps
 from napari_hmrf.layers.paint_layer import tissue_colours
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_model import History, Step

@@ -83,15 +83,9 @@ def how_far(
     far = as_seen(longest * percent / FULL, result.solution.spacing)
     where = f" in {result.frame.slice_seen}" if result.frame.slice_seen else ""
     moved = f"{percent} %: tissue moved up to {far:.3g} {result.unit}{where}"
-    return moved if compared is None else f"{moved}. {_compared(compared, result)}"
-
-
-def _compared(found: Comparison, result: Answer) -> str:
-    if not found.part:
-        return f"'{found.reference}' reaches none of this tissue."
-    where = "" if found.part > 0.995 else f" over {found.part:.0%} of the tissue"
-    rmsd = as_seen(found.rmsd, result.solution.spacing)
-    return f"RMSD from '{found.reference}'{where}: {rmsd:.3g} {result.unit}."
+    if compared is None:
+        return moved
+    return f"{moved}. {compared.in_words(result.solution, result.unit)}"
 
 
 def saved(paths: Sequence[Path]) -> str:
