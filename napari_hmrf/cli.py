@@ -11,10 +11,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from napari_hmrf.command_line import MODELS, parser_of_commands
+from napari_hmrf.command_line import parser_of_commands
 from napari_hmrf.errors import HmrfError, in_words
 from napari_hmrf.samples.demo import SAMPLE_SIZE
 from napari_hmrf.samples.head import SAMPLE_SIZE as VOLUME_SIZE
+from napari_hmrf.solver.model_names import MODELS
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.study.models import chosen, family_of
@@ -140,7 +141,7 @@ def _play(options: argparse.Namespace) -> int:
 
 
 def _solve(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.case import Case, notes_on, solve_case
+    from napari_hmrf.io.case import Case, solve_case
 
     sure = options.confidence
     case = Case(
@@ -155,9 +156,9 @@ def _solve(options: argparse.Namespace) -> int:
         hold_edge=options.hold_edge,
         model=options.model and MODELS[options.model],
     )
-    saved = solve_case(case, options.out, backend=options.backend)
-    print(f"solved: {saved.solution!r}")
-    for note in notes_on(saved):
+    solved = solve_case(case, options.out, backend=options.backend)
+    print(f"solved: {solved.solution!r}")
+    for note in solved.notes:
         print(f"note: {note}")
     written = ", ".join(sorted(path.name for path in options.out.iterdir()))
     print(f"in {options.out}: {written}")

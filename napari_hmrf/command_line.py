@@ -11,18 +11,9 @@ from napari_hmrf.samples.demo import SAMPLE_SIZE
 from napari_hmrf.samples.head import SAMPLE_SIZE as VOLUME_SIZE
 from napari_hmrf.samples.phantoms import PHANTOM_NAMES, SMALLEST
 from napari_hmrf.solver.backends import BACKEND_NAMES
-from napari_hmrf.solver.model_names import ModelName
+from napari_hmrf.solver.model_names import MODELS, as_word
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE, Plane
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
-
-
-def _dashed(text: str) -> str:
-    """A name of a model as one word."""
-    return text.replace(",", "").replace(" ", "-")
-
-
-#: The models, as they are asked for.
-MODELS: dict[str, ModelName] = {_dashed(name): name for name in get_args(ModelName)}
 
 
 def parser_of_commands() -> argparse.ArgumentParser:
@@ -47,7 +38,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
     )
     demo.add_argument(
         "--model",
-        type=_dashed,
+        type=as_word,
         choices=MODELS,
         default="elastic",
         help="what tissue is taken to be: elastic, elastic for large motion, the paper's Markov "
@@ -150,7 +141,7 @@ def _add_file_commands(commands: Any) -> None:
     solve.add_argument(
         "--hold-edge", action="store_true", help="the outer edge of the tissue stays"
     )
-    solve.add_argument("--model", type=_dashed, choices=MODELS, help="default: elastic")
+    solve.add_argument("--model", type=as_word, choices=MODELS, help="default: elastic")
     solve.add_argument("--backend", choices=BACKEND_NAMES, default="auto")
     _add_many_commands(commands)
     replay = commands.add_parser("replay", help="solve a saved study again, and compare the fields")

@@ -30,12 +30,11 @@ import pydantic
 import threadpoolctl
 
 from napari_hmrf.errors import HmrfError, in_words
-from napari_hmrf.field.deformation import count_folds, magnitude
+from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import unit_symbol
-from napari_hmrf.io.case import solve_case
+from napari_hmrf.io.case import SolvedCase, solve_case
 from napari_hmrf.io.case_tables import NamedCase
-from napari_hmrf.io.study_file import Saved
-from napari_hmrf.io.tables import save_rows
+from napari_hmrf.io.csv_files import save_csv
 
 #: In each case's folder: what the table said of it, and what came of it.
 RECORD = "case.json"
@@ -191,8 +190,8 @@ def solve_into(case: NamedCase, folder: Path, backend: str = "cpu") -> CaseOutco
     begun = time.perf_counter()
     part = folder / UNFINISHED / f"{case.name}-{secrets.token_hex(4)}"
     try:
-        saved = solve_case(case.case, part, backend=backend, changes=case.changes)
-        outcome = _outcome(case.name, saved, _seconds_since(begun))
+        solved = solve_case(case.case, part, backend=backend, changes=case.changes)
+        outcome = _outcome(case.name, solved, _seconds_since(begun))
         record = {"cells": dict(case.cells), "outcome": asdict(outcome)}
         (part / RECORD).write_text(json.dumps(record, indent=2), encoding="utf-8")
         _publish(part, folder / case.name)
@@ -220,18 +219,18 @@ def _seconds_since(begun: float) -> float:
     return round(time.perf_counter() - begun, 4)
 
 
-def _outcome(name: str, saved: Saved, seconds: float) -> CaseOutcome:
-    study, solution = saved
-    assert solution is not None
-    d, tissue = solution.displacement, solution.tissue
+def _outcome(name: str, solved: SolvedCase, seconds: float) -> CaseOutcome:
+    solution = solved.solution
     return CaseOutcome(
         name,
         "done",
         seconds=seconds,
-        folds=count_folds(d, spacing=solution.spacing, tissue=tissue),
+        folds=solved.folds,
         error_bound=None if solution.convergence is None else float(solution.convergence.error),
-        largest_displacement=float(np.max(magnitude(d)[tissue], initial=0.0)),
-        unit=unit_symbol(study.grid.unit),
+        largest_displacement=float(
+            np.max(magnitude(solution.displacement)[solution.tissue], initial=0.0)
+        ),
+        unit=unit_symbol(solved.study.grid.unit),
     )
 
 
@@ -297,8 +296,9 @@ class _Batch:
 
     def write(self) -> None:
         """Write the summary: a line for each case."""
-        rows = [asdict(outcome) for outcome in self.outcomes]
-        save_rows(self._folder / SUMMARY, [*CaseOutcome.__dataclass_fields__], rows)
+        titles = [*CaseOutcome.__dataclass_fields__]
+        rows = ([getattr(each, title) for title in titles] for each in self.outcomes)
+        save_csv(self._folder / SUMMARY, titles, rows)
 
 
 # By processes of this machine

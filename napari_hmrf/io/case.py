@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -22,13 +22,7 @@ from napari_hmrf.io.fields import Place, place_of
 from napari_hmrf.io.images import ImageFile, load_image, save_image
 from napari_hmrf.io.landmark_files import POINT_SUFFIXES, load_points
 from napari_hmrf.io.segmentation_tables import tissue_table
-from napari_hmrf.io.study_file import (
-    Saved,
-    is_study_file,
-    load_solved,
-    load_study,
-    save_study,
-)
+from napari_hmrf.io.study_file import is_study_file, load_solved, load_study, save_study
 from napari_hmrf.io.sweeps import Change, changed
 from napari_hmrf.io.tables import read_rules
 from napari_hmrf.solver.caveats import shortfall
@@ -129,26 +123,6 @@ def read_case(case: Case) -> Study:
     )
 
 
-def notes_on(saved: Saved) -> tuple[str, ...]:
-    """What people should know of how a study was understood and what came of it, as clauses."""
-    study, solution = saved
-    ground = Ground.of(study)
-    notes = ground.notes_on(ground.statement())
-    folded = 0
-    if solution is not None:
-        short = shortfall(solution.reach, unit_symbol(study.grid.unit))
-        notes = (short, *notes) if short else notes
-        d, tissue = solution.displacement, solution.tissue
-        folded = count_folds(d, spacing=solution.spacing, tissue=tissue)
-    if not folded:
-        return notes
-    sites = "voxels" if len(study.grid.shape) == 3 else "pixels"
-    return (
-        f"the tissue folds over itself at {folded} {sites}, which no tissue does: move it less",
-        *notes,
-    )
-
-
 def _refuse_unused(case: Case, flat: bool) -> None:
     """Refuse options that would change nothing, as nobody gives them for that."""
     path = case.boundary
@@ -174,9 +148,28 @@ def _names(case: Case) -> dict[str, str]:
     return {"image": case.image.name.partition(".")[0], **files}
 
 
+class SolvedCase(NamedTuple):
+    """What came of a case.
+
+    Attributes
+    ----------
+    study : Study
+    solution : Solution
+    folds : int
+        Sites at which the tissue folds over itself, which no tissue does.
+    notes : tuple of str
+        What people should know of how it was understood and what came of it, as clauses.
+    """
+
+    study: Study
+    solution: Solution
+    folds: int
+    notes: tuple[str, ...]
+
+
 def solve_case(
     case: Case, folder: Path, *, backend: str = "auto", changes: Sequence[Change] = ()
-) -> Saved:
+) -> SolvedCase:
     """Solve a case and write the study with its field, and the image as it is seen after.
 
     Parameters
@@ -206,7 +199,9 @@ def solve_case(
             "if its outer edge stays."
         )
     folder.mkdir(parents=True, exist_ok=True)  # before the work, so that it is not done in vain
-    solution = solve_study(study, backend=backend)
+    ground = Ground.of(study)
+    stated = ground.statement()
+    solution = solve_study(study, stated=stated, backend=backend)
     name = case.image.name.partition(".")[0]
     image = study.pictures.image
     if image is not None:
@@ -215,7 +210,18 @@ def solve_case(
         written = ImageFile(moved, where, colours=moved.ndim > len(study.grid.shape))
         save_image(folder / f"{name} deformed{'.nrrd' if where else '.tif'}", written)
     save_study(folder / f"{name}.study", study, solution)
-    return Saved(study, solution)
+    folds = count_folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
+    notes = (*_shortcomings(solution, folds, study.grid.unit), *ground.notes_on(stated))
+    return SolvedCase(study, solution, folds, notes)
+
+
+def _shortcomings(solution: Solution, folds: int, unit: str) -> Iterator[str]:
+    """What is wrong with a field, as clauses."""
+    if folds:
+        sites = "voxels" if solution.tissue.ndim == 3 else "pixels"
+        yield f"the tissue folds over itself at {folds} {sites}, which no tissue does: move it less"
+    if short := shortfall(solution.reach, unit_symbol(unit)):
+        yield short
 
 
 class Measured(NamedTuple):

@@ -10,23 +10,22 @@ relative to the table. Several values in a cell, with semicolons between them, a
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.errors import FileFormatError, HmrfError
 from napari_hmrf.io.case import Case
+from napari_hmrf.io.csv_files import read_csv
 from napari_hmrf.io.images import load_image
 from napari_hmrf.io.sweeps import OF_BOUNDARIES, OF_TISSUES, Change
 from napari_hmrf.io.tables import value_of
-from napari_hmrf.solver.model_names import ModelName
+from napari_hmrf.solver.model_names import MODELS, as_word
 
 #: Larger files are no tables of ours, and are not read.
 _LARGEST = 2**24
@@ -78,12 +77,9 @@ def read_cases(path: str | os.PathLike[str]) -> tuple[NamedCase, ...]:
         If it cannot be opened.
     """
     source = Path(checked_path(path))
-    titles, lines = _lines(source)
     cases: dict[str, NamedCase] = {}
-    for number, line in lines:
+    for number, cells in read_csv(source, largest=_LARGEST, check=_titles(source.name)).lines:
         where = f"{source.name}: line {number}"
-        filled = dict(zip(titles, line, strict=True))
-        cells = {title: cell for title, cell in filled.items() if title and cell}
         for case in _cases_of(cells, source.parent, where):
             if case.name in cases:
                 raise FileFormatError(
@@ -95,41 +91,26 @@ def read_cases(path: str | os.PathLike[str]) -> tuple[NamedCase, ...]:
     return tuple(cases.values())
 
 
-def _lines(source: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """The titles of a table, and its lines with their numbers, as many cells each."""
-    if source.stat().st_size > _LARGEST:
-        raise FileFormatError(f"{source.name} is too large to be a table.")
-    try:
-        reader = csv.reader(io.StringIO(source.read_text("utf-8-sig")), skipinitialspace=True)
-        rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
-    except (csv.Error, UnicodeDecodeError):
-        raise FileFormatError(
-            f"{source.name} is no table of comma-separated text. Save it as .csv, in UTF-8."
-        ) from None
-    titles = [_title(cell) for cell in rows[0][1]] if rows else []
-    for title in filter(None, titles):
-        kind, _, of = title.partition(":")
-        if not (title in _COLUMNS or (kind in _SWEEPS and of)):
+def _titles(file: str) -> Callable[[list[str]], list[str]]:
+    """What refuses columns that say nothing."""
+
+    def check(written: list[str]) -> list[str]:
+        titles = [_title(cell) for cell in written]
+        for title in filter(None, titles):
+            kind, _, of = title.partition(":")
+            if not (title in _COLUMNS or (kind in _SWEEPS and of)):
+                raise FileFormatError(
+                    f"{file} has a column {title!r}, which says nothing here. Its columns are "
+                    f"{', '.join(_COLUMNS)}, and {', '.join(f'{each}:NAME' for each in _SWEEPS)}."
+                )
+        if not {"image", "study"} & set(titles):
             raise FileFormatError(
-                f"{source.name} has a column {title!r}, which says nothing here. Its columns are "
-                f"{', '.join(_COLUMNS)}, and {', '.join(f'{each}:NAME' for each in _SWEEPS)}."
+                f"{file} lacks the column 'image'. Its first line names the columns, with "
+                f"commas between them: {', '.join(_COLUMNS)}."
             )
-        if titles.count(title) > 1:
-            raise FileFormatError(f"{source.name} has two columns {title!r}. Remove one of them.")
-    if not {"image", "study"} & set(titles):
-        raise FileFormatError(
-            f"{source.name} lacks the column 'image'. Its first line names the columns, with "
-            f"commas between them: {', '.join(_COLUMNS)}."
-        )
-    for number, cells in rows[1:]:
-        if any(cells[len(titles) :]):
-            raise FileFormatError(
-                f"{source.name}: line {number} has more cells than there are columns. Write text "
-                "that holds a comma in quotation marks."
-            )
-    filled = [(number, cells) for number, cells in rows[1:] if any(cells)]
-    width = len(titles)
-    return titles, [(number, (cells + [""] * width)[:width]) for number, cells in filled]
+        return titles
+
+    return check
 
 
 def _title(cell: str) -> str:
@@ -208,9 +189,9 @@ def _named_case(name: str, cells: dict[str, str], folder: Path, where: str) -> N
     for title in cells:
         kind, _, of = title.partition(":")
         if title == "model":
-            model = _model(cells[title])
+            model = MODELS.get(as_word(cells[title]))
             if model is None:
-                raise refuse(title, "elastic, large-motion, paper or paper-converged")
+                raise refuse(title, ", ".join(MODELS))
             changes.insert(0, Change("model", model))
         elif title == "poisson" or kind in _SWEEPS:
             try:
@@ -218,12 +199,3 @@ def _named_case(name: str, cells: dict[str, str], folder: Path, where: str) -> N
             except ValueError as error:
                 raise refuse(title, str(error)) from None
     return NamedCase(name, case, tuple(changes), cells)
-
-
-def _model(text: str) -> str | None:
-    """A model, as it is typed in a shell or in Python."""
-
-    def plain(name: str) -> str:
-        return re.sub(r"[\s,_-]+", " ", name.casefold()).strip()
-
-    return next((name for name in get_args(ModelName) if plain(name) == plain(text)), None)

@@ -11,18 +11,17 @@ ITK-SNAP                   .txt: label, six numbers, and the name in quotation m
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.errors import FileFormatError
+from napari_hmrf.io.csv_files import read_cells, text_of
 from napari_hmrf.io.material_tables import FORMAT, load_materials
 from napari_hmrf.io.tables import read_materials
 from napari_hmrf.io.tissue_names import NamedMaterials, materials_by_name
@@ -66,8 +65,11 @@ def read_label_names(path: str | os.PathLike[str]) -> dict[int, str]:
     """
     source = Path(checked_path(path))
     ending = source.suffix.lower()
-    text = _text(source, ending)
-    rows = {".json": _of_json, ".csv": _of_csv, ".nrrd": _of_segments}.get(ending, _of_lines)(text)
+    if ending == ".csv":
+        rows = _of_cells([cells for _, cells in read_cells(source, _LARGEST)])
+    else:
+        read = {".json": _of_json, ".nrrd": _of_segments}.get(ending, _of_lines)
+        rows = read(_text(source, ending))
     names: dict[int, str] = {}
     for label, name in rows:
         if names.setdefault(label, name) != name:
@@ -126,17 +128,12 @@ def _text(source: Path, ending: str) -> str:
         with open(source, "rb") as file:
             head = file.read(_LARGEST).partition(b"\n\n")[0]
         return head.replace(b"\r", b"").decode("utf-8", errors="replace")
-    if source.stat().st_size > _LARGEST:
-        raise FileFormatError(f"{source.name} is too large to be a table.")
-    try:
-        return source.read_text("utf-8-sig")
-    except UnicodeDecodeError:
-        raise FileFormatError(f"{source.name} is no table of text. Save it in UTF-8.") from None
+    return text_of(source, _LARGEST)
 
 
 def _is_of_names(source: Path) -> bool:
     """Whether a .csv names labels, and does not say how stiff they are."""
-    titles = _titles(_text(source, ".csv"))
+    titles = _titles([cells for _, cells in read_cells(source, _LARGEST)])
     there = [any(title in titles for title in known) for known in (_LABELS, _NAMES)]
     return "stiffness" not in titles and all(there)
 
@@ -152,23 +149,21 @@ def _is_ours(source: Path) -> bool:
     )
 
 
-def _titles(text: str) -> list[str]:
-    first = next(csv.reader(io.StringIO(text), skipinitialspace=True), [])
-    return [title.strip().casefold() for title in first]
+def _titles(rows: Sequence[Sequence[str]]) -> list[str]:
+    return [title.casefold() for title in rows[0]] if rows else []
 
 
-def _of_csv(text: str) -> Iterable[tuple[int, str]]:
-    titles = _titles(text)
-    places = [
+def _of_cells(rows: Sequence[Sequence[str]]) -> Iterable[tuple[int, str]]:
+    titles = _titles(rows)
+    label_at, name_at = (
         next((titles.index(title) for title in known if title in titles), None)
         for known in (_LABELS, _NAMES)
-    ]
-    label_at, name_at = places
+    )
     if label_at is None or name_at is None:
         return
-    for row in list(csv.reader(io.StringIO(text), skipinitialspace=True))[1:]:
+    for row in rows[1:]:
         if len(row) > max(label_at, name_at) and (label := _whole(row[label_at])) is not None:
-            yield label, row[name_at].strip()
+            yield label, row[name_at]
 
 
 def _of_json(text: str) -> Iterable[tuple[int, str]]:

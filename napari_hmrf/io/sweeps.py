@@ -14,10 +14,9 @@ from napari_hmrf.study.models import chosen
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 
-#: What can be changed of a tissue, of a boundary, and of all of a study.
+#: What can be changed of a tissue, and of a boundary.
 OF_TISSUES = "growth", "stiffness", "poisson"
 OF_BOUNDARIES = ("amount",)
-OF_ALL = "model", "poisson"
 
 
 class Change(NamedTuple):

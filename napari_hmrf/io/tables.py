@@ -9,21 +9,19 @@ stiffness of what moves as one is the word ``rigid``. Rules have ``label,action`
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 from napari_hmrf.arguments import checked_path
-from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.held_forces import HeldForce
 from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.field.units import as_seen
+from napari_hmrf.io.csv_files import read_csv, save_csv
 from napari_hmrf.io.tissue_names import KnownTissue, NamedMaterials
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.tissue.boundary_rules import (
@@ -169,9 +167,6 @@ def save_named_materials(path: str | os.PathLike[str], found: NamedMaterials) ->
     OSError
         If it cannot be written.
     """
-    target = Path(checked_path(path))
-    if target.suffix.lower() != ".csv":
-        raise FileFormatError(f"{target.name}: materials are saved as text. End its name in .csv.")
     known = {
         row.label: (
             stiffness_in_words(row.stiffness),
@@ -181,13 +176,9 @@ def save_named_materials(path: str | os.PathLike[str], found: NamedMaterials) ->
         for row in found.materials
     }
     names = {**{row.label: row.name for row in found.materials}, **found.unknown}
-    file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(["label", "name", "stiffness", "poisson", "source"])
-    for label in sorted(names):
-        writer.writerow([label, names[label], *known.get(label, ("", "", ""))])
-    write_whole(target, file.getvalue().encode())
-    return target
+    titles = ["label", "name", "stiffness", "poisson", "source"]
+    rows = ([label, names[label], *known.get(label, ("", "", ""))] for label in sorted(names))
+    return save_csv(path, titles, rows, what="materials")
 
 
 def read_rules(path: str | os.PathLike[str]) -> tuple[BoundaryRule, ...]:
@@ -323,15 +314,6 @@ def _in_words(row: Measurement, name: str, axes: int) -> str:
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
 
 
-def save_rows(path: Path, titles: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write lines under titles to a .csv; what is None is left empty."""
-    file = io.StringIO()
-    writer = csv.DictWriter(file, titles, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_whole(path, file.getvalue().encode())
-
-
 def save_measurements(
     path: str | os.PathLike[str],
     rows: Sequence[Measurement],
@@ -357,19 +339,9 @@ def save_measurements(
     OSError
         If it cannot be written.
     """
-    target = Path(checked_path(path))
-    if target.suffix.lower() != ".csv":
-        raise FileFormatError(
-            f"{target.name}: measurements are saved as text. End its name in .csv."
-        )
-    file = io.StringIO()
     more = {"unit": unit} if unit else {}
-    titles = measurement_titles(volume=volume)
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow([*titles, *more])
-    writer.writerows([*row, *more.values()] for row in rows)
-    write_whole(target, file.getvalue().encode())
-    return target
+    titles = [*measurement_titles(volume=volume), *more]
+    return save_csv(path, titles, ([*row, *more.values()] for row in rows), what="measurements")
 
 
 def _read(
@@ -377,34 +349,28 @@ def _read(
 ) -> list[tuple[int, dict[str, Any]]]:
     """The lines of a table with their numbers, as far as cells are filled."""
     source = Path(checked_path(path))
-    if source.stat().st_size > _LARGEST:
-        raise FileFormatError(f"{source.name} is too large to be a table.")
     file, called = source.name, ", ".join(columns)
-    try:
-        reader = csv.DictReader(io.StringIO(source.read_text("utf-8-sig")), skipinitialspace=True)
-        titles = [title.strip().casefold() for title in reader.fieldnames or ()]
-        reader.fieldnames = titles
-        lines = [(reader.line_num, line) for line in reader]
-    except (csv.Error, UnicodeDecodeError):
-        raise FileFormatError(
-            f"{file} is no table of comma-separated text. Save it as .csv, in UTF-8."
-        ) from None
-    missing = [name for name in needed if name not in titles]
-    if missing:
-        raise FileFormatError(
-            f"{file} lacks the column {missing[0]!r}. Its first line names the columns, with "
-            f"commas between them: {called}."
-        )
-    unknown = [title for title in titles if title and title not in columns]
-    if unknown:
-        raise FileFormatError(
-            f"{file} has a column {unknown[0]!r}, which says nothing here. Its columns "
-            f"are {called}."
-        )
-    rows = [(number, _cells(line, f"{file}: line {number}", columns)) for number, line in lines]
-    rows = [(number, row) for number, row in rows if row]
-    if not rows:
+
+    def check(written: list[str]) -> list[str]:
+        titles = [title.casefold() for title in written]
+        missing = [name for name in needed if name not in titles]
+        if missing:
+            raise FileFormatError(
+                f"{file} lacks the column {missing[0]!r}. Its first line names the columns, with "
+                f"commas between them: {called}."
+            )
+        unknown = [title for title in titles if title and title not in columns]
+        if unknown:
+            raise FileFormatError(
+                f"{file} has a column {unknown[0]!r}, which says nothing here. Its columns "
+                f"are {called}."
+            )
+        return titles
+
+    lines = read_csv(source, largest=_LARGEST, check=check).lines
+    if not lines:
         raise FileFormatError(f"{file} has no line below the names of its columns. Write one.")
+    rows = [(number, _values(line, f"{file}: line {number}", columns)) for number, line in lines]
     labels = []
     for number, row in rows:
         lacking = [name for name in needed if name not in row]
@@ -421,21 +387,14 @@ def _read(
     return rows
 
 
-def _cells(line: dict[Any, Any], where: str, columns: dict[str, _Column]) -> dict[str, Any]:
-    """What is in the cells that are filled."""
-    if any(text.strip() for text in line.pop(None, ())):
-        raise FileFormatError(
-            f"{where} has more cells than there are columns. Write decimals with a point, and text "
-            "that holds a comma in quotation marks."
-        )
+def _values(cells: dict[str, str], where: str, columns: dict[str, _Column]) -> dict[str, Any]:
+    """What the text in the cells means."""
     row = {}
-    for title, text in line.items():
-        if not title or not (text or "").strip():
-            continue
+    for title, text in cells.items():
         try:
-            row[title] = columns[title].read(text.strip())
+            row[title] = columns[title].read(text)
         except ValueError:
             raise FileFormatError(
-                f"{where}: {title} is {text.strip()[:40]!r}. Give {columns[title].right}."
+                f"{where}: {title} is {text[:40]!r}. Give {columns[title].right}."
             ) from None
     return row

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 #: Linear elasticity; finite strain; the paper's random field by its schedule; and where its sweeps
 #: would end.
 ModelName = Literal["elastic", "large motion", "paper", "paper, converged"]
 #: Those of tissue that is strained.
 ELASTIC: tuple[ModelName, ...] = "elastic", "large motion"
+
+
+def as_word(name: str) -> str:
+    """The name of a model as one word, as it is typed in a shell or in a table."""
+    return re.sub(r"[\s,_-]+", "-", name.strip().casefold())
+
+
+#: The models by what is typed for them.
+MODELS: dict[str, ModelName] = {as_word(name): name for name in get_args(ModelName)}
 
 # Sweeps that may end only once the energy stands still to so many digits converge, too.
 _STILL = 1e-7

@@ -260,6 +260,7 @@ def statement_of(study: Study) -> Statement:
 def solve_study(
     study: Study,
     *,
+    stated: Statement | None = None,
     backend: str = "auto",
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
@@ -269,6 +270,8 @@ def solve_study(
     Parameters
     ----------
     study : Study
+    stated : Statement, optional
+        What `statement_of` makes of it, if that is known already.
     backend, progress, cancel
         As for `solve`.
 
@@ -284,7 +287,7 @@ def solve_study(
     Cancelled, ConvergenceError, BackendError
         As for `solve`.
     """
-    stated = statement_of(study)
+    stated = stated or statement_of(study)
     with study.naming():
         solution = solve(
             stated.problem,
