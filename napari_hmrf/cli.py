@@ -170,8 +170,10 @@ def _batch(options: argparse.Namespace) -> int:
     from napari_hmrf.io.case_tables import read_cases
 
     line = _ProgressLine()
+    cases = read_cases(options.cases)
+    line.write(f"{len(cases)} cases")  # as the first may wait for loops to be compiled
     outcomes = solve_cases(
-        read_cases(options.cases),
+        cases,
         options.out,
         jobs=options.jobs,
         scheduler=options.scheduler,
@@ -233,13 +235,20 @@ def _truth(options: argparse.Namespace) -> int:
         print(f"written: {truth.folder} (moved up to {truth.farthest:.3g}{part})", flush=True)
 
     progress = _ProgressLine()
-    given = {name: getattr(options, name) for name in ("amplitude", "patches")}
+    names = ("amplitude", "patches", "weight", "hold_edge", "backend")
+    given = {name: getattr(options, name) for name in names}
     written = write_truth(
-        Case(image=options.image, labels=options.labels, materials=options.materials),
+        Case(
+            image=options.image,
+            labels=options.labels,
+            materials=options.materials,
+            maps=options.maps,
+            slice=options.slice,
+        ),
         options.out,
         count=options.count,
         seed=options.seed,
-        progress=lambda done, of: progress.show(Monitor(f"solving {done} of {of}", done / of)),
+        progress=lambda done, of: progress.write(f"solved: {done} of {of}", "solving"),
         tell=tell,
         **{name: value for name, value in given.items() if value is not None},
     )

@@ -118,22 +118,7 @@ def _add_file_commands(commands: Any) -> None:
     solve = commands.add_parser("solve", help="solve a study, or images with their tables")
     solve.add_argument("image", type=Path, metavar="STUDY|IMAGE")
     solve.add_argument("-o", "--out", type=Path, required=True, metavar="DIR")
-    solve.add_argument("--labels", type=Path, help="an image of tissue labels")
-    solve.add_argument(
-        "--maps",
-        type=Path,
-        nargs="+",
-        default=(),
-        metavar="MAP",
-        help="instead: how likely tissue 1, 2 ... is, an image for each",
-    )
-    solve.add_argument(
-        "--materials",
-        type=Path,
-        metavar="TABLE",
-        help=".csv: label,name,stiffness,poisson,growth; a growth of 0.2 or 20%% is a fifth "
-        "longer; or what a segmentation calls its labels, as for the command materials",
-    )
+    _add_tissue(solve)
     solve.add_argument(
         "--boundary",
         type=Path,
@@ -152,12 +137,7 @@ def _add_file_commands(commands: Any) -> None:
         metavar="IMAGE|edges",
         help="how sure a field is: an image from 0 to 1, a mask, or where the image has edges",
     )
-    solve.add_argument(
-        "--slice",
-        type=int,
-        metavar="N",
-        help="of a volume only this slice along its first axis; by default all of it",
-    )
+    _add_slice(solve)
     solve.add_argument(
         "--hold-edge", action="store_true", help="the outer edge of the tissue stays"
     )
@@ -170,29 +150,53 @@ def _add_file_commands(commands: Any) -> None:
     _add_truth(commands)
 
 
+def _add_tissue(command: argparse.ArgumentParser) -> None:
+    """What says which tissue is where."""
+    command.add_argument("--labels", type=Path, help="an image of tissue labels")
+    command.add_argument(
+        "--maps",
+        type=Path,
+        nargs="+",
+        default=(),
+        metavar="MAP",
+        help="instead: how likely tissue 1, 2 ... is, an image for each",
+    )
+    command.add_argument(
+        "--materials",
+        type=Path,
+        metavar="TABLE",
+        help=".csv: label,name,stiffness,poisson,growth; a growth of 0.2 or 20%% is a fifth "
+        "longer; or what a segmentation calls its labels, as for the command materials",
+    )
+
+
+def _add_slice(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--slice",
+        type=int,
+        metavar="N",
+        help="of a volume only this slice along its first axis; by default all of it",
+    )
+
+
 def _add_truth(commands: Any) -> None:
     truth = commands.add_parser(
         "truth",
         help="deform an image at random by a field that is known, to validate a registration",
     )
-    truth.add_argument("image", type=Path, metavar="IMAGE")
-    truth.add_argument("--labels", type=Path, required=True, help="an image of tissue labels")
-    truth.add_argument(
-        "--materials",
-        type=Path,
-        required=True,
-        metavar="TABLE",
-        help=".csv: label,name,stiffness,poisson,growth; a row for each label",
-    )
+    truth.add_argument("image", type=Path, metavar="STUDY|IMAGE")
+    _add_tissue(truth)
+    _add_slice(truth)
     truth.add_argument("-o", "--out", type=Path, required=True, metavar="DIR")
     truth.add_argument("--count", type=int, default=1, metavar="N", help="pairs; default: 1")
     truth.add_argument("--seed", type=int, default=0, metavar="S", help="default: 0")
     truth.add_argument(
         "--amplitude",
-        type=float,
-        metavar="A",
-        help="how far tissue is pulled where it is pulled farthest, in mm, or in pixels of what "
-        "has no size; by default from nothing to a quarter of how far its pulls lie apart",
+        type=_lengths,
+        metavar="A|LOW-HIGH",
+        help="how far tissue is pulled where it is pulled farthest, or from where to where, in mm, "
+        "or in pixels of what has no size; by default from nothing to a quarter of how far its "
+        "pulls lie apart, in a volume an eighth",
     )
     truth.add_argument(
         "--patches",
@@ -200,6 +204,20 @@ def _add_truth(commands: Any) -> None:
         metavar="P",
         help="places where tissue is pulled (default: 12, in a volume 8)",
     )
+    truth.add_argument(
+        "--weight",
+        type=float,
+        metavar="W",
+        help="how much pulls at all tissue in a random direction, as its own weight does, at most; "
+        "in the unit of stiffness per mm, or per pixel (water in kPa: 0.00981; default: 0)",
+    )
+    truth.add_argument(
+        "--free-edge",
+        action="store_false",
+        dest="hold_edge",
+        help="the outer edge of the tissue moves, too; by default it stays",
+    )
+    truth.add_argument("--backend", choices=BACKEND_NAMES, default="auto")
 
 
 def _add_many_commands(commands: Any) -> None:
@@ -246,6 +264,20 @@ def _count(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
     return int(text)
+
+
+def _lengths(text: str) -> float | tuple[float, float]:
+    """A length, or two with a dash between them."""
+    try:
+        return float(text)
+    except ValueError:
+        pass
+    low, _, high = text.partition("-")
+    try:
+        return float(low), float(high)
+    except ValueError:
+        said = f"{text!r} is not a length such as 3, or two such as 1-4"
+        raise argparse.ArgumentTypeError(said) from None
 
 
 def _size(text: str) -> int:

@@ -1,4 +1,4 @@
-"""Break the window's half in many places, one at a time, and see a test fail for each.
+"""Break all but the solver in many places, one at a time, and see a test fail for each.
 
     python scripts/mutations.py [number ...]
 
@@ -168,6 +168,29 @@ MUTATIONS = (
         "test_widgets_look.py",
     ),
     Mutation("ui/motion/pointer.py", "_LARGER = 1.25", "_LARGER = 0.8", "test_grab_tools.py"),
+    # many cases, random deformations and tables of segmentations
+    Mutation("io/sweeps.py", "step * amount / length", "step * amount", "test_batch.py"),
+    Mutation(
+        "io/batch.py", "record.cells == dict(case.cells)", "bool(record.cells)", "test_batch.py"
+    ),
+    Mutation(
+        "augmentation/random_deformation.py",
+        "drawn * scale, scale, case",
+        "drawn, scale, case",
+        "test_random_deformation.py",
+    ),
+    Mutation(
+        "augmentation/ground_truth.py",
+        "* (np.array(place.spacing[-n:]) / solution.spacing)",
+        "/ solution.spacing",
+        "test_truth.py",
+    ),
+    Mutation(
+        "io/segmentation_tables.py",
+        'each.get("Layer", "0") == "0"',
+        'each.get("Layer", "0") != "1"',
+        "test_segmentations.py",
+    ),
 )
 
 

@@ -317,14 +317,16 @@ def test_maps_of_how_likely_tissues_are_say_where_they_are(files):
     folder, *_ = files
     maps = np.zeros((2, 3, *SHAPE), np.uint8)
     maps[0, :, :20], maps[1, :, 15:] = 200, 255
-    maps[0, :, :, :5] = 90  # less likely than not
+    maps[0, :, :, :5] = 90  # less likely than none of them
+    maps[:, :, 10:, -5:] = np.reshape((100, 110), (2, 1, 1, 1))  # where tissues meet
     paths = [folder / "gm.nii.gz", folder / "wm.nii.gz"]
     for path, values in zip(paths, maps, strict=True):
         save_image(path, ImageFile(values, PLACE))
     labels = read_case(case(folder, maps=paths, hold_edge=True)).tissue.labels
-    assert set(np.unique(labels[:15, 5:])) == {1}
+    assert set(np.unique(labels[:10, 5:])) == {1}
     assert set(np.unique(labels[15:])) == {2}
-    assert set(np.unique(labels[:15, :5])) == {0}
+    assert set(np.unique(labels[10:, -5:])) == {2}, "no hole where tissues meet"
+    assert set(np.unique(labels[:10, :5])) == {0}
 
 
 def test_a_tumour_grows_in_a_head_by_the_shell_alone_as_simpleitk_sees_it(tmp_path, capsys):

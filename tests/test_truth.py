@@ -110,6 +110,12 @@ def test_a_picture_lies_in_its_pixels(files):
     assert load_image(files / "out" / "image.mha").pixels.dtype == np.uint8
 
 
+def test_an_amplitude_that_is_no_length_is_refused(files, capsys):
+    with pytest.raises(SystemExit):
+        truth(files, "--amplitude", "1-far")
+    assert "two such as 1-4" in capsys.readouterr().err
+
+
 def test_what_makes_no_sense_is_said_before_any_work(files, capsys):
     assert truth(files, "--count", 0) == 1
     assert truth(files, "--amplitude", -1) == 1
@@ -119,3 +125,50 @@ def test_what_makes_no_sense_is_said_before_any_work(files, capsys):
     assert "count must be" in said
     assert "amplitude must be" in said
     assert "without a stiffness: 2" in said
+
+
+def test_a_slice_of_a_volume_with_maps_lies_in_its_volume(tmp_path):
+    shape = (5, *SHAPE)
+    place = Place((3.0, 0.5, 0.7), (-10.0, 20.0, 5.0), np.eye(3))
+    second = np.broadcast_to(blob(SHAPE, (20, 24), 7), shape)
+    maps = {"soft": 255 * ~second, "stiff": 255 * second}
+    pictures = {"scan": smooth_image(shape).astype(np.float32)}
+    pictures |= {name: pixels.astype(np.uint8) for name, pixels in maps.items()}
+    for name, pixels in pictures.items():
+        save_image(tmp_path / f"{name}.nii.gz", ImageFile(pixels, place))
+    (tmp_path / "m.csv").write_text("label,name,stiffness\n0,air,0\n1,brain,3\n2,bone,rigid\n")
+    arguments = [tmp_path / "scan.nii.gz", "--slice", 3, "--maps", tmp_path / "soft.nii.gz"]
+    arguments += [tmp_path / "stiff.nii.gz", "--materials", tmp_path / "m.csv", "--patches", 2]
+    out = tmp_path / "out"
+    assert main(["truth", *map(str, arguments), "--weight", "0.01", "-o", str(out)]) == 0
+    volume = sitk.ReadImage(str(tmp_path / "scan.nii.gz"))
+    written = [sitk.ReadImage(str(out / name)) for name in ("image.mha", "001/field.mha")]
+    for each in written:
+        assert each.GetSize() == (SHAPE[1], SHAPE[0], 1)
+        np.testing.assert_allclose(
+            each.GetOrigin(), volume.TransformIndexToPhysicalPoint((0, 0, 3)), atol=1e-5
+        )
+    labels = sitk.GetArrayFromImage(sitk.ReadImage(str(out / "labels.mha")))[0]
+    np.testing.assert_array_equal(labels, 1 + second[3])
+    points = load_points(out / "001" / "landmarks.csv")
+    np.testing.assert_allclose(points.points[:, 0], written[0].GetOrigin()[2], atol=1e-5)
+    motion = load_study(out / "001" / "truth.study").study.motion
+    assert motion.weight
+    assert motion.hold_edge
+
+
+def test_a_study_with_its_labels_is_all_it_takes(files, capsys):
+    assert truth(files, "--amplitude", 2, "--seed", 4) == 0
+    saved = files / "out" / "001" / "truth.study"
+    again = ["truth", str(saved), "-o", str(files / "again"), "--patches", "4", "--seed", "4"]
+    assert main([*again, "--amplitude", "2"]) == 0
+    first, second = (
+        load_image(files / name / "001" / "deformed.mha").pixels for name in ("out", "again")
+    )
+    np.testing.assert_array_equal(first, second)
+    assert main([*again, "--free-edge", "--amplitude", "1.5-2"]) == 0
+    drawn = load_study(files / "again" / "001" / "truth.study").study.motion.rules
+    assert 1.5 <= max(np.linalg.norm(rule.vector) for rule in drawn) <= 2
+    assert not load_study(files / "again" / "001" / "truth.study").study.motion.hold_edge
+    assert main(["truth", str(files / "scan.mha"), "-o", str(files / "none")]) == 1
+    assert "without labels: give --labels, or --maps" in capsys.readouterr().err

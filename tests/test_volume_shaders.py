@@ -389,15 +389,18 @@ def test_a_rasteriser_stands_in_until_the_loops_for_volumes_are_compiled(monkeyp
     wanted, waited = [], []
     monkeypatch.setattr(compiler, "request", wanted.append)
 
-    def choice():
+    def choice(voxels=(9, 9, 9)):
         provide_loops = partial(waited.append, 1)
-        backend, reason = open_backend("auto", lambda: None, provide_loops, volume=(9, 9, 9))
+        backend, reason = open_backend("auto", lambda: None, provide_loops, volume=voxels)
         backend.close()
         return backend.name, reason
 
     monkeypatch.setattr(loops, "ready_for_volumes", lambda: False)
     assert on_compute_thread(choice) == ("opengl:compute", COMPILING)
     assert (wanted, waited) == (["volume"], [])
+    large = on_compute_thread(lambda: choice((101, 100, 100)))
+    assert large[0] == "cpu", "to compile takes less long than a rasteriser does"
+    assert waited.pop() == 1
     monkeypatch.setattr(loops, "ready_for_volumes", lambda: True)
     name, reason = on_compute_thread(choice)
     assert name == "cpu"

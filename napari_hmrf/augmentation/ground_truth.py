@@ -91,7 +91,8 @@ def write_truth(
     study = read_case(case)
     image, labels = study.pictures.image, study.tissue.labels
     if image is None or labels is None:
-        raise HmrfError(f"{case.image.name} comes without its image or its labels. Give both.")
+        what = "an image" if image is None else "labels: give --labels, or --maps"
+        raise HmrfError(f"{case.image.name} comes without {what}")
     folder.mkdir(parents=True, exist_ok=True)  # before the work, so that it is not done in vain
     colours = image.ndim > len(study.grid.shape)
     random = RandomDeformation(

@@ -48,8 +48,9 @@ class Case:
         An image of tissue labels and a table of materials, .csv or .json, or one of what a
         segmentation calls its labels, as of `read_label_names`.
     maps : sequence of Path
-        Instead of `labels`: how likely each tissue is, an image for each. Where one of them is more
-        likely than not, its place in this list, from 1 on, is the label.
+        Instead of `labels`: how likely each tissue is, an image for each. The place of the
+        likeliest in this list, from 1 on, is the label; 0 where all of them together leave more for
+        none than the likeliest has.
     boundary : Path, optional
         How tissue moves: an image of labels with a table of `rules`; pairs of landmarks in a .csv;
         or a displacement field, such as a registration's.
@@ -380,10 +381,12 @@ def _as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
 
 
 def _most_likely(maps: Sequence[npt.NDArray[Any]]) -> npt.NDArray[np.uint8]:
-    """The labels of tissues that are more likely than not; 0 where none is."""
+    """The label of the likeliest tissue; 0 where that is likelier to be none of them."""
     likely = np.nan_to_num(np.stack(maps).astype(float))  # NaN where a tool says nothing
     sure = max(1.0, float(likely.max()))  # 1, 100 or 255, as tools have it
-    found = np.where(likely.max(axis=0) > sure / 2, 1 + likely.argmax(axis=0), 0)
+    none = sure - likely.sum(axis=0)
+    there = likely.max(axis=0) > np.maximum(none, 0.0)
+    found = np.where(there, 1 + likely.argmax(axis=0), 0)
     return found.astype(np.uint8)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, Literal, get_args
 
@@ -18,6 +19,8 @@ BACKEND_NAMES: tuple[str, ...] = get_args(BackendName)
 COMPILING = "until the loops for the processor are compiled"
 #: Why the compiled loops are taken for a volume that there are no shaders for.
 FOR_VOLUMES = "only the compiled loops solve such volumes"
+#: Of a volume of more voxels to wait for its loops takes less than to do without, on a rasteriser.
+LARGE_VOLUME = 1_000_000
 
 #: Why the compiled loops are taken for large motion.
 FOR_LARGE_MOTION = "only the compiled loops solve large motion"
@@ -52,7 +55,8 @@ def open_backend(
     name : str
         One of `BACKEND_NAMES`. "auto" takes the shaders on a real GPU, and the compiled loops
         where there is only a software rasteriser (ten times slower than they) or no OpenGL. Until
-        the loops are compiled, which it has another process do, it takes the rasteriser.
+        the loops are compiled, which it has another process do, it takes the rasteriser; for a
+        volume of more than `LARGE_VOLUME` voxels it waits for them.
     checkpoint : callable
         Called by the backend at least every `BATCH_SECONDS`; raises to stop the work.
     provide_loops : callable
@@ -123,7 +127,7 @@ def open_backend(
         return _compiled(checkpoint), f"the shaders refuse this volume ({error})"
     if not is_software_renderer(backend.renderer):
         return backend, "a GPU is there"
-    if not compiled:
+    if not (compiled or math.prod(volume) > LARGE_VOLUME):
         if volume:
             compiler.request(kept.VOLUMES)
         return backend, COMPILING
