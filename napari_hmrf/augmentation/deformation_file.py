@@ -8,7 +8,7 @@ import numpy as np
 
 from napari_hmrf import array_file
 from napari_hmrf.array_file import Arrays, Header, Invalid, Kind
-from napari_hmrf.augmentation.unit_solutions import Case, UnitSolutions
+from napari_hmrf.augmentation.unit_solutions import MovableTissue, UnitSolutions
 from napari_hmrf.io.study_file import LABEL_TYPES, materials_of
 from napari_hmrf.study.study import Grid
 
@@ -49,7 +49,7 @@ def _parse(header: Header, arrays: Arrays) -> UnitSolutions:
         raise Invalid("its labels, spacing and patches disagree")
     if patches.shape != labels.shape or tissue.shape != labels.shape:
         raise Invalid(f"its labels {labels.shape} and patches {patches.shape} disagree")
-    case = Case(
+    case = MovableTissue(
         Grid(labels.shape, spacing, str(header["unit"])),
         labels,
         materials_of(header["materials"]),

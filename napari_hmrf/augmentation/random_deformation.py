@@ -25,8 +25,8 @@ from napari_hmrf.augmentation.fold_limit import largest_scale
 from napari_hmrf.augmentation.unit_solutions import (
     WRONG,
     Array,
-    Case,
     Causes,
+    MovableTissue,
     UnitSolutions,
     control_patches,
     solve_units,
@@ -70,7 +70,7 @@ class RandomSample:
         What moves it: pulls, growth and weight, scaled down as all of it was.
     scale : float
         Which part of what was drawn is left, for nothing to be squeezed too much: at most 1.
-    case : Case
+    case : MovableTissue
         The tissue.
     """
 
@@ -79,7 +79,7 @@ class RandomSample:
     spacing: tuple[float, ...]
     causes: Causes
     scale: float
-    case: Case
+    case: MovableTissue
 
     def __repr__(self) -> str:
         farthest = float(np.linalg.norm(self.displacement, axis=-1).max(initial=0.0))
@@ -289,7 +289,7 @@ class RandomDeformation:
             image, rows, sizes, count=int(count), radius=size, hold_edge=hold_edge
         )
         apart = _distance_to_next(centres, 4 * usual)
-        case = Case(
+        case = MovableTissue(
             Grid(image.shape, sizes, unit),
             image,
             rows,

@@ -58,7 +58,7 @@ class Causes:
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class MovableTissue:
     """Labels with their materials, and what may move this tissue.
 
     Attributes
@@ -209,14 +209,14 @@ class UnitSolutions:
 
     Attributes
     ----------
-    case : Case
+    case : MovableTissue
     displacements : ndarray, shape (causes, sites, n), float32
         Of each of its units, of all sites of tissue.
     tissue : ndarray of bool, shape ([D,] H, W)
         What moves.
     """
 
-    case: Case
+    case: MovableTissue
     displacements: npt.NDArray[np.float32]
     tissue: BoolArray
 
@@ -250,7 +250,7 @@ class UnitSolutions:
 
 
 def solve_units(
-    case: Case,
+    case: MovableTissue,
     *,
     backend: str = "auto",
     memory: float | None = None,
@@ -260,7 +260,7 @@ def solve_units(
 
     Parameters
     ----------
-    case : Case
+    case : MovableTissue
     backend : str
         As for `solve`.
     memory : float, optional

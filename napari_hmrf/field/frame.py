@@ -437,7 +437,7 @@ _PLACES = TypeAdapter(Frame)
 
 
 @dataclass(frozen=True)
-class Place:
+class SlicePlace:
     """A slice: the axes of a layer it shows, where it lies on each, and its name to be read."""
 
     plane: tuple[int, ...]
@@ -445,7 +445,7 @@ class Place:
     name: str = field(default="", compare=False)
 
     @classmethod
-    def of(cls, frame: Frame) -> Place:
+    def of(cls, frame: Frame) -> SlicePlace:
         """Where a slice lies."""
         return cls(frame.plane, frame.index, frame.slice_seen)
 

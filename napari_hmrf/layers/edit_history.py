@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from napari.layers import Labels
 from psygnal import Signal
 
-from napari_hmrf.field.frame import Place
+from napari_hmrf.field.frame import SlicePlace
 from napari_hmrf.layers.compat import paint_steps, unwrapped
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE
 from napari_hmrf.layers.slice_view import View
@@ -44,13 +44,13 @@ class Slot(NamedTuple):
         `DRAWING`, or "tissue" or "boundary" for the layer's table, or whatever else there will be.
     layer : napari.layers.Layer
         With it goes all that is edited of it.
-    place : Place, optional
+    place : SlicePlace, optional
         Of a drawing, and of what was painted in a slice at once.
     """
 
     what: str
     layer: Any
-    place: Place | None = None
+    place: SlicePlace | None = None
 
 
 class ViewerSteps:

@@ -19,7 +19,7 @@ from qtpy.QtCore import QEvent, QFile, QObject, Qt, QThread, QTimer
 from qtpy.QtWidgets import QApplication, QFileDialog, QMessageBox
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.field.frame import Place
+from napari_hmrf.field.frame import SlicePlace
 from napari_hmrf.io import recovery
 from napari_hmrf.io.study_file import SUFFIX, image_named_in, load_study, save_study
 from napari_hmrf.layers.compat import is_quitting, stop_quitting
@@ -142,7 +142,7 @@ class Unsaved(QObject):
                 self._viewer.add_layer(layer)
             if (frame := study.grid.place) is not None:
                 first = next(iter(layers.values()))
-                there = Place(frame.plane, (0,) * first.ndim)
+                there = SlicePlace(frame.plane, (0,) * first.ndim)
                 self._steps.go_to(Slot(DRAWING, first, there), turn=True)
             for part in ("image", "tissue", "boundary", "confidence"):
                 setattr(dock, part, layers.get(part))

@@ -9,7 +9,7 @@ from typing import Any
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.field.frame import Place
+from napari_hmrf.field.frame import SlicePlace
 from napari_hmrf.layers.compat import text_of
 from napari_hmrf.layers.edit_history import DRAWING, Slot, ViewerSteps
 from napari_hmrf.layers.paint_layer import tissue_colours
@@ -132,7 +132,7 @@ class Pointer:
         if study is None:
             self.history = History()
         else:
-            slot = Slot(DRAWING, image, Place.of(study.grid.place))
+            slot = Slot(DRAWING, image, SlicePlace.of(study.grid.place))
             self.history = History(edits=self._steps.edits, slot=slot)
         self.display.stand_on(study, image, bool(self.drawing.marks))
         self._open_hand()
