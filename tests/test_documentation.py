@@ -162,7 +162,7 @@ def test_what_the_concepts_say_in_python_is_what_comes(page):
 
 
 def test_each_example_is_short_public_and_on_the_site():
-    assert len(EXAMPLES) == 7
+    assert len(EXAMPLES) == 9
     shown = re.findall(
         r"\{literalinclude\} ../../examples/(\w+\.py)$", read(DOCS / "examples/README.md"), re.M
     )

@@ -4,6 +4,7 @@ import re
 import runpy
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from napari_hmrf import Solution, phantom
@@ -97,3 +98,26 @@ def test_in_a_volume_a_tumour_grows_at_the_cost_of_what_is_around_it(said):
     before, after = re.findall(r"(\d+) before, (\d+) after", text)[0]
     assert int(after) > 1.3 * int(before)
     assert number("within # px", text) <= 0.001
+
+
+def test_the_more_a_tumour_grows_and_the_stiffer_it_is_the_narrower_are_ventricles(said):
+    found = re.findall(
+        r"growth tumour=([\d.]+), stiffness tumour=(\d+): ventricles (.*) %", said("sweep")
+    )
+    narrower = {(growth, stiffness): float(change) for growth, stiffness, change in found}
+    assert len(narrower) == 6
+    for stiffness in ("3", "30"):
+        assert narrower["0.3", stiffness] < narrower["0.2", stiffness] < narrower["0.1", stiffness]
+    assert narrower["0.1", "30"] < narrower["0.1", "3"] < 0
+
+
+def test_random_deformations_fold_nothing_leave_bone_and_are_those_of_full_solves(said, tmp_path):
+    text = said("random_deformations")
+    assert number("folds at # pixels", text) == 0
+    assert 0.5 < number("moved up to # px", text) <= 5.5
+    assert number("strained by # %", text) < 0.3, (
+        "a turn of few degrees, which linear tissue rounds"
+    )
+    assert number("within # px", text) < 0.01
+    with np.load(tmp_path / "deformed.npz") as kept:
+        assert kept["images"].shape == kept["labels"].shape == (8, 96, 96)

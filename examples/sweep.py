@@ -1,0 +1,46 @@
+"""How much a tumour's growth narrows the ventricles: one table of cases, solved side by side.
+
+Each line of a table is a case; two cells of it hold several values, so that it is six cases. What
+comes of each is a folder with the study, its field and the image as it is seen after.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from tifffile import imwrite
+
+from napari_hmrf import load_study, measure, phantom, read_cases, solve_cases
+
+MATERIALS = """\
+label,name,stiffness,poisson
+0,air,0,
+1,brain,3,0.45
+2,ventricles,1,0.3
+3,tumour,3,0.45
+"""
+CASES = """\
+name,image,labels,materials,hold-edge,growth:tumour,stiffness:tumour
+brain,brain.tif,labels.tif,materials.csv,yes,0.1;0.2;0.3,3;30
+"""
+
+
+def main() -> None:
+    """Write the files, solve the cases, and look at what came of each."""
+    brain, files = phantom("mass-effect", size=96), Path("sweep")
+    files.mkdir()
+    imwrite(files / "brain.tif", brain.image.astype(np.float32))
+    imwrite(files / "labels.tif", brain.tissue_labels.astype(np.uint8))
+    (files / "materials.csv").write_text(MATERIALS)
+    (files / "cases.csv").write_text(CASES)
+
+    for outcome in solve_cases(read_cases(files / "cases.csv"), files / "out", jobs=2):
+        study, solution = load_study(files / "out" / outcome.case / "brain.study")
+        names = {row.label: row.name for row in study.tissue.materials}
+        rows = measure(solution, brain.tissue_labels, names=names)
+        areas = {row.name: row.area_change for row in rows}
+        print(f"{outcome.case}: ventricles {areas['ventricles']:.2f} %, {outcome.folds} folds")
+    print(f"all of them: {files / 'out' / 'summary.csv'}")
+
+
+if __name__ == "__main__":  # as other processes read this file, too
+    main()
