@@ -15,7 +15,7 @@ import queue
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -29,6 +29,8 @@ _Job = tuple[Callable[[], Any], "Future[Any]", Doing]
 
 #: What those who wait are told of what was cancelled.
 STOPPED = "what was cancelled to come to its end, which happens by itself"
+# How long Ctrl-C may go unseen by who waits for a job, in seconds.
+_TICK = 0.1
 _SOMETHING = "a computation that a script or another plugin asked for, which only that can stop"
 
 
@@ -97,6 +99,8 @@ class ComputeThread:
 
         future = self.submit(run, doing)
         try:
+            while not wait([future], _TICK).done:
+                pass  # a lock alone may keep Ctrl-C waiting: on Windows always
             return future.result()
         except BaseException:
             left.set()
