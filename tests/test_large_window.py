@@ -81,13 +81,19 @@ def test_folds_are_mended_by_one_press_and_it_can_be_undone(dock, at_rest):
     folded = at_rest(screen.cell("tumour", "grows").write, "150")
     assert count_folds(folded.displacement) > 5
     assert offers(dock, offer)
+    at_rest(screen.press, "⚠")
+    assert "it folds" in dock.status
     mended = at_rest(screen.press, offer)
+    assert "fold" not in dock.status, "what was said of the last result has gone with it"
     assert dock.model == mended.provenance.model == "large motion"
     assert count_folds(mended.displacement) == 0
     assert "folds" not in dock.warning
     assert not offers(dock, offer)
     at_rest(dock.undo)
     assert dock.model == "elastic"
+    screen.press(offer)
+    dock.cancel()
+    assert not offers(dock, offer), "it is taken, and Deform makes it so"
 
 
 def test_a_volume_is_not_offered_what_it_cannot_have(qtbot, wait_for):

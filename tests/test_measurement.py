@@ -147,6 +147,15 @@ def test_a_picture_moves_from_rest_to_the_end_and_back(solved, tmp_path):
     assert np.array_equal(frames[3], frames[5]), "and back"
 
 
+def test_a_moving_picture_of_oblong_pixels_has_the_image_s_proportions(tmp_path):
+    pull = Drawing((Arrow((16, 8), (0, 2), 3),))
+    study = Study(Grid((16, 24), (2.0, 1.0)), motion=Motion(hold_edge=True, drawing=pull))
+    solution = solve_study(study, backend="cpu")
+    photo = np.arange(16 * 24, dtype=float).reshape(16, 24)
+    with Image.open(save_moving_picture(tmp_path / "a.gif", solution, photo, frames=2)) as moving:
+        assert moving.size == (24, 32)
+
+
 def test_what_is_no_moving_picture_is_refused(solved, tmp_path):
     study, solution = load_study(solved)
     photo = study.pictures.image

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +70,8 @@ def save_moving_picture(
         raise ProblemError("displacement", "is of a volume. Write a picture of one of its slices.")
     motion = Motion(solution, np.asarray(image))
     there = [_seen(motion, number / (frames - 1)) for number in range(frames)]
-    shown = _as_bytes(np.stack([*there, *there[-2:0:-1]]))
+    forth = _in_proportion(_as_bytes(np.stack(there)), solution.spacing)
+    shown = np.concatenate([forth, forth[-2:0:-1]])
     if target.suffix.lower() == ".gif":
         write_whole(target, _gif(shown, per_second))
     else:
@@ -78,10 +80,7 @@ def save_moving_picture(
 
 
 def _seen(motion: Motion, fraction: float) -> npt.NDArray[np.generic]:
-    if compute_thread.is_current():
-        moment = motion.at(fraction)
-    else:
-        moment = compute_thread.submit(lambda: motion.at(fraction), "drawing").result()
+    moment = compute_thread.result_of(lambda: motion.at(fraction), "drawing")
     assert moment.image is not None
     return moment.image
 
@@ -96,6 +95,23 @@ def _as_bytes(pictures: npt.NDArray[np.generic]) -> npt.NDArray[np.uint8]:
     scaled = (finite - low) / max(high - low, np.finfo(float).tiny)
     found: npt.NDArray[np.uint8] = np.rint(255 * scaled.clip(0, 1)).astype(np.uint8)
     return found
+
+
+def _in_proportion(
+    pictures: npt.NDArray[np.uint8], spacing: Sequence[float]
+) -> npt.NDArray[np.uint8]:
+    """Pictures whose pixels are as wide as they are high: none of those there were is left out."""
+    from PIL import Image
+
+    rows, cols = (
+        round(size * step / min(spacing))
+        for size, step in zip(pictures.shape[1:3], spacing, strict=True)
+    )
+    if (rows, cols) == pictures.shape[1:3]:
+        return pictures
+    between = Image.Resampling.BILINEAR
+    stretched = (Image.fromarray(each).resize((cols, rows), between) for each in pictures)
+    return np.stack([np.asarray(each) for each in stretched])
 
 
 def _gif(pictures: npt.NDArray[np.uint8], per_second: int) -> bytes:

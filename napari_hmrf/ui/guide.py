@@ -37,7 +37,7 @@ class Guide:
     def __init__(self, viewer: Any, live: LiveStudy, steps: ViewerSteps) -> None:
         self._viewer, self._live = viewer, live
         form, pointer = self._form, self._pointer = live.form, live.pointer
-        self._said = self._doing = ""
+        self._said = self._doing = self._read = ""
         self._why: Why = "news"
         for table in form.tables:
             table.found.connect(partial(self.say, why="step"))
@@ -54,7 +54,7 @@ class Guide:
         live.said.connect(self._on_study)
         live.doing.connect(self._on_doing)
         live.moved_on.connect(self.show)
-        live.followed.connect(self.show)
+        live.followed.connect(self._on_followed)
         self._heard = Listening((steps.said, self._on_step))
 
     def release(self) -> None:
@@ -83,7 +83,7 @@ class Guide:
 
     def say(self, sentence: str, why: Why = "news") -> None:
         """Say something in place of all that was said."""
-        self._said, self._why = sentence, why
+        self._said, self._why, self._read = sentence, why, ""
         self.show()
 
     def invite(self) -> None:
@@ -116,7 +116,11 @@ class Guide:
 
     def _on_begun(self, *_: object) -> None:
         """Something new is begun: what was taken back before has been read."""
-        self._why = "news"
+        self._why, self._read = "news", self._said
+
+    def _on_followed(self, *_: object) -> None:
+        """What was said before something new was begun is true no more."""
+        self.say("" if self._read else self._said, self._why)
 
     def _on_step(self, sentence: str, step: Step | None) -> None:
         """Say what was taken back, on another slice, too; and that the mouse draws no more."""

@@ -34,7 +34,8 @@ class WarningChip:
         self._viewer, self._form, self._latest = viewer, form, latest
         form.footer.chip.clicked.connect(self._on_chip)
         form.footer.other.clicked.connect(self._take_other)
-        form.result.overlay.changed.connect(self.look)
+        for told in (form.result.overlay.changed, form.model.model.changed):
+            told.connect(self.look)
 
     def look(self, *_: Any) -> None:
         """Say of the latest result what is to be known, and offer what helps."""
@@ -45,9 +46,9 @@ class WarningChip:
     @property
     def _other(self) -> ModelName | None:
         """The model that would mend what is wrong with the one there is."""
-        done, form = self._latest(), self._form
-        if form.extent.is_volume and form.model.model.value == "large motion":
-            return "elastic"
+        done, chosen = self._latest(), self._form.model.model.value
+        if chosen == "large motion":
+            return "elastic" if self._form.extent.is_volume else None
         return "large motion" if done is not None and messages.can_unfold(done) else None
 
     def _take_other(self) -> None:
