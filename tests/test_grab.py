@@ -126,7 +126,7 @@ def test_another_active_layer_pauses_the_tool(pulling_beside):
     person.viewer.layers.selection.active = by_name(person.viewer, "MR")
     assert not widget.active
     assert not Screen(widget).button("Pull").isChecked()
-    assert "No tool is in the hand" in widget.status
+    assert "To draw on" in widget.status
     person.drag((30, 30), (34, 34))
     assert not widget.drawing.marks
     Screen(widget).press("Pull")
@@ -606,12 +606,12 @@ def test_what_is_said_and_whether_the_mouse_pulls_agree(pulling_beside, settle):
     settle(widget)
     layers = person.viewer.layers
     layers.selection.active = layers["MR"]
-    assert "No tool is in the hand" in widget.status
+    assert "To draw on" in widget.status
     person.key(Qt.Key.Key_Z, CTRL)
-    assert widget.status.startswith("Took back: drew an arrow. No tool is in the hand")
+    assert widget.status.startswith("Took back: drew an arrow. To draw on")
     layers.selection.active = layers["Motion"]
     layers.selection.active = layers["MR"]
-    assert widget.status.startswith("No tool is in the hand")
+    assert widget.status.startswith("To draw on")
     layers.selection.active = layers["Motion"]
     assert (widget.active, widget.status) == (True, how)
 

@@ -229,7 +229,7 @@ def test_what_is_drawn_is_seen_again_when_its_image_is_chosen_again(viewer, widg
     settle(widget)
     np.testing.assert_array_equal(viewer.layers["Motion"].data, drawn)
     assert not widget.active
-    assert widget.status.startswith("No tool is in the hand: press one")
+    assert widget.status.startswith("To draw on, press a tool")
 
 
 @pytest.mark.parametrize("sample", [False, True])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 START = "Press 'Pull', then drag tissue in the image."
 PREPARING = "Getting ready ..."
-OFF = "No tool is in the hand: press one, or choose the layer 'Motion', to go on."
+OFF = "To draw on, press a tool, or choose the layer 'Motion'."
 FLAT = "Tissue is pulled in two dimensions: press the 2D/3D button below the canvas first."
 ARROWS_GONE = "The layer 'Motion' is gone: press a tool to have it back."
 NOTHING = "There is no tissue to take hold of there."
