@@ -14,7 +14,7 @@ from npe2 import PluginManager
 from patience import LONG
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QApplication, QLabel
+from qtpy.QtWidgets import QApplication, QLabel, QLineEdit
 from screen import Cell, Screen, head
 
 from napari_hmrf import (
@@ -321,6 +321,42 @@ def test_choosing_a_label_finds_its_row(widget, small_sample):
     for label, rows in ((0, [0]), (1, [1]), (9, [])):
         tissue.selected_label = label
         assert highlighted(table) == rows
+
+
+def test_a_row_that_is_typed_in_is_the_brush_s_next_and_nothing_is_hidden_for_it(
+    widget, small_sample, run
+):
+    viewer = viewer_of(widget)
+    _, tissue, _ = small_sample(viewer)
+    run(widget)
+    table = widget._form.tissue.table
+    Cell(table, 1, 2).click()
+    assert (highlighted(table), tissue.selected_label) == ([1], 1)
+    assert (tissue.visible, tissue.mode) == (False, "pan_zoom")
+
+
+def test_letters_after_a_click_on_a_row_are_the_canvas_s_and_no_name(widget, small_sample):
+    small_sample(viewer_of(widget))
+    table = widget._form.tissue.table
+    name = Cell(table, 1)
+    name.click()
+    before = name.text()
+    QTest.keyClicks(table, "]]")
+    assert name.text() == before
+    assert not table.viewport().findChildren(QLineEdit)
+    name.write("liver")
+    assert name.text() == "liver"
+
+
+def test_what_comes_of_something_typed_is_seen_with_a_brush_in_the_hand(
+    widget, small_sample, run, wait_for
+):
+    small_sample(viewer_of(widget))
+    run(widget)
+    Cell(widget._form.tissue.table, 1).click()
+    assert widget.before
+    Cell(widget._form.tissue.table, 1, 2).write("7")
+    assert not widget.before
 
 
 def test_rows_wear_the_colour_of_their_label(widget, small_sample):

@@ -327,10 +327,10 @@ def study_layers(study: Study) -> dict[str, Any]:
         add("image", pictures.name or "image", pictures.image, pictures.look, role=IMAGE)
     known = {"role": TISSUE, "unit": tissue.unit}
     if tissue.labels is not None:
-        look = {"opacity": 0.3, **pictures.labels_look}
+        look = {"opacity": 0.4, **pictures.labels_look}
         add("tissue", "Tissue", tissue.labels, look, "labels", rows=tissue.materials, **known)
     elif tissue.stiffness is not None:
-        add("tissue", "Stiffness", tissue.stiffness, {"opacity": 0.3}, **known)
+        add("tissue", "Stiffness", tissue.stiffness, {"opacity": 0.4}, **known)
     if motion.labels is not None:
         look, rules = {"colormap": boundary_colours()}, motion.rules
         add("boundary", "Boundary", motion.labels, look, "labels", role=BOUNDARY, rows=rules)

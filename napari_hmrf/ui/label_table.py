@@ -53,6 +53,10 @@ class Column(NamedTuple):
     choices: Sequence[str] = ()
 
 
+def _named(row: Any, text: str) -> Any:
+    return replace(row, name=text)
+
+
 class LabelTable(QTableWidget):
     """Rows by label, with its colour and its name; what the other columns hold is up to subclasses.
 
@@ -106,6 +110,7 @@ class LabelTable(QTableWidget):
         header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         header.setSectionResizeMode(NAME, QHeaderView.ResizeMode.Stretch)
         header.setMinimumSectionSize(30)
+        header.setTextElideMode(Qt.TextElideMode.ElideRight)
         self.cellClicked.connect(self._on_click)
         self.itemChanged.connect(self._on_typed)
 
@@ -116,12 +121,7 @@ class LabelTable(QTableWidget):
         """What the columns are now; subclasses have more."""
         return [
             Column("", "Click a row to paint with its label", lambda row: str(row.label)),
-            Column(
-                self.title,
-                "Any name",
-                lambda row: row.name,
-                lambda row, text: replace(row, name=text),
-            ),
+            Column(self.title, "Double click: rename", lambda row: row.name, _named),
         ]
 
     def default(self, label: int) -> Any:
@@ -307,10 +307,13 @@ class LabelTable(QTableWidget):
     # What is done with it
 
     def keyPressEvent(self, event: Any) -> None:
-        """The arrow keys pick rows as the mouse does; Delete goes no further."""
+        """Arrow keys pick rows as the mouse does, letters are the canvas's, Delete is nobody's."""
         if event.key() in (Qt.Key.Key_Delete, Qt.Key.Key_Backspace):
             # The window would give it to the active layer, which would lose its selected points.
             event.accept()
+            return
+        if event.text() >= " " and self.currentColumn() <= NAME:
+            event.ignore()  # the row was clicked to paint with; a name is typed by a double click
             return
         before = self.currentRow()
         super().keyPressEvent(event)
@@ -320,6 +323,8 @@ class LabelTable(QTableWidget):
     def _on_click(self, row: int, column: int) -> None:
         if column <= NAME:  # in the others somebody may want to type
             self.pick(self.labels[row])
+        elif self._layer is not None:
+            self._layer.selected_label = self.labels[row]
 
     def _on_typed(self, item: QTableWidgetItem) -> None:
         """Take over what was typed into a cell, or say why not."""

@@ -133,6 +133,9 @@ class SoftTissue(Dock):
         Given a path, save all of `study`, and its field if that is up to date, as
         `napari_hmrf.save_study`; and the table of tissues, as `material_tables.save_materials`.
         They return the `Path` that was written.
+    take_materials : callable
+        Fill the table of the Labels layer chosen as tissue, as `MaterialMenu.take`: given a
+        `Preset`, another Labels layer, or a file's path.
     cancel : callable
         Stop; nothing is changed, and the dock is idle at once, whatever the thread does.
     touch : callable
@@ -190,6 +193,7 @@ class SoftTissue(Dock):
     play = Part[Callable[[], None]]("_view.play")
     pause = Part[Callable[[], None]]("_view.player.stop")
     save_study = Part[Callable[[str | Path], Path]]("_unsaved.save")
+    take_materials = Part[Callable[[Preset | Any], None]]("_form.tissue.menu.take")
     save_materials = Part[Callable[[str | Path], Path]]("_form.tissue.menu.save")
     cancel = Part[Callable[[], None]]("_live_study.cancel")
     touch = Part[Callable[[], None]]("_live_study.touch")
@@ -359,20 +363,10 @@ class SoftTissue(Dock):
         if self.image is None or not self._live_study.look():
             raise HmrfError(messages.WELCOME if self.image is None else self.status)
         grid, view = self.study.grid, self._form.view()
-        marks = read_landmarks(where, should, grid.place, grid.shape, view, **how)
         others = [mark for mark in self.drawing.marks if mark not in self._taken]
-        self._taken = marks
+        self._taken = marks = read_landmarks(where, should, grid.place, grid.shape, view, **how)
         self._pointer.set_drawing(Drawing((*marks, *others)), f"took landmarks from '{where.name}'")
         self.start()
-
-    def take_materials(self, materials: Preset | Any) -> None:
-        """Take over a table with its unit: a `Preset`, another Labels layer's, or a file's.
-
-        Errors are those of `load_materials`, and a `HmrfError` if there is no table to fill.
-        """
-        if not isinstance(self.tissue, Labels):
-            raise HmrfError("No Labels layer is chosen as tissue, so there is no table to fill.")
-        self._form.tissue.menu.take(materials)
 
     def hand_brush(self, layer: Any) -> None:
         """Have a layer painted on next: seen, active, on the image as it was before it moved."""
@@ -399,6 +393,8 @@ class SoftTissue(Dock):
         form.footer.cancel.changed.connect(lambda _: self.cancel())
         for table in form.tables:
             table.picked.connect(self.hand_brush)
+            # What comes of something typed is seen, with a brush in the hand, too.
+            table.changed.connect(lambda by_itself: None if by_itself else live.show_before(False))
         pointer.changed.connect(self._show_tool)
         pointer.begun.connect(partial(setattr, self, "_unused", False))
         live.finished.connect(self._on_finished)
