@@ -19,6 +19,7 @@ from once import check_widgets_once, draw_letters_once, read_manifests_once
 from patience import LONG, LONG_MS
 from screen import Screen
 
+from napari_hmrf.solver.backends import loader
 from napari_hmrf.solver.backends.thread import compute_thread
 
 # However slow a machine is, what is claimed of tissue is so.
@@ -31,6 +32,15 @@ os.environ["NAPARI_CONFIG"] = ""
 # A window makes hundreds of thousands of objects that stay as long as it does: Python need not look
 # so often which of them are garbage.
 gc.set_threshold(50_000, 20, 20)
+if "PYTEST_XDIST_WORKER" in os.environ:
+    # Processes that test side by side leave the cores to each other. What many threads do is asked
+    # of processes that tests begin, and by tests that take as many as there are.
+    os.environ.setdefault("LP_NUM_THREADS", "1")
+    loader.before_numba()
+    import numba
+
+    numba.set_num_threads(1)
+    compute_thread.submit(lambda: numba.set_num_threads(1)).result()
 
 _NO_DISPLAY = sys.platform == "linux" and not (
     os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")

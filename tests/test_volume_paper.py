@@ -1,6 +1,7 @@
 """The paper's prior in three dimensions: its cliques, its schedule, and its converged field."""
 
 import itertools
+from functools import partial
 
 import numba
 import numpy as np
@@ -273,11 +274,11 @@ def test_the_schedule_is_the_printed_one():
 
 def test_a_schedule_is_the_same_to_the_last_bit_on_one_thread_and_on_many():
     problem = squeezed((24, 20, 26), void=True)
-    found = [solve(problem, SeilerPrior(), optimizer=ICM(iterations=8)) for _ in range(2)]
-    threads = numba.get_num_threads()
-    compute_thread.submit(lambda: numba.set_num_threads(1)).result()
-    found.append(solve(problem, SeilerPrior(), optimizer=ICM(iterations=8)))
-    compute_thread.submit(lambda: numba.set_num_threads(threads)).result()
+    before, found = numba.get_num_threads(), []
+    for threads in (1, numba.config.NUMBA_NUM_THREADS, numba.config.NUMBA_NUM_THREADS):
+        compute_thread.submit(partial(numba.set_num_threads, threads)).result()
+        found.append(solve(problem, SeilerPrior(), optimizer=ICM(iterations=8)))
+    compute_thread.submit(partial(numba.set_num_threads, before)).result()
     for other in found[1:]:
         np.testing.assert_array_equal(other.displacement, found[0].displacement)
         np.testing.assert_array_equal(other.energy, found[0].energy)
