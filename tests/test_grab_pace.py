@@ -17,7 +17,9 @@ from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.solver.problem import Problem
+from napari_hmrf.study import engine
 from napari_hmrf.tissue.drawing import Arrow, Drawing
+from napari_hmrf.ui import follower as following_module
 from napari_hmrf.ui.follower import Follower
 
 
@@ -112,6 +114,18 @@ def test_of_drawings_made_while_one_is_shown_only_the_last_is_solved(
     assert [by for by in solved if by not in (0, 1)] == [first, last], (
         "compiling solves for 0 and 1"
     )
+
+
+def test_a_drawing_that_takes_too_long_gives_way_to_a_newer_one(
+    follower, rest, monkeypatch, solver_at_work
+):
+    for module in (engine, following_module):
+        monkeypatch.setattr(module, "patience_for", lambda *_: 0.0)
+    follower.follow(pulled(1))
+    follower.follow(pulled(2))
+    solver_at_work.set()
+    rest(follower)
+    assert [seen.study.motion.drawing for seen in follower.shown] == [pulled(2)]
 
 
 def test_what_was_taken_back_is_not_shown_although_it_was_being_solved(image, rest, following):

@@ -205,6 +205,17 @@ def test_after_a_glance_a_newer_edit_goes_first(monkeypatch):
     assert [(u.number, u.final) for u in updates] == [(1, False), (2, True)]
 
 
+@pytest.mark.parametrize(("patience", "answered"), [(None, [1, 2]), (0.0, [2])])
+def test_what_has_had_its_time_is_given_up_for_a_newer_edit(live, updates, patience, answered):
+    def edited_meanwhile():
+        live.submit(pulled((-3.0, 0.0)))
+        return pulled((3.0, 0.0))
+
+    live.submit(edited_meanwhile, glance=False, patience=patience)
+    assert live.wait(LONG)
+    assert [update.number for update in updates] == answered
+
+
 def test_what_is_wrong_is_delivered_and_the_next_edit_is_answered(live, updates):
     for problem in (unreadable, unheld, lambda: Problem(1, 2, 3), pulled):
         live.submit(problem)

@@ -7,6 +7,7 @@ last ones found. Everything is computed on the compute thread; there is no other
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -76,10 +77,10 @@ class LiveSolver:
     """Solves the newest of what is submitted, and says what came of it.
 
     Of several edits submitted while one is solved, only the last is looked at. The one being solved
-    is shown when it is done, so that the tissue follows a drag that never pauses; only what is left
-    of it after a first glance is given up for a newer one. Whatever the timing, the last thing
-    delivered is the answer to the last edit. All methods may be called from any thread, and return
-    at once.
+    is shown when it is done, so that the tissue follows a drag that never pauses; what is left of
+    it after a first glance, or after its time is up, is given up for a newer one. Whatever the
+    timing, the last thing delivered is the answer to the last edit. All methods may be called from
+    any thread, and return at once.
 
     Parameters
     ----------
@@ -149,7 +150,11 @@ class LiveSolver:
         self._earlier = Earlier()
 
     def submit(
-        self, problem: Input | Callable[[], Input], *, glance: bool = True, finish: bool = True
+        self,
+        problem: Input | Callable[[], Input],
+        *,
+        glance: bool = True,
+        patience: float | None = None,
     ) -> int:
         """Have this solved instead of whatever waits.
 
@@ -162,8 +167,9 @@ class LiveSolver:
         glance : bool
             Whether a first glance may be shown where the solution takes long. Without, what is
             submitted after `forget` is solved bit by bit as `solve` does.
-        finish : bool
-            Whether it is solved to its end though something newer waits; a volume takes seconds.
+        patience : float, optional
+            For how many seconds it is solved on though something newer waits; by default to its
+            end.
 
         Returns
         -------
@@ -188,7 +194,7 @@ class LiveSolver:
                 time.perf_counter(),
                 self._dropped,
                 glance,
-                finish,
+                patience,
             )
             self._waiting, self._owed = request, True
             self._go_on()
@@ -281,12 +287,12 @@ class LiveSolver:
             self._earlier.look_at(problem, request.dropped)
             solve = partial(self._solve, problem, prior, request.backend)
             optimizer = request.optimizer
-            stop: CancelFlag = request.dropped if request.finish else _Overtaken(self, request)
+            stop = _Overtaken(self, request, request.patience)
             long = request.glance and self._takes_long(problem)
             if long and isinstance(optimizer, Multigrid):
                 glance = replace(optimizer, tolerance=GLANCE)
                 self._say(request, problem, solve(glance, stop), final=False)
-                stop = _Overtaken(self, request)
+                stop = _Overtaken(self, request, 0)
             self._say(request, problem, solve(optimizer, stop))
         except Cancelled:
             raise
@@ -355,15 +361,17 @@ class _Request(NamedTuple):
     submitted: float
     dropped: threading.Event
     glance: bool
-    finish: bool
+    patience: float | None
 
 
 class _Overtaken:
-    """Set when an edit is dropped, or when there is a newer one."""
+    """Set when an edit is dropped, or when it has had its time and there is a newer one."""
 
-    def __init__(self, live: LiveSolver, request: _Request) -> None:
+    def __init__(self, live: LiveSolver, request: _Request, patience: float | None) -> None:
         self._live = live
         self._dropped = request.dropped
+        self._until = math.inf if patience is None else request.submitted + patience
 
     def is_set(self) -> bool:
-        return self._dropped.is_set() or self._live._waits()
+        late = time.perf_counter() > self._until
+        return self._dropped.is_set() or (late and self._live._waits())

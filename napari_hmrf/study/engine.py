@@ -11,7 +11,7 @@ import logging
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -125,13 +125,10 @@ class Engine:
             if dropped.is_set():
                 raise Cancelled
 
-        # A glance at a whole volume takes longer than it is worth, and so does what is outdated.
-        long = glance is None and len(study.grid.shape) == 3
-        self._live.submit(
-            lambda: self._state(study, checkpoint, settle, glance),
-            glance=not (settle or long),
-            finish=settle or not long,
-        )
+        state = partial(self._state, study, checkpoint, settle, glance)
+        patience = None if settle else patience_for(study, glance)
+        # A glance at what has no time takes longer than it is worth.
+        self._live.submit(state, glance=bool(patience), patience=patience)
 
     def forget(self) -> None:
         """Drop what waits, what is being solved, and what was found."""
@@ -216,6 +213,14 @@ class Engine:
         where = glance.axis, glance.number, solution.displacement, asked.ground.stiffness > 0
         spacing, every = asked.study.grid.spacing, glance.grid.step
         return self._pictures.plane(image, *where, spacing, every), ()
+
+
+def patience_for(study: Study, glance: Glance | None) -> float:
+    """How long a study is solved on though there is a newer one, in seconds.
+
+    Tissue is to follow a hand that never rests. What takes longer is outdated before it is seen.
+    """
+    return 0.0 if glance is None and len(study.grid.shape) == 3 else 3.0
 
 
 class _StillError(HmrfError):

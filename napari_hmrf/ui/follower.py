@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -25,7 +26,7 @@ from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import Elastic
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.coarse_grid import Glance
-from napari_hmrf.study.engine import Deformation, Engine, Pictures
+from napari_hmrf.study.engine import Deformation, Engine, Pictures, patience_for
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Canvas, Drawing, Stroke
@@ -84,9 +85,9 @@ class Follower:
         self._newest = Newest(self._on_seen)
         self._repainted = Repainted(self._on_repainted)
         self._engine = Engine(self._deliver, _FOLLOWING, self._overlay)
-        # Whether what was submitted is not painted yet, whether it takes so long that nothing waits
-        # for it, and the newest that waits.
-        self._behind = self._long = False
+        # Whether what was submitted is not painted yet, until when what is newer waits for it, and
+        # the newest that waits.
+        self._behind, self._due = False, 0.0
         self._next: tuple[Study, str, Glance | None] | None = None
         self._beside = Errands(lambda _: None)  # a drag says itself what went wrong
         self._rehearsed = False
@@ -101,10 +102,13 @@ class Follower:
         study, backend, glance
             As `Engine.submit` takes them.
         """
-        if self._behind and not self._long:
-            self._next = study, backend, glance
-        else:
-            self._submit(study, backend, glance=glance)
+        self._next = study, backend, glance
+        self.go_on()
+
+    def go_on(self) -> None:
+        """Have what waits be solved, unless what is on its way will soon be seen."""
+        if self._next is not None and (not self._behind or time.monotonic() > self._due):
+            self._submit(*self._next)
 
     def settle(self, study: Study, backend: str = "auto") -> None:
         """Have a study solved from nothing instead of all that waits; returns at once."""
@@ -160,7 +164,7 @@ class Follower:
         self, study: Study, backend: str, glance: Glance | None = None, settle: bool = False
     ) -> None:
         self._behind, self._next = True, None
-        self._long = glance is None and len(study.grid.shape) == 3
+        self._due = time.monotonic() + patience_for(study, glance)
         self._engine.submit(study, backend, settle, glance)
 
     def _on_seen(self, seen: Seen) -> None:
@@ -177,8 +181,7 @@ class Follower:
 
     def _on_repainted(self) -> None:
         self._behind = False
-        if self._next is not None:
-            self._submit(*self._next)
+        self.go_on()
 
     # On the compute thread
 
@@ -215,8 +218,7 @@ class Follower:
         return over
 
     def _deliver(self, moved: Deformation) -> None:
-        painted = bool(moved.overlay) and bool(moved.overlay[0].any())
-        canvas = self._canvas if painted else None
+        canvas = self._canvas if moved.overlay and moved.overlay[0].any() else None
         self._newest.put(Seen(moved, None if canvas is None else painted_marks(canvas)))
 
 
@@ -257,7 +259,6 @@ def _to_be_kept(moved: Deformation, ground: Ground) -> Solution:
     if study.motion.drawing.marks:
         solution = replace(solution, frame={"drawing": study.motion.drawing.as_dict()})
     if study.tissue.record:
-        run = solution.provenance
-        parameters = {**run.parameters, "tissue": dict(study.tissue.record)}
-        solution = replace(solution, provenance=replace(run, parameters=parameters))
+        parameters = {**solution.provenance.parameters, "tissue": dict(study.tissue.record)}
+        solution = replace(solution, provenance=replace(solution.provenance, parameters=parameters))
     return solution

@@ -400,6 +400,7 @@ class LiveStudy:
 
     def _on_poll(self) -> None:
         footer, monitor = self.form.footer, self._follower.monitor
+        self._follower.go_on()
         if not (self._follower.busy or self.settling):
             self._poll.stop()
             self._stop()
