@@ -30,8 +30,8 @@ from napari_hmrf.study.engine import Engine
 from napari_hmrf.study.study import Pictures
 from napari_hmrf.ui.handover import Errands
 
-#: Of slabs of four planes for each core, three.
-SHAPE = (12 * numba.get_num_threads(), 9, 8)
+#: Of slabs of four planes for each core, three or more, whichever cores a test before left to work.
+SHAPE = (12 * numba.config.NUMBA_NUM_THREADS, 9, 8)
 #: The loops that a volume goes through slab by slab.
 LOOPS = {
     "rasterise": tetrahedron_raster,
