@@ -8,7 +8,8 @@ import secrets
 import shutil
 import stat
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from napari_hmrf.errors import CANNOT_SAVE
@@ -34,11 +35,68 @@ def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
         If the folder is missing or the file cannot be written; the message names the file.
     """
     target = Path(path)
-    try:
+    with _naming(target):
         if is_stream(target):
             target.write_bytes(content)
         else:
             _replace(Path(os.path.realpath(target)), content)
+
+
+@contextmanager
+def temporary_beside(path: str | os.PathLike[str], suffix: str) -> Iterator[Path]:
+    """Give the name of a temporary file in the folder of a target, for libraries to write to.
+
+    The folder for temporary files may be on another disk, which may be full. What is left of the
+    file at the end is removed.
+
+    Parameters
+    ----------
+    path : str or path-like
+        Target, which is not touched.
+    suffix : str
+        By which the library chooses a format.
+
+    Raises
+    ------
+    OSError
+        If no file can be written there; the message names the target.
+    """
+    target = Path(os.path.realpath(path))
+    file = target.with_name(f"{_TEMPORARY}{secrets.token_hex(8)}.tmp{suffix}")
+    with _naming(Path(path)):
+        _remove_abandoned(target.parent)
+        with open(file, "xb", opener=_private):
+            pass
+    try:
+        yield file
+    finally:
+        with suppress(OSError):
+            file.unlink(missing_ok=True)
+
+
+def raise_for_space(path: str | os.PathLike[str], size: int) -> None:
+    """Raise the system's error if so many bytes cannot be written beside a target.
+
+    Libraries that write files do not tell why they failed.
+
+    Raises
+    ------
+    OSError
+        Naming the target.
+    """
+    with temporary_beside(path, "") as file, _naming(Path(path)), open(file, "wb") as stream:
+        piece = bytes(2**20)
+        for _ in range(size // len(piece) + 1):
+            stream.write(piece)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+@contextmanager
+def _naming(target: Path) -> Iterator[None]:
+    """Let errors of the system name the file that was to be written."""
+    try:
+        yield
     except OSError as error:
         if error.errno is None:
             raise
@@ -109,7 +167,7 @@ def _sync_folder(folder: Path) -> None:
 
 def _remove_abandoned(folder: Path) -> None:
     """Remove what a process that was killed while saving left behind."""
-    for path in folder.glob(f"{_TEMPORARY}*.tmp"):
+    for path in folder.glob(f"{_TEMPORARY}*.tmp*"):
         with suppress(OSError):
             if time.time() - path.stat().st_mtime > _ABANDONED_AFTER:
                 path.unlink()

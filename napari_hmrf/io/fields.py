@@ -11,8 +11,7 @@ SimpleITK reads and writes them; it comes with ``pip install "napari-hmrf[medica
 from __future__ import annotations
 
 import os
-import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,14 +21,20 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import checked_path, shown
 from napari_hmrf.atomic_write import write_whole
-from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
+from napari_hmrf.errors import FileFormatError, ProblemError
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import PATIENT_AXES, Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.units import unit_factor
 from napari_hmrf.field.warp import as_field
-from napari_hmrf.io.itk_files import read_image, read_transform
-from napari_hmrf.io.nifti import place_in_nifti
+from napari_hmrf.io.itk_files import (
+    ItkImage,
+    Unreadable,
+    encode,
+    holds_vectors,
+    read_vectors,
+    simpleitk,
+)
 from napari_hmrf.solver.problem import as_numbers
 from napari_hmrf.solver.solution import Solution
 
@@ -107,7 +112,8 @@ def write_field(
     Parameters
     ----------
     path : str or path-like
-        Ends in one of `FIELD_SUFFIXES`. A file that is there stays until the new one is complete.
+        Ends in one of `FIELD_SUFFIXES`. An earlier file stays until the new one is complete. The
+        file carries a digest, by which `read_field` tells damage; other tools skip it.
     displacement : array_like, shape (H, W, 2) or (D, H, W, 3)
         Material: what is at X moves to X + d(X). Components in the order of the axes, in mm along
         them, as `Solution.displacement` has them.
@@ -154,7 +160,7 @@ def write_field(
             "field that moves images. End its name in .mha, .nrrd or .nii.gz."
         )
     _refuse_beside(target, suffix)
-    sitk = simpleitk()
+    simpleitk()
     d = as_field(displacement).astype(np.float64)
     n = d.shape[-1]
     if not np.isfinite(d).all():
@@ -172,22 +178,18 @@ def write_field(
     if suffix in _NIFTI and len(back) == 1 and len(size) == 3:
         back = np.repeat(back, 3, axis=0)
         start = start - turn[:, 2] * size[0]
-    image = sitk.GetImageFromArray(back[..., ::-1] @ turn.T, isVector=True)
-    image.SetSpacing(size[::-1].tolist())
-    image.SetOrigin(start.tolist())
-    image.SetDirection(turn.ravel().tolist())
     leads = _FORTH if forward else _BACK
-    if suffix in _NIFTI:
-        image.SetMetaData(_NOTES, f"{_SLICER}: {leads}")
-    else:
-        image.SetMetaData(_SLICER, leads)
-    with tempfile.TemporaryDirectory() as folder:
-        whole = os.path.join(folder, f"field{suffix}")
-        if suffix == _MUTE:
-            sitk.WriteTransform(sitk.DisplacementFieldTransform(image), whole)
-        else:
-            sitk.WriteImage(image, whole, useCompression=True)
-        write_whole(target, Path(whole).read_bytes())
+    told = {_NOTES: f"{_SLICER}: {leads}"} if suffix in _NIFTI else {_SLICER: leads}
+    image = ItkImage(
+        back[..., ::-1] @ turn.T,
+        len(size),
+        tuple(size[::-1].tolist()),
+        tuple(start.tolist()),
+        turn,
+        {} if suffix == _MUTE else told,
+    )
+    content = encode(target, image, suffix, transform=suffix == _MUTE, sealed=True)
+    write_whole(target, content)
     return residual
 
 
@@ -212,48 +214,37 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
     OSError
         If it cannot be opened.
     """
-    source, sitk = Path(checked_path(path)), simpleitk()
-    with open(source, "rb"):
-        pass  # one error, of the system's words, for what is not there
-    image = _image_in(sitk, source)
-    leads = _leads(image) or (_FORTH if forward else _BACK)
-    n = image.GetDimension()
-    if n == 2 and image.GetNumberOfComponentsPerPixel() == 3:
-        image, n = _in_volume(sitk, image, source), 3
-    if n not in (2, 3) or image.GetNumberOfComponentsPerPixel() != n:
+    source = Path(checked_path(path))
+    try:
+        image = read_vectors(source)
+    except Unreadable as error:
+        raise FileFormatError(_not_a_field(source, error)) from None
+    leads = _leads(image.told) or (_FORTH if forward else _BACK)
+    n, vectors = image.ndim, image.pixels
+    if n not in (2, 3) or image.components != n:
         raise FileFormatError(
-            f"{source.name}: not a displacement field: {n} axes and "
-            f"{image.GetNumberOfComponentsPerPixel()} components. A field has a component for each "
-            "axis."
+            f"{source.name}: not a displacement field: {n} axes and {image.components} components. "
+            "A field has a component for each axis."
         )
-    turn = np.array(image.GetDirection()).reshape(n, n)
-    vectors = sitk.GetArrayFromImage(image)
     if vectors.dtype != np.float32:
         vectors = vectors.astype(np.float64)
     if not np.isfinite(vectors).all():
         raise FileFormatError(f"{source.name}: it holds values that are not numbers.")
-    along = (vectors @ turn.astype(vectors.dtype))[..., ::-1]
-    spacing = tuple(image.GetSpacing()[::-1])
-    field = DisplacementField(along, spacing, back=leads != _FORTH)
-    return Field(field, tuple(image.GetOrigin()), turn)
+    along = (vectors @ image.direction.astype(vectors.dtype))[..., ::-1]
+    field = DisplacementField(along, image.spacing[::-1], back=leads != _FORTH)
+    return Field(field, image.origin, image.direction)
 
 
 def is_field_file(path: str | os.PathLike[str]) -> bool:
-    """Whether a file holds a displacement field, by its head; False where SimpleITK is missing."""
+    """Return whether a file holds a displacement field, or a damaged one.
+
+    A file that only `read_field` can refuse counts: its error says what is wrong. False where
+    SimpleITK is missing.
+    """
     source = Path(path)
     if not source.name.lower().endswith((*FIELD_SUFFIXES, ".mhd")) or not source.is_file():
         return False
-    try:
-        sitk = simpleitk()
-        if source.suffix.lower() == ".h5":
-            return bool(_image_in(sitk, source))
-        reader = sitk.ImageFileReader()
-        reader.SetFileName(str(source))
-        reader.ReadImageInformation()
-    except (RuntimeError, HmrfError):
-        return False
-    kind = sitk.GetPixelIDValueAsString(reader.GetPixelID())
-    return reader.GetDimension() == reader.GetNumberOfComponents() and "float" in kind
+    return holds_vectors(source)
 
 
 class Place(NamedTuple):
@@ -369,74 +360,18 @@ def export_field(
     )
 
 
-def simpleitk() -> Any:
-    """SimpleITK, or the error that says how to get it."""
-    try:
-        import SimpleITK
-    except ImportError as error:
-        raise HmrfError(
-            "medical files are read and written by SimpleITK, which is not installed. Run: "
-            'pip install "napari-hmrf[medical]"'
-        ) from error
-    sitk: Any = SimpleITK
-    sitk.ProcessObject.SetGlobalWarningDisplay(False)
-    return sitk
+def _not_a_field(source: Path, error: Unreadable) -> str:
+    """Say that a file gives no field, and why if that is known."""
+    why = f": {error}" if str(error) else ""
+    return f"{source.name}: not a displacement field that can be read{why}."
 
 
-def _image_in(sitk: Any, source: Path) -> Any:
-    """The vectors of a file, as an image."""
-    try:
-        if source.suffix.lower() not in (".h5", ".hdf5", ".tfm", ".txt"):
-            return read_image(sitk, source)
-        transform = read_transform(sitk, source)
-        if transform.GetName() == "CompositeTransform":
-            return _composed(sitk, sitk.CompositeTransform(transform))
-        return sitk.DisplacementFieldTransform(transform).GetDisplacementField()
-    except RuntimeError as error:
-        raise FileFormatError(
-            f"{source.name}: not a displacement field that can be read."
-        ) from error
-
-
-def _leads(image: Any) -> str:
-    """Which way a file itself says that its field leads; "" if it does not."""
-    if image.HasMetaDataKey(_SLICER):
-        return str(image.GetMetaData(_SLICER)).strip()
-    notes = image.GetMetaData(_DESCRIPTION) if image.HasMetaDataKey(_DESCRIPTION) else ""
-    key, _, leads = notes.partition(":")
+def _leads(told: Mapping[str, str]) -> str:
+    """Return which way a file itself says that its field leads; "" if it does not."""
+    if _SLICER in told:
+        return told[_SLICER].strip()
+    key, _, leads = told.get(_DESCRIPTION, "").partition(":")
     return leads.strip() if key == _SLICER else ""
-
-
-def _composed(sitk: Any, chain: Any) -> Any:
-    """Transforms one after the other, as ANTs keeps a warp and its affine map: as one field."""
-    # The last is applied first, and so is that of the picture to be seen.
-    parts = [chain.GetNthTransform(number) for number in range(chain.GetNumberOfTransforms())]
-    last = [part for part in parts if part.GetName() == "DisplacementFieldTransform"][-1:]
-    if not last:
-        raise RuntimeError("no field is among them")
-    field = sitk.DisplacementFieldTransform(last[0]).GetDisplacementField()
-    if len(parts) == 1:
-        return field
-    grid = (field.GetSize(), field.GetOrigin(), field.GetSpacing(), field.GetDirection())
-    return sitk.TransformToDisplacementField(chain, sitk.sitkVectorFloat64, *grid)
-
-
-def _in_volume(sitk: Any, plane: Any, source: Path) -> Any:
-    """A field of one slice of a volume, of which SimpleITK drops the third axis in NIfTI alone."""
-    place = place_in_nifti(source)
-    if place is None:
-        return plane
-    spacing, origin, turn = place
-    volume = sitk.JoinSeries(plane)
-    volume.SetSpacing(spacing.tolist())
-    volume.SetOrigin(origin.tolist())
-    try:
-        volume.SetDirection(turn.ravel().tolist())
-    except RuntimeError as error:
-        raise FileFormatError(
-            f"{source.name}: not a displacement field that can be read: its axes lie in one plane."
-        ) from error
-    return volume
 
 
 def _refuse_beside(target: Path, suffix: str) -> None:

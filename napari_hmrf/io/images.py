@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import os
-import tempfile
 from itertools import permutations
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,9 +17,10 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.atomic_write import write_whole
-from napari_hmrf.errors import FileFormatError, ProblemError
-from napari_hmrf.io.fields import Place, simpleitk
-from napari_hmrf.io.itk_files import read_image
+from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
+from napari_hmrf.io.fields import Place
+from napari_hmrf.io.itk_files import ItkImage, Unreadable, encode, read_image, read_series
+from napari_hmrf.regular_file import refuse_irregular
 
 #: How far, in pixels, two grids may lie apart and be the same.
 SAME = 0.01
@@ -150,24 +150,25 @@ def load_image(path: str | os.PathLike[str]) -> ImageFile:
     """
     source = Path(checked_path(path))
     if not source.is_dir():
+        refuse_irregular(source)
         with open(source, "rb"):
-            pass  # one error, of the system's words, for what is not there
+            pass  # the system's own error for a file that cannot be opened
         if source.name.lower().endswith(PICTURE_SUFFIXES):
             return _picture(source)
-    sitk = simpleitk()
     try:
-        image = _series(sitk, source) if source.is_dir() else read_image(sitk, source)
-    except RuntimeError as error:
+        image = read_series(source) if source.is_dir() else read_image(source)
+    except Unreadable as error:
+        if source.is_dir():
+            why = str(error) or "the folder holds a damaged series"
+            raise FileFormatError(f"{source.name}: {why}.") from None
         raise _unreadable(source) from error
-    n, count = image.GetDimension(), image.GetNumberOfComponentsPerPixel()
+    n, count, pixels = image.ndim, image.components, image.pixels
     if n not in (2, 3) or count not in (1, n, 3, 4):
         raise FileFormatError(
             f"{source.name}: an image of {n} axes and {count} values a pixel. Give one of 2 or 3 "
             "axes, grey or in colours."
         )
-    turn = np.array(image.GetDirection()).reshape(n, n)
-    place = Place(tuple(image.GetSpacing()[::-1]), tuple(image.GetOrigin()), turn)
-    pixels = sitk.GetArrayFromImage(image)
+    place = Place(image.spacing[::-1], image.origin, image.direction)
     if n == count and pixels.dtype.kind == "f":
         raise FileFormatError(
             f"{source.name}: it holds a displacement field. Give the image that it moves."
@@ -218,8 +219,10 @@ def save_image(path: str | os.PathLike[str], image: ImageFile) -> Path:
             f"{', '.join(kinds)}."
         )
     try:
-        content = _encoded(image, suffix)
-    except (RuntimeError, ValueError, TypeError, OSError, KeyError) as error:
+        content = _encoded(target, image, suffix)
+    except (HmrfError, OSError):
+        raise
+    except (RuntimeError, ValueError, TypeError, KeyError) as error:
         raise FileFormatError(
             f"{target.name}: {image.pixels.dtype} pixels of shape {image.pixels.shape} are not "
             f"written as {suffix}. Take .tif, or .nrrd."
@@ -265,36 +268,32 @@ def _tiff(source: Path) -> tuple[npt.NDArray[Any], bool]:
         return pixels, first.axes.endswith("S") and pixels.shape[-1] in (3, 4)
 
 
-def _series(sitk: Any, folder: Path) -> Any:
-    reader = sitk.ImageSeriesReader()
-    series = reader.GetGDCMSeriesIDs(str(folder))
-    if len(series) != 1:
-        held = f"{len(series)} series" if series else "no DICOM file"
-        raise FileFormatError(f"{folder.name}: the folder holds {held}. Give one with one series.")
-    reader.SetFileNames(reader.GetGDCMSeriesFileNames(str(folder), series[0]))
-    return reader.Execute()
-
-
-def _encoded(image: ImageFile, suffix: str) -> bytes:
+def _encoded(target: Path, image: ImageFile, suffix: str) -> bytes:
     if suffix in _TIFF:
         import tifffile
 
         file = io.BytesIO()
         tifffile.imwrite(file, image.pixels, photometric="rgb" if image.colours else "minisblack")
         return file.getvalue()
-    with tempfile.TemporaryDirectory() as folder:
-        whole = Path(folder, f"image{suffix}")
-        if suffix in PICTURE_SUFFIXES:
-            from skimage.io import imsave
+    if suffix in PICTURE_SUFFIXES:
+        return _as_picture(image.pixels, suffix)
+    pixels, place = image.pixels_in_place, image.place
+    if place is None:
+        n = image.ndim
+        place = Place((1.0,) * n, (0.0,) * n, np.eye(n))
+    components = pixels.shape[-1] if image.colours else 1
+    made = ItkImage(pixels, components, place.spacing[::-1], place.origin, place.direction, {})
+    return encode(target, made, suffix)
 
-            imsave(whole, image.pixels, check_contrast=False)
-        else:
-            sitk = simpleitk()
-            place = image.place
-            made = sitk.GetImageFromArray(image.pixels_in_place, isVector=image.colours)
-            if place is not None:
-                made.SetSpacing(place.spacing[::-1])
-                made.SetOrigin(place.origin)
-                made.SetDirection(place.direction.ravel().tolist())
-            sitk.WriteImage(made, str(whole), useCompression=True)
-        return whole.read_bytes()
+
+def _as_picture(pixels: npt.NDArray[Any], suffix: str) -> bytes:
+    """Encode a picture in memory."""
+    from PIL import Image
+
+    file = io.BytesIO()
+    shown = pixels.astype(np.uint8) * 255 if pixels.dtype == bool else pixels
+    try:
+        Image.fromarray(shown).save(file, Image.registered_extensions()[suffix])
+    except OSError as error:  # of values that the format does not hold
+        raise ValueError(str(error)) from error
+    return file.getvalue()

@@ -1,78 +1,310 @@
-"""Reading with SimpleITK what may be damaged: sizes are checked before memory is taken for them."""
+"""Reading and writing by SimpleITK: NIfTI, MetaImage, NRRD, DICOM and ITK's transforms.
+
+Reading runs in the decoder process, which a damaged file may crash or hang. A file is written
+beside its target, read back and compared; only then does it take the target's place.
+"""
 
 from __future__ import annotations
 
+import errno
 import math
+import os
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from napari_hmrf.io.nifti import is_cut_short
+from napari_hmrf.atomic_write import raise_for_space, temporary_beside
+from napari_hmrf.errors import CANNOT_SAVE, HmrfError
+from napari_hmrf.io.decoder_process import Decoded, Undecodable, decoder, missing_simpleitk
+from napari_hmrf.io.nifti import is_cut_short, place_in_nifti
+from napari_hmrf.io.seal import BrokenSeal, check_seal, seal
+from napari_hmrf.regular_file import refuse_irregular
 
-#: No packed file holds more than so many times its own bytes: the limit of deflate.
-_MOST_PACKED = 1032
-#: Files whose numbers are in another file beside them.
-_PARTED = (".mhd", ".nhdr", ".hdr")
+#: Suffix of transforms that are written.
+_TRANSFORM = ".h5"
+_TEXTS = (".tfm", ".txt")
+_NIFTI = (".nii", ".nii.gz")
 _FIELD = "DisplacementFieldTransform_"
+#: Relative and absolute rounding of places, which NIfTI states in single precision.
+_CLOSE = (1e-4, 1e-4)
 
 
-def read_image(sitk: Any, source: Path) -> Any:
-    """Read an image as `SimpleITK.ReadImage` does.
+class Unreadable(Exception):
+    """Reason why a file is not read, as the end of a sentence; may be empty."""
+
+
+class Damaged(Unreadable):
+    """Reason why a file that is damaged for certain is not read."""
+
+
+class ItkImage(NamedTuple):
+    """An image or a field of vectors, as ITK states it.
+
+    Attributes
+    ----------
+    pixels : ndarray, shape ([D,] H, W[, components])
+    components : int
+        Values of a pixel.
+    spacing, origin : tuple of float, shape (n,)
+        In mm; x, y[, z] in LPS.
+    direction : ndarray, shape (n, n)
+        Its columns are the directions of the image's x, y[ and z].
+    told : dict of str to str
+        Metadata that the file carries.
+    """
+
+    pixels: npt.NDArray[Any]
+    components: int
+    spacing: tuple[float, ...]
+    origin: tuple[float, ...]
+    direction: npt.NDArray[np.float64]
+    told: dict[str, str]
+
+    @property
+    def ndim(self) -> int:
+        """Number of axes in space."""
+        return len(self.spacing)
+
+
+def read_image(source: Path) -> ItkImage:
+    """Read an image.
 
     Raises
     ------
-    RuntimeError
-        If it is none, claims more pixels than it can hold, or is cut short.
+    Unreadable
+        If it is none, is cut short, claims more pixels than it holds, or crashes the decoder.
+    HmrfError
+        If SimpleITK is not installed.
+    OSError
+        If it cannot be opened.
     """
-    reader = sitk.ImageFileReader()
-    reader.SetFileName(str(source))
-    try:
-        reader.ReadImageInformation()
-    except ValueError:  # its own message cites bytes that are no text
-        raise RuntimeError("its header is damaged") from None
-    pixel = sitk.Image([1, 1], reader.GetPixelID(), reader.GetNumberOfComponents())
-    each = pixel.GetSizeOfPixelComponent() * pixel.GetNumberOfComponentsPerPixel()
-    beside = source.parent.iterdir() if source.suffix.lower() in _PARTED else [source]
-    there = max((file.stat().st_size for file in beside if file.is_file()), default=0)
-    packed = 1 if source.suffix.lower() == ".nii" else _MOST_PACKED
-    if math.prod(reader.GetSize()) * each > there * packed:
-        raise RuntimeError("it claims more pixels than it holds")
-    if source.name.lower().endswith((".nii", ".nii.gz")) and is_cut_short(source):
-        raise RuntimeError("it is cut short")
-    return sitk.ReadImage(str(source))
+    _open_once(source)
+    if not _is_sealed(source) and source.name.lower().endswith(_NIFTI) and is_cut_short(source):
+        raise Unreadable("it is cut short")
+    return _image(_decode(source, "pixels"))
 
 
-def read_transform(sitk: Any, source: Path) -> Any:
-    """Read a transform as `SimpleITK.ReadTransform` does.
+def read_series(folder: Path) -> ItkImage:
+    """Read the one series in a folder of DICOM files.
 
     Raises
     ------
-    RuntimeError
-        If it is none, or a text that is cut short or says more than it holds.
+    Unreadable
+        As of `read_image`; or if the folder holds no series, or several.
+    HmrfError
+        If SimpleITK is not installed.
+    """
+    found = _decode(folder, "series")
+    if (count := found.header.get("series")) is not None:
+        held = f"{count} series" if count else "no DICOM file"
+        raise Unreadable(f"the folder holds {held}. Give one with one series")
+    return _image(found)
+
+
+def read_vectors(source: Path) -> ItkImage:
+    """Read an image of vectors, or the field of a transform.
+
+    Raises
+    ------
+    Unreadable
+        As of `read_image`; or if the file differs from what this package wrote.
+    HmrfError, OSError
+        As of `read_image`.
+    """
+    _open_once(source)
+    is_sealed = _is_sealed(source)
+    name = source.name.lower()
+    if name.endswith(_TEXTS):
+        _check_text(source)
+    if name.endswith(_NIFTI) and not is_sealed and is_cut_short(source):
+        raise Unreadable("it is cut short")
+    image = _image(_decode(source, "pixels", vectors=True))
+    if image.ndim == 2 and image.components == 3:
+        image = _in_volume(image, source)
+    return image
+
+
+def holds_vectors(source: Path) -> bool:
+    """Return whether a file holds a field, or is damaged so that reading it tells more.
+
+    False where SimpleITK is missing.
+
+    Raises
+    ------
+    OSError
+        If it cannot be opened.
     """
     try:
-        if source.suffix.lower() in (".tfm", ".txt"):
-            _check_text(source)
-        return sitk.ReadTransform(str(source))
-    except ValueError:
-        raise RuntimeError("it is damaged") from None
+        if source.suffix.lower() == _TRANSFORM:
+            _is_sealed(source)
+        header = _decode(source, "head", vectors=True).header
+    except Damaged:
+        return True
+    except (Unreadable, HmrfError):
+        return False
+    return len(header["spacing"]) == header["components"] and "float" in header["pixel"]
+
+
+def encode(
+    target: Path, image: ItkImage, suffix: str, *, transform: bool = False, sealed: bool = False
+) -> bytes:
+    """Return the bytes of a file, which were written beside its target and read back.
+
+    Parameters
+    ----------
+    target : Path
+        Its folder takes the temporary file, so that one disk alone must have room.
+    image : ItkImage
+    suffix : str
+    transform : bool
+        Whether a transform is written.
+    sealed : bool
+        Whether the file gets a seal, by which damage is told.
+
+    Raises
+    ------
+    HmrfError
+        If SimpleITK is not installed.
+    OSError
+        If the disk is full, or did not keep what was written; the message names the target.
+    RuntimeError, ValueError, TypeError, KeyError
+        If SimpleITK writes no such pixels.
+    """
+    sitk = simpleitk()
+    made = sitk.GetImageFromArray(image.pixels, isVector=image.components > 1)
+    made.SetSpacing(image.spacing)
+    made.SetOrigin(image.origin)
+    made.SetDirection(image.direction.ravel().tolist())
+    for key, text in image.told.items():
+        made.SetMetaData(key, text)
+    plain = ".nii" if sealed and suffix == ".nii.gz" else suffix  # compressed with its seal
+    with temporary_beside(target, plain) as file:
+        try:
+            if transform:
+                sitk.WriteTransform(sitk.DisplacementFieldTransform(made), str(file))
+            else:
+                sitk.WriteImage(made, str(file), useCompression=True)
+        except RuntimeError:
+            file.unlink(missing_ok=True)
+            raise_for_space(target, image.pixels.nbytes)
+            raise
+        if not _was_kept(file, image, transform=transform):
+            file.unlink(missing_ok=True)
+            raise_for_space(target, image.pixels.nbytes)
+            raise OSError(errno.EIO, f"{CANNOT_SAVE}{os.strerror(errno.EIO)}", str(target))
+        content = file.read_bytes()
+    return seal(content, suffix) if sealed else content
+
+
+def simpleitk() -> Any:
+    """Return SimpleITK, to write with.
+
+    Raises
+    ------
+    HmrfError
+        If it is not installed.
+    """
+    try:
+        import SimpleITK
+    except ImportError as error:
+        raise missing_simpleitk() from error
+    sitk: Any = SimpleITK
+    sitk.ProcessObject.SetGlobalWarningDisplay(False)
+    return sitk
+
+
+def _decode(source: Path, kind: str, *, vectors: bool = False) -> Decoded:
+    try:
+        return decoder.decode(source, kind, vectors=vectors)
+    except Undecodable as error:
+        raise (Damaged if error.fatal else Unreadable)(str(error)) from None
+
+
+def _is_sealed(source: Path) -> bool:
+    try:
+        return check_seal(source)
+    except BrokenSeal:
+        raise Damaged(
+            "it is damaged, or was edited after it was written. Take a copy of it, or export it "
+            "again"
+        ) from None
+
+
+def _open_once(source: Path) -> None:
+    """Raise the system's own error for a file that cannot be opened."""
+    refuse_irregular(source)
+    with open(source, "rb"):
+        pass
+
+
+def _image(found: Decoded) -> ItkImage:
+    header = found.header
+    assert found.pixels is not None
+    n = len(header["spacing"])
+    return ItkImage(
+        found.pixels,
+        header["components"],
+        tuple(header["spacing"]),
+        tuple(header["origin"]),
+        np.array(header["direction"]).reshape(n, n),
+        header["told"],
+    )
+
+
+def _was_kept(file: Path, image: ItkImage, *, transform: bool) -> bool:
+    """Return whether a file that was just written holds the image."""
+    try:
+        read = _image(_decode(file, "pixels", vectors=transform))
+    except (Unreadable, OSError):
+        return False
+    kept, meant = read.pixels, np.asarray(image.pixels)
+    # NIfTI drops an axis of one pixel.
+    if kept.dtype != meant.dtype or kept.size != meant.size:
+        return False
+    is_same = np.array_equal(kept.ravel(), meant.ravel(), equal_nan=meant.dtype.kind in "fc")
+    return is_same and (
+        read.ndim != image.ndim or np.allclose(_place(read), _place(image), *_CLOSE)
+    )
+
+
+def _place(image: ItkImage) -> list[float]:
+    return [*image.spacing, *image.origin, *image.direction.ravel().tolist()]
+
+
+def _in_volume(plane: ItkImage, source: Path) -> ItkImage:
+    """Give a field of one slice the third axis that SimpleITK drops in NIfTI."""
+    place = place_in_nifti(source)
+    if place is None:
+        return plane
+    if math.isclose(float(np.linalg.det(place.direction)), 0.0, abs_tol=1e-9):
+        raise Unreadable("its axes lie in one plane")
+    return plane._replace(
+        pixels=plane.pixels[np.newaxis],
+        spacing=tuple(place.spacing.tolist()),
+        origin=tuple(place.origin.tolist()),
+        direction=place.direction,
+    )
 
 
 def _check_text(source: Path) -> None:
-    """Refuse fields of which ITK would make up the rest."""
-    text = source.read_text(encoding="ascii")
-    n, count = 0, -1
-    for line in text.splitlines():
-        key, _, value = line.partition(":")
-        if key == "Transform":
-            n = int(value.rsplit("_", 1)[-1]) if value.strip().startswith(_FIELD) else 0
-        elif key == "Parameters":
-            count = len(value.split())
-        elif key == "FixedParameters" and n:
-            fixed = np.array(value.split(), float)
-            if len(fixed) != n * (n + 3) or n * fixed[:n].prod() != count:
-                raise RuntimeError("its numbers are not as many as it says")
-            n = 0
+    """Refuse texts of fields of which ITK would make up the rest."""
+    try:
+        text = source.read_text(encoding="ascii")
+        n, count = 0, -1
+        for line in text.splitlines():
+            key, _, value = line.partition(":")
+            if key == "Transform":
+                n = int(value.rsplit("_", 1)[-1]) if value.strip().startswith(_FIELD) else 0
+            elif key == "Parameters":
+                count = len(value.split())
+            elif key == "FixedParameters" and n:
+                fixed = np.array(value.split(), float)
+                if len(fixed) != n * (n + 3) or n * fixed[:n].prod() != count:
+                    raise Unreadable("its numbers are not as many as it says")
+                n = 0
+    except ValueError:
+        raise Unreadable("it is damaged") from None
     if n or not text.endswith("\n"):
-        raise RuntimeError("it is cut short")
+        raise Unreadable("it is cut short")

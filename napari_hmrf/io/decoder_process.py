@@ -1,0 +1,308 @@
+"""Client of the decoder process: starts it, sends requests, and ends it when it hangs.
+
+A damaged file can crash the libraries that decode it, or keep them busy for ever. They run in
+another process (`itk_decoder`), which serves one request after the other and is started anew when
+a file has ended it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import json
+import math
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections import OrderedDict
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import psutil
+
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.io import itk_decoder
+
+#: Processor seconds for any file, however small.
+_LEAST_SECONDS = 0.4
+#: Processor seconds for each MB, so that a large file on a slow machine is never refused.
+_SECONDS_PER_MB = 2.0
+#: Seconds for any file, and for each MB, of a disk or network that makes the decoder wait.
+_PATIENCE, _PATIENCE_PER_MB = 60.0, 5.0
+#: Memory for any file, in bytes, beside the most that it can expand to.
+_LEAST_MEMORY = 512 * 2**20
+#: Copies of an expanded file that decoding holds at most.
+_COPIES = 4
+#: Seconds between two looks at a decoder that is busy.
+_POLL = 0.05
+#: Parts of the names of programs that run a script; macOS shows napari's Python by that name.
+_INTERPRETERS = ("python", "pypy", "napari")
+#: Files that ended a decoder are not tried again; this many are remembered.
+_REMEMBERED = 32
+
+
+class Undecodable(Exception):
+    """Reason why a file is not decoded, as the end of a sentence; may be empty.
+
+    Parameters
+    ----------
+    reason : str
+    fatal : bool
+        Whether the file ended the decoder.
+    """
+
+    def __init__(self, reason: str, *, fatal: bool = False) -> None:
+        super().__init__(reason)
+        self.fatal = fatal
+
+
+class Decoded(NamedTuple):
+    """Answer of the decoder: the header, and the pixels if they were requested."""
+
+    header: dict[str, Any]
+    pixels: npt.NDArray[Any] | None = None
+
+
+class _Watch:
+    """Thread that kills a decoder when a request takes too much time or memory."""
+
+    def __init__(self, process: subprocess.Popen[bytes], seconds: float, size: int) -> None:
+        self.reason = ""
+        self._process = process
+        self._seconds = seconds
+        self._patience = _PATIENCE + _PATIENCE_PER_MB * size / 1e6
+        self._memory = _LEAST_MEMORY + _COPIES * itk_decoder.MOST_PACKED * size
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._done.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        started, before = time.monotonic(), -1.0
+        with suppress(psutil.Error):
+            decoder = psutil.Process(self._process.pid)
+            while not self._done.wait(_POLL):
+                times = decoder.cpu_times()
+                used = times.user + times.system
+                before = used if before < 0 else before
+                if used - before > self._seconds:
+                    self.reason = "reading it does not come to an end"
+                elif decoder.memory_info().rss > self._memory:
+                    self.reason = "reading it takes more memory than it can hold"
+                elif time.monotonic() - started > self._patience:
+                    self.reason = "its disk does not answer"
+                if self.reason:
+                    self._process.kill()
+                    return
+
+
+class DecoderProcess:
+    """One decoder, started when it is first needed; safe to use from several threads."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        self._reset()
+
+    def _reset(self) -> None:
+        self._lock = threading.Lock()
+        self._process = None
+        self._refusals: OrderedDict[tuple[Any, ...], Undecodable] = OrderedDict()
+
+    def decode(self, source: Path, kind: str, *, vectors: bool = False) -> Decoded:
+        """Decode a file, or the headers of one.
+
+        Parameters
+        ----------
+        source : Path
+        kind : {"head", "pixels", "series"}
+            The header alone, the image, or the one series of a folder of DICOM files.
+        vectors : bool
+            Whether a transform is read, as the field that it holds.
+
+        Raises
+        ------
+        Undecodable
+            If the file is refused, or decoding crashes or hangs.
+        HmrfError
+            If SimpleITK is not installed, or no process can be started.
+        OSError
+            If the file is not there.
+        """
+        known, size = source.stat(), _bytes_in(source)
+        identity = (str(source), known.st_ino, known.st_mtime_ns, known.st_size, vectors)
+        with self._lock:
+            if identity in self._refusals:
+                raise self._refusals[identity].with_traceback(None)
+            seconds = _LEAST_SECONDS + _SECONDS_PER_MB * size / 1e6
+            path = os.path.abspath(source)
+            request = {"path": path, "kind": kind, "vectors": vectors, "seconds": seconds}
+            try:
+                return self._ask(request, size)
+            except Undecodable as error:
+                self._refusals[identity] = error
+                if len(self._refusals) > _REMEMBERED:
+                    self._refusals.popitem(last=False)
+                raise
+
+    def kill(self) -> None:
+        """End the decoder at once, also while it serves another thread."""
+        process = self._process
+        if process is not None:
+            process.kill()
+            process.wait()
+
+    def forget_after_fork(self) -> None:
+        """Leave the decoder to the parent process, in a child made by a fork."""
+        process = self._process
+        if process is not None:
+            process.returncode = 0  # it is no child of this process
+            for stream in (process.stdin, process.stdout):
+                with suppress(OSError):
+                    if stream is not None:
+                        os.close(stream.fileno())
+        self._reset()
+
+    def _ask(self, request: dict[str, Any], size: int) -> Decoded:
+        for fresh in (self._process is None, True):
+            process = self._running()
+            watch = _Watch(process, request["seconds"], size)
+            try:
+                answer = _exchange(process, request, size)
+            except BaseException:  # what is left of the answer is of no use to anyone
+                process.kill()
+                self._end()
+                raise
+            finally:
+                watch.stop()
+            if answer is not None:
+                if (refused := answer.header.get("refused")) is not None:
+                    raise Undecodable(refused)
+                return answer
+            code = process.wait()
+            self._end()
+            if watch.reason:
+                raise Undecodable(watch.reason, fatal=True)
+            if code or fresh:
+                raise Undecodable("reading it crashes", fatal=True)
+            # An idle decoder exited while the request was on its way.
+        raise AssertionError("a fresh decoder answers or fails")
+
+    def _running(self) -> subprocess.Popen[bytes]:
+        process = self._process
+        if process is None or process.poll() is not None:
+            self._end()
+            process = self._process = _started()
+        return process
+
+    def _end(self) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            for stream in (process.stdin, process.stdout):
+                with suppress(OSError):
+                    if stream is not None:
+                        stream.close()
+            process.wait()
+
+
+def _bytes_in(source: Path) -> int:
+    """Return the size of a file, with the largest beside it if it may be in parts."""
+    parted = source.suffix.lower() in itk_decoder.PARTED
+    if not (source.is_dir() or parted):
+        return source.stat().st_size
+    folder = source.parent if parted else source
+    sizes = [file.stat().st_size for file in folder.iterdir() if file.is_file()]
+    return max(sizes, default=0) if parted else sum(sizes)
+
+
+def _python() -> str:
+    """Return a Python that runs a script; a bundled program may be none itself."""
+    names = ("python.exe", "python3.exe") if os.name == "nt" else ("python3", "python")
+    folders = [Path(sys.prefix), Path(sys.exec_prefix)]
+    found = [] if getattr(sys, "frozen", False) else [Path(sys.executable or "")]
+    found += [folder / part / name for folder in folders for part in (".", "bin") for name in names]
+    for each in found:
+        if each.is_file() and any(word in each.name.lower() for word in _INTERPRETERS):
+            return str(each)
+    raise HmrfError(
+        "This file is read in a process of its own, but this program comes without a Python that "
+        "could be started. Read it in a Python that has one."
+    )
+
+
+def _started() -> subprocess.Popen[bytes]:
+    """Start a decoder and wait until it is ready."""
+    command = [_python(), "-I", itk_decoder.__file__]
+    try:
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+        )
+    except OSError as error:
+        raise HmrfError(
+            f"This file is read in a process of its own, which cannot be started: {error.strerror}."
+        ) from error
+    try:
+        answer = _exchange(process, [os.path.abspath(each) for each in sys.path], 0)
+    except BaseException:
+        process.kill()
+        process.wait()
+        raise
+    if answer is None or "ready" not in answer.header:
+        process.kill()
+        process.wait()
+        if answer is not None:
+            raise missing_simpleitk()
+        raise HmrfError("This file is read in a process of its own, which ends as it starts.")
+    return process
+
+
+def missing_simpleitk() -> HmrfError:
+    """Return the error that says how to install SimpleITK."""
+    return HmrfError(
+        "medical files are read and written by SimpleITK, which is not installed. Run: "
+        'pip install "napari-hmrf[medical]"'
+    )
+
+
+def _exchange(process: subprocess.Popen[bytes], request: Any, size: int) -> Decoded | None:
+    """Send a request and receive its answer; None if the decoder has ended."""
+    assert process.stdin is not None
+    assert process.stdout is not None
+    try:
+        process.stdin.write(json.dumps(request).encode() + b"\n")
+        process.stdin.flush()
+    except OSError:
+        return None
+    line = process.stdout.readline()
+    if not line.endswith(b"\n"):
+        return None
+    header: dict[str, Any] = json.loads(line)
+    if "dtype" not in header:
+        return Decoded(header)
+    kind, shape = np.dtype(header["dtype"]), tuple(header["shape"])
+    if math.prod(shape) * kind.itemsize > itk_decoder.MOST_PACKED * max(size, 1):
+        raise Undecodable("it claims more pixels than it holds")
+    pixels = np.empty(shape, kind)
+    left = memoryview(pixels.data).cast("B") if pixels.size else memoryview(b"")
+    while left:
+        count = process.stdout.readinto(left)  # type: ignore[attr-defined]
+        if not count:
+            return None
+        left = left[count:]
+    return Decoded(header, pixels)
+
+
+decoder = DecoderProcess()
+atexit.register(decoder.kill)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=decoder.forget_after_fork)

@@ -1,0 +1,188 @@
+"""Decoder process: reads files with SimpleITK for a process that must survive them.
+
+`decoder_process` starts this file as a program. It imports nothing of this package, so that it
+starts in a tenth of a second. Standard input carries the search path and then one request a line,
+as JSON; standard output carries one line of JSON for each request, and the pixels after it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import sys
+import threading
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, BinaryIO
+
+#: Largest expansion of a compressed file: the limit of deflate.
+MOST_PACKED = 1032
+#: Suffixes of headers whose pixels are in another file beside them.
+PARTED = (".mhd", ".nhdr", ".hdr")
+#: Suffixes of files that are read as transforms.
+TRANSFORMS = (".h5", ".hdf5", ".tfm", ".txt")
+#: Exit after this many seconds without a request.
+_IDLE = 60.0
+#: Processor seconds beyond the request's own before the system ends this process.
+_GRACE = 2
+
+
+class Refused(Exception):
+    """Reason why a file is not read, as the end of a sentence."""
+
+
+class Decoder:
+    """Reads files by SimpleITK; keeps the last transform, which is often asked for twice."""
+
+    def __init__(self, sitk: Any) -> None:
+        self._sitk = sitk
+        self._last: tuple[Any, Any] = (None, None)
+
+    def answer(self, request: dict[str, Any]) -> tuple[dict[str, Any], Any]:
+        """Return the header that answers a request, and the image whose pixels follow it."""
+        source, kind = Path(request["path"]), request["kind"]
+        if kind == "series":
+            return self._read_series(source)
+        if source.suffix.lower() in TRANSFORMS and request["vectors"]:
+            image = self._field_of(source)
+            self._last = (None, None) if kind == "pixels" else (_identity(source), image)
+        elif kind == "head":
+            reader = self._checked_reader(source)
+            return self._head(reader, reader.GetNumberOfComponents()), None
+        else:
+            self._checked_reader(source)
+            image = self._sitk.ReadImage(str(source))
+        return self._head(image), image if kind == "pixels" else None
+
+    def _head(self, image: Any, components: int = 0) -> dict[str, Any]:
+        """Describe an image, or the reader of one, whose components are given."""
+        told = {}
+        for key in image.GetMetaDataKeys():
+            with suppress(UnicodeError, RuntimeError):  # a damaged text
+                told[key] = image.GetMetaData(key)
+        return {
+            "components": components or image.GetNumberOfComponentsPerPixel(),
+            "spacing": image.GetSpacing(),
+            "origin": image.GetOrigin(),
+            "direction": image.GetDirection(),
+            "pixel": self._sitk.GetPixelIDValueAsString(image.GetPixelID()),
+            "told": told,
+        }
+
+    def _read_series(self, folder: Path) -> tuple[dict[str, Any], Any]:
+        reader = self._sitk.ImageSeriesReader()
+        series = reader.GetGDCMSeriesIDs(str(folder))
+        if len(series) != 1:
+            return {"series": len(series)}, None
+        reader.SetFileNames(reader.GetGDCMSeriesFileNames(str(folder), series[0]))
+        image = reader.Execute()
+        return self._head(image), image
+
+    def _checked_reader(self, source: Path) -> Any:
+        """Read the header of an image, and refuse sizes that the file cannot hold."""
+        reader = self._sitk.ImageFileReader()
+        reader.SetFileName(str(source))
+        reader.ReadImageInformation()
+        pixel = self._sitk.Image([1, 1], reader.GetPixelID(), reader.GetNumberOfComponents())
+        each = pixel.GetSizeOfPixelComponent() * pixel.GetNumberOfComponentsPerPixel()
+        beside = source.parent.iterdir() if source.suffix.lower() in PARTED else [source]
+        there = max((file.stat().st_size for file in beside if file.is_file()), default=0)
+        packed = 1 if source.suffix.lower() == ".nii" else MOST_PACKED
+        if math.prod(reader.GetSize()) * each > there * packed:
+            raise Refused("it claims more pixels than it holds")
+        return reader
+
+    def _field_of(self, source: Path) -> Any:
+        """Read the displacement field of a transform."""
+        identity, kept = self._last
+        if identity is not None and identity == _identity(source):
+            return kept
+        sitk = self._sitk
+        transform = sitk.ReadTransform(str(source))
+        if transform.GetName() != "CompositeTransform":
+            return sitk.DisplacementFieldTransform(transform).GetDisplacementField()
+        # ANTs keeps a warp and its affine map in one file. The last transform is applied first,
+        # so the grid of the last field is the grid of the picture.
+        chain = sitk.CompositeTransform(transform)
+        parts = [chain.GetNthTransform(number) for number in range(chain.GetNumberOfTransforms())]
+        last = [part for part in parts if part.GetName() == "DisplacementFieldTransform"][-1:]
+        if not last:
+            raise Refused("no field is among its transforms")
+        field = sitk.DisplacementFieldTransform(last[0]).GetDisplacementField()
+        if len(parts) == 1:
+            return field
+        grid = (field.GetSize(), field.GetOrigin(), field.GetSpacing(), field.GetDirection())
+        return sitk.TransformToDisplacementField(chain, sitk.sitkVectorFloat64, *grid)
+
+
+def _identity(source: Path) -> tuple[str, int, int]:
+    known = source.stat()
+    return str(source), known.st_mtime_ns, known.st_size
+
+
+def _limit_processor_time(seconds: float) -> None:
+    """Have the system end this process if it outlives the one that watches it."""
+    with suppress(ImportError, ValueError, OSError):
+        import resource  # of POSIX alone
+
+        used = resource.getrusage(resource.RUSAGE_SELF)
+        limit = math.ceil(used.ru_utime + used.ru_stime + seconds) + _GRACE
+        _, most = resource.getrlimit(resource.RLIMIT_CPU)
+        limit = limit if most == resource.RLIM_INFINITY else min(limit, most)
+        resource.setrlimit(resource.RLIMIT_CPU, (limit, most))
+
+
+def _send(out: BinaryIO, header: dict[str, Any], pixels: Any = None) -> None:
+    out.write(json.dumps(header).encode() + b"\n")
+    if pixels is not None:
+        out.write(memoryview(pixels).cast("B") if pixels.size else b"")
+    out.flush()
+
+
+def main() -> None:
+    """Answer requests until standard input is closed, or none has come for a minute."""
+    with suppress(ValueError, OSError):
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that asked
+    out = os.fdopen(os.dup(1), "wb")
+    silent = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):  # libraries print there on damage
+        os.dup2(silent, stream)
+    sys.path[:] = json.loads(sys.stdin.buffer.readline())
+    try:
+        import SimpleITK
+    except ImportError:
+        _send(out, {"missing": True})
+        return
+    sitk: Any = SimpleITK
+    sitk.ProcessObject.SetGlobalWarningDisplay(False)
+    decoder = Decoder(sitk)
+    _send(out, {"ready": True})
+    while True:
+        idle = threading.Timer(_IDLE, os._exit, (0,))
+        idle.daemon = True
+        idle.start()
+        line = sys.stdin.buffer.readline()
+        idle.cancel()
+        if not line:
+            return
+        request = json.loads(line)
+        _limit_processor_time(request["seconds"])
+        try:
+            header, image = decoder.answer(request)
+            pixels = None if image is None else sitk.GetArrayViewFromImage(image)
+        except Refused as error:
+            _send(out, {"refused": str(error)})
+            continue
+        except Exception:  # noqa: BLE001 - SimpleITK's own messages cite its source files
+            _send(out, {"refused": ""})
+            continue
+        if pixels is not None:
+            header |= {"dtype": pixels.dtype.str, "shape": pixels.shape}
+        _send(out, header, pixels)
+        del image, pixels
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,158 @@
+"""Seals of exchange files: a digest that tells damage from what was written.
+
+A sealed file carries one line twice, at its beginning and at its end as far as the format allows:
+a mark and the SHA-256 of the whole file in which the digits of both digests are zeros. Other tools
+skip the lines, and drop them when they save the field again, so that such a file has no seal and
+is read as any other.
+
+=================  ==============================================================
+.mha               comments, in the second line of the header and before its last
+.nrrd              comments, in the second line of the header and in its last
+.nii, .nii.gz      between header and vectors, and after the vectors
+.h5                after the end of the HDF5 file
+=================  ==============================================================
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+#: Beginning of a seal.
+_MARK = b"napari-hmrf field; SHA-256 with this digest as zeros: "
+_DIGITS = 64
+_SEAL = re.compile(re.escape(_MARK) + rb"([0-9a-f]{%d})" % _DIGITS)
+_BLANK = _MARK + b"0" * _DIGITS
+#: Seals of a file.
+_COUNT = 2
+#: Length of a seal where a format has no lines, in bytes: a multiple of 16, as NIfTI needs.
+_BLOCK = 128
+#: Bytes in which the first and the last seal are searched.
+_HEAD, _TAIL = 2**14, 2**10
+#: Bytes that are read at once.
+_PIECE = 2**20
+#: Share of a mark's bytes that betrays a damaged seal; other text shares less than a third.
+_BETRAYING = 0.6
+_GZIP, _HDF5 = b"\x1f\x8b", b"\x89HDF\r\n\x1a\n"
+#: Compression level of .nii.gz: vectors hardly pack, and higher levels take longer.
+_LEVEL = 2
+#: Offset and length of NIfTI's header, and of the number that says where the vectors begin.
+_NIFTI_HEADER, _NIFTI_START = 352, 108
+
+
+class BrokenSeal(Exception):
+    """The file is not what was written: damaged, or edited by hand."""
+
+
+def seal(content: bytes, suffix: str) -> bytes:
+    """Return a file's content with seals.
+
+    Parameters
+    ----------
+    content : bytes
+        As SimpleITK wrote it; of .nii.gz before it is compressed.
+    suffix : {".mha", ".nrrd", ".nii", ".nii.gz", ".h5"}
+    """
+    block = (_BLANK + b"\n").ljust(_BLOCK, b"\n")
+    if suffix in (".mha", ".nrrd"):
+        end = b"ElementDataFile" if suffix == ".mha" else b"\n\n"
+        line = (b"Comment = " if suffix == ".mha" else b"# ") + _BLANK + b"\n"
+        second, last = content.index(b"\n") + 1, content.index(end) + (suffix == ".nrrd")
+        blank = content[:second] + line + content[second:last] + line + content[last:]
+    elif suffix == ".h5":
+        blank = content + 2 * block
+    else:
+        header, rest = bytearray(content[:_NIFTI_HEADER]), content[_NIFTI_HEADER:]
+        struct.pack_into("<f", header, _NIFTI_START, _NIFTI_HEADER + _BLOCK)
+        blank = bytes(header) + block + rest + block
+    digest = hashlib.sha256(blank).hexdigest().encode()
+    sealed = blank.replace(_BLANK, _MARK + digest)
+    return gzip.compress(sealed, _LEVEL, mtime=0) if suffix == ".nii.gz" else sealed
+
+
+def check_seal(path: Path) -> bool:
+    """Return whether a file has a seal; a file of another program has none.
+
+    Raises
+    ------
+    BrokenSeal
+        If it has a seal that does not fit, or the remains of one.
+    OSError
+        If it cannot be opened.
+    """
+    try:
+        with open(path, "rb") as file:
+            start = file.read(48)
+            file.seek(0)
+            if start.startswith(_GZIP):
+                with gzip.open(file) as stream:
+                    found = _read_seals(stream)
+            else:
+                found = _read_seals(file)
+    except (EOFError, zlib.error, gzip.BadGzipFile):
+        return False  # the decoder refuses it
+    if not found and _hdf5_ends_early(start, path.stat().st_size):
+        raise BrokenSeal
+    return found
+
+
+def _read_seals(stream: BinaryIO | gzip.GzipFile) -> bool:
+    digest, remains = hashlib.sha256(), 0.0
+    told: list[str] = []
+    for part, is_end in _parts(stream):
+        if is_end:
+            told += [match[1].decode() for match in _SEAL.finditer(part)]
+            remains = max(remains, _likeness(part))
+            part = _SEAL.sub(_BLANK, part)
+        digest.update(part)
+    if remains < _BETRAYING:
+        return False
+    if told != [digest.hexdigest()] * _COUNT:
+        raise BrokenSeal
+    return True
+
+
+def _parts(stream: BinaryIO | gzip.GzipFile) -> Iterator[tuple[bytes, bool]]:
+    """Yield the content in pieces, and whether each is the beginning or the end."""
+    head = stream.read(_HEAD)
+    held = stream.read(_PIECE)
+    if len(held) < 2 * _TAIL:  # no seal lies across two parts
+        yield head + held, True
+        held = b""
+    else:
+        yield head, True
+    while held:
+        piece = stream.read(_PIECE)
+        if not piece:
+            yield held[:-_TAIL], False
+            yield held[-_TAIL:], True
+            return
+        held += piece
+        yield held[: -2 * _TAIL], False
+        held = held[-2 * _TAIL :]
+
+
+def _likeness(part: bytes) -> float:
+    """Return the largest share of a mark's bytes that stand in their places somewhere."""
+    if len(part) < len(_MARK):
+        return 0.0
+    windows: Any = np.lib.stride_tricks.sliding_window_view(
+        np.frombuffer(part, np.uint8), len(_MARK)
+    )
+    return float((windows == np.frombuffer(_MARK, np.uint8)).mean(axis=1).max())
+
+
+def _hdf5_ends_early(start: bytes, size: int) -> bool:
+    """Return whether bytes follow the end of an HDF5 file, where a seal would be."""
+    if not start.startswith(_HDF5) or len(start) < 36 or start[8] not in (2, 3):
+        return False
+    end: int = struct.unpack_from("<Q", start, 28)[0]
+    return end < size
