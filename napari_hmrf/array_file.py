@@ -1,8 +1,8 @@
 """A file of plain arrays and one text, written whole or not at all and read without trust.
 
-It is a NumPy archive (.npz) with a header in JSON. Nothing in it can run code. Before anything is
-read the archive's own table and each array's header are checked against what the format holds, so
-that a damaged, foreign or hostile file costs one clear error and no memory.
+It is a NumPy archive (.npz) with a header in JSON. Nothing in it can run code. Before any array is
+expanded the archive's own table, the header and the claims of all arrays are checked against what
+the format holds, so that a damaged, foreign or hostile file costs one clear error and no memory.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ import numpy.typing as npt
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.atomic_write import is_stream, write_whole
 from napari_hmrf.errors import FileFormatError
+from napari_hmrf.regular_file import refuse_irregular
 
 T = TypeVar("T")
 Header = Mapping[str, Any]
@@ -37,6 +38,17 @@ MAX_BYTES = 2 * 16384**2 * 4
 #: A field of one value packs 1000 to 1. Up to this size that is harmless, beyond it a trap.
 _HARMLESS_BYTES = 256 * 2**20
 _MAX_RATIO = 100
+#: Limit of deflate: no packed array holds more than so many times its own bytes, but few bytes.
+_MOST_PACKED = 1100
+#: All arrays of a file may hold so many bytes together.
+_MAX_TOTAL = 4 * MAX_BYTES
+
+
+def is_finite(array: npt.NDArray[Any]) -> bool:
+    """Return whether all values are numbers, in little memory."""
+    if array.size and not any(array.strides):  # one value in all places
+        return bool(np.isfinite(array[(0,) * array.ndim]))
+    return all(np.isfinite(part).all() for part in array)
 
 
 class Kind(NamedTuple):
@@ -112,6 +124,9 @@ class Format(Generic[T]):
         Makes header, of JSON types, and arrays of the object.
     parse : callable
         Makes the object of header and arrays; raises `Invalid` for what cannot be one.
+    foresee : callable, optional
+        Called with the header and arrays of zeros, of the claimed types and shapes and without
+        memory of their own, before any array is expanded; raises as `parse`, which it may be.
     """
 
     name: str
@@ -120,6 +135,7 @@ class Format(Generic[T]):
     arrays: Mapping[str, Kind]
     describe: Callable[[T], tuple[Header, Arrays]]
     parse: Callable[[Header, Arrays], T]
+    foresee: Callable[[Header, Arrays], object] | None = None
 
 
 def write(path: str | os.PathLike[str], form: Format[T], value: T) -> Path:
@@ -175,6 +191,7 @@ def read(path: str | os.PathLike[str], form: Format[T]) -> T:
 
     if os.path.isdir(path):
         raise refusal("it is a folder")
+    refuse_irregular(path)
     with open(path, "rb") as file:
         try:
             return _unpacked(file, form)
@@ -202,9 +219,10 @@ def header_of(path: str | os.PathLike[str]) -> Header:
     """What a file says of itself, of whatever format; nothing if it cannot be read."""
     path = checked_path(path)
     try:
+        refuse_irregular(path)
         with open(path, "rb") as file, zipfile.ZipFile(file) as archive:
             return _header(archive)
-    except (OSError, *_DAMAGE):
+    except (OSError, FileFormatError, *_DAMAGE):
         return {}
 
 
@@ -244,11 +262,16 @@ def _unpacked(file: BinaryIO, form: Format[T]) -> T:
             )
         _check_members(archive, form)
         there = archive.namelist()
-        arrays = {
-            name: _array(archive, name, kind)
+        claims = {
+            name: _claim(archive, name, kind)
             for name, kind in form.arrays.items()
             if f"{name}.npy" in there
         }
+        if sum(claim.info.file_size for claim in claims.values()) > _MAX_TOTAL:
+            raise Invalid("its arrays claim more than such a file may hold")
+        if form.foresee is not None:
+            form.foresee(header, {name: claim.zeros() for name, claim in claims.items()})
+        arrays = {name: claim.read(archive) for name, claim in claims.items()}
     return form.parse(header, arrays)
 
 
@@ -256,7 +279,7 @@ def _header(archive: zipfile.ZipFile) -> Header:
     """What the file says about itself: the one member that tells a foreign file from a damaged."""
     if f"{_HEADER}.npy" not in archive.namelist():
         raise Invalid("it is another kind of file")
-    header = json.loads(_array(archive, _HEADER, _TEXT).item())
+    header = json.loads(_claim(archive, _HEADER, _TEXT).read(archive).item())
     if not isinstance(header, dict) or "format" not in header:
         raise Invalid("it is another kind of file")
     if _is_deep(header):  # it could not be copied or saved again
@@ -281,8 +304,37 @@ def _check_members(archive: zipfile.ZipFile, form: Format[Any]) -> None:
         raise Invalid(f"it {what[0]}" if what else "it holds one thing twice")
 
 
-def _array(archive: zipfile.ZipFile, member: str, kind: Kind) -> npt.NDArray[Any]:
-    """One array, read only after its header said that it is what the format holds."""
+class _Claim(NamedTuple):
+    """An array as its own header and the archive's table describe it."""
+
+    info: zipfile.ZipInfo
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+    order: Literal["C", "F"]
+    offset: int
+
+    def zeros(self) -> npt.NDArray[Any]:
+        """Return an array of the claimed type and shape that takes no memory."""
+        return np.broadcast_to(np.zeros((), self.dtype), self.shape)
+
+    def read(self, archive: zipfile.ZipFile) -> npt.NDArray[Any]:
+        """Expand the array, and compare its checksum."""
+        values = np.empty(self.shape, self.dtype, self.order)
+        flat = values.ravel(order="K").view(np.uint8) if values.size else np.empty(0, np.uint8)
+        with archive.open(self.info) as stream:
+            stream.read(self.offset)
+            left = memoryview(flat.data)
+            while left:
+                count = stream.readinto(left)  # type: ignore[attr-defined]
+                if not count:
+                    raise EOFError
+                left = left[count:]
+            stream.read(1)  # at the end the checksum is compared
+        return values
+
+
+def _claim(archive: zipfile.ZipFile, member: str, kind: Kind) -> _Claim:
+    """Return what an array claims to be, if the format holds such an array."""
     info = archive.getinfo(f"{member}.npy")
     cap = _HEADER_BYTES if kind is _TEXT else MAX_BYTES
     ratio = info.file_size / max(1, info.compress_size)
@@ -296,6 +348,8 @@ def _array(archive: zipfile.ZipFile, member: str, kind: Kind) -> npt.NDArray[Any
     if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         # Others take memory in proportion to what they claim, before a byte of it is there.
         raise Invalid(f"its {member} is packed in a way that only other programs do")
+    if info.file_size > max(1, info.compress_size) * _MOST_PACKED:
+        raise Invalid("it is damaged or incomplete")
     with archive.open(info) as stream:
         found, order, shape, offset = _peek(stream)
     right = found.kind == "U" if kind is _TEXT else found in map(np.dtype, kind.dtypes)
@@ -305,9 +359,7 @@ def _array(archive: zipfile.ZipFile, member: str, kind: Kind) -> npt.NDArray[Any
         raise Invalid(f"its {member} is {found} of shape {shape}, not {wanted}"[:200])
     if found.itemsize * math.prod(shape) + offset != info.file_size:
         raise Invalid(f"its {member} claims a shape of {shape}, which is not what it holds")
-    # Reading the member whole compares its checksum.
-    values = np.frombuffer(archive.read(info), found, offset=offset)
-    return values.reshape(shape, order=order).copy()
+    return _Claim(info, found, shape, order, offset)
 
 
 def _peek(stream: IO[bytes]) -> tuple[np.dtype[Any], Literal["C", "F"], tuple[int, ...], int]:

@@ -33,7 +33,7 @@ ROOMS = (
     {"study"},
     {"tissue", "field"},
     {"solver"},
-    LEAVES := {"arguments", "array_file", "atomic_write", "errors", "resources"},
+    LEAVES := {"arguments", "array_file", "atomic_write", "errors", "regular_file", "resources"},
 )
 #: What people, napari and other processes start.
 ENTRIES = {"__init__", "__main__", "cli", "command_line", "compiling", "contributions"}

@@ -34,6 +34,16 @@ def _describe(solutions: UnitSolutions) -> tuple[Header, Arrays]:
     }
 
 
+def _check_shapes(_: Header, arrays: Arrays) -> None:
+    """Refuse arrays whose shapes disagree."""
+    labels, displacements = arrays["labels"], arrays["displacements"]
+    for name in ("patches", "tissue"):
+        if arrays[name].shape != labels.shape:
+            raise Invalid(f"its labels {labels.shape} and {name} {arrays[name].shape} disagree")
+    if displacements.shape[1] > labels.size or displacements.shape[2] != labels.ndim:
+        raise Invalid(f"its labels {labels.shape} and solutions {displacements.shape} disagree")
+
+
 def _parse(header: Header, arrays: Arrays) -> UnitSolutions:
     labels, patches, centres = (arrays[name] for name in ("labels", "patches", "centres"))
     displacements, tissue, n = arrays["displacements"], arrays["tissue"], labels.ndim
@@ -47,8 +57,7 @@ def _parse(header: Header, arrays: Arrays) -> UnitSolutions:
         raise Invalid("it holds an amplitude, a weight or a Jacobian that is none")
     if len(spacing) != n or centres.shape[1] != n or not np.isfinite(centres).all():
         raise Invalid("its labels, spacing and patches disagree")
-    if patches.shape != labels.shape or tissue.shape != labels.shape:
-        raise Invalid(f"its labels {labels.shape} and patches {patches.shape} disagree")
+    _check_shapes(header, arrays)
     case = MovableTissue(
         Grid(labels.shape, spacing, str(header["unit"])),
         labels,
@@ -64,7 +73,7 @@ def _parse(header: Header, arrays: Arrays) -> UnitSolutions:
     needed = (len(case.units), int(tissue.sum()), n)
     if displacements.shape != needed or not len(centres):
         raise Invalid(f"its solutions are {displacements.shape}, not {needed}")
-    if not np.isfinite(displacements).all():
+    if not array_file.is_finite(displacements):
         raise Invalid("its solutions hold values that are not numbers")
     return UnitSolutions(case, displacements, tissue)
 
@@ -83,4 +92,5 @@ DEFORMATION_FORMAT: array_file.Format[UnitSolutions] = array_file.Format(
     },
     describe=_describe,
     parse=_parse,
+    foresee=_check_shapes,
 )

@@ -29,6 +29,7 @@ import numpy as np
 import pydantic
 import threadpoolctl
 
+from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import HmrfError, in_words
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import unit_symbol
@@ -193,7 +194,7 @@ def solve_into(case: NamedCase, folder: Path, backend: str = "cpu") -> CaseOutco
         solved = solve_case(case.case, part, backend=backend, changes=case.changes)
         outcome = _outcome(case.name, solved, _seconds_since(begun))
         record = {"cells": dict(case.cells), "outcome": asdict(outcome)}
-        (part / RECORD).write_text(json.dumps(record, indent=2), encoding="utf-8")
+        write_whole(part / RECORD, json.dumps(record, indent=2).encode())
         _publish(part, folder / case.name)
     except Exception as error:  # noqa: BLE001 - one that fails stops no other
         said = in_words(error)

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError
+from napari_hmrf.regular_file import read_at_most
 
 ENDING = ".csv"
 
@@ -42,10 +43,11 @@ def text_of(path: Path, largest: int) -> str:
     OSError
         If it cannot be opened.
     """
-    if path.stat().st_size > largest:
+    content = read_at_most(path, largest)
+    if content is None:
         raise FileFormatError(f"{path.name} is too large to be a table.")
     try:
-        return path.read_text("utf-8-sig")
+        return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError:
         raise FileFormatError(f"{path.name} is no table of text. Save it in UTF-8.") from None
 

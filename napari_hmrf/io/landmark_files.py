@@ -27,6 +27,7 @@ import numpy.typing as npt
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, ProblemError
+from napari_hmrf.regular_file import read_at_most
 from napari_hmrf.solver.problem import as_numbers
 
 Points = npt.NDArray[np.float64]
@@ -85,10 +86,11 @@ def load_points(path: str | os.PathLike[str]) -> LandmarkFile:
     """
     source = Path(checked_path(path))
     suffix, name = _suffix(source), source.name
-    if source.stat().st_size > _LARGEST:
+    content = read_at_most(source, _LARGEST)
+    if content is None:
         raise FileFormatError(f"{name} is too large to be a file of landmarks.")
     try:
-        text = source.read_text(encoding="utf-8-sig")
+        text = content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
         found = {".csv": _of_csv, ".mrk.json": _of_markups, ".fcsv": _of_fiducials}[suffix](text)
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
         said = str(error) if isinstance(error, _Wrong) else "it is damaged, or of another kind"

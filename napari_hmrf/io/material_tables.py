@@ -31,6 +31,7 @@ import pydantic
 
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError
+from napari_hmrf.regular_file import read_at_most
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON, Material
 from napari_hmrf.tissue.material_presets import Preset
@@ -102,10 +103,11 @@ def load_materials(path: str | Path) -> Preset:
         If the file cannot be read.
     """
     source = Path(path)
-    if source.stat().st_size > _LARGEST:
+    content = read_at_most(source, _LARGEST)
+    if content is None:
         raise FileFormatError(f"{source.name} is too large to be a file of materials.")
     try:
-        file = _File.model_validate_json(source.read_bytes())
+        file = _File.model_validate_json(content)
     except pydantic.ValidationError as error:
         raise _bad(source, error) from error
     materials = tuple(Material.of_row(**row.model_dump()) for row in file.materials)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.arguments import checked_path, refuse_unless
-from napari_hmrf.atomic_write import write_whole
-from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
+from napari_hmrf.atomic_write import raise_for_space, temporary_beside, write_whole
+from napari_hmrf.errors import CANNOT_SAVE, FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.animation import Motion
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.solution import Solution
@@ -22,6 +22,8 @@ from napari_hmrf.solver.solution import Solution
 MOVING_SUFFIXES = (".gif", ".mp4")
 #: What is brighter than all but this share of the pixels is white.
 _WHITE = 99.9
+#: Room on a disk for a frame of a film, in bytes.
+_LARGEST_FRAME = 2**20
 
 
 def save_moving_picture(
@@ -75,7 +77,7 @@ def save_moving_picture(
     if target.suffix.lower() == ".gif":
         write_whole(target, _gif(shown, per_second))
     else:
-        write_whole(target, _film(shown, per_second))
+        write_whole(target, _film(target, shown, per_second))
     return target
 
 
@@ -124,7 +126,7 @@ def _gif(pictures: npt.NDArray[np.uint8], per_second: int) -> bytes:
     return file.getvalue()
 
 
-def _film(pictures: npt.NDArray[np.uint8], per_second: int) -> bytes:
+def _film(target: Path, pictures: npt.NDArray[np.uint8], per_second: int) -> bytes:
     try:
         import imageio_ffmpeg
     except ImportError as error:
@@ -135,11 +137,18 @@ def _film(pictures: npt.NDArray[np.uint8], per_second: int) -> bytes:
     # The codec takes even sizes only.
     rows, cols = (2 * (size // 2) for size in pictures.shape[1:3])
     colours = pictures if pictures.ndim > 3 else np.repeat(pictures[..., None], 3, axis=-1)
-    with tempfile.TemporaryDirectory() as folder:
-        whole = os.path.join(folder, "film.mp4")
-        writer = imageio_ffmpeg.write_frames(whole, (cols, rows), fps=per_second, quality=8)
-        writer.send(None)
-        for picture in colours[:, :rows, :cols]:
-            writer.send(np.ascontiguousarray(picture))
-        writer.close()
-        return Path(whole).read_bytes()
+    with temporary_beside(target, ".mp4") as file:
+        try:
+            writer = imageio_ffmpeg.write_frames(str(file), (cols, rows), fps=per_second, quality=8)
+            writer.send(None)
+            for picture in colours[:, :rows, :cols]:
+                writer.send(np.ascontiguousarray(picture))
+            writer.close()
+            is_whole = imageio_ffmpeg.count_frames_and_secs(str(file))[0] == len(colours)
+        except (OSError, RuntimeError):  # ffmpeg does not tell why it ends
+            is_whole = False
+        if not is_whole:
+            file.unlink(missing_ok=True)
+            raise_for_space(target, _LARGEST_FRAME * len(colours))
+            raise OSError(errno.EIO, f"{CANNOT_SAVE}{os.strerror(errno.EIO)}", str(target))
+        return file.read_bytes()

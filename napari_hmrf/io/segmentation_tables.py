@@ -25,6 +25,7 @@ from napari_hmrf.io.csv_files import read_cells, text_of
 from napari_hmrf.io.material_tables import FORMAT, load_materials
 from napari_hmrf.io.tables import read_materials
 from napari_hmrf.io.tissue_names import NamedMaterials, materials_by_name
+from napari_hmrf.regular_file import read_at_most
 from napari_hmrf.tissue.material_presets import Preset
 
 #: Larger files are no tables, and are not read; of an image only so much is its header.
@@ -141,7 +142,7 @@ def _is_of_names(source: Path) -> bool:
 def _is_ours(source: Path) -> bool:
     """Whether a .json says that it is a file of materials, or nothing that can be read."""
     try:
-        content = json.loads(source.read_bytes())
+        content = json.loads(read_at_most(source, _LARGEST) or b"")
     except ValueError:
         return True
     return (

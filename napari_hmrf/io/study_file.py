@@ -365,4 +365,5 @@ STUDY_FORMAT: array_file.Format[_Content] = array_file.Format(
     },
     describe=_describe,
     parse=_parse,
+    foresee=_parse,
 )

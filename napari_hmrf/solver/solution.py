@@ -200,7 +200,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
         )
     if len(spacing) != tissue.ndim or not all(0 < size < float("inf") for size in spacing):
         raise array_file.Invalid(f"its pixel spacing is {spacing}")
-    if not np.isfinite(displacement).all():
+    if not array_file.is_finite(displacement):
         raise array_file.Invalid("its displacement holds values that are not numbers")
     if len(energy) != max(1, sum(run.iterations for run in levels)):
         raise array_file.Invalid("its energies and iterations disagree")
@@ -253,4 +253,5 @@ SOLUTION_FORMAT: array_file.Format[Solution] = array_file.Format(
     },
     describe=_describe,
     parse=_parse,
+    foresee=_parse,
 )
