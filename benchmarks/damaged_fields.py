@@ -25,7 +25,7 @@ import numpy as np
 from damaged import MOST_BYTES, MOST_SECONDS, cut, flipped
 
 from napari_hmrf import HmrfError, load_points, read_field, save_points, write_field
-from napari_hmrf.io.fields import FIELD_SUFFIXES, simpleitk
+from napari_hmrf.io.fields import FIELD_SUFFIXES
 from napari_hmrf.io.landmark_files import POINT_SUFFIXES
 
 #: What comes of a version: it is read as another, as the same, refused, or what must not be.
@@ -39,7 +39,8 @@ def make_field(path: Path) -> None:
     rows, cols = np.indices((40, 48)) / 40
     d = 2 * np.stack([np.sin(3 * rows), np.cos(2 * cols)], axis=-1)
     if path.suffix == ".tfm":
-        sitk = simpleitk()
+        import SimpleITK as sitk
+
         image = sitk.GetImageFromArray(d, isVector=True)
         sitk.WriteTransform(sitk.DisplacementFieldTransform(image), str(path))
     else:

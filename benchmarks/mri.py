@@ -30,7 +30,6 @@ from scipy.ndimage import (
 
 from napari_hmrf import Solution, load_study, warp
 from napari_hmrf.cli import main as shell
-from napari_hmrf.io.fields import simpleitk
 from napari_hmrf.io.images import ImageFile, load_image, save_image
 
 #: By which share of the image's range a pixel may differ.
@@ -71,7 +70,8 @@ def run(*command: Any) -> str:
 
 def resampled(volume: Path, field: Path, number: int) -> npt.NDArray[Any]:
     """SimpleITK's own picture of a slice, of the whole volume that it moves by a field."""
-    sitk = simpleitk()
+    import SimpleITK as sitk
+
     image = sitk.ReadImage(str(volume), sitk.sitkFloat64)
     vectors = sitk.ReadImage(str(field), sitk.sitkVectorFloat64)
     transform = sitk.DisplacementFieldTransform(vectors)

@@ -38,7 +38,6 @@ from skimage.transform import warp as sampled
 from napari_hmrf import ElasticPrior, Multigrid, Problem, Solution, at_edges, solve, warp
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.moved_points import moved_points
-from napari_hmrf.io.fields import simpleitk
 
 Points = npt.NDArray[np.float64]
 Fit = Callable[[Points, Points], Callable[[Points], Points]]
@@ -158,7 +157,8 @@ def left_out(
 
 def _registered(fixed: npt.NDArray[Any], moving: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """SimpleITK's demons: for each pixel of the fixed picture, by how much it lies off."""
-    sitk = simpleitk()
+    import SimpleITK as sitk
+
     demons = sitk.SymmetricForcesDemonsRegistrationFilter()
     demons.SetNumberOfIterations(200)
     demons.SetStandardDeviations(3.0)

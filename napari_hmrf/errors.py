@@ -21,6 +21,8 @@ _OPENING = {
     errno.EPERM: "you have no permission for it. Change its permissions, or take another.",
     errno.EROFS: "its disk can only be read. Take a folder on another.",
     errno.ENOSPC: "the disk is full. Make room, or take another.",
+    errno.EDQUOT: "your share of the disk is full. Make room, or take another.",
+    errno.EFBIG: "the system does not let a file grow so large. Take another disk or limit.",
     errno.ENAMETOOLONG: "its name is too long. Take a shorter one.",
 }
 #: The same of one that cannot be saved.
@@ -115,7 +117,7 @@ def in_words(error: Exception) -> str:
     """What is wrong in a sentence for people, and the cure: of files, too, which systems name."""
     if not isinstance(error, OSError) or error.filename is None:
         return str(error) or type(error).__name__
-    said = error.strerror or ""
-    saving = said.startswith(CANNOT_SAVE)
+    whole = error.strerror or ""
+    saving, said = whole.startswith(CANNOT_SAVE), whole.removeprefix(CANNOT_SAVE)
     why = (_SAVING if saving else _OPENING).get(error.errno or 0, f"{said}.")
     return f"{error.filename}: {CANNOT_SAVE if saving else ''}{why}"

@@ -1,7 +1,7 @@
 """Client of the decoder process: starts it, sends requests, and ends it when it hangs.
 
-A damaged file can crash the libraries that decode it, or keep them busy for ever. They run in
-another process (`itk_decoder`), which serves one request after the other and is started anew when
+A damaged file can crash the libraries that decode it, or keep them busy for ever, and a full disk
+leaves HDF5 in a state that it does not recover from. They run in another process (`itk_decoder`), which serves one request after the other and is started anew when
 a file has ended it.
 """
 
@@ -151,6 +151,40 @@ class DecoderProcess:
                     self._refusals.popitem(last=False)
                 raise
 
+    def write(
+        self, file: Path, header: dict[str, Any], pixels: npt.NDArray[Any], *, vectors: bool
+    ) -> None:
+        """Write an image, or a field as a transform.
+
+        Parameters
+        ----------
+        file : Path
+        header : dict
+            Components, spacing, origin, direction and metadata, as `Decoded` has them.
+        pixels : ndarray
+        vectors : bool
+            Whether a transform is written.
+
+        Raises
+        ------
+        Undecodable
+            If SimpleITK writes no such pixels, or the disk is full: it does not tell.
+        HmrfError
+            As of `decode`.
+        """
+        values = np.ascontiguousarray(pixels, pixels.dtype.newbyteorder("="))
+        request = {
+            **header,
+            "kind": "write",
+            "path": os.path.abspath(file),
+            "vectors": vectors,
+            "dtype": values.dtype.str,
+            "shape": values.shape,
+            "seconds": _LEAST_SECONDS + _SECONDS_PER_MB * values.nbytes / 1e6,
+        }
+        with self._lock:
+            self._ask(request, values.nbytes, values)
+
     def kill(self) -> None:
         """End the decoder at once, also while it serves another thread."""
         process = self._process
@@ -169,12 +203,14 @@ class DecoderProcess:
                         os.close(stream.fileno())
         self._reset()
 
-    def _ask(self, request: dict[str, Any], size: int) -> Decoded:
+    def _ask(
+        self, request: dict[str, Any], size: int, pixels: npt.NDArray[Any] | None = None
+    ) -> Decoded:
         for fresh in (self._process is None, True):
             process = self._running()
             watch = _Watch(process, request["seconds"], size)
             try:
-                answer = _exchange(process, request, size)
+                answer = _exchange(process, request, size, pixels)
             except BaseException:  # what is left of the answer is of no use to anyone
                 process.kill()
                 self._end()
@@ -274,12 +310,19 @@ def missing_simpleitk() -> HmrfError:
     )
 
 
-def _exchange(process: subprocess.Popen[bytes], request: Any, size: int) -> Decoded | None:
+def _exchange(
+    process: subprocess.Popen[bytes],
+    request: Any,
+    size: int,
+    sent: npt.NDArray[Any] | None = None,
+) -> Decoded | None:
     """Send a request and receive its answer; None if the decoder has ended."""
     assert process.stdin is not None
     assert process.stdout is not None
     try:
         process.stdin.write(json.dumps(request).encode() + b"\n")
+        if sent is not None and sent.size:
+            process.stdin.write(memoryview(sent.data).cast("B"))
         process.stdin.flush()
     except OSError:
         return None

@@ -33,7 +33,7 @@ from napari_hmrf.io.itk_files import (
     encode,
     holds_vectors,
     read_vectors,
-    simpleitk,
+    require_simpleitk,
 )
 from napari_hmrf.solver.problem import as_numbers
 from napari_hmrf.solver.solution import Solution
@@ -160,7 +160,7 @@ def write_field(
             "field that moves images. End its name in .mha, .nrrd or .nii.gz."
         )
     _refuse_beside(target, suffix)
-    simpleitk()
+    require_simpleitk()
     d = as_field(displacement).astype(np.float64)
     n = d.shape[-1]
     if not np.isfinite(d).all():

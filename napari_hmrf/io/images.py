@@ -222,7 +222,7 @@ def save_image(path: str | os.PathLike[str], image: ImageFile) -> Path:
         content = _encoded(target, image, suffix)
     except (HmrfError, OSError):
         raise
-    except (RuntimeError, ValueError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError) as error:
         raise FileFormatError(
             f"{target.name}: {image.pixels.dtype} pixels of shape {image.pixels.shape} are not "
             f"written as {suffix}. Take .tif, or .nrrd."

@@ -1,8 +1,9 @@
-"""Decoder process: reads files with SimpleITK for a process that must survive them.
+"""Decoder process: reads and writes files with SimpleITK for a process that must survive them.
 
 `decoder_process` starts this file as a program. It imports nothing of this package, so that it
 starts in a tenth of a second. Standard input carries the search path and then one request a line,
-as JSON; standard output carries one line of JSON for each request, and the pixels after it.
+as JSON, with the pixels of an image that is written after it; standard output carries one line of
+JSON for each request, and the pixels of an image that is read after it.
 """
 
 from __future__ import annotations
@@ -55,6 +56,20 @@ class Decoder:
             self._checked_reader(source)
             image = self._sitk.ReadImage(str(source))
         return self._head(image), image if kind == "pixels" else None
+
+    def write(self, request: dict[str, Any], pixels: Any) -> None:
+        """Write an image, or the transform of a field."""
+        sitk = self._sitk
+        image = sitk.GetImageFromArray(pixels, isVector=request["components"] > 1)
+        image.SetSpacing(request["spacing"])
+        image.SetOrigin(request["origin"])
+        image.SetDirection(request["direction"])
+        for key, text in request["told"].items():
+            image.SetMetaData(key, text)
+        if request["vectors"]:
+            sitk.WriteTransform(sitk.DisplacementFieldTransform(image), request["path"])
+        else:
+            sitk.WriteImage(image, request["path"], useCompression=True)
 
     def _head(self, image: Any, components: int = 0) -> dict[str, Any]:
         """Describe an image, or the reader of one, whose components are given."""
@@ -141,6 +156,15 @@ def _send(out: BinaryIO, header: dict[str, Any], pixels: Any = None) -> None:
     out.flush()
 
 
+def _receive(stream: BinaryIO, header: dict[str, Any]) -> Any:
+    """Receive the pixels that follow a request."""
+    import numpy as np
+
+    kind = np.dtype(header["dtype"])
+    content = stream.read(math.prod(header["shape"]) * kind.itemsize)
+    return np.frombuffer(content, kind).reshape(header["shape"])
+
+
 def main() -> None:
     """Answer requests until standard input is closed, or none has come for a minute."""
     with suppress(ValueError, OSError):
@@ -169,6 +193,14 @@ def main() -> None:
             return
         request = json.loads(line)
         _limit_processor_time(request["seconds"])
+        if request["kind"] == "write":
+            try:
+                decoder.write(request, _receive(sys.stdin.buffer, request))
+            except Exception:  # noqa: BLE001 - libraries do not tell why they failed
+                _send(out, {"refused": ""})
+                os._exit(0)  # HDF5 keeps a file open that it could not write
+            _send(out, {"written": True})
+            continue
         try:
             header, image = decoder.answer(request)
             pixels = None if image is None else sitk.GetArrayViewFromImage(image)

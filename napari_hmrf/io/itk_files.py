@@ -1,12 +1,13 @@
 """Reading and writing by SimpleITK: NIfTI, MetaImage, NRRD, DICOM and ITK's transforms.
 
-Reading runs in the decoder process, which a damaged file may crash or hang. A file is written
+SimpleITK runs in the decoder process, which a damaged file may crash or hang. A file is written
 beside its target, read back and compared; only then does it take the target's place.
 """
 
 from __future__ import annotations
 
 import errno
+import importlib.util
 import math
 import os
 from pathlib import Path
@@ -169,50 +170,40 @@ def encode(
         If SimpleITK is not installed.
     OSError
         If the disk is full, or did not keep what was written; the message names the target.
-    RuntimeError, ValueError, TypeError, KeyError
+    ValueError
         If SimpleITK writes no such pixels.
     """
-    sitk = simpleitk()
-    made = sitk.GetImageFromArray(image.pixels, isVector=image.components > 1)
-    made.SetSpacing(image.spacing)
-    made.SetOrigin(image.origin)
-    made.SetDirection(image.direction.ravel().tolist())
-    for key, text in image.told.items():
-        made.SetMetaData(key, text)
     plain = ".nii" if sealed and suffix == ".nii.gz" else suffix  # compressed with its seal
     with temporary_beside(target, plain) as file:
         try:
-            if transform:
-                sitk.WriteTransform(sitk.DisplacementFieldTransform(made), str(file))
-            else:
-                sitk.WriteImage(made, str(file), useCompression=True)
-        except RuntimeError:
+            decoder.write(file, _header(image), image.pixels, vectors=transform)
+            is_written = True
+        except Undecodable:
+            is_written = False
+        if not (is_written and _was_kept(file, image, transform=transform)):
             file.unlink(missing_ok=True)
             raise_for_space(target, image.pixels.nbytes)
-            raise
-        if not _was_kept(file, image, transform=transform):
-            file.unlink(missing_ok=True)
-            raise_for_space(target, image.pixels.nbytes)
+            if not is_written:
+                raise ValueError(f"no such pixels are written as {suffix}")
             raise OSError(errno.EIO, f"{CANNOT_SAVE}{os.strerror(errno.EIO)}", str(target))
         content = file.read_bytes()
     return seal(content, suffix) if sealed else content
 
 
-def simpleitk() -> Any:
-    """Return SimpleITK, to write with.
+def require_simpleitk() -> None:
+    """Check that SimpleITK is installed, without importing it.
 
     Raises
     ------
     HmrfError
-        If it is not installed.
+        If it is not.
     """
     try:
-        import SimpleITK
-    except ImportError as error:
-        raise missing_simpleitk() from error
-    sitk: Any = SimpleITK
-    sitk.ProcessObject.SetGlobalWarningDisplay(False)
-    return sitk
+        is_missing = importlib.util.find_spec("SimpleITK") is None
+    except ValueError:  # its place among the modules is taken
+        is_missing = True
+    if is_missing:
+        raise missing_simpleitk()
 
 
 def _decode(source: Path, kind: str, *, vectors: bool = False) -> Decoded:
@@ -251,6 +242,15 @@ def _image(found: Decoded) -> ItkImage:
         np.array(header["direction"]).reshape(n, n),
         header["told"],
     )
+
+
+def _header(image: ItkImage) -> dict[str, Any]:
+    """Describe an image as the decoder does."""
+    return {
+        **image._asdict(),
+        "direction": image.direction.ravel().tolist(),
+        "pixels": None,
+    }
 
 
 def _was_kept(file: Path, image: ItkImage, *, transform: bool) -> bool:

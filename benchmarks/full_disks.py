@@ -1,0 +1,398 @@
+"""Write everything that this package writes where there is no room: earlier files stay as they are.
+
+    python benchmarks/full_disks.py [--commands] [--page docs/validation/full-disks.md]
+
+Each function that writes, and with --commands each command, runs four times: with room, by a limit
+of the size of files, on a full disk, and with a full disk for temporary files alone. The second and
+third must end in one error that names a file and the reason, and leave all files as they were; the
+last must succeed. Disks are mounted in memory, which takes root and Linux; without, the limit alone
+is tried. Exits with 1 if anything else happened.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import os
+import subprocess
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from napari_hmrf import (
+    Arrow,
+    Drawing,
+    Grid,
+    Motion,
+    Pictures,
+    RandomDeformation,
+    Solution,
+    Study,
+    Tissue,
+    export_field,
+    phantom,
+    save_moving_picture,
+    save_points,
+    save_study,
+    solve,
+    solve_study,
+    write_field,
+)
+from napari_hmrf.augmentation.ground_truth import write_truth
+from napari_hmrf.cli import main as command
+from napari_hmrf.contributions import save_solution
+from napari_hmrf.errors import HmrfError, in_words
+from napari_hmrf.field.measurement import Measurement
+from napari_hmrf.io.apply import FieldFile, apply_field, save_field
+from napari_hmrf.io.case import Case, solve_case
+from napari_hmrf.io.csv_files import save_csv
+from napari_hmrf.io.figures import save_pictures, save_result_pictures, save_volume_pictures
+from napari_hmrf.io.images import ImageFile, save_image
+from napari_hmrf.io.material_tables import save_materials
+from napari_hmrf.io.tables import save_measurements, save_named_materials
+from napari_hmrf.io.tissue_names import materials_by_name
+from napari_hmrf.tissue.boundary_rules import Material
+from napari_hmrf.tissue.material_presets import PRESETS
+
+_SHAPE = (14, 16)
+
+
+class Writer(NamedTuple):
+    """A function that writes, and how it is called.
+
+    Attributes
+    ----------
+    name : str
+        Module and name of the function, and the kind of file.
+    write : callable
+        Takes the folder to write in.
+    """
+
+    name: str
+    write: Callable[[Path], Any]
+
+
+@cache
+def study() -> Study:
+    """Make a small study with noise for an image, which does not pack."""
+    image = np.random.default_rng(3).integers(1, 255, _SHAPE, dtype=np.uint8)
+    labels = np.ones(_SHAPE, np.uint8)
+    pull = Drawing((Arrow((7, 8), (0.5, 1.0), 2.0),))
+    return Study(
+        Grid(_SHAPE, (1.0, 1.0), "millimeter"),
+        Tissue(labels=labels, materials=(Material(1, "tissue", 1.0, 0.3),)),
+        Motion(hold_edge=True, drawing=pull),
+        pictures=Pictures(image, labels, "noise"),
+    )
+
+
+@cache
+def solution() -> Solution:
+    """Solve the study."""
+    return solve_study(study(), backend="cpu")
+
+
+@cache
+def _volume() -> tuple[np.ndarray, Solution]:
+    shape = (6, 8, 8)
+    motion = Motion(hold_edge=True, drawing=Drawing((Arrow((3, 4, 4), (0, 0.5, 0.5), 1.0),)))
+    whole = Study(Grid(shape, (1.0,) * 3), Tissue(stiffness=np.ones(shape)), motion)
+    return np.ones(shape, np.uint8), solve_study(whole, backend="cpu")
+
+
+@cache
+def _deformation() -> RandomDeformation:
+    materials = study().tissue.materials
+    return RandomDeformation(study().tissue.labels, materials, spacing=(1.0, 1.0))
+
+
+def _pixels() -> np.ndarray:
+    image = study().pictures.image
+    assert image is not None
+    return image
+
+
+def _field(folder: Path, suffix: str) -> None:
+    d = solution().displacement.astype(float)
+    write_field(folder / f"field{suffix}", d, spacing=(1.0, 1.0))
+
+
+def _moved(folder: Path) -> None:
+    with _source() as source:
+        apply_field(FieldFile.of(solution()), source, folder / "moved.mha", labels=False)
+
+
+@contextmanager
+def _source() -> Iterator[Path]:
+    """Give a file to read, outside of the folder that is watched."""
+    path = _inputs() / "noise.mha"
+    yield path
+
+
+@cache
+def _inputs() -> Path:
+    """Write the files that commands read; removed at exit."""
+    made = tempfile.TemporaryDirectory(dir=os.environ.get("FULL_DISKS_INPUTS"))
+    folder = Path(made.name)
+    _KEPT.append(made)
+    save_image(folder / "noise.mha", ImageFile(_pixels()))
+    save_image(folder / "noise.png", ImageFile(_pixels()))
+    save_image(folder / "labels.png", ImageFile(np.ones(_SHAPE, np.uint8)))
+    save_study(folder / "case.study", study(), solution())
+    (folder / "m.csv").write_text("label,name,stiffness\n1,brain,3\n")
+    (folder / "names.csv").write_text("label,name\n1,liver\n2,spleen\n")
+    rim = np.zeros(_SHAPE, np.uint8)
+    rim[0], rim[-1] = 1, 2
+    save_image(folder / "rim.png", ImageFile(rim))
+    (folder / "r.csv").write_text("label,name,action,row,col\n1,,fixed,,\n2,rim,move,0,1\n")
+    (folder / "cases.csv").write_text(
+        "name,image,labels,materials,boundary,rules\none,noise.png,labels.png,m.csv,rim.png,r.csv\n"
+    )
+    return folder
+
+
+_KEPT: list[Any] = []
+
+
+def _layer() -> dict[str, Any]:
+    from napari_hmrf.layers.metadata import METADATA
+
+    return {"name": "arrows", "metadata": {METADATA: {"solution": solution()}}}
+
+
+def writers() -> list[Writer]:
+    """List all functions of the package that write files, with the formats of each."""
+    points = np.random.default_rng(0).normal(size=(9, 2))
+    rows = [Measurement(*([1] * len(Measurement._fields)))]
+    named = materials_by_name({1: "liver", 2: "something"}, name="names")
+    case = Case(image=_inputs() / "case.study")
+    sample = phantom("expansion", 16)
+    truth = partial(write_truth, case, amplitude=1.0, backend="cpu")
+    made: dict[str, Callable[[Path], Any]] = {
+        "solver.solution.Solution.save": lambda at: solution().save(at / "a.npz"),
+        "io.study_file.save_study": lambda at: save_study(at / "a.study", study(), solution()),
+        "augmentation.random_deformation.RandomDeformation.save": lambda at: _deformation().save(
+            at / "a.npz"
+        ),
+        **{
+            f"io.fields.write_field {suffix}": partial(_field, suffix=suffix)
+            for suffix in (".nii", ".nii.gz", ".mha", ".nrrd", ".h5")
+        },
+        "io.fields.export_field": lambda at: export_field(at / "a.mha", solution()),
+        "io.apply.save_field": lambda at: save_field(at / "a.nrrd", FieldFile.of(solution())),
+        "io.apply.apply_field": _moved,
+        **{
+            f"io.images.save_image {suffix}": partial(
+                lambda at, suffix: save_image(at / f"a{suffix}", ImageFile(_pixels())),
+                suffix=suffix,
+            )
+            for suffix in (".png", ".tif", ".jpg", ".bmp", ".nii.gz", ".nii", ".mha", ".nrrd")
+        },
+        **{
+            f"io.landmark_files.save_points {suffix}": partial(
+                lambda at, suffix: save_points(at / f"a{suffix}", points), suffix=suffix
+            )
+            for suffix in (".csv", ".mrk.json", ".fcsv")
+        },
+        "io.moving_pictures.save_moving_picture": lambda at: save_moving_picture(
+            at / "a.gif", solution(), _pixels(), frames=2
+        ),
+        "io.csv_files.save_csv": lambda at: save_csv(at / "a.csv", ["a", "b"], [[1, "c" * 99]]),
+        "io.tables.save_named_materials": lambda at: save_named_materials(at / "a.csv", named),
+        "io.tables.save_measurements": lambda at: save_measurements(at / "a.csv", rows),
+        "io.material_tables.save_materials": lambda at: save_materials(at / "a.json", PRESETS[0]),
+        "io.figures.save_pictures": lambda at: save_pictures(
+            at, sample.image, sample.problem, solve(sample.problem, backend="cpu")
+        ),
+        "io.figures.save_result_pictures": lambda at: save_result_pictures(at, solution()),
+        "io.figures.save_volume_pictures": lambda at: save_volume_pictures(
+            at, *_volume(), (3, 4, 4)
+        ),
+        "augmentation.ground_truth.write_truth": lambda at: truth(at),
+        "io.case.solve_case": lambda at: solve_case(case, at, backend="cpu"),
+        "contributions.save_solution": lambda at: save_solution(str(at / "a.npz"), None, _layer()),
+    }
+    return [Writer(name, write) for name, write in made.items()]
+
+
+def commands() -> list[Writer]:
+    """List all commands that write, run in this process."""
+    at = _inputs()
+    typed: dict[str, list[Any]] = {
+        "export .mha": ["export", at / "case.study", "a.mha"],
+        "export .nii.gz": ["export", at / "case.study", "a.nii.gz"],
+        "export .h5": ["export", at / "case.study", "a.h5"],
+        "apply": ["apply", at / "case.study", at / "noise.png", at / "noise.mha", "-o", "."],
+        "measure": ["measure", at / "case.study", "-o", "a.csv"],
+        "play": ["play", at / "case.study", "a.gif"],
+        "solve": ["solve", at / "case.study", "--backend", "cpu", "-o", "."],
+        "materials": ["materials", at / "names.csv", "-o", "a.csv"],
+        "batch": ["batch", at / "cases.csv", "out", "--jobs", "1"],
+        "truth": ["truth", at / "case.study", "--backend", "cpu", "-o", "."],
+        "demo": ["demo", "--no-window", "--backend", "cpu", "-o", "."],
+    }
+    return [
+        Writer(f"napari-hmrf {name}", partial(_run, arguments=[str(each) for each in words]))
+        for name, words in typed.items()
+    ]
+
+
+def _run(folder: Path, arguments: list[str]) -> None:
+    """Run a command in a folder, and turn what it says of an error into an exception."""
+    out, err, before = io.StringIO(), io.StringIO(), Path.cwd()
+    os.chdir(folder)
+    try:
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            code = command(arguments)
+    finally:
+        os.chdir(before)
+    if code:
+        raise HmrfError(err.getvalue().strip() or out.getvalue().strip())
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Read all files below a folder."""
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name != "filler"
+    }
+
+
+def outcome(writer: Writer, folder: Path, before: dict[str, bytes]) -> str:
+    """Write where there is no room, and tell what is wrong with what comes of it; "" if nothing."""
+    try:
+        writer.write(folder)
+    except (HmrfError, OSError) as error:
+        said = in_words(error)
+    except Exception as error:  # noqa: BLE001 - what is looked for
+        return f"{type(error).__name__}: {error}"[:300]
+    else:
+        return "no error"
+    after = contents(folder)
+    if after != before:
+        new = sorted(after.keys() - before.keys())
+        changed = sorted(name for name in before if after.get(name) != before[name])
+        return f"left behind: {new}" if new else f"changed: {changed}"
+    names = {Path(name).name for name in before}
+    reasons = ("disk is full", "grow so large", "No space left", "File too large")
+    if not any(name in said for name in names) or not any(each in said for each in reasons):
+        return f"the error does not say what and why: {said}"[:300]
+    return "more than one line" if "\n" in said else ""
+
+
+@contextmanager
+def limited(size: int) -> Iterator[None]:
+    """Let no file grow beyond a size."""
+    import resource  # of POSIX alone
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@contextmanager
+def disk(megabytes: int) -> Iterator[Path]:
+    """Mount a small disk in memory."""
+    folder = tempfile.mkdtemp()
+    size = f"size={megabytes}m"
+    subprocess.run(["mount", "-t", "tmpfs", "-o", size, "tmpfs", folder], check=True)
+    try:
+        yield Path(folder)
+    finally:
+        subprocess.run(["umount", "-l", folder], check=True)
+        os.rmdir(folder)
+
+
+def fill(folder: Path) -> None:
+    """Fill a disk to its last byte."""
+    with open(folder / "filler", "ab", buffering=0) as file, contextlib.suppress(OSError):
+        while True:
+            file.write(bytes(2**12))
+
+
+@contextmanager
+def _temporary_files_in(folder: Path) -> Iterator[None]:
+    before, tempfile.tempdir = tempfile.tempdir, str(folder)
+    os.environ["TMPDIR"] = str(folder)
+    try:
+        yield
+    finally:
+        tempfile.tempdir = before
+        del os.environ["TMPDIR"]
+
+
+def trial(writer: Writer, *, can_mount: bool) -> list[str]:
+    """Write in all four ways; the answers, "" where all is well."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        writer.write(folder)
+        before = contents(folder)
+        smallest = min(map(len, before.values()))
+        found = []
+        for limit in (1, smallest // 2):  # an early write fails, and a later one
+            with limited(limit):
+                found.append(outcome(writer, folder, before))
+    found = [next(filter(None, found), "")]
+    if not can_mount:
+        return [*found, "not tried", "not tried"]
+    with disk(24) as folder:
+        writer.write(folder)
+        before = contents(folder)
+        fill(folder)
+        found.append(outcome(writer, folder, before))
+    with disk(1) as full, tempfile.TemporaryDirectory() as name, _temporary_files_in(full):
+        fill(full)
+        try:
+            writer.write(Path(name))
+            found.append("" if contents(Path(name)).keys() == before.keys() else "other files")
+        except Exception as error:  # noqa: BLE001 - what is looked for
+            found.append(f"{type(error).__name__}: {error}"[:300])
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Try all writers, and print what came of each."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--commands", action="store_true", help="commands as well as functions")
+    parser.add_argument("--page", type=Path, help="a page of Markdown to write")
+    options = parser.parse_args(arguments)
+    warnings.simplefilter("ignore")
+    can_mount = sys.platform == "linux" and os.geteuid() == 0
+    lines = [
+        "| writer | limit of file size | full disk | full temporary disk |",
+        "| --- | --- | --- | --- |",
+    ]
+    wrong = 0
+    for writer in [*writers(), *(commands() if options.commands else [])]:
+        found = trial(writer, can_mount=can_mount)
+        good = ("refused", "refused", "written")
+        told = [each or right for each, right in zip(found, good, strict=True)]
+        wrong += any(each not in ("", "not tried") for each in found)
+        lines.append(f"| {writer.name} | {' | '.join(told)} |")
+        print(lines[-1], flush=True)
+    print(f"{wrong} of {len(lines) - 2} went wrong")
+    if options.page:
+        intro = (
+            "# Full disks\n\nMade by `make disks`. Each function and command that writes runs over "
+            "its own earlier files. *Refused*: one error names a file and the reason, every "
+            "earlier file is as it was, and nothing is left beside them. *Written*: the folder for "
+            "temporary files plays no part.\n\n"
+        )
+        options.page.write_text(intro + "\n".join(lines) + "\n", encoding="utf-8")
+    return int(bool(wrong))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
