@@ -104,7 +104,7 @@ def damaged(content: bytes, count: int, seed: int = 0) -> Iterator[Damaged]:
     """Make versions of a saved result, the same ones for the same seed."""
     dice = random.Random(seed)
     kinds: list[tuple[Callable[[bytes, random.Random], bytes], bool]] = [
-        *((kind, False) for kind in (flipped, cut, _torn, _table_edited, _method_claimed)),
+        *((kind, False) for kind in (flipped, cut, torn, _table_edited, _method_claimed)),
         *((kind, True) for kind in (_npy_edited, _header_edited, _swapped, _packed_otherwise)),
         *((kind, True) for kind in (_twice, _nested)),
     ]
@@ -198,7 +198,7 @@ def cut(content: bytes, dice: random.Random) -> bytes:
     return content[: dice.randrange(len(content))]
 
 
-def _torn(content: bytes, dice: random.Random) -> bytes:
+def torn(content: bytes, dice: random.Random) -> bytes:
     """Blocks that are missing, blank, noise, or from elsewhere in the file."""
     start, length = dice.randrange(len(content)), dice.choice((1, 16, 512, 4096))
     elsewhere = dice.randrange(len(content))

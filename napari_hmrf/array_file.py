@@ -38,6 +38,8 @@ MAX_BYTES = 2 * 16384**2 * 4
 #: A field of one value packs 1000 to 1. Up to this size that is harmless, beyond it a trap.
 _HARMLESS_BYTES = 256 * 2**20
 _MAX_RATIO = 100
+#: Bytes that are expanded at once.
+_PIECE = 2**20
 #: Limit of deflate: no packed array holds more than so many times its own bytes, but few bytes.
 _MOST_PACKED = 1100
 #: All arrays of a file may hold so many bytes together.
@@ -325,7 +327,7 @@ class _Claim(NamedTuple):
             stream.read(self.offset)
             left = memoryview(flat.data)
             while left:
-                count = stream.readinto(left)  # type: ignore[attr-defined]
+                count = stream.readinto(left[:_PIECE])  # type: ignore[attr-defined]
                 if not count:
                     raise EOFError
                 left = left[count:]

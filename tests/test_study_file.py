@@ -1,11 +1,14 @@
 """A saved study comes back, its field is made again bit by bit, and anything else is refused."""
 
 import dataclasses
+import io
+import json
 import os
 import re
 import subprocess
 import sys
 import tracemalloc
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -29,17 +32,21 @@ from napari_hmrf import (
     Multigrid,
     Pictures,
     SeilerPrior,
+    Solution,
     StiffnessCurve,
     Stroke,
     Study,
     Tissue,
     is_study_file,
+    load_points,
     load_study,
     replay,
     save_study,
     solve_study,
 )
 from napari_hmrf.field.frame import Frame
+from napari_hmrf.io.material_tables import load_materials
+from napari_hmrf.io.tables import read_materials
 
 SHAPE = (20, 24)
 GRID = Grid(SHAPE, (0.5, 0.8), "millimeter", Frame.at((0.5, 0.8), ("mm", "mm")))
@@ -246,3 +253,83 @@ def test_whatever_happens_to_a_file_it_is_what_was_saved_or_refused_for_little_m
     tracemalloc.stop()
     for kind in {kind for kind, _ in outcomes}:
         assert (kind, "refused") in outcomes
+
+
+def with_members(path, target, **changed):
+    """A copy of an archive in which some members are others."""
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    members |= {f"{name}.npy": data for name, data in changed.items()}
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+    return target
+
+
+def as_npy(array):
+    file = io.BytesIO()
+    np.save(file, array)
+    return file.getvalue()
+
+
+def spoiled_header(path, part, name, value):
+    """The header of a study with another value."""
+    with np.load(path) as archive:
+        header = json.loads(archive["header"].item())
+    header[part][name] = value
+    return as_npy(np.array(json.dumps(header)))
+
+
+@pytest.mark.parametrize("fault", ["shape", "header", "second array"])
+def test_arrays_are_expanded_only_if_header_and_shapes_allow(fault, tmp_path):
+    size = (6000, 6000)
+    study = Study(GRID, Tissue(stiffness=np.ones(SHAPE)), pictures=Pictures(labels=labels()))
+    path = save_study(tmp_path / "good", study)
+    large, changed = as_npy(np.zeros(size, np.uint8)), {}
+    if fault == "shape":
+        changed = {"boundary_labels": large}
+    elif fault == "header":
+        grid = with_members(
+            path, tmp_path / "grid.study", header=spoiled_header(path, "grid", "shape", size)
+        )
+        changed = {
+            "header": spoiled_header(grid, "motion", "rules", [{"label": "none"}]),
+            "stiffness": large,
+        }
+    else:
+        changed = {"image": large, "labels": as_npy(np.zeros(3, np.uint8))}
+    bomb = with_members(path, tmp_path / "bomb.study", **changed)
+    assert bomb.stat().st_size < 1e6
+    tracemalloc.start()
+    with pytest.raises(FileFormatError, match=r"bomb\.study: not a valid napari-hmrf study"):
+        load_study(bomb)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 5e6
+
+
+def test_an_array_is_expanded_into_its_own_memory_alone(tmp_path):
+    image = np.zeros((3000, 3000), np.uint8)
+    path = save_study(tmp_path / "a", Study(Grid(image.shape, (1, 1)), pictures=Pictures(image)))
+    tracemalloc.start()
+    load_study(path)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 1.5 * image.nbytes
+
+
+@pytest.mark.skipif(os.name != "posix", reason="devices and FIFOs are of POSIX")
+def test_devices_and_pipes_are_no_studies_and_no_tables(tmp_path):
+    fifo, device = tmp_path / "a.study", tmp_path / "b.study"
+    os.mkfifo(fifo)
+    device.symlink_to("/dev/zero")
+    for path in (fifo, device):
+        assert not is_study_file(path)
+        for load in (load_study, Solution.load):
+            with pytest.raises(FileFormatError, match=r"\.study: it is a pipe or a device"):
+                load(path)
+    for load, name in ((load_points, "a.csv"), (read_materials, "a.csv"), (load_materials, "a")):
+        endless = tmp_path / f"endless-{load.__name__}-{name}"
+        endless.symlink_to("/dev/zero")
+        with pytest.raises(FileFormatError, match="too large"):
+            load(endless)

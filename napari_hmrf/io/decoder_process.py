@@ -1,8 +1,8 @@
 """Client of the decoder process: starts it, sends requests, and ends it when it hangs.
 
 A damaged file can crash the libraries that decode it, or keep them busy for ever, and a full disk
-leaves HDF5 in a state that it does not recover from. They run in another process (`itk_decoder`), which serves one request after the other and is started anew when
-a file has ended it.
+leaves HDF5 in a state that it does not recover from. They run in another process (`itk_decoder`),
+which serves one request after the other and is started anew when a file has ended it.
 """
 
 from __future__ import annotations
@@ -191,6 +191,11 @@ class DecoderProcess:
         if process is not None:
             process.kill()
             process.wait()
+        if self._lock.acquire(blocking=False):  # else its thread finds that it has ended
+            try:
+                self._end()
+            finally:
+                self._lock.release()
 
     def forget_after_fork(self) -> None:
         """Leave the decoder to the parent process, in a child made by a fork."""
