@@ -238,7 +238,8 @@ def commands() -> list[Writer]:
         "solve": ["solve", at / "case.study", "--backend", "cpu", "-o", "."],
         "materials": ["materials", at / "names.csv", "-o", "a.csv"],
         "truth": ["truth", at / "case.study", "--backend", "cpu", "-o", "."],
-        "demo": ["demo", "--no-window", "--backend", "cpu", "-o", "."],
+        "demo": ["demo", "--no-window", "--backend", "cpu", "--out", "."],
+        "demo --volume": ["demo", "--volume", "--size", "32", "--no-window", "--out", "."],
     }
     return [
         Writer(f"napari-hmrf {name}", partial(_run, arguments=[str(each) for each in words]))

@@ -138,7 +138,7 @@ def _identity(source: Path) -> tuple[str, int, int]:
 
 
 def _limit_processor_time(seconds: float) -> None:
-    """Have the system end this process if it outlives the one that watches it."""
+    """Let the system end this process if it outlives the one that watches it."""
     with suppress(ImportError, ValueError, OSError):
         import resource  # of POSIX alone
 
