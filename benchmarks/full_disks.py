@@ -125,22 +125,24 @@ def _field(folder: Path, suffix: str) -> None:
     write_field(folder / f"field{suffix}", d, spacing=(1.0, 1.0))
 
 
+def _pictures(folder: Path) -> None:
+    sample = phantom("expansion", 16)
+    save_pictures(folder, sample.image, sample.problem, solve(sample.problem, backend="cpu"))
+
+
+def _case() -> Case:
+    return Case(image=_inputs() / "case.study")
+
+
 def _moved(folder: Path) -> None:
-    with _source() as source:
-        apply_field(FieldFile.of(solution()), source, folder / "moved.mha", labels=False)
-
-
-@contextmanager
-def _source() -> Iterator[Path]:
-    """Give a file to read, outside of the folder that is watched."""
-    path = _inputs() / "noise.mha"
-    yield path
+    source = _inputs() / "noise.mha"
+    apply_field(FieldFile.of(solution()), source, folder / "moved.mha", labels=False)
 
 
 @cache
 def _inputs() -> Path:
     """Write the files that commands read; removed at exit."""
-    made = tempfile.TemporaryDirectory(dir=os.environ.get("FULL_DISKS_INPUTS"))
+    made = tempfile.TemporaryDirectory()
     folder = Path(made.name)
     _KEPT.append(made)
     save_image(folder / "noise.mha", ImageFile(_pixels()))
@@ -174,9 +176,6 @@ def writers() -> list[Writer]:
     points = np.random.default_rng(0).normal(size=(9, 2))
     rows = [Measurement(*([1] * len(Measurement._fields)))]
     named = materials_by_name({1: "liver", 2: "something"}, name="names")
-    case = Case(image=_inputs() / "case.study")
-    sample = phantom("expansion", 16)
-    truth = partial(write_truth, case, amplitude=1.0, backend="cpu")
     made: dict[str, Callable[[Path], Any]] = {
         "solver.solution.Solution.save": lambda at: solution().save(at / "a.npz"),
         "io.study_file.save_study": lambda at: save_study(at / "a.study", study(), solution()),
@@ -210,15 +209,15 @@ def writers() -> list[Writer]:
         "io.tables.save_named_materials": lambda at: save_named_materials(at / "a.csv", named),
         "io.tables.save_measurements": lambda at: save_measurements(at / "a.csv", rows),
         "io.material_tables.save_materials": lambda at: save_materials(at / "a.json", PRESETS[0]),
-        "io.figures.save_pictures": lambda at: save_pictures(
-            at, sample.image, sample.problem, solve(sample.problem, backend="cpu")
-        ),
+        "io.figures.save_pictures": _pictures,
         "io.figures.save_result_pictures": lambda at: save_result_pictures(at, solution()),
         "io.figures.save_volume_pictures": lambda at: save_volume_pictures(
             at, *_volume(), (3, 4, 4)
         ),
-        "augmentation.ground_truth.write_truth": lambda at: truth(at),
-        "io.case.solve_case": lambda at: solve_case(case, at, backend="cpu"),
+        "augmentation.ground_truth.write_truth": lambda at: write_truth(
+            _case(), at, amplitude=1.0, backend="cpu"
+        ),
+        "io.case.solve_case": lambda at: solve_case(_case(), at, backend="cpu"),
         "contributions.save_solution": lambda at: save_solution(str(at / "a.npz"), None, _layer()),
     }
     return [Writer(name, write) for name, write in made.items()]

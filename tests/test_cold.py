@@ -8,6 +8,7 @@ import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -355,6 +356,24 @@ def test_where_no_folder_can_be_written_to_loops_are_kept_in_a_temporary_one(tmp
         text=True,
     )
     assert done.stdout.split() == ["2", "True"], done.stderr
+
+
+@pytest.mark.parametrize(
+    ("place", "redirected"), [("told", []), ("package", [""]), ("caches", ["", "here"])]
+)
+def test_a_full_disk_is_no_place_for_loops(place, redirected, tmp_path, monkeypatch):
+    def usage(folder):
+        return SimpleNamespace(free=2**40 if folder.is_relative_to(tmp_path / place) else 0)
+
+    told = []
+    monkeypatch.setattr(kept.shutil, "disk_usage", usage)
+    monkeypatch.setattr(kept, "_LOOPS", tmp_path / "package")
+    monkeypatch.setattr(kept, "_redirect_numba", told.append)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "told"))
+    found = kept.folder.__wrapped__()
+    assert found.is_relative_to(tmp_path / place)
+    assert told == [str(found) if each == "here" else each for each in redirected]
 
 
 def test_where_nothing_can_be_kept_shaders_go_on(cold, monkeypatch, tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
+import shutil
 import sys
 import tempfile
 from contextlib import suppress
@@ -22,6 +23,8 @@ VOLUMES = "volume"
 APART = (VOLUMES, "volume-schedule", "volume-converged")
 #: What tells numba where to keep loops.
 _TOLD = "NUMBA_CACHE_DIR"
+#: Bytes on a disk that all loops fit in, and bytes that are written to see if any can be.
+_ROOM, _PROBE = 2**27, 2**16
 #: The modules of all loops that move something.
 _MOTION = (
     *PICTURES,
@@ -69,30 +72,40 @@ def compiled(job: str) -> bool:
 
 @cache
 def folder() -> Path:
-    """Where numba keeps loops; if it would find no place, it is told one."""
+    """Return where numba keeps loops; if numba would choose a place without room, redirect it."""
     told, beside = os.environ.get(_TOLD), _LOOPS / "__pycache__"
     caches = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
     if told and _writable(Path(told)):
         return Path(told)
+    if told:
+        _redirect_numba("")
     if _writable(beside):
         return beside
     if _writable(caches / _PACKAGE):  # numba has a folder of its own there
+        if beside.is_dir():  # numba would choose it, though its disk is full
+            _redirect_numba(str(caches / _PACKAGE))
         return caches / _PACKAGE
     found = _temporary()
-    os.environ[_TOLD] = str(found)  # for the other process, too
-    if "numba" in sys.modules:
-        sys.modules["numba"].config.CACHE_DIR = str(found)
+    _redirect_numba(str(found))
     return found
 
 
+def _redirect_numba(folder: str) -> None:
+    """Let numba keep loops in a folder, in this process and in those that it starts."""
+    os.environ[_TOLD] = folder
+    if "numba" in sys.modules:
+        sys.modules["numba"].config.CACHE_DIR = folder
+
+
 def _writable(folder: Path) -> bool:
-    """Whether files can be written to a folder, which is made if need be."""
+    """Return whether a folder, which is made if need be, can be written to and has room."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(bytes(_PROBE))
+        return shutil.disk_usage(folder).free > _ROOM
     except OSError:
         return False
-    return True
 
 
 def _temporary() -> Path:
