@@ -29,8 +29,9 @@ def largest_scale(
 ) -> float:
     """Find the largest part of a displacement, at most all of it, that squeezes no tissue too much.
 
-    The measure is that of `smallest_determinant`: each corner of one-sided differences around a
-    site. On the way to that part, from none of it on, no corner is squeezed more either.
+    The measure is each corner of one-sided differences around a site, those of
+    `smallest_determinant` among them. On the way to that part, from none of it on, no corner is
+    squeezed more either.
 
     Parameters
     ----------

@@ -230,7 +230,7 @@ def _reach(given: Mapping[str, Any] | None) -> Reach | None:
     """How far large motion got, as a header has it; older files do not."""
     if given is None:
         return None
-    where = given["where"]
+    where, furthest = given["where"], given.get("unbalanced_at")
     return Reach(
         float(given["least_jacobian"]),
         float(given["part"]),
@@ -238,6 +238,8 @@ def _reach(given: Mapping[str, Any] | None) -> Reach | None:
         None if where is None else tuple(int(index) for index in where),
         int(given["sites"]),
         float(given.get("grown", 1.0)),
+        float(given.get("unbalanced", 0.0)),
+        None if furthest is None else tuple(int(index) for index in furthest),
     )
 
 
