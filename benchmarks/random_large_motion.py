@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from napari_hmrf import HmrfError, Loads, NeoHookeanPrior, Problem, count_folds, growth, solve
 from napari_hmrf.solver.optimizers import Multigrid
-from tests.finite_oracle import turned
+from tests.finite_oracle import least_corner, turned
 
 Field = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -106,21 +106,6 @@ def _gap(problem: Problem, displacement: Any) -> Field:
     """Return how far each site is from its target, in pixels."""
     gap = np.where(problem.known, problem.observed - displacement.astype(np.float64), 0)
     return np.asarray(np.linalg.norm(gap, axis=-1) / problem.unit)
-
-
-def least_corner(problem: Problem, displacement: Any) -> float:
-    """Return the least Jacobian at the corners of all elements; NaN if there is a NaN in one."""
-    place = np.indices(problem.shape, dtype=np.float64)
-    place += np.moveaxis(displacement.astype(np.float64) / np.array(problem.spacing), -1, 0)
-    tissue = problem.tissue
-    exist = tissue[:-1, :-1] & tissue[1:, :-1] & tissue[:-1, 1:] & tissue[1:, 1:]
-    a, b = place[:, :-1, :-1], place[:, :-1, 1:]
-    c, d = place[:, 1:, :-1], place[:, 1:, 1:]
-    corners = [
-        down[0] * along[1] - down[1] * along[0]
-        for down, along in ((c - a, b - a), (d - b, b - a), (c - a, d - c), (d - b, d - c))
-    ]
-    return float(np.stack(corners)[:, exist].min())
 
 
 def make_case(number: int) -> Case:

@@ -387,7 +387,7 @@ def _over_quadrants(kind: _Kind, moved: Float64Array, mask: BoolArray) -> FloatA
         for slab in slabs(mask.shape):
             wide, inner = with_neighbours(slab, len(mask))
             there = loops.only_read(mask[wide])
-            found[slab] = determinants(moved[wide], there, _elements(mask[wide]), which)[inner]
+            found[slab] = determinants(moved[wide], there, elements(mask[wide]), which)[inner]
         return found
     # Strip by strip, with a row of each neighbour: what lies between stays in the cache.
     made = np.full(mask.shape, np.nan, dtype=np.float32)
@@ -406,16 +406,16 @@ def _reduced(kind: _Kind, each: list[Float64Array], mask: BoolArray) -> Float64A
     mean = np.add.reduce(each) / len(each)
     if kind == "mean":
         return np.asarray(mean)
-    elements = _elements(mask)
+    exist = elements(mask)
     smallest = np.full(mask.shape, np.inf)
     ways = product((slice(1, None), slice(-1)), repeat=mask.ndim)
     for determinants, way in zip(each, ways, strict=True):
-        np.minimum(smallest, determinants, out=smallest, where=elements[way])
+        np.minimum(smallest, determinants, out=smallest, where=exist[way])
     smallest[np.isinf(smallest)] = 1.0
     return smallest if kind == "smallest" else np.where(smallest <= 0, smallest, mean)
 
 
-def _elements(mask: BoolArray) -> BoolArray:
+def elements(mask: BoolArray) -> BoolArray:
     """Return which elements exist, one more along each axis than there are sites.
 
     The element before a site along all axes has the index of the site; it exists if all its

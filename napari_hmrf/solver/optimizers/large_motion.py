@@ -66,7 +66,8 @@ def converge(
     load, limit = given(problem, prior).pulls, prior.limit(problem)
     # What may slip is not held.
     stops = held if limit is None else np.zeros_like(held)
-    poses = model.poses(stops)
+    # Other sites of a rigid body that is held have no target of their own.
+    poses, has_target = model.poses(stops), held.copy()
     poses.hold(observed, held)
     d = _beginning(model, poses, start, observed, held)
     outside, strategy = None if load is None else Outside(load), _strategy(problem, material)
@@ -88,7 +89,7 @@ def converge(
         check_reach(d, problem)
     displacement, rounding, least = _returned(model, problem, d, tolerance)
     distance = newton.distance
-    missing = np.where(held, observed - d, 0.0)
+    missing = np.where(has_target, observed - d, 0.0)
     reach = _reach(host.field(missing), host.field(observed), problem, tolerance, least, grown)
     if distance.estimate > tolerance:
         reach = replace(
