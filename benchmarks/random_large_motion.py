@@ -142,6 +142,10 @@ def make_case(number: int) -> Case:
         y[at] = turned(*shape, float(random.uniform(20, 90)))[at[:, -1]]
     else:
         y[at] = random.normal(size=(int(at.sum()), 2)) * 2
+    moves, sides = y * np.array(spacing), np.array(shape) * np.array(spacing)
+    # Targets far beyond the image are refused.
+    farthest = float(np.linalg.norm(moves, axis=-1).max())
+    moves *= min(1.0, 1.99 * float(np.linalg.norm(sides)) / max(farthest, 1e-9))
     penalty = math.inf
     c[at] = 1
     if not known and not rigid.any() and random.random() < 0.3:
@@ -153,7 +157,7 @@ def make_case(number: int) -> Case:
         penalty=penalty,
     )
     loads = _growth(random, shape, rigid) if random.random() < 0.4 else None
-    problem = Problem(y * np.array(spacing), c, m, spacing=spacing, loads=loads)
+    problem = Problem(moves, c, m, spacing=spacing, loads=loads)
     return Case(problem, prior, known)
 
 

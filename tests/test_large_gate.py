@@ -39,13 +39,13 @@ def dragged(way: float, spacing: tuple[float, float] = (1.0, 1.0)) -> Problem:
 
 def crushed(phase: float) -> Problem:
     """Make a disc that grows to four times its length beside one that is dragged 40 px."""
-    row, col = np.indices((14, 34))
-    disc = np.hypot(row - 6.5, col - 20) < 4
-    c, y = np.zeros((2, 14, 34, 2))
+    row, col = np.indices((12, 28))
+    disc = np.hypot(row - 5.5, col - 16.8) < 3.5
+    c, y = np.zeros((2, 12, 28, 2))
     c[[0, -1]] = c[:, [0, -1]] = 1
     c[disc], y[disc] = 1, (-4.0, -40.0)
-    m = np.where(abs(row - 7 - 4 * np.sin(0.35 * col + phase)) < 2.5, 2000.0, 1.0)
-    grows = np.hypot(row - 6.5, col - 17) < 6.5
+    m = np.where(abs(row - 6 - 3.36 * np.sin(0.35 * col + phase)) < 2.5, 2000.0, 1.0)
+    grows = np.hypot(row - 5.5, col - 14) < 5.5
     return Problem(y, c, m, spacing=(0.5, 2.0), loads=growth(3.0 * grows))
 
 
@@ -121,6 +121,17 @@ def test_what_is_folded_after_all_is_an_error(left) -> None:
         large_motion._returned(model_of(problem), problem, d, 1e-3)
 
 
+@pytest.mark.parametrize("phase", [1.2, 1.4, 5.0])
+def test_tissue_that_is_crushed_between_stiff_parts_folds_nothing(phase) -> None:
+    problem = crushed(phase)
+    found = solve(problem, PRIOR, backend="cpu")
+    assert least_corner(problem, found.displacement) > 0
+    assert found.reach.least_jacobian > 0
+    assert math.isfinite(found.convergence.error)
+    assert math.isfinite(found.convergence.residual)
+    assert count_folds(found.displacement, spacing=problem.spacing) == 0
+
+
 def test_crushed_tissue_that_did_not_come_to_rest_is_named(tmp_path) -> None:
     problem = crushed(1.0)
     found = solve(problem, PRIOR, backend="cpu")
@@ -133,8 +144,6 @@ def test_crushed_tissue_that_did_not_come_to_rest_is_named(tmp_path) -> None:
     assert f"{reach.unbalanced:.3g} mm from balance" in said
     assert str(reach.unbalanced_at) in said
     assert Solution.load(found.save(tmp_path / "crushed.npz")).reach == reach
-    assert least_corner(problem, found.displacement) > 0
-    assert count_folds(found.displacement, spacing=problem.spacing) == 0
 
 
 def test_tissue_at_rest_is_not_said_to_move_on() -> None:
