@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -144,6 +145,15 @@ def test_crushed_tissue_that_did_not_come_to_rest_is_named(tmp_path) -> None:
     assert f"{reach.unbalanced:.3g} mm from balance" in said
     assert str(reach.unbalanced_at) in said
     assert Solution.load(found.save(tmp_path / "crushed.npz")).reach == reach
+
+
+@pytest.mark.parametrize("precision", [np.float32, np.float64])
+def test_a_file_keeps_the_precision_in_which_nothing_folds(precision, tmp_path) -> None:
+    solution = solve(dragged(0.5), PRIOR, backend="cpu")
+    solution = replace(solution, displacement=(solution.displacement + 1 / 3).astype(precision))
+    loaded = Solution.load(solution.save(tmp_path / "precise.npz"))
+    assert loaded.displacement.dtype == precision
+    np.testing.assert_array_equal(loaded.displacement, solution.displacement)
 
 
 def test_tissue_at_rest_is_not_said_to_move_on() -> None:
