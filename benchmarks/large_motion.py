@@ -1,10 +1,10 @@
 """Large motion in numbers: ``python -m benchmarks.large_motion [exact] [textbook] [cold] [drag]``.
 
-And ``--random 2000``, of which ``--first 400 --random 200`` are a part.
+``--random 3000`` solves random problems, of which ``--first 400 --random 200`` are a part.
 
-Beside an independent Newton's method and a textbook finite-element method, how long it takes as a
-multiple of a linear solve in the same process (processor time of one thread), and how many of so
-many random problems are met.
+Measures the distance to an independent Newton's method and to textbook finite elements, the time
+as a multiple of a linear solve in the same process (processor time of one thread), and the faults
+of random problems.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ import numba
 import numpy as np
 import scipy
 
+from benchmarks import random_large_motion
 from napari_hmrf import (
     ElasticPrior,
-    HmrfError,
     Multigrid,
     NeoHookeanPrior,
     Problem,
@@ -37,8 +37,6 @@ from tests.finite_oracle import bar, solved, turned
 _LIVE = 0.01
 # How many random problems by default.
 _FEW = 200
-# What counts as met, in pixels.
-_MET = 0.01
 
 
 def main() -> None:
@@ -54,7 +52,7 @@ def main() -> None:
             compute_thread.submit(section).result()
     count = _FEW if everything else given.random
     if count:
-        compute_thread.submit(lambda: random(given.first, count)).result()
+        compute_thread.submit(lambda: random_large_motion.run(given.first, count)).result()
 
 
 def exact(size: int = 48) -> None:
@@ -198,99 +196,6 @@ def drag(size: int = 300, frames: int = 20, far: float = 3.0) -> None:
             f"off, least {found.reach.least_jacobian:.3f}",
             flush=True,
         )
-
-
-def random(first: int, count: int) -> None:
-    """How many of so many random problems are met, and whether any field is folded."""
-    met = sampled = folded = untold = 0
-    begun = time.perf_counter()
-    for number in range(first, first + count):
-        known = number % 2 == 0
-        generator = np.random.default_rng(number)
-        problem = _random(generator, known)
-        sampled += known
-        prior = NeoHookeanPrior(float(generator.choice([0.3, 0.45])))
-        try:
-            found = solve(problem, prior, backend="cpu")
-        except HmrfError as error:
-            untold += 1
-            print(f"problem {number} (sampled: {known}): {error}", flush=True)
-            continue
-        displacement, reach = found.displacement, found.reach
-        least = float(prior.corner_jacobians(problem, displacement).min())
-        folded += not least > 0
-        gap = np.where(problem.known, problem.observed - displacement, 0)
-        missing = np.linalg.norm(gap, axis=-1)
-        met += known and missing.max() <= _MET
-        # What is not met must be said: how much, and where.
-        there = 0.0 if reach.where is None else missing[reach.where]
-        told = max(abs(missing.max() - reach.missing), abs(there - reach.missing)) <= _MET
-        if not told or (known and missing.max() > _MET):
-            untold += not told
-            print(f"problem {number} (sampled: {known}): {reach}", flush=True)
-    took = time.perf_counter() - begun
-    print(f"{folded} of {count} folded; {untold} not solved, or not told what is missing")
-    print(f"of {sampled} with targets of a map without folds, {met} met to {_MET} px; {took:.0f} s")
-
-
-def _random(generator: np.random.Generator, known: bool) -> Problem:
-    """A random problem; if `known`, with targets of a map that folds nothing."""
-    size = int(generator.integers(24, 49))
-    row, col = np.indices((size, size))
-    m = np.ones((size, size))
-    for _ in range(int(generator.integers(0, 4))):
-        centre, radius = generator.uniform(0, size, 2), generator.uniform(3, size / 3)
-        inside = (row - centre[0]) ** 2 + (col - centre[1]) ** 2 < radius**2
-        m[inside] = 10 ** generator.uniform(0, 3)
-    c, y = np.zeros((2, size, size, 2))
-    if generator.random() < 0.5:
-        c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
-    else:
-        c[:, 0] = 1
-    kind = generator.choice(["drag", "rim", "growth", "bend", "landmarks"])
-    centre, radius = generator.uniform(size / 3, 2 * size / 3, 2), generator.uniform(3, size / 6)
-    away = np.stack([row - centre[0], col - centre[1]], axis=-1)
-    far = np.linalg.norm(away, axis=-1)
-    if kind == "growth" and not known:
-        # To a quarter of the area, or to four times as much.
-        strain = growth((far < radius) * (2 ** generator.uniform(-1, 1) - 1))
-        return Problem(y, c, m, loads=strain)
-    if kind == "drag":
-        at = far < radius
-    elif kind in ("rim", "growth"):
-        at = abs(far - radius) < 1
-    elif kind == "bend":
-        at = col == size - 1
-    else:
-        at = np.zeros((size, size), dtype=bool)
-        at[tuple(generator.integers(2, size - 2, (2, int(generator.integers(2, 9)))))] = True
-    if known:
-        y_all = _smooth_map(generator, row, col, size)
-        held = c[..., 0] > 0
-        y[held | at] = y_all[held | at]
-    elif kind == "drag":
-        y[at] = generator.normal(size=2) * size / 6
-    elif kind == "rim":
-        y[at] = away[at] * generator.uniform(-0.5, 1.5)
-    elif kind == "bend":
-        y[at] = turned(size, size, generator.uniform(20, 90))
-    else:
-        y[at] = generator.normal(size=(int(at.sum()), 2)) * 2
-    c[at] = 1
-    return Problem(y, c, m)
-
-
-def _smooth_map(generator: np.random.Generator, row: Any, col: Any, size: int) -> Any:
-    """A map whose corner Jacobians are at least 0.2, by waves that are made smaller until so."""
-    waves = np.zeros((size, size, 2))
-    for _ in range(4):
-        k, phase = generator.uniform(-6, 6, 2) / size, generator.uniform(0, 6)
-        waves += generator.normal(size=2) * np.sin(k[0] * row + k[1] * col + phase)[..., None]
-    strength = size / 4
-    there = Problem(waves, np.ones_like(waves), np.ones((size, size)))
-    while NeoHookeanPrior().corner_jacobians(there, strength * waves).min() < 0.2:
-        strength *= 0.9
-    return strength * waves
 
 
 def _patch(size: int, radius: float, far: float, begun: float | None = None) -> Problem:

@@ -32,6 +32,21 @@ def turned(height: int, width: int, degrees: float) -> Field:
     return np.stack([row, (radius - off) * np.sin(angle) - (width - 1)], axis=-1)
 
 
+def least_corner(problem: Problem, displacement: npt.NDArray[np.floating]) -> float:
+    """Return the least Jacobian at the corners of all elements; NaN if there is a NaN in one."""
+    place = np.indices(problem.shape, dtype=np.float64)
+    place += np.moveaxis(displacement.astype(np.float64) / np.array(problem.spacing), -1, 0)
+    tissue = problem.tissue
+    exist = tissue[:-1, :-1] & tissue[1:, :-1] & tissue[:-1, 1:] & tissue[1:, 1:]
+    a, b = place[:, :-1, :-1], place[:, :-1, 1:]
+    c, d = place[:, 1:, :-1], place[:, 1:, 1:]
+    corners = [
+        down[0] * along[1] - down[1] * along[0]
+        for down, along in ((c - a, b - a), (d - b, b - a), (c - a, d - c), (d - b, d - c))
+    ]
+    return float(np.stack(corners)[:, exist].min())
+
+
 def solved(problem: Problem, prior: NeoHookeanPrior, parts: int = 20) -> Field:
     """The field of a problem whose pixels are of size 1, pulled there in so many parts."""
     height, width = problem.shape

@@ -13,6 +13,7 @@ from napari_hmrf import (
     phantom,
     reference_displacement,
 )
+from napari_hmrf.field.strain import folds
 
 
 def places(shape):
@@ -67,6 +68,38 @@ def test_a_mirrored_body_is_folded_everywhere():
     displacement[..., 1] = -2 * np.arange(7)
     assert count_folds(displacement) == 42
     assert (jacobian_determinant(displacement) < 0).all()
+
+
+@pytest.mark.parametrize("shape", [(6, 7), (1, 5), (9, 3), (4, 5, 6), (1, 4, 4)])
+def test_folds_are_those_at_corners_of_elements_that_are_all_tissue(shape):
+    random = np.random.default_rng(len(shape))
+    tissue = random.random(shape) < 0.8
+    d = 0.4 * random.normal(size=(*shape, len(shape))) * tissue[..., None]
+    place = np.moveaxis(np.indices(shape), 0, -1) + d
+    expected = np.zeros(shape, dtype=bool)
+    for first in np.ndindex(*(size - 1 for size in shape)):
+        corners = [tuple(np.add(first, step)) for step in np.ndindex(*[2] * len(shape))]
+        if not all(tissue[corner] for corner in corners):
+            continue
+        for corner in corners:
+            edges = []
+            for axis, low in enumerate(first):
+                ends = [(*corner[:axis], low + end, *corner[axis + 1 :]) for end in (0, 1)]
+                edges.append(place[ends[1]] - place[ends[0]])
+            expected[corner] |= np.linalg.det(edges) <= 0
+    np.testing.assert_array_equal(folds(d, tissue=tissue), expected)
+    assert count_folds(d, tissue=tissue) == expected.sum()
+    assert expected.any() == (min(shape) > 1)
+
+
+def test_what_turns_around_a_hole_folds_nothing():
+    tissue = np.ones((3, 3), dtype=bool)
+    tissue[0, 0] = False
+    d = np.zeros((3, 3, 2))
+    d[0, 1] = (1.5, -0.4)  # beside the hole, across the row below: no element has this corner
+    tissue[0, 2] = False
+    assert count_folds(d, tissue=tissue) == 0
+    assert (jacobian_determinant(d, tissue=tissue)[tissue] <= 0).any()
 
 
 def test_a_site_that_jumps_over_its_neighbour_is_a_fold_though_central_differences_miss_it():

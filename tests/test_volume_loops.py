@@ -103,7 +103,7 @@ def test_determinants_are_those_of_numpy(kind, shape, monkeypatch):
     for one, each in zip(found, asked, strict=True):
         assert one.dtype == np.float32
         np.testing.assert_array_equal(one, each())
-    if kind == "rough":
+    if kind == "rough" and min(shape) > 1:
         assert (found[0] <= 0).any()
 
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.field.deformation import elements
 from napari_hmrf.field.slabs import with_neighbours
 
 FloatArray = npt.NDArray[np.floating[Any]]
@@ -29,8 +30,8 @@ def largest_scale(
 ) -> float:
     """Find the largest part of a displacement, at most all of it, that squeezes no tissue too much.
 
-    The measure is that of `smallest_determinant`: each corner of one-sided differences around a
-    site. On the way to that part, from none of it on, no corner is squeezed more either.
+    The measure is that of `smallest_determinant`: each corner of each element. On the way to that
+    part, from none of it on, no corner is squeezed more either.
 
     Parameters
     ----------
@@ -82,7 +83,7 @@ def _corners_of(
         steps.append(step)
     doubtful = there & (squares > (1 - least ** (1 / n)) ** 2).reshape(there.shape)
     doubtful[: inner.start] = doubtful[inner.stop :] = False
-    return _corners(d, spacing, steps, np.flatnonzero(doubtful), least)
+    return _corners(d, spacing, steps, there, np.flatnonzero(doubtful), least)
 
 
 class _Steps(NamedTuple):
@@ -105,6 +106,7 @@ def _corners(
     d: FloatArray,
     spacing: Sequence[float],
     steps: list[_Steps],
+    tissue: BoolArray,
     sites: npt.NDArray[np.intp],
     least: float,
 ) -> Float64Array:
@@ -119,10 +121,12 @@ def _corners(
         here = d[sites].astype(np.float64)
         after = np.where(is_after, d[ahead] - here, 0.0) / size
         before = np.where(is_before, here - d[behind], 0.0) / size
-        # As in the measure: where a neighbour is missing, the step to the other one counts.
-        sides.append((np.where(is_after, after, before).T, np.where(is_before, before, after).T))
+        sides.append((after.T, before.T))
     found = []
-    for g in product(*sides):
+    exist, places = elements(tissue), np.unravel_index(sites, tissue.shape)
+    ways = product((1, 0), repeat=n)
+    for g, way in zip(product(*sides), ways, strict=True):
+        is_corner = exist[tuple(place + step for place, step in zip(places, way, strict=True))]
         minors = {
             (i, j): g[i][i] * g[j][j] - g[i][j] * g[j][i] for i, j in combinations(range(n), 2)
         }
@@ -132,7 +136,7 @@ def _corners(
             second = g[0][2] * (g[1][0] * g[2][1] - g[1][1] * g[2][0])
             powers.append(g[0][0] * minors[1, 2] + first + second)
         made = np.stack(powers)
-        found.append(made[:, np.abs(made).sum(axis=0) > 1 - least])
+        found.append(made[:, is_corner & (np.abs(made).sum(axis=0) > 1 - least)])
     return np.concatenate(found, axis=1)
 
 

@@ -99,9 +99,9 @@ def count_folds(
 ) -> int:
     """Count the sites at which tissue folds over itself or collapses.
 
-    Those where the determinant is 0 or below in any of the quadrants around the site, four of a
-    pixel and eight of a voxel: central differences alone would not see a site that jumps over its
-    neighbour and back.
+    A site counts if the determinant is 0 or below at it in any element that it is a corner of: in
+    any block of 2 x 2 pixels, or of 2 x 2 x 2 voxels, that is all tissue. Central differences alone
+    would miss a site that jumps over its neighbour and back.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def smallest_determinant(
     spacing: Sequence[float] | None = None,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
-    """Find how near each site is to a fold: the smallest determinant of its quadrants.
+    """Find how near each site is to a fold: the smallest determinant of its elements there.
 
     Parameters
     ----------
@@ -134,7 +134,8 @@ def smallest_determinant(
     Returns
     -------
     ndarray, shape ([D,] H, W), float32
-        0 or below where the tissue folds; NaN where there is no tissue.
+        0 or below where the tissue folds; 1 at tissue that belongs to no element, as of
+        `count_folds`; NaN where there is no tissue.
 
     Raises
     ------
@@ -377,7 +378,7 @@ def _is_little_strained(moved: Float64Array) -> bool:
 
 
 def _over_quadrants(kind: _Kind, moved: Float64Array, mask: BoolArray) -> FloatArray:
-    """What becomes of the determinants of the quadrants around each site; NaN in void."""
+    """Reduce the determinants of the quadrants around each site to one; NaN in void."""
     if mask.ndim == 3 and loops.ready_for_volumes():
         loader.before_numba()
         from napari_hmrf.field.volume_loops import determinants
@@ -385,28 +386,46 @@ def _over_quadrants(kind: _Kind, moved: Float64Array, mask: BoolArray) -> FloatA
         found, which = np.empty(mask.shape, dtype=np.float32), _KINDS.index(kind)
         for slab in slabs(mask.shape):
             wide, inner = with_neighbours(slab, len(mask))
-            found[slab] = determinants(moved[wide], loops.only_read(mask[wide]), which)[inner]
+            there = loops.only_read(mask[wide])
+            found[slab] = determinants(moved[wide], there, elements(mask[wide]), which)[inner]
         return found
     # Strip by strip, with a row of each neighbour: what lies between stays in the cache.
     made = np.full(mask.shape, np.nan, dtype=np.float32)
     strip = _STRIP if mask.ndim == 2 else _SLAB
     for begin in range(0, len(mask), strip):
         first, last = max(begin - 1, 0), begin + strip + 1
-        values = _reduced(kind, _quadrants(moved[first:last], mask[first:last]))
+        there = mask[first:last]
+        values = _reduced(kind, _quadrants(moved[first:last], there), there)
         inner = slice(begin, begin + strip)
         np.copyto(made[inner], values[begin - first :][:strip], where=mask[inner])
     return made
 
 
-def _reduced(kind: _Kind, each: list[Float64Array]) -> Float64Array:
-    """What becomes of the determinants of several quadrants."""
-    if kind == "smallest":
-        return np.asarray(np.minimum.reduce(each))
+def _reduced(kind: _Kind, each: list[Float64Array], mask: BoolArray) -> Float64Array:
+    """Reduce the determinants of the quadrants around each site to one."""
     mean = np.add.reduce(each) / len(each)
     if kind == "mean":
         return np.asarray(mean)
-    smallest = np.minimum.reduce(each)
-    return np.asarray(np.where(smallest <= 0, smallest, mean))
+    exist = elements(mask)
+    smallest = np.full(mask.shape, np.inf)
+    ways = product((slice(1, None), slice(-1)), repeat=mask.ndim)
+    for determinants, way in zip(each, ways, strict=True):
+        np.minimum(smallest, determinants, out=smallest, where=exist[way])
+    smallest[np.isinf(smallest)] = 1.0
+    return smallest if kind == "smallest" else np.where(smallest <= 0, smallest, mean)
+
+
+def elements(mask: BoolArray) -> BoolArray:
+    """Return which elements exist, one more along each axis than there are sites.
+
+    The element before a site along all axes has the index of the site; it exists if all its
+    corners are tissue.
+    """
+    exist = mask
+    for axis in range(mask.ndim):
+        along = exist.swapaxes(0, axis)
+        exist = (along[1:] & along[:-1]).swapaxes(0, axis)
+    return np.pad(exist, 1)
 
 
 def _quadrants(moved: Float64Array, mask: BoolArray) -> list[Float64Array]:

@@ -95,7 +95,7 @@ def folds(
     spacing: Sequence[float] | None = None,
     tissue: npt.ArrayLike | None = None,
 ) -> BoolArray:
-    """Where tissue folds over itself or collapses: the sites that `count_folds` counts.
+    """Mark where tissue folds over itself or collapses: the sites that `count_folds` counts.
 
     Parameters
     ----------
@@ -105,8 +105,8 @@ def folds(
     Returns
     -------
     ndarray, shape ([D,] H, W), bool
-        Whether the determinant is 0 or below in any of the quadrants around the site. That is
-        more than J <= 0, which a site that jumps over its neighbour and back escapes.
+        Whether the determinant is 0 or below at the site in any element that it is a corner of.
+        That is more than J <= 0, which a site that jumps over its neighbour and back escapes.
 
     Raises
     ------

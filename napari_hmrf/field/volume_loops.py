@@ -129,8 +129,8 @@ def _octants(step, rows, cols):
 
 
 @numba.njit(**_kept)
-def determinants(moved, tissue, kind):
-    """Find what becomes of the determinants of the eight octants around each site of a volume.
+def determinants(moved, tissue, elements, kind):
+    """Reduce the determinants of the eight octants around each site of a volume to one.
 
     On the caller's thread, which need not be the compute thread: a volume takes as long as a few
     sweeps of a solver.
@@ -140,9 +140,11 @@ def determinants(moved, tissue, kind):
     moved : ndarray, shape (D, H, W, 3), float64
     tissue : ndarray, shape (D, H, W), bool
         Of `moved_sites`.
+    elements : ndarray, shape (D + 1, H + 1, W + 1), bool
+        Which elements exist; the one before a site along all axes has the index of the site.
     kind : int
-        0 for the smallest, 1 for the mean, and 2 for the mean but the smallest where that is 0 or
-        below.
+        0 for the smallest of those in an element, or 1 if there is none; 1 for the mean; and 2 for
+        the mean, but the smallest where that is 0 or below.
 
     Returns
     -------
@@ -162,11 +164,19 @@ def determinants(moved, tissue, kind):
                 cols = _steps(moved, tissue, plane, row, col, 0, 0, 1)
                 a, b, c, d = _octants(planes[0], rows, cols)
                 e, f, g, h = _octants(planes[1], rows, cols)
-                smallest = min(a, b, c, d, e, f, g, h)
+                mean = (a + b + c + d + e + f + g + h) / 8
+                octants = (a, b, c, d, e, f, g, h)
+                smallest = np.inf
+                for number in range(8):
+                    p, r, s = 1 - number // 4, 1 - number // 2 % 2, 1 - number % 2
+                    if elements[plane + p, row + r, col + s]:
+                        smallest = min(smallest, octants[number])
+                if smallest == np.inf:
+                    smallest = 1.0
                 if kind == 0 or (kind == 2 and smallest <= 0):
                     made[plane, row, col] = smallest
                 else:
-                    made[plane, row, col] = (a + b + c + d + e + f + g + h) / 8
+                    made[plane, row, col] = mean
     return made
 
 

@@ -40,7 +40,7 @@ def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> tuple[str, 
 
 
 def shortfall(reach: Reach | None, unit: str) -> str:
-    """Say what of large motion could not be met, how far it got, and where; "" if all was met.
+    """Describe what large motion left undone, by how much and where; "" if nothing is undone.
 
     Parameters
     ----------
@@ -58,6 +58,11 @@ def shortfall(reach: Reach | None, unit: str) -> str:
         said.append(
             f"tissue could not go all the way without folding: {reach.sites} pixels stay short of "
             f"where they were to be, the one at {reach.where} by {reach.missing:.3g} {unit}"
+        )
+    if reach is not None and reach.unbalanced_at is not None:
+        said.append(
+            "crushed tissue did not come to rest: pixels may still be "
+            f"{reach.unbalanced:.3g} {unit} from balance, most at {reach.unbalanced_at}"
         )
     return "; ".join(said)
 

@@ -68,8 +68,8 @@ class Solution:
     ----------
     displacement : ndarray, shape (H, W, 2) or (D, H, W, 3), float32
         Components in (row, col) order, in the unit of `spacing`. Material (push-forward): the
-        tissue at X moves to X + d(X). Zero where there is no tissue. In float64 where tissue moves
-        so far that float32 does not carry the tolerance; files keep float32.
+        tissue at X moves to X + d(X). Zero where there is no tissue. In float64, in files too,
+        where float32 does not carry the tolerance or would fold a crushed pixel.
     energy : ndarray, shape (iterations,), float64
         Mean total energy per site of tissue after each iteration, coarse to fine, in pixels
         squared, less the work of loads; one value where none was needed. Of multigrid for the
@@ -182,7 +182,10 @@ def _describe(solution: Solution) -> tuple[array_file.Header, array_file.Arrays]
         "convergence": None if reached is None else asdict(reached),
         "reach": None if got is None else asdict(got),
     }
-    return header, {name: getattr(solution, name) for name in SOLUTION_FORMAT.arrays}
+    arrays = {name: getattr(solution, name) for name in SOLUTION_FORMAT.arrays}
+    if solution.displacement.dtype != np.float64:
+        arrays["displacement"] = solution.displacement.astype(np.float32, copy=False)
+    return header, arrays
 
 
 def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
@@ -210,7 +213,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
     reached = header.get("convergence")
     given, known = header["provenance"], {field.name for field in fields(Provenance)}
     return Solution(
-        displacement=displacement.astype(np.float32, copy=False),
+        displacement=displacement.astype(displacement.dtype.newbyteorder("="), copy=False),
         energy=energy.astype(np.float64, copy=False),
         levels=levels,
         tissue=tissue,
@@ -230,7 +233,7 @@ def _reach(given: Mapping[str, Any] | None) -> Reach | None:
     """How far large motion got, as a header has it; older files do not."""
     if given is None:
         return None
-    where = given["where"]
+    where, furthest = given["where"], given.get("unbalanced_at")
     return Reach(
         float(given["least_jacobian"]),
         float(given["part"]),
@@ -238,6 +241,8 @@ def _reach(given: Mapping[str, Any] | None) -> Reach | None:
         None if where is None else tuple(int(index) for index in where),
         int(given["sites"]),
         float(given.get("grown", 1.0)),
+        float(given.get("unbalanced", 0.0)),
+        None if furthest is None else tuple(int(index) for index in furthest),
     )
 
 
@@ -247,7 +252,7 @@ SOLUTION_FORMAT: array_file.Format[Solution] = array_file.Format(
     schema=1,
     what="napari-hmrf result",
     arrays={
-        "displacement": array_file.Kind(("<f4",), (3, 4)),
+        "displacement": array_file.Kind(("<f4", "<f8"), (3, 4)),
         "energy": array_file.Kind(("<f8",), (1,)),
         "tissue": array_file.Kind(("|b1",), (2, 3)),
     },

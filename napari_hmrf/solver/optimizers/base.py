@@ -75,7 +75,7 @@ class Convergence:
 class Reach:
     """How far large motion got: nothing is folded, and what cannot be met is met as far as it goes.
 
-    Tissue that is crushed by that may creep on: `Convergence.error` says how far.
+    Crushed tissue may creep on: `unbalanced` says how far, and `unbalanced_at` where.
 
     Attributes
     ----------
@@ -92,6 +92,11 @@ class Reach:
         How many sites are not where they were observed.
     grown : float
         By which part of its growth tissue has grown: 1 but where it would have been crushed.
+    unbalanced : float
+        Estimated largest distance of any site from its place of balance, in the unit of the
+        spacing; 0 if the field converged to the tolerance.
+    unbalanced_at : tuple of int, or None
+        That site; None if the field converged to the tolerance.
     """
 
     least_jacobian: float
@@ -100,6 +105,8 @@ class Reach:
     where: tuple[int, ...] | None = None
     sites: int = 0
     grown: float = 1.0
+    unbalanced: float = 0.0
+    unbalanced_at: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True, eq=False)

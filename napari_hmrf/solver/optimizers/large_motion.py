@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -22,7 +23,7 @@ from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, R
 from napari_hmrf.solver.optimizers.cycle import smoothing_of
 from napari_hmrf.solver.optimizers.large_slip import LargeSlip
 from napari_hmrf.solver.optimizers.loading import check_balanced, check_reach, given
-from napari_hmrf.solver.optimizers.newton import Newton, Strategy, norm
+from napari_hmrf.solver.optimizers.newton import LEAST_JACOBIAN, Newton, Strategy, norm
 from napari_hmrf.solver.optimizers.outside import Outside
 from napari_hmrf.solver.priors import NeoHookeanPrior
 from napari_hmrf.solver.priors.elements import contrast
@@ -33,6 +34,8 @@ from napari_hmrf.solver.rigid_modes import grip
 _TINY = 1e-300
 # What a beginning keeps of each corner's Jacobian on the way from one field to another.
 _KEPT = 0.25
+# Part of the least Jacobian that a returned field keeps when its unit is changed.
+_LEFT = 0.5
 # What is this near, as a part of the tolerance, was met.
 _MET = 1.0
 # Of what is held less firmly than this cycles take long to see how it turns; or too long. From this
@@ -63,7 +66,8 @@ def converge(
     load, limit = given(problem, prior).pulls, prior.limit(problem)
     # What may slip is not held.
     stops = held if limit is None else np.zeros_like(held)
-    poses = model.poses(stops)
+    # Other sites of a rigid body that is held have no target of their own.
+    poses, has_target = model.poses(stops), held.copy()
     poses.hold(observed, held)
     d = _beginning(model, poses, start, observed, held)
     outside, strategy = None if load is None else Outside(load), _strategy(problem, material)
@@ -83,13 +87,14 @@ def converge(
         raise
     if load is not None:
         check_reach(d, problem)
-    displacement, rounding = host.gathered(d, tolerance)
-    _, least = model.energy(host.planes(displacement))
-    if least <= 0:
-        displacement = host.field(d).copy()
-        _, least = model.energy(d)
-    missing = np.where(held, observed - d, 0.0)
+    displacement, rounding, least = _returned(model, problem, d, tolerance)
+    distance = newton.distance
+    missing = np.where(has_target, observed - d, 0.0)
     reach = _reach(host.field(missing), host.field(observed), problem, tolerance, least, grown)
+    if distance.estimate > tolerance:
+        reach = replace(
+            reach, unbalanced=distance.estimate * problem.unit, unbalanced_at=distance.worst
+        )
     forces = norm(model.forces(d))
     host.reuse(observed, held)
     return Outcome(
@@ -97,11 +102,37 @@ def converge(
         energy=np.array(newton.energies) / max(1, np.count_nonzero(problem.tissue)),
         levels=(LevelRun(0, problem.shape, len(newton.energies)),),
         convergence=Convergence(
-            max(newton.estimate, rounding),
-            newton.residual / max(forces, _TINY),
+            max(distance.estimate, rounding),
+            distance.residual / max(forces, _TINY),
             "factors" if newton.by_factors else "cycles",
         ),
         reach=reach,
+    )
+
+
+def _returned(
+    model: FiniteModel, problem: Problem, d: Planes, tolerance: float
+) -> tuple[npt.NDArray[np.floating], float, float]:
+    """Return a displacement in pixels, its rounding error, and the least Jacobian of any corner.
+
+    It has single precision only where that carries the tolerance and folds nothing, in the unit of
+    the spacing, too.
+
+    Raises
+    ------
+    ConvergenceError
+        If a corner folds in double precision.
+    """
+    for wanted in (tolerance, 0.0):
+        displacement, rounding = host.gathered(d, wanted)
+        unit = displacement.dtype.type(problem.unit)
+        seen = (displacement * unit).astype(np.float64) / problem.unit
+        energy, least = model.energy(host.planes(seen))
+        if math.isfinite(energy) and least >= _LEFT * LEAST_JACOBIAN:
+            return displacement, rounding, least
+    raise ConvergenceError(
+        "a pixel of the tissue is crushed to nothing. Move, press or grow it less, or bring the "
+        "softest and the stiffest tissue closer together"
     )
 
 
@@ -162,7 +193,7 @@ def _beginning(
         return nothing
     last, combined = host.planes(start.displacements[0] / start.unit), host.combined(start)
     poses.settle(last)
-    if not model.energy(last)[1] > 0:
+    if not model.energy(last)[1] >= LEAST_JACOBIAN:
         last = nothing
     # How a drag went on before it will go on: but for where that would fold.
     way = combined - last
@@ -172,10 +203,10 @@ def _beginning(
         square = float((there**2).sum())
         share = float((there * observed[held]).sum()) / square if square > 0 else 1.0
         way = (share - 1) * last
-    length, _ = model.length(last, way, _KEPT, 0.0)
+    length, _ = model.length(last, way, _KEPT, LEAST_JACOBIAN)
     there = last + min(1.0, length) * way
     poses.settle(there)
-    return there if model.energy(there)[1] > 0 else last
+    return there if model.energy(there)[1] >= LEAST_JACOBIAN else last
 
 
 def _reach(

@@ -77,12 +77,12 @@ class LargeSlip:
             width = max(_LESS * width, last)
         off = np.where(self._observed, self._y - d, 0.0)
         sides = np.where(np.abs(off) > _SLIPS * width, np.sign(off), 0.0)
-        found, known = d.copy(), (newton.estimate, newton.residual)
+        found, known = d.copy(), newton.distance
         if not self._sharpen(d, sides, tolerance):
             # Then that is as near as can be told.
             np.copyto(d, found)
             newton.outside = soft
-            newton.estimate, newton.residual = known
+            newton.distance = known
 
     def _sharpen(self, d: Planes, sides: npt.NDArray[np.float64], tolerance: float) -> bool:
         """Solve for what slips to one side or the other, in place; whether that is consistent."""

@@ -61,6 +61,8 @@ _LONG, _LITTLE, _CREEPS = 30, 1e-7, 0.1
 _LEAST, _MORE = 0.05, 2.0
 # A short step, in tolerances.
 _SHORT = 10.0
+#: Least Jacobian of any corner of a field: far above what rounding in double precision takes.
+LEAST_JACOBIAN = 1e-9
 
 
 class Strategy(NamedTuple):
@@ -84,6 +86,32 @@ class Strategy(NamedTuple):
     stiff: bool
     by_factors: bool
     steps: int = _MOST_STEPS
+
+
+class Distance(NamedTuple):
+    """Distance of a field from balance.
+
+    Attributes
+    ----------
+    estimate : float
+        Estimated largest distance of any site, in pixels; infinite if unknown.
+    residual : float
+        Norm of the remaining forces.
+    remaining : ndarray, planes, or None
+        Remaining step of each component, up to a factor.
+    """
+
+    estimate: float = math.inf
+    residual: float = math.inf
+    remaining: Planes | None = None
+
+    @property
+    def worst(self) -> tuple[int, ...] | None:
+        """Site furthest from balance, or None if unknown."""
+        if self.remaining is None:
+            return None
+        far = np.linalg.norm(host.field(self.remaining), axis=-1)
+        return tuple(int(index) for index in np.unravel_index(int(np.argmax(far)), far.shape))
 
 
 class _Linear(NamedTuple):
@@ -127,10 +155,8 @@ class Newton:
         #: What pulls besides tissue.
         self.outside = outside
         self._tolerance = math.inf
-        #: How far any site is from balance, in pixels, as estimated.
-        self.estimate = math.inf
-        #: The norm of the forces that are left.
-        self.residual = math.inf
+        #: Distance of the field from balance.
+        self.distance = Distance()
         #: The energy after each step.
         self.energies: list[float] = []
         self.cycles = 0
@@ -158,6 +184,8 @@ class Newton:
         Raises
         ------
         ConvergenceError
+            If the field is far from balance though nothing is in its way, or if its distance from
+            balance is unknown.
         """
         self._tolerance, self._met = tolerance, True
         y = np.where(held, y, d)
@@ -174,10 +202,11 @@ class Newton:
             if aim is not y:
                 gap = np.where(held, aim - d, 0.0)
             self._say(number, left)
+            before, known = d.copy(), self.distance
             step = self._step(d, gap if pulls else None, held)
             if step is None:
                 # Crushed so far that nothing solves it any more, it is as far as it goes.
-                self._met = self._met and (left == 0 or math.isinf(self.estimate))
+                self._met = self._met and (left == 0 or math.isinf(self.distance.estimate))
                 break
             if pulls:
                 taken, self._pulled = self._pull(d, step.way, aim, held), len(self.energies) + 1
@@ -192,47 +221,66 @@ class Newton:
             else:
                 step, taken = self._relax(d, held, step)
                 relaxations = max(relaxations - 1, 0)
-            self._judge(d, step)
-            if taken == 1.0 and min(self.estimate, step.far) <= near and not pulls:
+            if not self._judge(d, step):
+                # The last field that is one stands; a pull ends there.
+                np.copyto(d, before)
+                self.distance = known
+                self._met = self._met and left == 0
+                break
+            if taken == 1.0 and min(self.distance.estimate, step.far) <= near and not pulls:
                 relaxations = 0
             arrived = taken == 1.0 and ((pulls and aim is y) or left == 0)
             if arrived and self._is_balanced(d, held, step):
                 return
             if left == 0 and (taken == 0.0 or self._creeps(step.far)):
-                self.estimate = max(self.estimate, step.far)
+                far = max(self.distance.estimate, step.far)
+                self.distance = self.distance._replace(estimate=far)
                 break
         # Crushed, tissue creeps: it is as far as it goes.
-        if self._met and self.estimate > _CREEPS:
+        estimate = self.distance.estimate
+        if not math.isfinite(estimate) or (self._met and estimate > _CREEPS):
             self._give_up()
 
     def _give_up(self) -> None:
-        if math.isinf(self.estimate):
+        if not math.isfinite(self.distance.estimate):
             raise ConvergenceError(
                 "cycles cannot be sure of this tissue. Crop the image, or bring the softest and "
                 "the stiffest tissue closer together"
             )
         raise ConvergenceError(
-            f"the tissue is still {self.estimate:.2g} px from balance after {len(self.energies)} "
-            "steps of large motion. Move, press or grow it less, or bring the softest and the "
-            "stiffest tissue closer together"
+            f"the tissue is still {self.distance.estimate:.2g} px from balance after "
+            f"{len(self.energies)} steps of large motion. Move, press or grow it less, or bring "
+            "the softest and the stiffest tissue closer together"
         )
 
-    def _judge(self, d: Planes, step: _Linear) -> None:
-        """Find what a step has left."""
+    def _judge(self, d: Planes, step: _Linear) -> bool:
+        """Measure the distance from balance after a step; return whether the field is one.
+
+        A field is none if a corner folds, or if its energy or its distance is not a number.
+        """
+        energy, least = self._energy(d)
+        if not (math.isfinite(energy) and least >= LEAST_JACOBIAN):
+            return False
         rest = np.where(self._model.moves, self.forces(d), 0.0)
         self._model.project(rest)
-        self.residual = norm(rest)
-        self.estimate = step.reach * self.residual
+        residual = norm(rest)
+        estimate, remaining = step.reach * residual, rest * self._model.levels[0].inverse
         if step.factors is not None:
-            # To ask them for what is left costs next to nothing.
+            # A solve by known factors costs next to nothing.
             left = step.factors.solve(rest)
             self._model.project(left)
-            self.estimate = float(np.abs(left).max())
-        self.energies.append(self._energy(d)[0])
+            far = float(np.abs(left).max())
+            if math.isfinite(far):
+                estimate, remaining = far, left
+        if not math.isfinite(estimate):
+            return False
+        self.distance = Distance(estimate, residual, remaining)
+        self.energies.append(energy)
+        return True
 
     def _is_balanced(self, d: Planes, held: HeldPlanes, step: _Linear) -> bool:
         """Whether tissue is as near to balance as it is asked to be, as far as can be told."""
-        if self.estimate > self._tolerance:
+        if self.distance.estimate > self._tolerance:
             return False
         if not self._strategy.doubtful:
             return True
@@ -355,20 +403,21 @@ class Newton:
         return forces if self.outside is None else forces + self.outside.forces(d)
 
     def _pull(self, d: Planes, way: Planes, y: Planes, held: HeldPlanes) -> float:
-        """Go along a way as far as nothing folds, in place; which part of it that was."""
+        """Move along a step, in place, until a corner nearly folds; return the part moved."""
         length, _ = self._model.length(d, way, _KEPT, _FLOOR)
         taken, start = 1.0 if length >= 1 else _SHARE * length, d.copy()
-        while True:
+        for _ in range(_HALVINGS):
             np.copyto(d, start + taken * way)
             if taken == 1.0:
                 np.copyto(d, y, where=held)
-            if not self._model.bodies:
-                return taken
-            # Bodies turn where the way is straight.
+            # Rigid bodies turn although the step is straight.
             self._poses.settle(d)
-            if self._model.energy(d)[1] > 0:
+            energy, least = self._model.energy(d)
+            if math.isfinite(energy) and least >= LEAST_JACOBIAN:
                 return taken
             taken /= 2
+        np.copyto(d, start)
+        return 0.0
 
     def _relax(self, d: Planes, held: HeldPlanes, step: _Linear) -> tuple[_Linear, float]:
         """Go downwards by a step or, if that leads nowhere, by one without what buckles."""
@@ -391,14 +440,14 @@ class Newton:
         """Go along a way as far as the energy falls, in place; which part of it that was."""
         before, _ = self._energy(d)
         slope = float((self.forces(d) * way).sum())
-        length, _ = self._model.length(d, way, _KEPT, 0.0)
+        length, _ = self._model.length(d, way, _KEPT, LEAST_JACOBIAN)
         taken, start = min(1.0, length), d.copy()
         for _ in range(_HALVINGS):
             d += taken * way
             self._poses.settle(d)
             energy, least = self._energy(d)
             promise = _ARMIJO * taken * slope + _ROUNDING * (abs(before) + _OF_SITE * d.size)
-            if least > 0 and energy <= before + promise:
+            if least >= LEAST_JACOBIAN and energy <= before + promise:
                 return taken
             np.copyto(d, start)
             taken /= 2

@@ -200,11 +200,16 @@ def forces(d, solid, about, out, count):
 
 @inline
 def _until(now, slope, bend, part, floor):
-    """How far along a way a corner keeps that part of its Jacobian, now + slope t + bend t^2."""
-    # Nor may it fall below a floor; where it is below already, no further.
+    """Return how far a corner keeps a part of its Jacobian, now + slope t + bend t^2, and a floor.
+
+    A corner that is below the floor already keeps all of its Jacobian.
+    """
     c = now - max(part * now, min(now, floor))
     if c <= 0:
-        return 0.0 if slope < 0 else np.inf
+        if slope < 0:
+            return 0.0
+        # A Jacobian that rises at first may still fall to zero along the same step.
+        return -slope / bend if bend < 0 else np.inf
     # The least positive root of c + slope t + bend t^2, without cancellation.
     inside = slope * slope - 4.0 * bend * c
     if inside < 0:
