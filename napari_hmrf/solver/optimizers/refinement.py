@@ -7,6 +7,7 @@ of that, it is trusted with the problem; if not, or if it stalls, the system is 
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -79,7 +80,9 @@ class Refinement:
     ) -> None:
         self._most, self._model, self._report = max_iterations, model, report
         self._mild = model.mild and firm
-        self._iteration = ConjugateGradients(Cycle(model, smoothing), self._exactly)
+        # No method of this object: a cycle of references would keep the model's factors until the
+        # garbage collector comes.
+        self._iteration = ConjugateGradients(Cycle(model, smoothing), partial(_exactly, model))
         self._patience = smoothing.patience
         self.estimate = math.inf
         self.residual = 0.0
@@ -206,13 +209,6 @@ class Refinement:
         if more:
             self._model.clear()
         return more
-
-    def _exactly(self) -> Any:
-        """The finest level in double precision, where factors are not the shorter way."""
-        shape = self._model.shape
-        if factors_fit(self._model) or not fits(shape, IN_DOUBLE - ORDINARY):
-            return None
-        return self._model.exactly
 
     def _entrain(self) -> bool:
         """Find what bodies take along; False if that cannot be told."""
@@ -355,6 +351,13 @@ def add(d: Planes, low: Planes, way: Planes) -> None:
     taken = total - d
     np.add(d - (total - taken), change - taken, out=low)
     np.copyto(d, total)
+
+
+def _exactly(model: LinearModel) -> Any:
+    """Return the finest level in double precision, or None where factors are the shorter way."""
+    if factors_fit(model) or not fits(model.shape, IN_DOUBLE - ORDINARY):
+        return None
+    return model.exactly
 
 
 def factors_fit(model: LinearModel) -> bool:
