@@ -19,6 +19,37 @@ if TYPE_CHECKING:
 
 FloatArray = npt.NDArray[np.float32]
 
+# Displacements, and the least eigenvalue that was met on the way to each: on the compute thread.
+_met: list[tuple[weakref.ref[Any], float]] = []
+
+
+def remember_least(displacement: npt.NDArray[Any], least: float) -> None:
+    """Remember the least eigenvalue that the solve of a displacement has met.
+
+    Parameters
+    ----------
+    displacement : ndarray
+        The array itself: it is kept alive by its owner alone.
+    least : float
+    """
+    _met[:] = [each for each in _met if each[0]() is not None]
+    _met.append((weakref.ref(displacement), least))
+
+
+def least_met(start: Beginning) -> float:
+    """Return the least eigenvalue that the solves of a beginning have met, 1 if none did.
+
+    A warm start is close to converged but for motions that earlier solves met, so that its own
+    iteration meets them late: what it reports would be too small by the missing eigenvalue.
+
+    Parameters
+    ----------
+    start : Beginning
+    """
+    parts = start.displacements
+    return min((value for part in parts for known, value in _met if known() is part), default=1.0)
+
+
 # By so much may a residual be larger than it is known to be, as what is stored is rounded.
 _ROUNDED = 1.1
 

@@ -34,6 +34,9 @@ _IN_DOUBLE = 8
 _MARGIN = 4.0
 # And how much more one is that is not mild.
 _VOLUME_MARGIN = 1.5
+# How much more doubtful a warm start is, which is close to converged but for what cycles see least;
+# and how much more than its estimate a cold one reports, up to the tolerance.
+_WARM_MARGIN, _COLD_MARGIN = 1.5, 1.25
 # Sites whose factors take no longer than a rehearsal and a few cycles.
 _FEW = 1024
 # Motions of touching parts of bodies that factors do not know to cost anything, at most.
@@ -57,6 +60,8 @@ class Refinement:
     report : callable
     firm : bool
         Whether what is held stops all motions about equally well.
+    least : float, optional
+        The least eigenvalue that the solves of a warm start have met; None for a cold start.
 
     Attributes
     ----------
@@ -77,8 +82,9 @@ class Refinement:
         smoothing: Smoothing,
         report: Report,
         firm: bool = True,
+        least: float | None = None,
     ) -> None:
-        self._most, self._model, self._report = max_iterations, model, report
+        self._most, self._model, self._report, self._least = max_iterations, model, report, least
         self._mild = model.mild and firm
         # No method of this object: a cycle of references would keep the model's factors until the
         # garbage collector comes.
@@ -126,6 +132,11 @@ class Refinement:
             self._solve(d, load, tolerance)
 
     @property
+    def least(self) -> float:
+        """Least eigenvalue met by cycles, with those that the warm start had met."""
+        return self._iteration.least
+
+    @property
     def by_factors(self) -> bool:
         """Whether the last run needed factors."""
         return self._model.found.factors is not None
@@ -146,7 +157,6 @@ class Refinement:
             return False
         while self._iteration.care < found.care:
             self._iteration.take_care()
-        self._iteration.least = min(self._iteration.least, found.least)
         if found.doubt is None and self._model.iterates:
             if self._doubt is None:
                 self._doubt = 1.0
@@ -160,6 +170,9 @@ class Refinement:
             found.care = self._iteration.care
         if found.doubt is None or found.doubt > BELIEVABLE:
             return False
+        self._iteration.least = min(self._iteration.least, found.least)
+        if self._least is not None:
+            self._iteration.expect(self._least)
         model, volume = self._model, len(self._model.shape) == 3
         moves = found.entrained
         # What bodies do on their own is seen for certain, but not what lies between close ones.
@@ -170,6 +183,8 @@ class Refinement:
             doubt *= _VOLUME_MARGIN
         if moves is not None and moves.close:
             doubt *= _MARGIN
+        if self._least is not None:
+            doubt *= _WARM_MARGIN
         while True:
             step: Step | None = None
 
@@ -196,6 +211,8 @@ class Refinement:
             if found.entrained is not None:
                 self.estimate += found.entrained.astray(balance.rest) * balance.unit
             if self.estimate <= tolerance:
+                if self._least is None:
+                    self.estimate = min(_COLD_MARGIN * self.estimate, tolerance)
                 return True
             stays = not self.estimate < 0.5 * before
             if self._too_long or (stays and not self._take_care()):
