@@ -194,14 +194,14 @@ def judge(seed: int, sequence: int) -> list[Answer]:
     updates: list[Update] = []
     steps: list[tuple[str, State, Update]] = []
     edits = states_of(start, dice)
-    with LiveSolver(updates.append, backend="cpu") as live:
-        # Cold solves come after: they would tell the live solver what it has to find out itself.
-        with suppress(HmrfError):  # an edit that makes no problem ends the sequence
-            for kind, state in edits:
-                live.submit(state)
-                if not live.wait(_LONG):
-                    raise TimeoutError(f"sequence {sequence} is not answered")
-                steps.append((kind, state, updates[-1]))
+    # Cold solves come after: the live solver would learn from them. An edit that makes no problem
+    # ends the sequence.
+    with suppress(HmrfError), LiveSolver(updates.append, backend="cpu") as live:
+        for kind, state in edits:
+            live.submit(state)
+            if not live.wait(_LONG):
+                raise TimeoutError(f"sequence {sequence} is not answered")
+            steps.append((kind, state, updates[-1]))
     return [
         _compared(update, state, sequence, number, kind)
         for number, (kind, state, update) in enumerate(steps)
@@ -233,9 +233,7 @@ def _compared(update: Update, state: State, sequence: int, step: int, kind: str)
     errors = update.solution.convergence.error, cold.convergence.error
     rounding = ROUNDED * float(np.abs(both[1]).max()) / problem.unit
     outcome = "agree" if difference <= sum(errors) + rounding else "differ"
-    return Answer(
-        outcome=outcome, difference=difference, live=errors[0], cold=errors[1], **about
-    )
+    return Answer(outcome=outcome, difference=difference, live=errors[0], cold=errors[1], **about)
 
 
 def _reading(prior: ElasticPrior | SeilerPrior) -> str:
@@ -262,8 +260,8 @@ def report(answers: list[Answer], seed: int, sequences: range, seconds: float) -
     compared = [a for a in answers if math.isfinite(a.difference)]
     parts = [a.difference / max(a.live + a.cold, 1e-12) for a in compared]
     lines = [
-        f"Sequences {sequences.start} to {sequences.stop - 1} of seed {seed}: {len(answers)} "
-        f"answers in {seconds:.0f} s, tolerance {TOLERANCE:g} px.",
+        f"Sequences {sequences.start} to {sequences.stop - 1} of seed {seed}:",
+        f"{len(answers)} answers in {seconds:.0f} s, tolerance {TOLERANCE:g} px.",
         f"**{len(violations)} violations.** "
         + ", ".join(f"{count} {name}" for name, count in counts.most_common())
         + ".",

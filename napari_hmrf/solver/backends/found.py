@@ -19,35 +19,55 @@ if TYPE_CHECKING:
 
 FloatArray = npt.NDArray[np.float32]
 
-# Displacements, and the least eigenvalue that was met on the way to each: on the compute thread.
-_met: list[tuple[weakref.ref[Any], float]] = []
+
+class Met(NamedTuple):
+    """Knowledge that a warm start takes from the solves of its parts.
+
+    Attributes
+    ----------
+    least : float
+        The least eigenvalue that they have met; 1 if none did.
+    error : float
+        How far their sum is from the sum of converged fields, in pixels, as estimated.
+    """
+
+    least: float
+    error: float
 
 
-def remember_least(displacement: npt.NDArray[Any], least: float) -> None:
-    """Remember the least eigenvalue that the solve of a displacement has met.
+# Displacements with the least eigenvalue and the error of each: on the compute thread.
+_met: list[tuple[weakref.ref[Any], Met]] = []
+
+
+def remember(displacement: npt.NDArray[Any], met: Met) -> None:
+    """Remember what the solve of a displacement has met.
 
     Parameters
     ----------
     displacement : ndarray
         The array itself: it is kept alive by its owner alone.
-    least : float
+    met : Met
     """
     _met[:] = [each for each in _met if each[0]() is not None]
-    _met.append((weakref.ref(displacement), least))
+    _met.append((weakref.ref(displacement), met))
 
 
-def least_met(start: Beginning) -> float:
-    """Return the least eigenvalue that the solves of a beginning have met, 1 if none did.
+def met_by(start: Beginning) -> Met:
+    """Return what the solves of a beginning have met.
 
-    A warm start is close to converged but for motions that earlier solves met, so that its own
-    iteration meets them late: what it reports would be too small by the missing eigenvalue.
+    A warm start is close to converged but for motions that cycles hardly see, so that its own
+    iteration meets them late: its estimate alone would be too small.
 
     Parameters
     ----------
     start : Beginning
     """
-    parts = start.displacements
-    return min((value for part in parts for known, value in _met if known() is part), default=1.0)
+    least, error = 1.0, 0.0
+    for share, part in zip(start.shares, start.displacements, strict=True):
+        for known, met in _met:
+            if known() is part:
+                least, error = min(least, met.least), error + abs(share) * met.error
+    return Met(least, error)
 
 
 # By so much may a residual be larger than it is known to be, as what is stored is rounded.

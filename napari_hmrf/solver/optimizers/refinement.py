@@ -16,7 +16,7 @@ from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.dissection import Singular
 from napari_hmrf.solver.backends.factors import Factors
-from napari_hmrf.solver.backends.found import Quality
+from napari_hmrf.solver.backends.found import Met, Quality
 from napari_hmrf.solver.backends.linear import Balance, LinearModel, Planes
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
@@ -26,6 +26,11 @@ from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 from napari_hmrf.solver.volume_memory import IN_DOUBLE, ORDINARY, fits
 
+#: The refusal of a system that has no factors in double precision.
+HELD_BY_NOTHING = (
+    "a part of the tissue is held by next to nothing, as far as double precision tells. Hold more "
+    "of it, or bring the softest and the stiffest closer together"
+)
 # In double precision a rehearsal goes on for longer, until it has met what costs next to nothing.
 _REHEARSED_DOUBLE = 1e-5
 # So many times as many cycles may take, as there is no shorter way.
@@ -34,6 +39,8 @@ _IN_DOUBLE = 8
 _MARGIN = 4.0
 # And how much more one is that is not mild.
 _VOLUME_MARGIN = 1.5
+# How much more doubtful tissue is that is not mild, whatever its rehearsal has shown.
+_LEAST_MARGIN = 1.5
 # How much more doubtful a warm start is, which is close to converged but for what cycles see least;
 # and how much more than its estimate a cold one reports, up to the tolerance.
 _WARM_MARGIN, _COLD_MARGIN = 1.5, 1.25
@@ -60,8 +67,8 @@ class Refinement:
     report : callable
     firm : bool
         Whether what is held stops all motions about equally well.
-    least : float, optional
-        The least eigenvalue that the solves of a warm start have met; None for a cold start.
+    met : Met, optional
+        Knowledge from the solves of a warm start; None for a cold start.
 
     Attributes
     ----------
@@ -82,9 +89,9 @@ class Refinement:
         smoothing: Smoothing,
         report: Report,
         firm: bool = True,
-        least: float | None = None,
+        met: Met | None = None,
     ) -> None:
-        self._most, self._model, self._report, self._least = max_iterations, model, report, least
+        self._most, self._model, self._report, self._met = max_iterations, model, report, met
         self._mild = model.mild and firm
         # No method of this object: a cycle of references would keep the model's factors until the
         # garbage collector comes.
@@ -171,19 +178,19 @@ class Refinement:
         if found.doubt is None or found.doubt > BELIEVABLE:
             return False
         self._iteration.least = min(self._iteration.least, found.least)
-        if self._least is not None:
-            self._iteration.expect(self._least)
+        if self._met is not None:
+            self._iteration.expect(self._met.least)
         model, volume = self._model, len(self._model.shape) == 3
         moves = found.entrained
         # What bodies do on their own is seen for certain, but not what lies between close ones.
         sees_bodies = model.bodies is None or (moves is not None and not moves.close)
         sure = self._mild and not volume and model.material.compressible and sees_bodies
-        doubt = 1.0 if sure else max(_MARGIN * found.doubt, _MARGIN if volume else 1.0)
+        doubt = 1.0 if sure else max(_MARGIN * found.doubt, _MARGIN if volume else _LEAST_MARGIN)
         if volume and not self._mild:
             doubt *= _VOLUME_MARGIN
         if moves is not None and moves.close:
             doubt *= _MARGIN
-        if self._least is not None:
+        if self._met is not None:
             doubt *= _WARM_MARGIN
         while True:
             step: Step | None = None
@@ -211,14 +218,20 @@ class Refinement:
             if found.entrained is not None:
                 self.estimate += found.entrained.astray(balance.rest) * balance.unit
             if self.estimate <= tolerance:
-                if self._least is None:
-                    self.estimate = min(_COLD_MARGIN * self.estimate, tolerance)
+                self.estimate = min(max(self.estimate, self._least_error()), tolerance)
                 return True
             stays = not self.estimate < 0.5 * before
             if self._too_long or (stays and not self._take_care()):
                 return False
             found.care = self._iteration.care
             before = self.estimate
+
+    def _least_error(self) -> float:
+        """Return what the error may be at least, whatever residuals say."""
+        if self._met is None:
+            return _COLD_MARGIN * self.estimate
+        # Of the error of a warm start each cycle is sure to take only so much.
+        return self._met.error * (1 - self._iteration.least) ** len(self._gains)
 
     def _take_care(self) -> bool:
         """Go over to a better iteration, if there is any, and begin it with numbers."""
@@ -414,8 +427,5 @@ def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
         try:
             model.found.factors = Factors(model.material, model.moves, tell)
         except Singular:
-            raise ConvergenceError(
-                "a part of the tissue is held by next to nothing, as far as double precision "
-                "tells. Hold more of it, or bring the softest and the stiffest closer together"
-            ) from None
+            raise ConvergenceError(HELD_BY_NOTHING) from None
     return model.found.factors
