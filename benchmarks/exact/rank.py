@@ -3,14 +3,14 @@
 A clique costs nothing where two linear expressions with integer coefficients are 0, as stiffnesses
 are binary fractions. The number of motions is the number of unknowns less the rank of these
 expressions, which is found in arithmetic modulo a prime, without any rounding. A rank modulo a
-prime is never too large, and too small with a probability of about n / prime: two primes must agree.
+prime is never too large, and too small with a probability of about n / prime, so that the larger
+rank of two primes counts.
 """
 
 from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from exact.matrices import LINES, line_fractions
 from napari_hmrf import Problem
@@ -31,8 +31,7 @@ def free_motions(problem: Problem) -> int:
     problem : Problem
         In the blanket reading.
     """
-    counts = {_count(problem, prime) for prime in _PRIMES}
-    return min(counts)
+    return min(_count(problem, prime) for prime in _PRIMES)
 
 
 def _count(problem: Problem, prime: int) -> int:
