@@ -214,8 +214,10 @@ class ConjugateGradients:
         # the least eigenvalues have not been met yet.
         rounding = _INNER_DOUBLE if self.in_double else _ROUNDING
         rest = max(math.sqrt(after), rounding * math.sqrt(first))
-        fall = max(math.sqrt(after / before), _FASTEST)
         least = self._spectrum.least
+        # One step may fall faster than this, but the next ones make up for it.
+        lasting = (1 - math.sqrt(least)) / (1 + math.sqrt(least))
+        fall = max(math.sqrt(after / before), _FASTEST, lasting)
         if self._spectrum.met > _MET * self._expected:
             fall = max(fall, 1 - self._expected)  # cycles alone have reduced the slow motion
         if self._spectrum.steps < _ENOUGH:

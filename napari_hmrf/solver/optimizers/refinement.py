@@ -43,7 +43,7 @@ _VOLUME_MARGIN = 1.5
 _LEAST_MARGIN = 1.5
 # How much more doubtful a warm start is, which is close to converged but for what cycles see least;
 # and how much more than its estimate a cold one reports, up to the tolerance.
-_WARM_MARGIN, _COLD_MARGIN = 1.5, 1.25
+_WARM_MARGIN, _COLD_MARGIN = 1.5, 2.0
 # Sites whose factors take no longer than a rehearsal and a few cycles.
 _FEW = 1024
 # Motions of touching parts of bodies that factors do not know to cost anything, at most.
@@ -228,7 +228,7 @@ class Refinement:
 
     def _least_error(self) -> float:
         """Return what the error may be at least, whatever residuals say."""
-        if self._met is None:
+        if self._met is None or self._met.least == 1:
             return _COLD_MARGIN * self.estimate
         # Of the error of a warm start each cycle is sure to take only so much.
         return self._met.error * (1 - self._iteration.least) ** len(self._gains)
