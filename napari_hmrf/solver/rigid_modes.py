@@ -256,6 +256,8 @@ def _free(ways: Iterable[_Ways]) -> Iterator[tuple[npt.NDArray[np.int64], Motion
 
 def _modes(pieces: Labels, count: int, held: npt.NDArray[np.bool_]) -> Iterator[_Ways]:
     """Find what it costs each cluster to move, and these motions, the cheapest first."""
+    if count == 0:
+        return
     shape = held.shape[:-1]
     axes, freedom = len(shape), len(_turns(len(shape))) + len(shape)
     # What holds a piece: a row for each held component, and for each of a hinge's (- and +).

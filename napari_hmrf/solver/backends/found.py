@@ -131,6 +131,8 @@ class Found:
         How much less cycles report than is true, where that has been tried.
     least : float
         The least eigenvalue that cycles have met.
+    slow : bool
+        True if cycles have met a motion that they see so badly that the tissue is not mild.
     care : int
         How often cycles had to smooth more for that.
     factors : Factors or None
@@ -142,6 +144,7 @@ class Found:
     def __init__(self) -> None:
         self.doubt: float | None = None
         self.least = 1.0
+        self.slow = False
         self.care = 0
         self.factors: Factors | None = None
         self.entrained: Entrained | None = None

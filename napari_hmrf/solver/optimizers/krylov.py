@@ -124,6 +124,11 @@ class ConjugateGradients:
     def least(self, value: float) -> None:
         self._spectrum.least = value
 
+    @property
+    def met(self) -> float:
+        """The least eigenvalue met in the present run."""
+        return self._spectrum.met
+
     def expect(self, least: float) -> None:
         """Expect an eigenvalue that the solves of a warm start have met, if it is less than met.
 

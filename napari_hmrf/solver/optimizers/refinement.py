@@ -39,6 +39,9 @@ _IN_DOUBLE = 8
 _MARGIN = 4.0
 # And how much more one is that is not mild.
 _VOLUME_MARGIN = 1.5
+# Eigenvalues that cycles do not meet in images of mild tissue, compressible or not: where they meet
+# smaller ones, they may miss others.
+_MILD_LEAST, _MILD_LEAST_INCOMPRESSIBLE = 0.1, 0.05
 # How much more doubtful tissue is that is not mild, whatever its rehearsal has shown.
 _LEAST_MARGIN = 1.5
 # How much more doubtful a warm start is, which is close to converged but for what cycles see least;
@@ -157,6 +160,8 @@ class Refinement:
     def _iterate(self, d: Planes, load: Planes | None, tolerance: float, balance: Balance) -> bool:
         """Go to the tolerance by cycles; whether it can be said that they arrived."""
         found, before = self._model.found, math.inf
+        self._mild = self._mild and not found.slow
+        first = d.copy() if self._mild and len(self._model.shape) == 2 else None
         if not self._mild and self._factors_first and factors_fit(self._model):
             self._factors_tried = True
             return False
@@ -201,7 +206,8 @@ class Refinement:
                 self._gains.append(unit**2 * latest.gain)
                 error = doubt * unit * latest.error
                 self._say(error, tolerance)
-                return error <= tolerance or self._too_long
+                slow = first is not None and self._is_slow
+                return error <= tolerance or self._too_long or slow
 
             try:
                 self._iteration.run(balance, d, enough)
@@ -212,6 +218,8 @@ class Refinement:
                 continue
             if step is None:
                 return False
+            if first is not None and self._is_slow:
+                return self._begin_again(d, first, load, tolerance)
             balance = self._model.balance(d, load, balance.most)
             self.residual = balance.norm
             self.estimate = doubt * step.reach * self.residual
@@ -225,6 +233,22 @@ class Refinement:
                 return False
             found.care = self._iteration.care
             before = self.estimate
+
+    @property
+    def _is_slow(self) -> bool:
+        """True if the present run has met a motion that no cycle on mild tissue meets."""
+        mild = self._model.material.compressible
+        return self._iteration.met < (_MILD_LEAST if mild else _MILD_LEAST_INCOMPRESSIBLE)
+
+    def _begin_again(self, d: Planes, first: Planes, load: Planes | None, tolerance: float) -> bool:
+        """Iterate once more from where it began, now that tissue has turned out not to be mild."""
+        np.copyto(d, first)
+        found = self._model.found
+        found.slow, found.doubt, self._doubt = True, None, None
+        self._iteration.least = 1.0
+        self.cycles -= len(self._gains)
+        self._gains = []
+        return self._iterate(d, load, tolerance, self._model.balance(d, load))
 
     def _least_error(self) -> float:
         """Return what the error may be at least, whatever residuals say."""
