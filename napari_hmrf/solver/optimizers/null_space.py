@@ -131,8 +131,8 @@ def why_unsolvable(
         return refusal(motion)
     return ConvergenceError(
         f"the tissue around {motion.centre} is held by next to nothing: it can move at {cost:.0e} "
-        f"of what its sites cost one by one, and double precision tells no less than {HELD:.0e}. Hold more of "
-        "it, or bring the softest and the stiffest tissue closer together"
+        f"of what its sites cost one by one, and double precision tells no less than {HELD:.0e}. "
+        "Hold more of it, or bring the softest and the stiffest tissue closer together"
     )
 
 
