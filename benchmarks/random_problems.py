@@ -137,8 +137,8 @@ def _shape(dice: np.random.Generator) -> Shape:
     return (rows, cols) if rows * cols > 1 else (2, 2)
 
 
-def _noise(dice: np.random.Generator, shape: Shape, width: float) -> Array:
-    """Smooth noise, evenly distributed from 0 to 1."""
+def noise(dice: np.random.Generator, shape: Shape, width: float) -> Array:
+    """Return smooth noise, evenly distributed from 0 to 1."""
     values = ndi.gaussian_filter(dice.normal(size=shape), width, mode="reflect")
     made = np.empty(values.size)
     made[np.argsort(values, axis=None)] = np.linspace(0, 1, values.size)
@@ -158,11 +158,11 @@ def _stiffness(dice: np.random.Generator, shape: Shape) -> tuple[str, Array]:
     if kind == "uniform":
         share = np.zeros(shape)
     elif kind == "blobs":
-        share = 1.0 * (_noise(dice, shape, dice.uniform(0.6, 6)) > dice.uniform(0.15, 0.85))
+        share = 1.0 * (noise(dice, shape, dice.uniform(0.6, 6)) > dice.uniform(0.15, 0.85))
     elif kind == "white":
         share = dice.random(shape)
     elif kind == "smooth":
-        share = _noise(dice, shape, dice.uniform(2, 8))
+        share = noise(dice, shape, dice.uniform(2, 8))
     elif kind == "layers":
         along = [rows, cols, rows + cols][dice.integers(3)]
         levels = dice.integers(2, 5)
@@ -173,7 +173,7 @@ def _stiffness(dice: np.random.Generator, shape: Shape) -> tuple[str, Array]:
         size = dice.integers(1, 5)
         share = 1.0 * ((rows // size + cols // size) % 2)
     else:
-        share = np.round(_noise(dice, shape, dice.uniform(0.6, 4)) * 3) / 3
+        share = np.round(noise(dice, shape, dice.uniform(0.6, 4)) * 3) / 3
     if dice.random() < 0.3:
         share = 1 - share
     return kind, np.asarray(contrast**share)
@@ -197,7 +197,7 @@ def _void(dice: np.random.Generator, shape: Shape) -> tuple[str, Flags]:
     )
     empty = np.zeros(shape, dtype=bool)
     if kind == "holes":
-        empty = _noise(dice, shape, dice.uniform(0.6, 4)) < dice.uniform(0.05, 0.4)
+        empty = noise(dice, shape, dice.uniform(0.6, 4)) < dice.uniform(0.05, 0.4)
     elif kind == "around":
         height, width = shape
         across = ((rows + 0.5) / height - 0.5) ** 2 + ((cols + 0.5) / width - 0.5) ** 2
@@ -274,7 +274,7 @@ def _displacement(dice: np.random.Generator, shape: Shape, sites: Flags) -> tupl
     elif kind == "random":
         y = dice.normal(size=(*shape, 2))
     elif kind == "bent":
-        waves = [_noise(dice, shape, max(shape) / 4) - 0.5 for _ in range(2)]
+        waves = [noise(dice, shape, max(shape) / 4) - 0.5 for _ in range(2)]
         y = np.stack(waves, axis=-1)
     else:
         pieces, count = ndi.label(sites)
@@ -309,7 +309,7 @@ def _prior(dice: np.random.Generator, shape: Shape) -> tuple[ElasticPrior | Seil
     poisson = float(nu)
     if dice.random() < 0.25:
         other = dice.uniform(0, 0.499)
-        share = _noise(dice, shape, dice.uniform(0.6, 5))
+        share = noise(dice, shape, dice.uniform(0.6, 5))
         share = share if dice.random() < 0.5 else 1.0 * (share > 0.5)
         # A map is stored in single precision.
         poisson = np.clip(nu + share * (other - nu), 0, 0.499).astype(np.float32)

@@ -77,6 +77,11 @@ class FreeMotion:
     how: str
     motion: npt.NDArray[np.float64]
 
+    @property
+    def centre(self) -> tuple[int, ...]:
+        """Site in the middle of the piece."""
+        return tuple(int(np.mean(at)) for at in np.nonzero(self.piece))
+
 
 def check_held(problem: Problem) -> None:
     """Refuse a problem with a piece of tissue that could still move freely.
@@ -101,6 +106,8 @@ def grip(problem: Problem) -> float:
         As of `check_held`.
     """
     held = problem.known
+    if held[problem.tissue].all():
+        return 1.0  # nothing is left to move
     for known in _firm:
         if known.covers(problem.tissue, held):
             return known.grip
@@ -117,11 +124,10 @@ def grip(problem: Problem) -> float:
 
 def refusal(free: FreeMotion) -> ProblemError:
     """Return an error that names the piece that could move, and how."""
-    centre = tuple(int(np.mean(at)) for at in np.nonzero(free.piece))
     return ProblemError(
         "confidence",
         f"leaves a piece of tissue free: the one of {int(free.piece.sum())} pixels around "
-        f"{centre} {free.how}. Fix some of it in place, or give it no stiffness.",
+        f"{free.centre} {free.how}. Fix some of it in place, or give it no stiffness.",
     )
 
 
@@ -133,18 +139,13 @@ def free_motion(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | N
     problem : Problem
     held : ndarray of bool, shape (H, W, 2)
         Which components are held.
-
-    Raises
-    ------
-    ProblemError
-        If no tissue is two pixels wide.
     """
-    pieces, count = _some_pieces(problem)
+    pieces, count = _pieces(problem.stiffness)
     return _first_motion(problem, pieces, count, _modes(pieces, count, held))
 
 
 def _some_pieces(problem: Problem) -> tuple[Labels, int]:
-    """The pieces of elements, of which there is one at least."""
+    """Return the pieces of elements, of which there is one at least."""
     pieces, count = _pieces(problem.stiffness)
     if count == 0:
         raise ProblemError(
@@ -255,6 +256,8 @@ def _free(ways: Iterable[_Ways]) -> Iterator[tuple[npt.NDArray[np.int64], Motion
 
 def _modes(pieces: Labels, count: int, held: npt.NDArray[np.bool_]) -> Iterator[_Ways]:
     """Find what it costs each cluster to move, and these motions, the cheapest first."""
+    if count == 0:
+        return
     shape = held.shape[:-1]
     axes, freedom = len(shape), len(_turns(len(shape))) + len(shape)
     # What holds a piece: a row for each held component, and for each of a hinge's (- and +).

@@ -7,7 +7,10 @@ sites that is about n^6 work and n^4 memory, so that it is for small volumes onl
 
 from __future__ import annotations
 
+import threading
+from collections import deque
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +23,27 @@ Index = npt.NDArray[np.intp]
 
 # A box of so many sites along its longest axis is not divided.
 _SMALLEST = 3
+# SuperLU objects dropped on a thread that cannot free them; the next factorization frees them.
+_dropped: deque[Any] = deque()
+
+
+class _ThreadBound:
+    """SuperLU object that is freed on the thread that made it.
+
+    SciPy keeps its allocations in a table of the thread: what another thread drops, such as the
+    garbage collector or the owner of an exception, is never given back.
+
+    Parameters
+    ----------
+    factors : scipy.sparse.linalg.SuperLU
+    """
+
+    def __init__(self, factors: Any) -> None:
+        self.factors, self._thread = factors, threading.get_ident()
+
+    def __del__(self) -> None:
+        if threading.get_ident() != self._thread:
+            _dropped.append(self.factors)
 
 
 class BrickFactors:
@@ -48,6 +72,7 @@ class BrickFactors:
         progress: Callable[[float], None],
         springs: Float64Array | None = None,
     ) -> None:
+        _dropped.clear()
         grid = moves.shape[:-1]
         by_site = np.arange(moves.size).reshape(-1, moves.shape[-1])
         order = by_site[elimination_order(grid)].ravel()
@@ -61,13 +86,14 @@ class BrickFactors:
             matrix = matrix + scipy.sparse.diags_array(springs.ravel()[self._moving])
         progress(0.1)
         try:
-            self._factors = scipy.sparse.linalg.splu(
+            factors = scipy.sparse.linalg.splu(
                 matrix.tocsc(), "NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
             )
         except RuntimeError:
             raise Singular from None
+        self._bound = _ThreadBound(factors)
         least = HELD * diagonal if springs is None else 0.0
-        if not (self._factors.U.diagonal() > least).all():
+        if not (factors.U.diagonal() > least).all():
             raise Singular
         progress(1.0)
 
@@ -98,7 +124,7 @@ class BrickFactors:
         """Return the displacement (D, H, W, C) for a load (D, H, W, C)."""
         d = np.zeros(load.size)
         if len(self._moving):
-            d[self._moving] = self._factors.solve(load.ravel()[self._moving])
+            d[self._moving] = self._bound.factors.solve(load.ravel()[self._moving])
         return d.reshape(self._shape)
 
 

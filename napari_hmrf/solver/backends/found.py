@@ -19,6 +19,57 @@ if TYPE_CHECKING:
 
 FloatArray = npt.NDArray[np.float32]
 
+
+class Met(NamedTuple):
+    """Knowledge that a warm start takes from the solves of its parts.
+
+    Attributes
+    ----------
+    least : float
+        The least eigenvalue that they have met; 1 if none did.
+    error : float
+        How far their sum is from the sum of converged fields, in pixels, as estimated.
+    """
+
+    least: float
+    error: float
+
+
+# Displacements with the least eigenvalue and the error of each: on the compute thread.
+_met: list[tuple[weakref.ref[Any], Met]] = []
+
+
+def remember(displacement: npt.NDArray[Any], met: Met) -> None:
+    """Remember what the solve of a displacement has met.
+
+    Parameters
+    ----------
+    displacement : ndarray
+        The array itself: it is kept alive by its owner alone.
+    met : Met
+    """
+    _met[:] = [each for each in _met if each[0]() is not None]
+    _met.append((weakref.ref(displacement), met))
+
+
+def met_by(start: Beginning) -> Met:
+    """Return what the solves of a beginning have met.
+
+    A warm start is close to converged but for motions that cycles hardly see, so that its own
+    iteration meets them late: its estimate alone would be too small.
+
+    Parameters
+    ----------
+    start : Beginning
+    """
+    least, error = 1.0, 0.0
+    for share, part in zip(start.shares, start.displacements, strict=True):
+        for known, met in _met:
+            if known() is part:
+                least, error = min(least, met.least), error + abs(share) * met.error
+    return Met(least, error)
+
+
 # By so much may a residual be larger than it is known to be, as what is stored is rounded.
 _ROUNDED = 1.1
 
@@ -80,6 +131,8 @@ class Found:
         How much less cycles report than is true, where that has been tried.
     least : float
         The least eigenvalue that cycles have met.
+    slow : bool
+        True if cycles have met a motion that they see so badly that the tissue is not mild.
     care : int
         How often cycles had to smooth more for that.
     factors : Factors or None
@@ -91,6 +144,7 @@ class Found:
     def __init__(self) -> None:
         self.doubt: float | None = None
         self.least = 1.0
+        self.slow = False
         self.care = 0
         self.factors: Factors | None = None
         self.entrained: Entrained | None = None

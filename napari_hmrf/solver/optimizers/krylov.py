@@ -29,6 +29,8 @@ _ATTAINED = 3e-7
 # sees what is left.
 _FASTEST = 0.2
 _USUAL_LEAST = 0.4
+# A run that has met an eigenvalue of up to so many times an expected one has met that.
+_MET = 1.2
 # Steps after which the least eigenvalue has been met well enough.
 _ENOUGH = 5
 
@@ -74,7 +76,7 @@ class ConjugateGradients:
 
     def __init__(self, cycle: Cycle, exactly: Callable[[], Any] = lambda: None) -> None:
         self._cycle, self._exactly = cycle, exactly
-        self._spectrum = _Spectrum()
+        self._spectrum, self._expected = _Spectrum(), 1.0
         #: What its vectors are of, if it runs in double precision.
         self._double: Any = None
         #: What cycles do not see of rigid bodies, if there are any.
@@ -121,6 +123,21 @@ class ConjugateGradients:
     @least.setter
     def least(self, value: float) -> None:
         self._spectrum.least = value
+
+    @property
+    def met(self) -> float:
+        """The least eigenvalue met in the present run."""
+        return self._spectrum.met
+
+    def expect(self, least: float) -> None:
+        """Expect an eigenvalue that the solves of a warm start have met, if it is less than met.
+
+        Parameters
+        ----------
+        least : float
+        """
+        self._expected = least
+        self.least = min(self.least, least)
 
     @np.errstate(over="ignore", invalid="ignore")
     def run(self, balance: Balance, d: Planes, enough: Watch) -> None:
@@ -202,8 +219,12 @@ class ConjugateGradients:
         # the least eigenvalues have not been met yet.
         rounding = _INNER_DOUBLE if self.in_double else _ROUNDING
         rest = max(math.sqrt(after), rounding * math.sqrt(first))
-        fall = max(math.sqrt(after / before), _FASTEST)
         least = self._spectrum.least
+        # One step may fall faster than this, but the next ones make up for it.
+        lasting = (1 - math.sqrt(least)) / (1 + math.sqrt(least))
+        fall = max(math.sqrt(after / before), _FASTEST, lasting)
+        if self._spectrum.met > _MET * self._expected:
+            fall = max(fall, 1 - self._expected)  # cycles alone have reduced the slow motion
         if self._spectrum.steps < _ENOUGH:
             least = min(least, _USUAL_LEAST)
         return Step(far * fall / least / rest, rest, gain)
@@ -280,6 +301,8 @@ class _Spectrum:
         self._diagonal: list[float] = []
         self._beside: list[float] = []
         self._length = 0.0
+        #: The least of the present run.
+        self.met = 1.0
 
     def add(self, length: float, turn: float) -> None:
         """Take in a step: its length along the direction, and the direction's turn before it."""
@@ -289,4 +312,5 @@ class _Spectrum:
         self._length = length
         if self._beside:
             least = scipy.linalg.lapack.dsterf(self._diagonal, self._beside)[0][0]
-            self.least = min(self.least, max(float(least), self._rounding))
+            self.met = min(self.met, max(float(least), self._rounding))
+            self.least = min(self.least, self.met)

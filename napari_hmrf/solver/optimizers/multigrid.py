@@ -16,7 +16,7 @@ from napari_hmrf.arguments import is_whole, real, refuse_unless
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.base import Backend
-from napari_hmrf.solver.backends.found import Beginning, Quality
+from napari_hmrf.solver.backends.found import Beginning, Met, Quality, met_by, remember
 from napari_hmrf.solver.backends.linear import LinearModel
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.bending_modes import check_bent
@@ -108,7 +108,8 @@ class Multigrid:
             check_bent(problem)
             model, smoothing = backend.seiler_model(prior.material(problem)), BENDING
         firm = not problem.is_volume or grip(problem) >= _MILD_GRIP
-        refinement = Refinement(self.max_iterations, model, smoothing, report, firm)
+        met = None if start is None else met_by(start)
+        refinement = Refinement(self.max_iterations, model, smoothing, report, firm, met)
         try:
             if limit is None:
                 model.hold(observed)
@@ -144,6 +145,7 @@ class Multigrid:
         host.reuse(d, observed)
         if limit is None:
             model.found.add(displacement, Quality(refinement.estimate, refinement.residual))
+            remember(displacement, Met(refinement.least, refinement.estimate))
         return Outcome(
             displacement=displacement,
             energy=energies,

@@ -8,13 +8,14 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.errors import ConvergenceError
+from napari_hmrf.errors import ConvergenceError, ProblemError
 from napari_hmrf.solver.backends import host
-from napari_hmrf.solver.backends.dissection import Singular
+from napari_hmrf.solver.backends.dissection import HELD, Singular
 from napari_hmrf.solver.backends.factors import Factors
 from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.solver.optimizers.base import Report
-from napari_hmrf.solver.optimizers.refinement import Refinement, factorise
+from napari_hmrf.solver.optimizers.refinement import HELD_BY_NOTHING, Refinement, factorise
+from napari_hmrf.solver.rigid_modes import FreeMotion, refusal
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -29,6 +30,10 @@ _BALANCINGS = 4
 # which part of a load may be left over in one that costs nothing.
 _ASTRAY, _BALANCED = 1e-6, 1e-9
 _MIXINGS = 2
+# Motions at next to no cost that a refusal looks at, at most: more take seconds to tell apart.
+_EXPLAINED = 16
+# Sites that move by more than this part of the largest motion belong to it.
+_TAKES_PART = 0.1
 
 
 class Play(NamedTuple):
@@ -89,6 +94,57 @@ class Play(NamedTuple):
         return None
 
 
+def why_unsolvable(
+    model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report
+) -> ProblemError | ConvergenceError:
+    """Return the error that says why a system without factors has no answer.
+
+    Either some tissue can move at no cost, or at so little that the answer depends on digits that
+    double precision does not have.
+
+    Parameters
+    ----------
+    model : LinearModel
+    held : ndarray of bool, planes
+        The components that are observed.
+    refinement : Refinement
+    report : callable
+    """
+    steep = model.steepness
+    moves = (steep > 0) & ~held
+    weights = np.sqrt(steep[moves])
+    try:
+        soft = _soft(model, moves, weights)
+        if 0 < soft.shape[1] <= _EXPLAINED:
+            play = find_play(model, held, refinement, report)
+            if play.free:
+                return refusal(_as_free_motion(play.free[0][0]))
+    except ConvergenceError as error:
+        return error
+    if not soft.shape[1]:
+        return ConvergenceError(HELD_BY_NOTHING)
+    d: Planes = np.zeros(moves.shape)
+    d[moves] = soft[:, 0] / weights
+    cost = 2 * model.work(d)[0] / float((steep * d**2).sum())
+    motion = _as_free_motion(host.field(d))
+    if cost < _NOTHING:
+        return refusal(motion)
+    return ConvergenceError(
+        f"the tissue around {motion.centre} is held by next to nothing: it can move at {cost:.0e} "
+        f"of what its sites cost one by one, and double precision tells no less than {HELD:.0e}. "
+        "Hold more of it, or bring the softest and the stiffest tissue closer together"
+    )
+
+
+def _as_free_motion(motion: Float64Array) -> FreeMotion:
+    """Return a motion (H, W, 2), with the tissue that takes part in it."""
+    sizes = np.abs(motion)
+    axis = int(np.argmax(sizes.max(axis=tuple(range(motion.ndim - 1)))))
+    piece = sizes[..., axis] > _TAKES_PART * sizes[..., axis].max()
+    names = ("along planes", "along rows", "along columns")[-motion.shape[-1] :]
+    return FreeMotion(piece, f"could still bend {names[axis]} at no cost", motion)
+
+
 def find_play(model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report) -> Play:
     """Find how tissue could move at next to no cost if only so much were held.
 
@@ -97,7 +153,7 @@ def find_play(model: LinearModel, held: HeldPlanes, refinement: Refinement, repo
     steep = model.steepness
     moves = (steep > 0) & ~held
     pins, weights = np.zeros_like(held), np.sqrt(steep[moves])
-    some = _soft(model, moves, weights) if len(weights) else np.zeros((0, 0))
+    some = _soft(model, moves, weights)
     count, every = some.shape[1], tuple(range(1, 1 + held.ndim))
     if not count:
         return Play(pins, np.zeros((0, *held.shape)), np.zeros((0, 0)), [])
@@ -135,7 +191,9 @@ def _product(model: LinearModel, one: Planes, two: Planes) -> float:
 
 
 def _soft(model: LinearModel, moves: HeldPlanes, weights: Float64Array) -> Float64Array:
-    """The motions, times the roots of the diagonal, that cost little: (components, motions)."""
+    """Return the motions, times roots of the diagonal, that cost little: (components, motions)."""
+    if not len(weights):
+        return np.zeros((0, 0))
     springs = np.where(moves, _SPRINGS * model.steepness, 0.0)
     try:
         factors = Factors(model.material, moves, lambda part: None, springs)

@@ -7,6 +7,7 @@ of that, it is trusted with the problem; if not, or if it stalls, the system is 
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.dissection import Singular
 from napari_hmrf.solver.backends.factors import Factors
-from napari_hmrf.solver.backends.found import Quality
+from napari_hmrf.solver.backends.found import Met, Quality
 from napari_hmrf.solver.backends.linear import Balance, LinearModel, Planes
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
@@ -25,6 +26,11 @@ from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 from napari_hmrf.solver.volume_memory import IN_DOUBLE, ORDINARY, fits
 
+#: The refusal of a system that has no factors in double precision.
+HELD_BY_NOTHING = (
+    "a part of the tissue is held by next to nothing, as far as double precision tells. Hold more "
+    "of it, or bring the softest and the stiffest closer together"
+)
 # In double precision a rehearsal goes on for longer, until it has met what costs next to nothing.
 _REHEARSED_DOUBLE = 1e-5
 # So many times as many cycles may take, as there is no shorter way.
@@ -33,6 +39,14 @@ _IN_DOUBLE = 8
 _MARGIN = 4.0
 # And how much more one is that is not mild.
 _VOLUME_MARGIN = 1.5
+# Eigenvalues that cycles do not meet in images of mild tissue, compressible or not: where they meet
+# smaller ones, they may miss others.
+_MILD_LEAST, _MILD_LEAST_INCOMPRESSIBLE = 0.1, 0.05
+# How much more doubtful tissue is that is not mild, whatever its rehearsal has shown.
+_LEAST_MARGIN = 1.5
+# How much more doubtful a warm start is, which is close to converged but for what cycles see least;
+# and how much more than its estimate a cold one reports, up to the tolerance.
+_WARM_MARGIN, _COLD_MARGIN = 1.5, 2.0
 # Sites whose factors take no longer than a rehearsal and a few cycles.
 _FEW = 1024
 # Motions of touching parts of bodies that factors do not know to cost anything, at most.
@@ -56,6 +70,8 @@ class Refinement:
     report : callable
     firm : bool
         Whether what is held stops all motions about equally well.
+    met : Met, optional
+        Knowledge from the solves of a warm start; None for a cold start.
 
     Attributes
     ----------
@@ -76,10 +92,13 @@ class Refinement:
         smoothing: Smoothing,
         report: Report,
         firm: bool = True,
+        met: Met | None = None,
     ) -> None:
-        self._most, self._model, self._report = max_iterations, model, report
+        self._most, self._model, self._report, self._met = max_iterations, model, report, met
         self._mild = model.mild and firm
-        self._iteration = ConjugateGradients(Cycle(model, smoothing), self._exactly)
+        # No method of this object: a cycle of references would keep the model's factors until the
+        # garbage collector comes.
+        self._iteration = ConjugateGradients(Cycle(model, smoothing), partial(_exactly, model))
         self._patience = smoothing.patience
         self.estimate = math.inf
         self.residual = 0.0
@@ -123,6 +142,11 @@ class Refinement:
             self._solve(d, load, tolerance)
 
     @property
+    def least(self) -> float:
+        """Least eigenvalue met by cycles, with those that the warm start had met."""
+        return self._iteration.least
+
+    @property
     def by_factors(self) -> bool:
         """Whether the last run needed factors."""
         return self._model.found.factors is not None
@@ -136,6 +160,8 @@ class Refinement:
     def _iterate(self, d: Planes, load: Planes | None, tolerance: float, balance: Balance) -> bool:
         """Go to the tolerance by cycles; whether it can be said that they arrived."""
         found, before = self._model.found, math.inf
+        self._mild = self._mild and not found.slow
+        first = d.copy() if self._mild and len(self._model.shape) == 2 else None
         if not self._mild and self._factors_first and factors_fit(self._model):
             self._factors_tried = True
             return False
@@ -143,7 +169,6 @@ class Refinement:
             return False
         while self._iteration.care < found.care:
             self._iteration.take_care()
-        self._iteration.least = min(self._iteration.least, found.least)
         if found.doubt is None and self._model.iterates:
             if self._doubt is None:
                 self._doubt = 1.0
@@ -157,16 +182,21 @@ class Refinement:
             found.care = self._iteration.care
         if found.doubt is None or found.doubt > BELIEVABLE:
             return False
+        self._iteration.least = min(self._iteration.least, found.least)
+        if self._met is not None:
+            self._iteration.expect(self._met.least)
         model, volume = self._model, len(self._model.shape) == 3
         moves = found.entrained
         # What bodies do on their own is seen for certain, but not what lies between close ones.
         sees_bodies = model.bodies is None or (moves is not None and not moves.close)
         sure = self._mild and not volume and model.material.compressible and sees_bodies
-        doubt = 1.0 if sure else max(_MARGIN * found.doubt, _MARGIN if volume else 1.0)
+        doubt = 1.0 if sure else max(_MARGIN * found.doubt, _MARGIN if volume else _LEAST_MARGIN)
         if volume and not self._mild:
             doubt *= _VOLUME_MARGIN
         if moves is not None and moves.close:
             doubt *= _MARGIN
+        if self._met is not None:
+            doubt *= _WARM_MARGIN
         while True:
             step: Step | None = None
 
@@ -176,7 +206,8 @@ class Refinement:
                 self._gains.append(unit**2 * latest.gain)
                 error = doubt * unit * latest.error
                 self._say(error, tolerance)
-                return error <= tolerance or self._too_long
+                slow = first is not None and self._is_slow
+                return error <= tolerance or self._too_long or slow
 
             try:
                 self._iteration.run(balance, d, enough)
@@ -187,12 +218,15 @@ class Refinement:
                 continue
             if step is None:
                 return False
+            if first is not None and self._is_slow:
+                return self._begin_again(d, first, load, tolerance)
             balance = self._model.balance(d, load, balance.most)
             self.residual = balance.norm
             self.estimate = doubt * step.reach * self.residual
             if found.entrained is not None:
                 self.estimate += found.entrained.astray(balance.rest) * balance.unit
             if self.estimate <= tolerance:
+                self.estimate = min(max(self.estimate, self._least_error()), tolerance)
                 return True
             stays = not self.estimate < 0.5 * before
             if self._too_long or (stays and not self._take_care()):
@@ -200,19 +234,35 @@ class Refinement:
             found.care = self._iteration.care
             before = self.estimate
 
+    @property
+    def _is_slow(self) -> bool:
+        """True if the present run has met a motion that no cycle on mild tissue meets."""
+        mild = self._model.material.compressible
+        return self._iteration.met < (_MILD_LEAST if mild else _MILD_LEAST_INCOMPRESSIBLE)
+
+    def _begin_again(self, d: Planes, first: Planes, load: Planes | None, tolerance: float) -> bool:
+        """Iterate once more from where it began, now that tissue has turned out not to be mild."""
+        np.copyto(d, first)
+        found = self._model.found
+        found.slow, found.doubt, self._doubt = True, None, None
+        self._iteration.least = 1.0
+        self.cycles -= len(self._gains)
+        self._gains = []
+        return self._iterate(d, load, tolerance, self._model.balance(d, load))
+
+    def _least_error(self) -> float:
+        """Return what the error may be at least, whatever residuals say."""
+        if self._met is None or self._met.least == 1:
+            return _COLD_MARGIN * self.estimate
+        # Of the error of a warm start each cycle is sure to take only so much.
+        return self._met.error * (1 - self._iteration.least) ** len(self._gains)
+
     def _take_care(self) -> bool:
         """Go over to a better iteration, if there is any, and begin it with numbers."""
         more = self._iteration.take_care()
         if more:
             self._model.clear()
         return more
-
-    def _exactly(self) -> Any:
-        """The finest level in double precision, where factors are not the shorter way."""
-        shape = self._model.shape
-        if factors_fit(self._model) or not fits(shape, IN_DOUBLE - ORDINARY):
-            return None
-        return self._model.exactly
 
     def _entrain(self) -> bool:
         """Find what bodies take along; False if that cannot be told."""
@@ -357,6 +407,13 @@ def add(d: Planes, low: Planes, way: Planes) -> None:
     np.copyto(d, total)
 
 
+def _exactly(model: LinearModel) -> Any:
+    """Return the finest level in double precision, or None where factors are the shorter way."""
+    if factors_fit(model) or not fits(model.shape, IN_DOUBLE - ORDINARY):
+        return None
+    return model.exactly
+
+
 def factors_fit(model: LinearModel) -> bool:
     """Whether factors are a way; of volumes in the paper's model there are none."""
     there = len(model.shape) == 2 or not isinstance(model.material, SeilerMaterial)
@@ -394,8 +451,5 @@ def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
         try:
             model.found.factors = Factors(model.material, model.moves, tell)
         except Singular:
-            raise ConvergenceError(
-                "a part of the tissue is held by next to nothing, as far as double precision "
-                "tells. Hold more of it, or bring the softest and the stiffest closer together"
-            ) from None
+            raise ConvergenceError(HELD_BY_NOTHING) from None
     return model.found.factors

@@ -11,8 +11,13 @@ from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.solver.bending_modes import free_bend
 from napari_hmrf.solver.optimizers import interior, least_motion
 from napari_hmrf.solver.optimizers.base import Report
-from napari_hmrf.solver.optimizers.null_space import Play, find_play
-from napari_hmrf.solver.optimizers.refinement import Refinement, factorise, factors_fit
+from napari_hmrf.solver.optimizers.null_space import Play, find_play, why_unsolvable
+from napari_hmrf.solver.optimizers.refinement import (
+    HELD_BY_NOTHING,
+    Refinement,
+    factorise,
+    factors_fit,
+)
 from napari_hmrf.solver.optimizers.slip_states import ActiveSet
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import Problem
@@ -89,10 +94,20 @@ class Slip:
             # there anything that does?
             self._model.hold(self._states.every)
             if self._model.moves.any():
-                factorise(self._model, self._report)
+                self._check_held()
             interior.solve(self._model, self._states, d, self._report)
             self._confirm(d, exact)
         return self._settle(d)
+
+    def _check_held(self) -> None:
+        """Refuse tissue that what is observed does not hold, with the reason."""
+        model, every = self._model, self._states.every
+        try:
+            factorise(model, self._report)
+        except ConvergenceError as error:
+            if str(error) != HELD_BY_NOTHING:
+                raise
+            raise why_unsolvable(model, every, self._refinement, self._report) from None
 
     def _pull(self, d: Planes) -> Planes:
         """What pulls at each component where the last run has left it, but for observations."""

@@ -42,6 +42,8 @@ Plane = Literal["stress", "strain"]
 
 #: Poisson's ratios beyond which the energy is not that of a stable, compressible tissue.
 POISSON_RANGE = (0.0, 0.499)
+#: Penalties beyond which products of forces leave double precision.
+PENALTY_RANGE = (1e-30, 1e30)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +77,10 @@ class ElasticPrior:
         object.__setattr__(self, "poisson", _checked_poisson(self.poisson))
         known = is_one_of(self.plane, get_args(Plane))
         refuse_unless(known, "plane", self.plane, '"stress" or "strain"')
-        penalty = real(self.penalty)
-        refuse_unless(penalty > 0, "penalty", self.penalty, "a positive number or inf")
+        penalty, (low, high) = real(self.penalty), PENALTY_RANGE
+        right = low <= penalty <= high or penalty == math.inf
+        what = f"a number from {low:g} to {high:g}, or inf"
+        refuse_unless(right, "penalty", self.penalty, what)
         object.__setattr__(self, "penalty", penalty)
 
     @property

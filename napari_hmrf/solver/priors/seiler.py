@@ -43,7 +43,7 @@ Conditional = Literal["centred", "blanket"]
 # pixels from the neighbours.
 _UNIFORM_PENALTY = {2: 1e4, 3: 3e4}
 # Beyond this float32 energies overflow.
-_LARGEST_PENALTY = 1e30
+_SMALLEST_PENALTY, _LARGEST_PENALTY = 1e-30, 1e30
 
 
 class SiteParabola(NamedTuple):
@@ -81,8 +81,9 @@ class SeilerPrior:
     damping: float | None = None
 
     def __post_init__(self) -> None:
-        firm = self.penalty is None or 0 < real(self.penalty) <= _LARGEST_PENALTY
-        what = f"a number above 0 and up to {_LARGEST_PENALTY:g}, or None"
+        low, high = _SMALLEST_PENALTY, _LARGEST_PENALTY
+        firm = self.penalty is None or low <= real(self.penalty) <= high
+        what = f"a number from {low:g} to {high:g}, or None"
         refuse_unless(firm, "penalty", self.penalty, what)
         known = is_one_of(self.conditional, get_args(Conditional))
         refuse_unless(known, "conditional", self.conditional, '"centred" or "blanket"')

@@ -1,0 +1,320 @@
+"""Random sequences of edits: answers of the live solver against cold solves at a tight tolerance.
+
+    python benchmarks/live_edits.py [--sequences 2000] [--first 0] [--seed 0] [--page FILE]
+    python benchmarks/live_edits.py --seed 0 --only 123
+
+Sequences of even numbers begin with a random problem (`random_problems.py`), the others with a body
+of mild tissue that is held at its edges, as users have it. Patches are pulled, dragged in small
+steps and let go, confidence, stiffness, Poisson's ratio and the penalty change, and edits are
+undone. Every answer of the live solver, which begins with earlier ones, is compared with a cold
+solve of the same problem. A violation is a difference of more than the sum of both reported
+errors, or a refusal by one of the two alone. Exits with 1 if there is any.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from random_problems import noise, random_problem
+
+from napari_hmrf import ElasticPrior, LiveSolver, Multigrid, Problem, SeilerPrior, solve
+from napari_hmrf.errors import ConvergenceError, HmrfError, ProblemError
+from napari_hmrf.solver.live_solver import TOLERANCE, Update
+
+#: Tolerance of cold solves, in pixels.
+COLD = 1e-4
+#: Rounding of a field that is stored in single precision, as a part of its largest value.
+ROUNDED = 1.2e-7
+_LONG = 300.0
+_FEWEST, _MOST = 3, 12
+_KINDS = ("pull", "move", "let go", "confidence", "stiffness", "penalty", "poisson", "undo")
+_SHARES = (0.14, 0.4, 0.05, 0.08, 0.1, 0.06, 0.04, 0.13)
+_PAGE = """# Live edits against cold solves
+
+The live solver begins each solve with what it found before. `make edits-campaign` compares its
+answers with cold solves at a tolerance of {cold:g} px.
+
+{report}
+"""
+
+
+class State(NamedTuple):
+    """A problem under edit."""
+
+    problem: Problem
+    prior: ElasticPrior | SeilerPrior
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One comparison.
+
+    Attributes
+    ----------
+    sequence, step : int
+    kind : str
+        The edit.
+    reading : str
+        The energy.
+    difference, live, cold : float
+        How far both answers are apart, and the errors that they report, in pixels.
+    message : str
+        What was refused, by the one that refused.
+    outcome : str
+        ``"agree"``, ``"differ"``, ``"both refuse"``, ``"live alone refuses"``,
+        ``"cold alone refuses"`` or ``"crashed"``.
+    """
+
+    sequence: int
+    step: int
+    kind: str
+    reading: str
+    outcome: str
+    difference: float = math.nan
+    live: float = math.nan
+    cold: float = math.nan
+    message: str = ""
+
+    @property
+    def is_violation(self) -> bool:
+        """True if the answers contradict each other."""
+        return self.outcome not in ("agree", "both refuse")
+
+
+def start_of(seed: int, sequence: int) -> State:
+    """Return the state that a sequence begins with.
+
+    Parameters
+    ----------
+    seed, sequence : int
+    """
+    if sequence % 2 == 0:
+        drawn = random_problem(seed, sequence)
+        return State(drawn.problem, drawn.prior)
+    dice = np.random.default_rng([seed, sequence, 2])
+    shape = tuple(dice.integers(16, 81, 2))
+    m = 10 ** (dice.uniform(0, 2) * (noise(dice, shape, dice.uniform(1, 6)) > dice.random()))
+    if dice.random() < 0.3:
+        m[noise(dice, shape, dice.uniform(2, 6)) < dice.uniform(0.02, 0.2)] = 0
+    y, c = np.zeros((*shape, 2)), np.zeros((*shape, 2))
+    edges = np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]
+    for edge in dice.permutation(4)[: dice.integers(1, 5)]:
+        c[edges[edge]] = 1
+    c[m == 0] = 0
+    spacing = (1.0, 1.0) if dice.random() < 0.6 else tuple(dice.uniform(0.5, 2, 2))
+    nu, plane = float(dice.choice([0.0, 0.3, 0.45, 0.49])), str(dice.choice(["stress", "strain"]))
+    penalty = math.inf if dice.random() < 0.6 else float(10 ** dice.uniform(-2, 2))
+    prior: ElasticPrior | SeilerPrior = ElasticPrior(nu, plane=plane, penalty=penalty)
+    if dice.random() < 0.25:
+        prior = SeilerPrior(conditional=str(dice.choice(["centred", "blanket"])))
+    return State(Problem(y, c, m, spacing=spacing), prior)
+
+
+def states_of(start: State, dice: np.random.Generator) -> Iterator[tuple[str, State]]:
+    """Yield the kind of each edit and the state after it.
+
+    Parameters
+    ----------
+    start : State
+    dice : numpy.random.Generator
+    """
+    state = start
+    history, patch = [state], np.zeros(state.problem.shape, dtype=bool)
+    pull = np.zeros(2)
+    yield "begin", state
+    for _ in range(int(dice.integers(_FEWEST, _MOST))):
+        kind = str(dice.choice(_KINDS, p=_SHARES))
+        if kind == "undo":
+            back = int(dice.integers(1, 4))
+            state = history[-1 - min(back, len(history) - 1)]
+        else:
+            if kind == "pull" or not patch.any():
+                patch, pull = _patch(dice, state.problem), dice.normal(size=2)
+                pull *= 10 ** dice.uniform(-1.5, 0.7)
+            elif kind == "move":
+                pull = pull + dice.normal(size=2) * 10 ** dice.uniform(-2, 0)
+            state = _edited(kind, state, patch, pull, dice)
+        history.append(state)
+        yield kind, state
+
+
+def _patch(dice: np.random.Generator, problem: Problem) -> np.ndarray:
+    """Return a disc of sites around a random site of tissue."""
+    at = dice.choice(np.argwhere(problem.tissue))
+    rows, cols = np.indices(problem.shape)
+    radius = dice.uniform(0.5, 1 + max(problem.shape) / 8)
+    return np.asarray(np.hypot(rows - at[0], cols - at[1]) <= radius)
+
+
+def _edited(
+    kind: str, state: State, patch: np.ndarray, pull: np.ndarray, dice: np.random.Generator
+) -> State:
+    """Return the state after an edit."""
+    problem, prior = state
+    y, c, m = (
+        np.array(each, dtype=np.float64)
+        for each in (problem.observed, problem.confidence, problem.stiffness)
+    )
+    if kind in ("pull", "move"):
+        y[patch] = pull * problem.unit
+        c[patch] = 1
+    elif kind == "let go":
+        c[patch] = 0
+    elif kind == "confidence":
+        c[patch] = dice.uniform(0.01, 1)
+    elif kind == "stiffness":
+        m[patch] *= 10 ** dice.uniform(-2, 2)
+    elif kind == "penalty":
+        penalty = float(10 ** dice.uniform(-2, 3))
+        prior = replace(prior, penalty=penalty)
+    elif isinstance(prior, ElasticPrior):
+        prior = replace(prior, poisson=float(dice.choice([0.0, 0.3, 0.45, 0.49])))
+    return State(Problem(y, c, m, spacing=problem.spacing), prior)
+
+
+def judge(seed: int, sequence: int) -> list[Answer]:
+    """Run a sequence on the live solver, and compare each answer.
+
+    Parameters
+    ----------
+    seed, sequence : int
+    """
+    start = start_of(seed, sequence)
+    dice = np.random.default_rng([seed, sequence, 1])
+    updates: list[Update] = []
+    steps: list[tuple[str, State, Update]] = []
+    edits = states_of(start, dice)
+    # Cold solves come after: the live solver would learn from them. An edit that makes no problem
+    # ends the sequence.
+    with suppress(HmrfError), LiveSolver(updates.append, backend="cpu") as live:
+        for kind, state in edits:
+            live.submit(state)
+            if not live.wait(_LONG):
+                raise TimeoutError(f"sequence {sequence} is not answered")
+            steps.append((kind, state, updates[-1]))
+    return [
+        _compared(update, state, sequence, number, kind)
+        for number, (kind, state, update) in enumerate(steps)
+    ]
+
+
+def _compared(update: Update, state: State, sequence: int, step: int, kind: str) -> Answer:
+    """Compare an answer of the live solver with a cold solve."""
+    problem, prior = state
+    about: dict[str, Any] = {"sequence": sequence, "step": step, "kind": kind}
+    about["reading"] = _reading(prior)
+    cold, refusal = None, ""
+    try:
+        cold = solve(problem, prior, optimizer=Multigrid(COLD), backend="cpu")
+    except (ProblemError, ConvergenceError) as error:
+        refusal = str(error)
+    if update.solution is None:
+        if not isinstance(update.error, ProblemError | ConvergenceError):
+            return Answer(outcome="crashed", message=repr(update.error), **about)
+        outcome = "both refuse" if cold is None else "live alone refuses"
+        return Answer(outcome=outcome, message=str(update.error), **about)
+    if cold is None:
+        return Answer(outcome="cold alone refuses", message=refusal, **about)
+    assert update.solution.convergence is not None
+    assert cold.convergence is not None
+    both = update.solution.displacement, cold.displacement
+    apart = (both[0].astype(np.float64) - both[1]) / problem.unit
+    difference = float(np.hypot(apart[..., 0], apart[..., 1]).max())
+    errors = update.solution.convergence.error, cold.convergence.error
+    rounding = ROUNDED * float(np.abs(both[1]).max()) / problem.unit
+    outcome = "agree" if difference <= sum(errors) + rounding else "differ"
+    return Answer(outcome=outcome, difference=difference, live=errors[0], cold=errors[1], **about)
+
+
+def _reading(prior: ElasticPrior | SeilerPrior) -> str:
+    """Return the kind of energy."""
+    if isinstance(prior, ElasticPrior):
+        how = "held" if prior.penalty == math.inf else "slips"
+        return f"elastic {prior.plane}, {how}"
+    return str(prior.conditional)
+
+
+def report(answers: list[Answer], seed: int, sequences: range, seconds: float) -> str:
+    """Return the findings, in Markdown.
+
+    Parameters
+    ----------
+    answers : list of Answer
+    seed : int
+    sequences : range
+    seconds : float
+        Duration of the campaign.
+    """
+    counts = Counter(answer.outcome for answer in answers)
+    violations = [answer for answer in answers if answer.is_violation]
+    compared = [a for a in answers if math.isfinite(a.difference)]
+    parts = [a.difference / max(a.live + a.cold, 1e-12) for a in compared]
+    lines = [
+        f"Sequences {sequences.start} to {sequences.stop - 1} of seed {seed}:",
+        f"{len(answers)} answers in {seconds:.0f} s, tolerance {TOLERANCE:g} px.",
+        f"**{len(violations)} violations.** "
+        + ", ".join(f"{count} {name}" for name, count in counts.most_common())
+        + ".",
+    ]
+    if parts:
+        values = np.percentile(parts, (50, 90, 99, 100))
+        worst = ", ".join(f"{value:.2g}" for value in values)
+        lines.append(f"Difference over the sum of both errors, 50, 90, 99, 100 %: {worst}.")
+    lines += ["", "| energy | answers | violations |", "| --- | ---: | ---: |"]
+    for name in sorted({answer.reading for answer in answers}):
+        some = [answer for answer in answers if answer.reading == name]
+        lines.append(f"| {name} | {len(some)} | {sum(a.is_violation for a in some) or ''} |")
+    lines += ["", *(_line(answer, seed) for answer in violations)]
+    return "\n".join(lines)
+
+
+def _line(answer: Answer, seed: int) -> str:
+    """Return one violation, with the command that repeats it."""
+    text = f"- `--seed {seed} --only {answer.sequence}` step {answer.step} ({answer.kind}), "
+    text += f"{answer.reading}: {answer.outcome}"
+    if math.isfinite(answer.difference):
+        text += f" by {answer.difference:.3g} px, live {answer.live:.2g}, cold {answer.cold:.2g}"
+    return text + (f": {answer.message[:160]}" if answer.message else "")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the campaign and print the findings."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sequences", type=int, default=2000)
+    parser.add_argument("--first", type=int, default=0, help="the first sequence")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", type=int, help="this sequence alone")
+    parser.add_argument("--page", type=Path, help="write the findings to this file, too")
+    options = parser.parse_args(arguments)
+    sequences = range(options.first, options.first + options.sequences)
+    if options.only is not None:
+        sequences = range(options.only, options.only + 1)
+    begun, answers, last = time.perf_counter(), list[Answer](), 0.0
+    for sequence in sequences:
+        found = judge(options.seed, sequence)
+        answers += found
+        for answer in found:
+            if answer.is_violation or options.only is not None:
+                print(_line(answer, options.seed), file=sys.stderr, flush=True)
+        if time.perf_counter() - last > 10:
+            last = time.perf_counter()
+            print(f"{sequence}, {len(answers)} answers, {last - begun:.0f} s", file=sys.stderr)
+    text = report(answers, options.seed, sequences, time.perf_counter() - begun)
+    print(text)
+    if options.page is not None:
+        options.page.write_text(_PAGE.format(cold=COLD, report=text), encoding="utf-8")
+    return 1 if any(answer.is_violation for answer in answers) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
