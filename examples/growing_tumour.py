@@ -22,16 +22,18 @@ brain = phantom("mass-effect", size=150).growing(0.4)
 solution = solve(brain.problem)
 
 # By which factor the area around each pixel has changed; NaN where there is no tissue.
-jacobian = jacobian_determinant(solution.displacement, tissue=solution.tissue)
+jacobian = jacobian_determinant(solution.displacement, spacing=1, tissue=solution.tissue)
 for label, name in ((3, "tumour"), (2, "ventricles"), (1, "normal tissue")):
     there = brain.tissue_labels == label
     print(f"area of the {name}: {100 * np.nanmean(jacobian[there]):.1f} % of what it was")
-folded = count_folds(solution.displacement, tissue=solution.tissue)
+folded = count_folds(solution.displacement, spacing=1, tissue=solution.tissue)
 print(f"pixels at which tissue folds: {folded}")
 
 # Images move with the tissue; labels take the nearest pixel.
-image = warp(brain.image, solution.displacement, tissue=solution.tissue)
-labels = warp(brain.tissue_labels, solution.displacement, tissue=solution.tissue, order=0)
+image = warp(brain.image, solution.displacement, spacing=1, tissue=solution.tissue)
+labels = warp(
+    brain.tissue_labels, solution.displacement, spacing=1, tissue=solution.tissue, order=0
+)
 before, after = (brain.tissue_labels == 3).sum(), (labels == 3).sum()
 print(f"pixels of tumour: {before} before, {after} after")
 
@@ -42,5 +44,5 @@ np.save("growing-tumour-image.npy", image)
 more = phantom("mass-effect", size=150).growing(1.5).problem
 for prior in (ElasticPrior(), NeoHookeanPrior()):
     grown = solve(more, prior)
-    folded = count_folds(grown.displacement, tissue=grown.tissue)
+    folded = count_folds(grown.displacement, spacing=1, tissue=grown.tissue)
     print(f"{grown.provenance.model}, grown by 150 %: folds at {folded} pixels")

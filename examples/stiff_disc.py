@@ -21,7 +21,7 @@ confidence[:, :2] = confidence[:, -2:] = 1
 solution = solve(Problem(observed, confidence, stiffness))
 print(solution)
 
-stretch = principal_strains(small_strain(solution.displacement))[..., 0]
+stretch = principal_strains(small_strain(solution.displacement, spacing=1))[..., 0]
 row, col = solution.displacement[48, 48]
 print(f"the middle of the disc moves {row:.2f} pixels down and {col:.2f} to the right")
 print(f"largest strain, mean within the disc: {100 * stretch[disc].mean():.1f} %")

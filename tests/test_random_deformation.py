@@ -108,7 +108,7 @@ def test_a_half_turn_is_no_way_to_unfold():
     at = np.moveaxis(np.indices((8, 8)), 0, -1)
     turned = -2.5 * (at - 3.5)
     everywhere = np.ones((8, 8), bool)
-    assert not folds(turned).any()
+    assert not folds(turned, spacing=1).any()
     assert largest_scale(turned, (1, 1), everywhere, 0.2) == pytest.approx(0.2211, abs=5e-4)
 
 
@@ -350,7 +350,9 @@ def test_pictures_are_those_of_warp_wherever_the_tissue_lies():
     for seed in range(4):
         sample = random.sample(seed)
         for order in (0, 1, 3):
-            expected = warp(noise, sample.displacement, tissue=sample.tissue, order=order)
+            expected = warp(
+                noise, sample.displacement, spacing=1, tissue=sample.tissue, order=order
+            )
             (moved,) = sample.pictures(Picture(noise, order=order))
             np.testing.assert_allclose(moved, expected, atol=1e-9)
 

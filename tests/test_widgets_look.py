@@ -123,7 +123,7 @@ def test_half_of_the_deformation_is_the_image_moved_by_half_the_displacement(loo
     image, moved = viewer.layers["MR"], viewer.layers["MR deformed, paper"]
     whole, layers = moved.data.copy(), names(viewer)
     set_to(look, percent=50)
-    expected = warp(image.data, solution.displacement / 2, tissue=solution.tissue)
+    expected = warp(image.data, solution.displacement / 2, spacing=1, tissue=solution.tissue)
     np.testing.assert_array_equal(moved.data, expected)
     assert known_of(moved)["percent"] == 50
     assert "50 %: tissue moved up to 1.5 px" in look._form.result.how_far.value
@@ -462,7 +462,7 @@ def lengths_of(solution, part):
     lengths = part * np.linalg.norm(solution.displacement, axis=-1)
     lengths[~solution.tissue] = np.nan
     d = part * solution.displacement
-    return warp(lengths, d, tissue=solution.tissue, order=0, fill=np.nan)
+    return warp(lengths, d, spacing=1, tissue=solution.tissue, order=0, fill=np.nan)
 
 
 def test_what_was_given_lies_where_its_tissue_is_seen(look, set_to):
@@ -504,7 +504,7 @@ def test_folds_are_told_and_marked(widget, small_sample, run, set_to):
     solution = outputs.solution
     folded = coloured(solution, "jacobian").values <= 0
     assert folded.sum() == outputs.folds
-    moved = warp(folded, solution.displacement, tissue=solution.tissue, order=0)
+    moved = warp(folded, solution.displacement, spacing=1, tissue=solution.tissue, order=0)
     np.testing.assert_array_equal(layer.data <= 0, moved)
     assert layer.contrast_limits == [0, 2], "folds, and nothing else, are at the lower limit"
     values = coloured(solution, "jacobian").values

@@ -36,11 +36,14 @@ from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.resample import as_image, emptiness
 from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.optimizers.base import Convergence
+from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import as_numbers, checked_spacing
 from napari_hmrf.solver.solution import Provenance, Solution
 from napari_hmrf.study.study import Grid, Study
-from napari_hmrf.tissue.boundary_rules import Material, stiffness_image
+from napari_hmrf.tissue.boundary_rules import Material, poisson_image, stiffness_image
+from napari_hmrf.tissue.painted_loads import growth_loads
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
 #: What a generator is made from: a seed, or a generator itself, which goes on.
@@ -93,7 +96,9 @@ class RandomSample:
     @cached_property
     def solution(self) -> Solution:
         """The field as a result: for `measure`, `export_field`, `save_study` and the like."""
-        study = self.study
+        study, rows = self.study, self.study.tissue.materials
+        grown = growth_loads(self.case.labels, rows)
+        prior = ElasticPrior(poisson_image(self.case.labels, rows))
         return Solution(
             displacement=self.displacement,
             energy=np.zeros(1),
@@ -109,6 +114,7 @@ class RandomSample:
                 },
             ),
             convergence=Convergence(WRONG, 0.0),
+            elasticity=Elasticity.of_prior(prior, None if grown is None else grown.growth),
         )
 
     def pictures(self, *pictures: Picture) -> list[npt.NDArray[Any]]:

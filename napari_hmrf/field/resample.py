@@ -170,7 +170,14 @@ def on_finer_grid(solution: Solution, tissue: BoolArray, step: int) -> Solution:
     ]
     d = np.where(tissue[..., None], np.stack(finer, axis=-1), np.float32(0))
     spacing = tuple(size / step for size in solution.spacing)
-    return replace(solution, displacement=d, tissue=tissue, spacing=spacing)
+    nearest = np.ix_(
+        *(
+            np.minimum(np.rint(np.arange(size) / step).astype(np.intp), last - 1)
+            for size, last in zip(shape, solution.tissue.shape, strict=True)
+        )
+    )
+    elasticity = solution.elasticity and solution.elasticity.mapped(lambda each: each[nearest])
+    return replace(solution, displacement=d, tissue=tissue, spacing=spacing, elasticity=elasticity)
 
 
 def emptiness(picture: npt.NDArray[Any], axes: int = 2) -> Any:

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from napari_hmrf.field.deformation import count_folds
-from napari_hmrf.field.measurement import Measurement, measure
+from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.samples.head import TUMOUR, HeadPhantom, head_phantom
 from napari_hmrf.solver.model_names import in_words
 from napari_hmrf.solver.optimizers import Monitor
@@ -109,13 +108,13 @@ def demonstrate_volume(
         # Those for volumes are made for whoever asks.
         provide_loops(job_of(study.prior, study.optimizer, study.grid.spacing), progress)
     solution = solve_study(study, backend=backend, progress=progress)
-    measured = measure(solution, head.tissue_labels)
+    measured = solution.measure(head.tissue_labels)
     return VolumeDemonstration(
         head,
         study,
         solution,
         tumour=next(each for each in measured if each.label == TUMOUR),
-        folds=count_folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue),
+        folds=solution.count_folds(),
     )
 
 
