@@ -9,9 +9,7 @@ import numpy as np
 from napari_hmrf import (
     Material,
     RandomDeformation,
-    count_folds,
     equivalent_strain,
-    green_lagrange_strain,
     phantom,
     solve_study,
 )
@@ -34,15 +32,11 @@ points = np.stack([sample.points(tips) for sample in samples])
 fields = np.stack([sample.displacement for sample in samples])
 np.savez("deformed.npz", images=images, labels=labels, points=points, fields=fields)
 
-folded = sum(
-    count_folds(sample.displacement, spacing=1, tissue=sample.tissue) for sample in samples
-)
+folded = sum(sample.solution.count_folds() for sample in samples)
 farthest = np.linalg.norm(fields, axis=-1).max()
 print(f"{len(samples)} images: tissue moved up to {farthest:.2f} px, and folds at {folded} pixels")
 bone = brain.tissue_labels == 3
-strained = max(
-    equivalent_strain(green_lagrange_strain(d, spacing=1, tissue=bone))[bone].max() for d in fields
-)
+strained = max(equivalent_strain(sample.solution.strain())[bone].max() for sample in samples)
 print(f"bone is strained by {100 * strained:.3f} %")
 
 solved = solve_study(samples[0].study).displacement

@@ -56,7 +56,9 @@ def free_disc(prior, amount=0.15, shape=(24, 24), tensor=None):
         there = [*at]
         there[axis] += 2
         c[(*there, slice(axis + 1, None))] = 1
-    grown = growth(amount * disc) if tensor is None else Loads(growth=disc[..., None, None] * tensor)
+    grown = (
+        growth(amount * disc) if tensor is None else Loads(growth=disc[..., None, None] * tensor)
+    )
     problem = Problem(np.zeros_like(c), c, disc.astype(float), loads=grown)
     return solve(problem, prior, optimizer=TIGHT, backend="cpu")
 

@@ -136,10 +136,7 @@ def values_of_strain(solution: Solution, value: StrainValue, fraction: float = 1
 def _total(
     solution: Solution, sites: slice, fraction: float
 ) -> tuple[Float64Array, npt.ArrayLike, BoolArray]:
-    """Green-Lagrange strain of the sites of tissue in a range of the first axis, and nothing else.
-
-    The sites come third.
-    """
+    """Compute Green-Lagrange strain of tissue in a range of the first axis; sites come third."""
     d = solution.displacement[sites] * np.float32(fraction)
     gradient, mask = displacement_gradient(d, solution.spacing, solution.tissue[sites])
     return green_lagrange(gradient), 0.0, mask
@@ -148,10 +145,7 @@ def _total(
 def _elastic(
     solution: Solution, sites: slice, fraction: float
 ) -> tuple[Float64Array, npt.ArrayLike, BoolArray]:
-    """Elastic strain of the sites of tissue in a range of the first axis; that across an image.
-
-    The sites come third.
-    """
+    """Compute elastic strain in a range of the first axis, within and across an image; sites."""
     elasticity = solution.elasticity
     assert elasticity is not None
     d = solution.displacement[sites] * np.float32(fraction)
@@ -203,11 +197,8 @@ def _axes(tensors: npt.NDArray[Any]) -> range:
 
 
 def _of_elements(values: npt.NDArray[Any], mask: BoolArray) -> Float64Array:
-    """Return the mean of the elements around each site of tissue, each the mean of its corners.
-
-    Tissue too thin for elements has its own values.
-    """
-    elements = in_elements(mask)
+    """Return the mean of the elements around each site of tissue, each the mean of its corners."""
+    elements = in_elements(mask)  # tissue too thin for them has its own values
     own = np.where(mask, values, 0).astype(np.float64)
     means = np.where(elements, of_corners(own, add) / 2**mask.ndim, 0.0)
     total, count = around_sites(means, add)[mask], around_sites(elements.astype(int), add)[mask]
