@@ -211,6 +211,23 @@ def test_image_labels_and_points_move_by_the_field_that_comes_with_them():
     assert (seen == TUMOUR).mean() > 0.9
 
 
+def test_a_sample_pulled_less_than_was_asked_for_is_reported_once(caplog):
+    random = RandomDeformation(labels(), MATERIALS, amplitude=(9, 12), patches=4)
+    sample = random.sample(1)
+    assert sample.scale < 1
+    assert 0 < sample.amplitude < 9
+    (said,) = [record.getMessage() for record in caplog.records if "amplitude" in record.message]
+    assert said.startswith(
+        f"amplitude of at least 9 was asked for, and a sample has {sample.amplitude:.3g}"
+    )
+    random.sample(2)
+    assert sum("amplitude" in record.message for record in caplog.records) == 1
+    caplog.clear()
+    even = RandomDeformation(labels(), MATERIALS, amplitude=(0.01, 12), patches=4)
+    assert even.sample(1).amplitude >= 0.01
+    assert not caplog.records
+
+
 def test_the_amplitude_is_how_far_the_farthest_patch_is_pulled():
     small = RandomDeformation(labels(), MATERIALS[:2] + MATERIALS[3:] + (Material(2, "", 3.0),))
     low, high = small.amplitude

@@ -7,6 +7,7 @@ is a random sum of them. It is scaled down where it would squeeze tissue to litt
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 from collections.abc import Callable, Iterable, Sequence
@@ -55,6 +56,7 @@ _PATCHES = {2: 12, 3: 8}
 # How far a sample pulls at most, as a part of how far patches lie from their next.
 _REACH = {2: 1 / 4, 3: 1 / 8}
 _MOVING = "pictures to be moved"
+_log = logging.getLogger("napari_hmrf")
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +89,11 @@ class RandomSample:
     def __repr__(self) -> str:
         farthest = float(np.linalg.norm(self.displacement, axis=-1).max(initial=0.0))
         return f"RandomSample(moved up to {farthest:.3g}, scale {self.scale:.3g})"
+
+    @property
+    def amplitude(self) -> float:
+        """Largest pull of a control patch, in the unit of `spacing`, as it is after scaling."""
+        return float(np.linalg.norm(self.causes.pulls, axis=1).max())
 
     @cached_property
     def study(self) -> Study:
@@ -202,10 +209,11 @@ class RandomDeformation:
     unit : str
         Of all lengths.
     amplitude : float or (float, float), optional
-        How far that of the control patches is pulled that is pulled farthest, in the unit of
-        `spacing`: always so far, or evenly between two lengths. By default from nothing to a
-        quarter of how far patches lie from their next, in a volume an eighth. Where that squeezed
-        tissue too much, it is less.
+        Largest pull of a control patch, in the unit of `spacing`: one length for all samples, or
+        two between which it is drawn evenly. By default from nothing to a quarter of the distance
+        between neighbouring patches, in a volume an eighth. A sample that would squeeze tissue too
+        much is scaled down: its own `amplitude` says how far it is pulled, and a warning is logged
+        if that is less than the least one that was asked for.
     patches : int, optional
         How many control patches there are, at most; where tissue is narrow there is room for fewer.
         By default 12, in a volume 8.
@@ -311,7 +319,7 @@ class RandomDeformation:
 
     def _take(self, solutions: UnitSolutions) -> None:
         """Draw from these from now on."""
-        self._solutions, self._case = solutions, solutions.case
+        self._solutions, self._case, self._said = solutions, solutions.case, False
         self._factor = _factor(self._case.centres, self._case.smoothness)
 
     @property
@@ -395,8 +403,25 @@ class RandomDeformation:
         scale = largest_scale(displacement, case.grid.spacing, self.tissue, case.least_jacobian)
         if scale < 1:
             displacement *= np.float32(scale)
-        return RandomSample(
+        sample = RandomSample(
             displacement, self.tissue, case.grid.spacing, drawn * scale, scale, case
+        )
+        self._say_if_short(sample)
+        return sample
+
+    def _say_if_short(self, sample: RandomSample) -> None:
+        """Log once that a sample is pulled by less than the least amplitude."""
+        least = self.amplitude[0]
+        if self._said or sample.amplitude >= least * (1 - 1e-6):
+            return
+        self._said = True
+        _log.warning(
+            "amplitude of at least %.3g was asked for, and a sample has %.3g: more would squeeze "
+            "tissue to less than least_jacobian, %.3g. Ask for less, or take fewer patches or a "
+            "larger smoothness. (This is said once.)",
+            least,
+            sample.amplitude,
+            self._case.least_jacobian,
         )
 
     def _draw(self, random: np.random.Generator) -> Causes:
