@@ -313,6 +313,8 @@ def _demo_volume(options: argparse.Namespace) -> int:
     )
     progress.end()
     print(table(demonstration), flush=True)
+    if demonstration.note:
+        print(f"note: {demonstration.note}", flush=True)
     _tell("drawing ...")
     _tell_written(options, write_volume_results(demonstration, options.out))
     layers = volume_layers(demonstration.head)

@@ -19,6 +19,9 @@ from napari_hmrf.study.ground import solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
+#: Displacement of the tumour's rim, in millimetres: elastic tissue beside it does not fold, as it
+#: does from 2.5 on.
+GROWTH = 2.0
 #: Cubic millimetres.
 _MILLILITRE = 1000.0
 
@@ -44,6 +47,17 @@ class VolumeDemonstration:
     solution: Solution
     tumour: Measurement
     folds: int
+
+    @property
+    def note(self) -> str:
+        """Sentence on the voxels that fold, and what to do; "" if none does."""
+        if not self.folds:
+            return ""
+        return (
+            f"the tissue folds over itself at {self.folds} voxels, which no tissue does: the "
+            f"tumour grows by too much ({self.head.growth:g} mm). From Python, "
+            f"head_phantom({self.head.image.shape[1]}, growth={self.head.growth / 2:g}) grows less."
+        )
 
     def rows(self) -> tuple[tuple[str, str], ...]:
         """What was measured, by name."""
@@ -73,6 +87,7 @@ def demonstrate_volume(
     progress: Callable[[Monitor], None],
     model: str = "elastic",
     poisson: float = USUAL_POISSON,
+    growth: float = GROWTH,
 ) -> VolumeDemonstration:
     """Solve a head in which a tumour grows.
 
@@ -85,6 +100,8 @@ def demonstrate_volume(
     model : {"elastic", "paper", "paper, converged"}
     poisson : float
         Of all elastic tissue.
+    growth : float
+        As of `head_phantom`.
 
     Raises
     ------
@@ -93,7 +110,7 @@ def demonstrate_volume(
     BackendError
         If the backend asked for cannot run.
     """
-    head = head_phantom(size)
+    head = head_phantom(size, growth=growth)
     materials = tuple(replace(row, poisson=poisson) for row in head.materials)
     study = Study(
         Grid(head.image.shape, head.spacing, "millimeter", head.frame),
