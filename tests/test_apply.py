@@ -80,6 +80,18 @@ def test_images_labels_and_films_move_as_by_warp(solved, tmp_path):
     assert set(np.unique(moved)) <= set(np.unique(labels)) | {0}, "no new label"
 
 
+def test_pixels_that_are_no_numbers_are_counted(solved, tmp_path, capsys):
+    path, _ = solved
+    photo = np.ones(SHAPE, np.float32)
+    photo[3, 4:7] = np.nan
+    save_image(tmp_path / "mr.tif", ImageFile(photo))
+    out = str(tmp_path / "out")
+    assert main(["apply", str(path), str(tmp_path / "mr.tif"), "-o", out]) == 0
+    said = capsys.readouterr().out
+    assert "note: mr.tif is NaN or infinite at 3 pixels, which stay so where they move" in said
+    assert np.isnan(load_image(tmp_path / "out" / "mr.tif").pixels).any()
+
+
 def test_landmarks_go_where_the_tissue_goes(solved, tmp_path):
     path, solution = solved
     at = np.array([[20.0, 22.0], [10.5, 30.25]])

@@ -483,7 +483,7 @@ def test_what_was_given_lies_where_its_tissue_is_seen(look, set_to):
 
 def test_the_canvas_says_what_colours_and_marks_show_and_in_which_unit(look, set_to):
     set_to(look, overlay="equivalent")
-    layer = viewer_of(look).layers["MR equivalent strain (%), paper"]
+    layer = viewer_of(look).layers["MR equivalent in-plane strain (%), paper"]
     if not hasattr(layer, "name_overlay"):
         pytest.skip("napari before 0.9 writes no layer's name on the canvas")
     assert layer.name_overlay.visible

@@ -46,7 +46,8 @@ def warp(
     Parameters
     ----------
     image : array_like, shape ([D,] H, W) or ([D,] H, W, channels)
-        Grey, RGB or RGBA image, or labels (with ``order=0``).
+        Grey, RGB or RGBA image, or labels (with ``order=0``). A pixel that is NaN or infinite
+        stays so where it moves, and is left out of the interpolation around it.
     displacement : array_like, shape (H, W, 2), or (D, H, W, 3) of a volume
         Material displacement in the order of the axes, in the unit of `spacing`.
     spacing : float or sequence of float, shape (n,)

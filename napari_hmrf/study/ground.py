@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import LayerError
+from napari_hmrf.field.resample import unknown_values
 from napari_hmrf.solver.body_forces import weight
 from napari_hmrf.solver.caveats import caveats, lack
 from napari_hmrf.solver.loads import Loads
@@ -350,15 +351,8 @@ def _refuse_unknown_brightness(study: Study, intensities: npt.NDArray[Any]) -> N
 
 def _unknown_pixels(study: Study) -> str:
     """Say, as a clause, that an image has pixels that are no numbers; "" if it has none."""
-    image = study.pictures.image
-    if image is None or image.dtype.kind != "f" or np.isfinite(image).all():
-        return ""
-    unknown = ~np.isfinite(image).reshape(*study.grid.shape, -1).all(axis=-1)
-    sites = "voxels" if unknown.ndim == 3 else "pixels"
-    return (
-        f"'{study.named('image')}' is NaN or infinite at {int(unknown.sum())} {sites}, which stay "
-        "so where they move"
-    )
+    image, name = study.pictures.image, f"'{study.named('image')}'"
+    return "" if image is None else unknown_values(image, len(study.grid.shape), name)
 
 
 def _observe(study: Study, base: Canvas) -> list[str]:
