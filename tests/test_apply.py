@@ -46,7 +46,8 @@ def solved(tmp_path):
 
 
 def by(solution):
-    return {"displacement": solution.displacement, "tissue": solution.tissue}
+    field = {"displacement": solution.displacement, "tissue": solution.tissue}
+    return {**field, "spacing": solution.spacing}
 
 
 def test_what_is_read_is_never_written_over(solved, tmp_path):

@@ -203,6 +203,19 @@ def test_a_file_keeps_what_elastic_strain_needs(prior, tmp_path):
     assert strain_note(again) == ""
 
 
+def test_rigid_tissue_has_no_strain(tmp_path):
+    y, c = np.zeros((2, 24, 24, 2))
+    y[:, -1, 1], c[:, [0, -1]] = 2, 1
+    stiffness = np.ones((24, 24))
+    stiffness[8:16, 8:16] = np.inf
+    solution = solve(Problem(y, c, stiffness), optimizer=TIGHT, backend="cpu")
+    soft, bone = solution.measure(np.isinf(stiffness))
+    assert (bone.mean_strain, bone.largest_strain) == (0, 0)
+    assert soft.mean_strain > 5
+    again = Solution.load(solution.save(tmp_path / "bone"))
+    assert again.measure(np.isinf(stiffness)) == (soft, bone)
+
+
 def test_an_earlier_file_says_that_it_cannot_tell_elastic_strain(tmp_path):
     grown = free_disc(ElasticPrior(NU))
     old = replace(grown, elasticity=None)

@@ -78,7 +78,7 @@ def answers():
     """An image that has moved, and how near each of its sites is to a fold."""
     image = np.random.default_rng(0).random(SHAPE)
     return warp(image, waves(), spacing=1, tissue=a_ball()), smallest_determinant(
-        waves(), None, a_ball()
+        waves(), 1, a_ball()
     )
 
 

@@ -342,7 +342,7 @@ def test_colours_show_how_far_how_the_area_changes_and_the_strain(look, set_to):
     low, high = layer.contrast_limits
     assert low + high == pytest.approx(2), "no change is in the middle"
     set_to(look, overlay="columns")
-    assert layer.name == "MR strain from column to column (%), paper"
+    assert layer.name == "MR in-plane strain from column to column (%), paper"
     np.testing.assert_allclose(layer.data[10, 5:19], 50 * (inside**2 - 1), atol=2)
     layer.name = "mine"
     set_to(look, overlay="equivalent")
@@ -452,7 +452,7 @@ def test_colours_are_those_of_the_moment_that_is_seen_on_one_scale(look, set_to)
         np.testing.assert_allclose(layer.data, lengths_of(solution, percent / 100), rtol=1e-5)
         assert layer.contrast_limits == [0, 3], "what grows is seen to grow"
     set_to(look, overlay="columns", percent=50)
-    values = viewer_of(look).layers["MR strain from column to column (%), paper"].data
+    values = viewer_of(look).layers["MR in-plane strain from column to column (%), paper"].data
     half = replace(solution, displacement=solution.displacement / 2)
     assert np.nanmax(values) == np.nanmax(coloured(half, "columns").values)
 
@@ -583,7 +583,7 @@ def test_the_strain_that_is_shown_is_read_as_well(look, set_to):
         solution.displacement, spacing=solution.spacing, tissue=solution.tissue
     )
     col = look.at((10, 12)).site[1]
-    assert f"strain from column to column {100 * along[10, col, 1, 1]:.3g} %" in said()
+    assert f"in-plane strain from column to column {100 * along[10, col, 1, 1]:.3g} %" in said()
     assert along[10, col, 1, 1] > 0.05, "it is pulled out"
     for other in ("magnitude", "labels", "grid", "nothing"):
         set_to(look, overlay=other)
@@ -889,11 +889,11 @@ def test_what_is_added_says_what_it_is(look, set_to):
         set_to(look, overlay=name)
         (layer,) = (each for each in viewer.layers if known_of(each).get("kind") == name)
         assert type(layer) is kind
-    facts = viewer.layers["MR largest stretch (%), paper"].metadata[METADATA]
+    facts = viewer.layers["MR largest in-plane stretch (%), paper"].metadata[METADATA]
     assert facts["source"] == "MR"
     assert "percent" not in facts, "all of the deformation"
     set_to(look, percent=30)
-    facts = viewer.layers["MR largest stretch (%), paper"].metadata[METADATA]
+    facts = viewer.layers["MR largest in-plane stretch (%), paper"].metadata[METADATA]
     assert facts["percent"] == 30
 
 

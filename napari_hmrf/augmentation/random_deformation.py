@@ -103,9 +103,13 @@ class RandomSample:
     @cached_property
     def solution(self) -> Solution:
         """The field as a result: for `measure`, `export_field`, `save_study` and the like."""
-        study, rows = self.study, self.study.tissue.materials
-        grown = growth_loads(self.case.labels, rows)
-        prior = ElasticPrior(poisson_image(self.case.labels, rows))
+        study, labels = self.study, self.case.labels
+        rows, grown = study.tissue.materials, growth_loads(labels, study.tissue.materials)
+        elasticity = Elasticity(
+            ElasticPrior(poisson_image(labels, rows)).poisson,
+            growth=None if grown is None else grown.growth,
+            rigid=np.isinf(stiffness_image(labels, rows)),
+        )
         return Solution(
             displacement=self.displacement,
             energy=np.zeros(1),
@@ -121,7 +125,7 @@ class RandomSample:
                 },
             ),
             convergence=Convergence(WRONG, 0.0),
-            elasticity=Elasticity.of_prior(prior, None if grown is None else grown.growth),
+            elasticity=elasticity,
         )
 
     def pictures(self, *pictures: Picture) -> list[npt.NDArray[Any]]:

@@ -148,6 +148,18 @@ def _elastic(
     """Compute elastic strain in a range of the first axis, within and across an image; sites."""
     elasticity = solution.elasticity
     assert elasticity is not None
+    strain, across, mask = _of_model(solution, elasticity, sites, fraction)
+    if elasticity.rigid is not None:
+        # Differences at its rim see the tissue beside it, but what is rigid has no strain.
+        rigid = elasticity.rigid[sites][mask]
+        strain[rigid], across = 0, np.where(rigid, 0.0, across)
+    return strain, across, mask
+
+
+def _of_model(
+    solution: Solution, elasticity: Elasticity, sites: slice, fraction: float
+) -> tuple[Float64Array, npt.ArrayLike, BoolArray]:
+    """Compute strain as of `_elastic`, of tissue that is not rigid."""
     d = solution.displacement[sites] * np.float32(fraction)
     gradient, mask = displacement_gradient(d, solution.spacing, solution.tissue[sites])
     growth, growth_across = _growth_at(elasticity, sites, mask, fraction)

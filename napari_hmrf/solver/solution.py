@@ -381,6 +381,7 @@ def _describe(solution: Solution) -> tuple[array_file.Header, array_file.Arrays]
         }
         arrays |= {} if isinstance(nu, float) else {"poisson": nu}
         arrays |= {} if growth is None else {"growth": growth}
+        arrays |= {} if elasticity.rigid is None else {"rigid": elasticity.rigid}
     return header, arrays
 
 
@@ -444,9 +445,9 @@ def _reach(given: Mapping[str, Any] | None) -> Reach | None:
 def _elasticity(header: array_file.Header, arrays: array_file.Arrays) -> Elasticity | None:
     """Read elastic properties; those of an earlier file as far as its parameters tell them."""
     grid, poisson, growth = arrays["tissue"].shape, arrays.get("poisson"), arrays.get("growth")
-    given = header.get("elasticity")
+    given, rigid = header.get("elasticity"), arrays.get("rigid")
     if given is None:
-        if poisson is not None or growth is not None:
+        if any(each is not None for each in (poisson, growth, rigid)):
             raise array_file.Invalid("it has arrays of elastic tissue, but no elastic model")
         given = _elasticity_in_parameters(header["provenance"])
         if given is None:
@@ -467,7 +468,9 @@ def _elasticity(header: array_file.Header, arrays: array_file.Arrays) -> Elastic
             raise array_file.Invalid(f"its growth {growth.shape} and tissue disagree")
         if not np.isfinite(growth).all():
             raise array_file.Invalid("its growth holds values that are not numbers")
-    return Elasticity(float(nu) if poisson is None else poisson, plane, finite, growth)
+    if rigid is not None and rigid.shape != grid:
+        raise array_file.Invalid(f"its rigid tissue {rigid.shape} and tissue disagree")
+    return Elasticity(float(nu) if poisson is None else poisson, plane, finite, growth, rigid)
 
 
 def _elasticity_in_parameters(provenance: Mapping[str, Any]) -> Mapping[str, Any] | None:
@@ -493,6 +496,7 @@ SOLUTION_FORMAT: array_file.Format[Solution] = array_file.Format(
         "tissue": array_file.Kind(("|b1",), (2, 3)),
         "poisson": array_file.Kind(("<f4",), (2, 3), optional=True),
         "growth": array_file.Kind(("<f4",), (2, 3, 4, 5), optional=True),
+        "rigid": array_file.Kind(("|b1",), (2, 3), optional=True),
     },
     describe=_describe,
     parse=_parse,

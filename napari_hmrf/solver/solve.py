@@ -284,7 +284,6 @@ def _solution_of(
             f"{renderer} returned values that are not numbers, so the result was dropped. Is the "
             'prior damped enough, and observed of a reasonable size? If so, try backend="cpu".'
         )
-    growth = None if problem.loads is None else problem.loads.growth
     grown = 1.0 if outcome.reach is None else outcome.reach.grown
     of_prior = dict(prior.parameters)
     if problem.is_volume:
@@ -311,7 +310,7 @@ def _solution_of(
             inputs=problem.digests,
         ),
         loads=problem.loads,
-        elasticity=Elasticity.of_prior(prior, growth, grown)
+        elasticity=Elasticity.of_problem(problem, prior, grown)
         if isinstance(prior, ElasticPrior | NeoHookeanPrior)
         else None,
     )
