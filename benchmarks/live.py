@@ -56,7 +56,7 @@ class Drag:
         base = Canvas.blank(drawn.image.shape[:2], self.problem.spacing)
         base.observed[...], base.confidence[...] = self.problem.observed, self.problem.confidence
         self._rendering = Rendering(base)
-        self._warper = Warper(np.stack([drawn.image] * 3, axis=-1))
+        self._warper = Warper(np.stack([drawn.image] * 3, axis=-1), spacing=(1, 1))
         self.costs: dict[str, list[float]] = {stage: [] for stage in STAGES}
         self.shown: list[Update] = []
         self.late: list[float] = []

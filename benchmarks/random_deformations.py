@@ -96,7 +96,7 @@ def measure(size: int, axes: int, fields: int, times: int) -> bool:
     digests, folded, scales, farthest = [], 0, [], []
     for seed in range(fields):
         sample = deformation.sample(seed)
-        folded += bool(folds(sample.displacement, tissue=sample.tissue).any())
+        folded += bool(folds(sample.displacement, spacing=1, tissue=sample.tissue).any())
         digests.append(hashlib.sha256(sample.displacement).digest())
         scales.append(sample.scale)
         farthest.append(float(np.linalg.norm(sample.displacement, axis=-1).max()))

@@ -302,7 +302,7 @@ def _draw(
             "the one section": np.repeat(fixed[..., None], 3, axis=-1),
             "the other": np.repeat(moving[..., None], 3, axis=-1),
             "the other over the one, by the affine map": _over(fixed, turned),
-            "and by elastic tissue": _over(fixed, warp(turned, back)),
+            "and by elastic tissue": _over(fixed, warp(turned, back, spacing=1)),
         }.items()
     ):
         axes = figure.add_subplot(2, 2, number + 1)

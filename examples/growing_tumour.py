@@ -7,31 +7,21 @@ file, which napari opens as well. Grown by more, linear tissue folds, and large 
 
 import numpy as np
 
-from napari_hmrf import (
-    ElasticPrior,
-    NeoHookeanPrior,
-    Solution,
-    count_folds,
-    jacobian_determinant,
-    phantom,
-    solve,
-    warp,
-)
+from napari_hmrf import ElasticPrior, NeoHookeanPrior, Solution, phantom, solve
 
 brain = phantom("mass-effect", size=150).growing(0.4)
 solution = solve(brain.problem)
 
 # By which factor the area around each pixel has changed; NaN where there is no tissue.
-jacobian = jacobian_determinant(solution.displacement, tissue=solution.tissue)
+jacobian = solution.jacobian()
 for label, name in ((3, "tumour"), (2, "ventricles"), (1, "normal tissue")):
     there = brain.tissue_labels == label
     print(f"area of the {name}: {100 * np.nanmean(jacobian[there]):.1f} % of what it was")
-folded = count_folds(solution.displacement, tissue=solution.tissue)
-print(f"pixels at which tissue folds: {folded}")
+print(f"pixels at which tissue folds: {solution.count_folds()}")
 
 # Images move with the tissue; labels take the nearest pixel.
-image = warp(brain.image, solution.displacement, tissue=solution.tissue)
-labels = warp(brain.tissue_labels, solution.displacement, tissue=solution.tissue, order=0)
+image = solution.warp(brain.image)
+labels = solution.warp(brain.tissue_labels, order=0)
 before, after = (brain.tissue_labels == 3).sum(), (labels == 3).sum()
 print(f"pixels of tumour: {before} before, {after} after")
 
@@ -42,5 +32,4 @@ np.save("growing-tumour-image.npy", image)
 more = phantom("mass-effect", size=150).growing(1.5).problem
 for prior in (ElasticPrior(), NeoHookeanPrior()):
     grown = solve(more, prior)
-    folded = count_folds(grown.displacement, tissue=grown.tissue)
-    print(f"{grown.provenance.model}, grown by 150 %: folds at {folded} pixels")
+    print(f"{grown.provenance.model}, grown by 150 %: folds at {grown.count_folds()} pixels")

@@ -9,7 +9,6 @@ import numpy as np
 from napari_hmrf import (
     Material,
     RandomDeformation,
-    count_folds,
     equivalent_strain,
     green_lagrange_strain,
     phantom,
@@ -23,7 +22,7 @@ materials = [
     Material(2, "ventricles", 1.0, 0.3),
     Material(3, "bone", float("inf")),
 ]
-random = RandomDeformation(brain.tissue_labels, materials, amplitude=(2, 5))
+random = RandomDeformation(brain.tissue_labels, materials, amplitude=(0.5, 1))
 print(random)
 
 tips = np.argwhere(brain.tissue_labels == 2)[[0, -1]]
@@ -34,11 +33,13 @@ points = np.stack([sample.points(tips) for sample in samples])
 fields = np.stack([sample.displacement for sample in samples])
 np.savez("deformed.npz", images=images, labels=labels, points=points, fields=fields)
 
-folded = sum(count_folds(sample.displacement, tissue=sample.tissue) for sample in samples)
+folded = sum(sample.solution.count_folds() for sample in samples)
 farthest = np.linalg.norm(fields, axis=-1).max()
 print(f"{len(samples)} images: tissue moved up to {farthest:.2f} px, and folds at {folded} pixels")
 bone = brain.tissue_labels == 3
-strained = max(equivalent_strain(green_lagrange_strain(d, tissue=bone))[bone].max() for d in fields)
+strained = max(
+    equivalent_strain(green_lagrange_strain(d, spacing=1, tissue=bone))[bone].max() for d in fields
+)
 print(f"bone is strained by {100 * strained:.3f} %")
 
 solved = solve_study(samples[0].study).displacement

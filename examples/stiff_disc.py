@@ -6,7 +6,7 @@ as stiff as what is around it.
 
 import numpy as np
 
-from napari_hmrf import Problem, principal_strains, small_strain, solve
+from napari_hmrf import Problem, principal_strains, solve
 
 shape = (96, 96)
 rows, cols = np.indices(shape)
@@ -21,7 +21,7 @@ confidence[:, :2] = confidence[:, -2:] = 1
 solution = solve(Problem(observed, confidence, stiffness))
 print(solution)
 
-stretch = principal_strains(small_strain(solution.displacement))[..., 0]
+stretch = principal_strains(solution.strain("small"))[..., 0]
 row, col = solution.displacement[48, 48]
 print(f"the middle of the disc moves {row:.2f} pixels down and {col:.2f} to the right")
 print(f"largest strain, mean within the disc: {100 * stretch[disc].mean():.1f} %")

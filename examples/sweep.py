@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from tifffile import imwrite
 
-from napari_hmrf import load_study, measure, phantom, read_cases, solve_cases
+from napari_hmrf import load_study, phantom, read_cases, solve_cases
 
 MATERIALS = """\
 label,name,stiffness,poisson
@@ -36,7 +36,7 @@ def main() -> None:
     for outcome in solve_cases(read_cases(files / "cases.csv"), files / "out", jobs=2):
         study, solution = load_study(files / "out" / outcome.case / "brain.study")
         names = {row.label: row.name for row in study.tissue.materials}
-        rows = measure(solution, brain.tissue_labels, names=names)
+        rows = solution.measure(brain.tissue_labels, names=names)
         areas = {row.name: row.area_change for row in rows}
         print(f"{outcome.case}: ventricles {areas['ventricles']:.2f} %, {outcome.folds} folds")
     print(f"all of them: {files / 'out' / 'summary.csv'}")

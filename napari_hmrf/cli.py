@@ -120,11 +120,14 @@ def _measure(options: argparse.Namespace) -> int:
     from pandas import DataFrame
 
     from napari_hmrf.io.case import measured
-    from napari_hmrf.io.tables import measurement_titles, save_measurements
+    from napari_hmrf.io.tables import measurement_table, save_measurements
 
     found = measured(options.result, options.labels)
-    table = DataFrame(found.rows, columns=measurement_titles(volume=found.of_volume))
+    titles, cells = measurement_table(found.rows, volume=found.of_volume)
+    table = DataFrame(cells, columns=titles)
     print(table.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
+    if found.note:
+        print(f"note: {found.note}")
     if options.out is not None:
         path = save_measurements(options.out, found.rows, found.unit, volume=found.of_volume)
         print(f"written: {path}")
@@ -310,6 +313,8 @@ def _demo_volume(options: argparse.Namespace) -> int:
     )
     progress.end()
     print(table(demonstration), flush=True)
+    if demonstration.note:
+        print(f"note: {demonstration.note}", flush=True)
     _tell("drawing ...")
     _tell_written(options, write_volume_results(demonstration, options.out))
     layers = volume_layers(demonstration.head)

@@ -96,18 +96,18 @@ def _volume(prior: Any, optimizer: Any) -> None:
     solve(Problem(c, c, np.ones(c.shape[:3])), prior, optimizer=optimizer, backend="cpu")
     if isinstance(prior, ElasticPrior):
         for kind in (np.float32, np.float64):
-            warp(c[..., 0].astype(kind), c)
-        smallest_determinant(c)
-        small_strain(c)
+            warp(c[..., 0].astype(kind), c, spacing=1)
+        smallest_determinant(c, spacing=1)
+        small_strain(c, spacing=1)
 
 
 def _pictures() -> None:
     still = np.zeros((9, 9, 2), np.float32)
     for kind in (np.uint8, np.float32, np.float64):
         image = np.zeros((9, 9), kind)
-        warp(image, still)
+        warp(image, still, spacing=1)
         # As while tissue is pulled: labels by the nearest pixel.
-        Warper(Picture(image, order=0 if image.dtype.kind == "u" else 1))(still)
+        Warper(Picture(image, order=0 if image.dtype.kind == "u" else 1), spacing=(1, 1))(still)
 
 
 def _kept() -> bool:

@@ -46,7 +46,8 @@ def solved(tmp_path):
 
 
 def by(solution):
-    return {"displacement": solution.displacement, "tissue": solution.tissue}
+    field = {"displacement": solution.displacement, "tissue": solution.tissue}
+    return {**field, "spacing": solution.spacing}
 
 
 def test_what_is_read_is_never_written_over(solved, tmp_path):
@@ -78,6 +79,18 @@ def test_images_labels_and_films_move_as_by_warp(solved, tmp_path):
     moved = load_image(tmp_path / "out" / "labels.png").pixels
     np.testing.assert_array_equal(moved, warp(labels, order=0, **by(solution)))
     assert set(np.unique(moved)) <= set(np.unique(labels)) | {0}, "no new label"
+
+
+def test_pixels_that_are_no_numbers_are_counted(solved, tmp_path, capsys):
+    path, _ = solved
+    photo = np.ones(SHAPE, np.float32)
+    photo[3, 4:7] = np.nan
+    save_image(tmp_path / "mr.tif", ImageFile(photo))
+    out = str(tmp_path / "out")
+    assert main(["apply", str(path), str(tmp_path / "mr.tif"), "-o", out]) == 0
+    said = capsys.readouterr().out
+    assert "note: mr.tif is NaN or infinite at 3 pixels, which stay so where they move" in said
+    assert np.isnan(load_image(tmp_path / "out" / "mr.tif").pixels).any()
 
 
 def test_landmarks_go_where_the_tissue_goes(solved, tmp_path):

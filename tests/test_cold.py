@@ -106,10 +106,10 @@ def test_nothing_on_the_way_imports_the_compiler():
     code = """
 import sys
 import numpy as np
-from napari_hmrf import ElasticPrior, phantom, solve, warp
+from napari_hmrf import ElasticPrior, phantom, solve
 problem = phantom("bar", 30).problem
 found = solve(problem, ElasticPrior(0.3), backend="opengl")
-warp(np.ones(problem.shape), found.displacement)
+found.warp(np.ones(problem.shape))
 print("numba" in sys.modules)
 """
     empty = {**os.environ, "NUMBA_CACHE_DIR": "/nonexistent/cache"}

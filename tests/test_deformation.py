@@ -33,7 +33,7 @@ def test_a_uniform_strain_changes_every_area_alike_borders_included():
 def test_differences_are_central_inside():
     displacement = np.zeros((5, 9, 2))
     displacement[..., 1] = 0.01 * np.arange(9.0) ** 2
-    jacobian = jacobian_determinant(displacement)
+    jacobian = jacobian_determinant(displacement, spacing=1)
     np.testing.assert_allclose(jacobian[2, 1:-1], 1 + 0.02 * np.arange(1, 8), rtol=1e-6)
     assert jacobian.dtype == np.float32
 
@@ -42,7 +42,7 @@ def test_nothing_is_known_outside_tissue_and_nothing_taken_from_there():
     tissue = np.zeros((8, 8), dtype=bool)
     tissue[2:6, 1:7] = True
     displacement = np.where(tissue[..., None], 0.1 * places((8, 8)), np.nan)
-    jacobian = jacobian_determinant(displacement, tissue=tissue)
+    jacobian = jacobian_determinant(displacement, spacing=1, tissue=tissue)
     assert np.isnan(jacobian[~tissue]).all()
     np.testing.assert_allclose(jacobian[tissue], 1.21, rtol=1e-6)
 
@@ -50,24 +50,24 @@ def test_nothing_is_known_outside_tissue_and_nothing_taken_from_there():
 def test_a_line_of_tissue_is_unstrained_across_and_a_lone_site_altogether():
     tissue = np.zeros((5, 9), dtype=bool)
     tissue[2, :6], tissue[4, 8] = True, True
-    jacobian = jacobian_determinant(0.1 * places((5, 9)), tissue=tissue)
+    jacobian = jacobian_determinant(0.1 * places((5, 9)), spacing=1, tissue=tissue)
     np.testing.assert_allclose(jacobian[2, :6], 1.1, rtol=1e-6)
     assert jacobian[4, 8] == 1
 
 
 def test_tissue_that_stays_or_moves_as_one_has_no_folds():
-    assert count_folds(np.zeros((6, 7, 2))) == 0
-    assert count_folds(np.full((6, 7, 2), 1e3)) == 0
+    assert count_folds(np.zeros((6, 7, 2)), spacing=1) == 0
+    assert count_folds(np.full((6, 7, 2), 1e3), spacing=1) == 0
     for name in ("expansion", "mass-effect", "bar"):
         tissue = phantom(name).problem.tissue
-        assert count_folds(reference_displacement(name), tissue=tissue) == 0
+        assert count_folds(reference_displacement(name), spacing=1, tissue=tissue) == 0
 
 
 def test_a_mirrored_body_is_folded_everywhere():
     displacement = np.zeros((6, 7, 2))
     displacement[..., 1] = -2 * np.arange(7)
-    assert count_folds(displacement) == 42
-    assert (jacobian_determinant(displacement) < 0).all()
+    assert count_folds(displacement, spacing=1) == 42
+    assert (jacobian_determinant(displacement, spacing=1) < 0).all()
 
 
 @pytest.mark.parametrize("shape", [(6, 7), (1, 5), (9, 3), (4, 5, 6), (1, 4, 4)])
@@ -105,17 +105,17 @@ def test_what_turns_around_a_hole_folds_nothing():
 def test_a_site_that_jumps_over_its_neighbour_is_a_fold_though_central_differences_miss_it():
     displacement = np.zeros((5, 9, 2))
     displacement[2, 4, 1] = -1.5
-    assert (jacobian_determinant(displacement) > 0).all()
-    assert count_folds(displacement) > 0
+    assert (jacobian_determinant(displacement, spacing=1) > 0).all()
+    assert count_folds(displacement, spacing=1) > 0
 
 
 def test_a_fold_is_where_the_overlap_is():
     displacement = np.zeros((8, 20, 2))
     displacement[:, :10, 1] = 2.5  # the left half is pushed over the right
-    folded = jacobian_determinant(displacement) <= 0
+    folded = jacobian_determinant(displacement, spacing=1) <= 0
     assert folded[:, 9:11].all()
     assert folded.sum() == 16
-    assert count_folds(displacement) == 16
+    assert count_folds(displacement, spacing=1) == 16
 
 
 def test_magnitude_is_a_length_in_the_unit_of_the_displacement():
@@ -125,7 +125,7 @@ def test_magnitude_is_a_length_in_the_unit_of_the_displacement():
 
 
 def test_a_grid_at_rest_is_square_and_spans_the_image():
-    segments = deformation_grid(np.zeros((21, 41, 2)), every=10)
+    segments = deformation_grid(np.zeros((21, 41, 2)), spacing=1, every=10)
     ends = segments.sum(axis=1)
     assert segments.shape[1:] == (2, 2)
     assert segments.dtype == np.float32
@@ -159,7 +159,7 @@ def test_grid_lines_are_drawn_in_tissue_only():
     tissue = np.zeros((40, 40), dtype=bool)
     tissue[8:33, 8:33] = True
     tissue[20, 20] = False
-    segments = deformation_grid(np.zeros((40, 40, 2)), every=1, tissue=tissue)
+    segments = deformation_grid(np.zeros((40, 40, 2)), spacing=1, every=1, tissue=tissue)
     ends = segments.sum(axis=1)
     assert ((segments[:, 0] >= 8) & (ends <= 32)).all()
     around = np.abs(np.concatenate([segments[:, 0], ends]) - 20).max(axis=1)
@@ -180,7 +180,9 @@ def test_arrows_start_at_sites_and_show_where_they_go_in_pixels():
 @pytest.mark.parametrize("about", [1, 10, 1000, 10**6])
 def test_about_as_many_arrows_as_asked_for_and_all_in_tissue(about):
     problem = phantom("expansion").problem
-    vectors = arrows(reference_displacement("expansion"), tissue=problem.tissue, about=about)
+    vectors = arrows(
+        reference_displacement("expansion"), spacing=1, tissue=problem.tissue, about=about
+    )
     wanted = min(about, int(problem.tissue.sum()))
     assert 0.5 * wanted <= len(vectors) <= max(2 * wanted, 4)
     assert problem.tissue[tuple(vectors[:, 0].astype(int).T)].all()
@@ -188,39 +190,51 @@ def test_about_as_many_arrows_as_asked_for_and_all_in_tissue(about):
 
 @pytest.mark.parametrize("shape", [(1, 2), (2, 1), (2, 2), (1, 300)])
 def test_few_arrows_are_still_a_list_of_arrows(shape):
-    vectors = arrows(np.ones((*shape, 2)))
+    vectors = arrows(np.ones((*shape, 2)), spacing=1)
     assert vectors.shape == (np.prod(shape), 2, 2)
-    assert arrows(np.ones((*shape, 2)), tissue=np.zeros(shape)).shape == (0, 2, 2)
-    assert deformation_grid(np.ones((*shape, 2)), every=1).shape[1:] == (2, 2)
+    assert arrows(np.ones((*shape, 2)), spacing=1, tissue=np.zeros(shape)).shape == (0, 2, 2)
+    assert deformation_grid(np.ones((*shape, 2)), spacing=1, every=1).shape[1:] == (2, 2)
 
 
 def test_thin_tissue_between_the_arrows_still_gets_some():
     tissue = np.zeros((100, 100), dtype=bool)
     tissue[::10, ::10] = True
     tissue[:, 5] = False
-    assert len(arrows(np.ones((100, 100, 2)), tissue=tissue, about=4)) >= 1
+    assert len(arrows(np.ones((100, 100, 2)), spacing=1, tissue=tissue, about=4)) >= 1
 
 
 @pytest.mark.parametrize(
     ("call", "complaint"),
     [
-        (lambda: jacobian_determinant(np.zeros((4, 4))), "displacement: has shape"),
+        (lambda: jacobian_determinant(np.zeros((4, 4)), spacing=1), "displacement: has shape"),
         (lambda: count_folds(np.zeros((4, 4, 2)), spacing=(1, -1)), "spacing"),
-        (lambda: arrows(np.zeros((4, 4, 2)), tissue=np.ones((3, 4))), "tissue: has shape"),
-        (lambda: arrows(np.zeros((4, 4, 2)), about=0), "about: is 0"),
-        (lambda: deformation_grid(np.zeros((4, 4, 2)), every=0), "every: is 0"),
-        (lambda: deformation_grid(np.zeros((4, 4, 2)), every=2.5), "every: is 2.5"),
-        (lambda: deformation_grid(np.zeros((4, 4, 2)), every=np.inf), "every: is inf"),
-        (lambda: deformation_grid(np.zeros((4, 4, 2)), every="wide"), "every: is 'wide'"),
-        (lambda: deformation_grid(np.zeros((4, 4, 2)), pieces=0), "pieces: is 0.*at least 1"),
-        (lambda: deformation_grid(np.zeros((4, 4, 2)), pieces=None), "pieces: is None"),
-        (lambda: arrows(np.zeros((4, 4, 2)), about="many"), "about: is 'many'"),
+        (
+            lambda: arrows(np.zeros((4, 4, 2)), spacing=1, tissue=np.ones((3, 4))),
+            "tissue: has shape",
+        ),
+        (lambda: arrows(np.zeros((4, 4, 2)), spacing=1, about=0), "about: is 0"),
+        (lambda: deformation_grid(np.zeros((4, 4, 2)), spacing=1, every=0), "every: is 0"),
+        (lambda: deformation_grid(np.zeros((4, 4, 2)), spacing=1, every=2.5), "every: is 2.5"),
+        (lambda: deformation_grid(np.zeros((4, 4, 2)), spacing=1, every=np.inf), "every: is inf"),
+        (
+            lambda: deformation_grid(np.zeros((4, 4, 2)), spacing=1, every="wide"),
+            "every: is 'wide'",
+        ),
+        (
+            lambda: deformation_grid(np.zeros((4, 4, 2)), spacing=1, pieces=0),
+            "pieces: is 0.*at least 1",
+        ),
+        (lambda: deformation_grid(np.zeros((4, 4, 2)), spacing=1, pieces=None), "pieces: is None"),
+        (lambda: arrows(np.zeros((4, 4, 2)), spacing=1, about="many"), "about: is 'many'"),
         (lambda: magnitude(0), r"displacement: has shape \(\).*\(H, W, 2\)"),
         (lambda: magnitude("far"), "displacement: is .far., of type str. Give real numbers"),
         (lambda: magnitude(np.zeros((4, 4, 2)) * 1j), "displacement: has values of type complex"),
         (lambda: magnitude([[1, 2], [3]]), "displacement: is not an array of numbers"),
-        (lambda: count_folds([[1, 2], [3]]), "displacement: is not an array of numbers"),
-        (lambda: arrows(np.zeros((2, 2, 2)), tissue=[[1], [1, 0]]), "tissue: is not an array"),
+        (lambda: count_folds([[1, 2], [3]], spacing=1), "displacement: is not an array of numbers"),
+        (
+            lambda: arrows(np.zeros((2, 2, 2)), spacing=1, tissue=[[1], [1, 0]]),
+            "tissue: is not an array",
+        ),
     ],
 )
 def test_what_does_not_fit_is_named(call, complaint):
@@ -230,5 +244,7 @@ def test_what_does_not_fit_is_named(call, complaint):
 
 def test_lines_farther_apart_than_the_image_is_large_are_one_each_way():
     displacement = np.zeros((5, 7, 2))
-    far = deformation_grid(displacement, every=10**30, pieces=1)
-    np.testing.assert_array_equal(far, deformation_grid(displacement, every=100, pieces=1))
+    far = deformation_grid(displacement, spacing=1, every=10**30, pieces=1)
+    np.testing.assert_array_equal(
+        far, deformation_grid(displacement, spacing=1, every=100, pieces=1)
+    )

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from napari_hmrf import ElasticPrior, Problem, ProblemError, solve
+from napari_hmrf import ArgumentError, ElasticPrior, Problem, ProblemError, solve
 from napari_hmrf.field.strain import count_folds
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.study.study_model import History, StudyModel
@@ -432,3 +432,12 @@ def test_what_is_said_against_folds_helps():
     assert folds(48, 8, 4) == folds(70, 8, 4) == 0 < folds(48, 20, 4)
     assert folds(48, 20, 8) < folds(48, 20, 4)
     assert folds(70, 14, 16) > folds(70, 14, 4) > 0, "near what is held there is less room"
+
+
+def test_a_mark_alone_or_what_is_none_is_refused_by_name():
+    arrow = Arrow((8, 8), (0, 2), 3)
+    for wrong in (arrow, None, (1,), "arrow"):
+        with pytest.raises(ArgumentError, match=r"marks must be a tuple of Arrow, .* Drawing\(\(A"):
+            Drawing(wrong)
+    assert Drawing([arrow]) == Drawing((arrow,))
+    assert repr(Drawing([arrow, arrow])) == "Drawing(2 Arrow)"

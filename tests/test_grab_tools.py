@@ -150,7 +150,7 @@ def test_a_patch_grows_without_a_tear(pulling_beside, settle, amount):
     widget.fields.amount.value = amount
     person.paint((32, 32), (32, 33))
     settle(widget)
-    area = jacobian_determinant(displacement(widget))
+    area = jacobian_determinant(displacement(widget), spacing=1)
     assert area[26:39, 26:40] == pytest.approx((1 + amount / 10) ** 2, rel=0.15)
     assert not widget.warning
     assert seen_paint(person)[32, 32], "all that was painted is seen"

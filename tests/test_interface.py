@@ -94,10 +94,10 @@ def test_a_script_makes_tissue_solves_and_measures_it_with_what_the_package_expo
     rules = [BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0, 3))]
     solution = solve(Problem(*boundary_images(boundary, rules), stiffness))
     field = solution.displacement
-    strain = equivalent_strain(green_lagrange_strain(field, tissue=solution.tissue))
+    strain = equivalent_strain(green_lagrange_strain(field, spacing=1, tissue=solution.tissue))
     assert np.ptp(field[10, :, 1]) == pytest.approx(3, abs=0.01)
     assert 0.03 < strain.mean() < 0.3
-    assert not folds(field).any()
+    assert not folds(field, spacing=1).any()
     bright = StiffnessCurve(((0, 1), (255, 100)))
     assert bright(np.uint8([[0, 255]])).tolist() == [[1, 100]]
 
@@ -235,7 +235,10 @@ CALLS = {
 }
 #: What is made first and looked at when it is used.
 CALLS_OF = {
-    "a picture": (lambda **of: Warper(Picture(**of)), {"image": IMAGE, "order": 1, "fill": 0}),
+    "a picture": (
+        lambda **of: Warper(Picture(**of), spacing=(1, 1)),
+        {"image": IMAGE, "order": 1, "fill": 0},
+    ),
     "a material": (
         lambda **of: stiffness_image(LABELS, [Material(**of)]),
         {"label": 1, "name": "a", "stiffness": 1.0},

@@ -17,6 +17,7 @@ from napari_hmrf import (
     ProblemError,
     Study,
     Tissue,
+    equivalent_strain,
     load_study,
     measure,
     save_moving_picture,
@@ -48,8 +49,10 @@ def test_tissue_that_is_stretched_by_a_tenth_has_a_tenth_more_area():
     assert one.area_change == pytest.approx(10, abs=0.01)
     assert other.largest_displacement == pytest.approx(0.05 * 39, abs=1e-3)
     assert other.mean_displacement == pytest.approx(0.05 * 34.5, abs=1e-3)
-    # Green-Lagrange's 0.105 along one axis is sqrt(2/3 (4 + 1 + 1) / 9) of that without volume.
-    assert one.mean_strain == pytest.approx(100 * 0.105 * 2 / 3, abs=0.02)
+    # As its edge keeps it as wide as it was, all of it becomes thinner by nu / (1 - nu) of 0.1.
+    across = -0.45 / 0.55 * 0.1
+    expected = equivalent_strain(np.diag([0, 0.1]), across)
+    assert one.mean_strain == pytest.approx(100 * float(expected), abs=0.02)
     assert one.folds == 0
 
 
@@ -81,6 +84,12 @@ def test_tissue_too_thin_for_cells_changes_as_its_pixels_do():
     solution = Solution(held, np.zeros(1), (), tissue, (1.0, 1.0), Provenance("cpu", ""))
     (found,) = measure(solution, np.ones((1, 10), int))
     assert found.area_change == pytest.approx(20, abs=1e-3)
+
+
+def test_a_displacement_alone_is_refused_by_name():
+    solution = stretched()
+    with pytest.raises(ArgumentError, match=r"solution must be a Solution, such as solve\(\) ret"):
+        measure(solution.displacement, np.ones(SHAPE, int))
 
 
 def test_labels_of_another_size_are_refused():
@@ -122,9 +131,10 @@ def test_the_shell_prints_and_writes_the_table(solved, tmp_path, capsys):
     found = measure(solution, study.tissue.labels, names=names)
     lines = (tmp_path / "table.csv").read_text().splitlines()
     titles = lines[0].split(",")
-    assert [each.removesuffix("_percent") for each in titles] == [*found[0]._fields, "unit"]
+    named = [each.removesuffix("_percent").replace("elastic_", "") for each in titles]
+    assert named == [*found[0]._fields[:-1], "unit"]
     per_cent = [each.removesuffix("_percent") for each in titles if each.endswith("_percent")]
-    assert per_cent == ["area_change", "mean_strain", "largest_strain"]
+    assert per_cent == ["area_change", "mean_elastic_strain", "largest_elastic_strain"]
     assert [line.split(",")[1] for line in lines[1:]] == ["skin", "lump"]
     assert float(lines[2].split(",")[6]) == pytest.approx(found[1].largest_displacement)
 
@@ -140,7 +150,9 @@ def test_a_picture_moves_from_rest_to_the_end_and_back(solved, tmp_path):
         for number in range(8):
             moving.seek(number)
             frames.append(np.asarray(moving.convert("RGB")).astype(float))
-    still, moved = (each.astype(float) for each in (photo, warp(photo, solution.displacement)))
+    still, moved = (
+        each.astype(float) for each in (photo, warp(photo, solution.displacement, spacing=1))
+    )
     # A .gif has 256 colours.
     assert abs(frames[0] - still).mean() < 20 < abs(frames[4] - still).mean()
     assert abs(frames[4] - moved).mean() < 20

@@ -170,7 +170,7 @@ def test_colours_of_what_was_pulled_are_named_after_the_image(pulled, settle):
     viewer, dock = pulled
     dock.overlay = "squeeze"
     settle(dock)
-    assert "MR largest squeeze (%), elastic" in viewer.layers
+    assert "MR largest elastic squeeze (%), elastic" in viewer.layers
     assert dock.image is viewer.layers["MR"]
 
 

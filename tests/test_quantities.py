@@ -102,11 +102,13 @@ def test_folds_are_those_that_are_counted():
     displacement = np.zeros((8, 20, 2))
     displacement[:, :10, 1] = 2.5
     displacement[2, 15, 1] = -1.5  # jumps over its neighbour: central differences do not see it
-    found = folds(displacement)
+    found = folds(displacement, spacing=1)
     assert found[:, 9:11].all()
     assert found[2, 15]
-    assert found.sum() == count_folds(displacement)
-    assert not folds(reference_displacement("bar"), tissue=phantom("bar").problem.tissue).any()
+    assert found.sum() == count_folds(displacement, spacing=1)
+    assert not folds(
+        reference_displacement("bar"), spacing=1, tissue=phantom("bar").problem.tissue
+    ).any()
 
 
 def test_nothing_is_known_of_void_and_nothing_taken_from_it():
@@ -127,15 +129,20 @@ def test_nothing_is_known_of_void_and_nothing_taken_from_it():
 
 def test_a_strain_of_a_millionth_is_not_lost():
     displacement = places((5, 5), 1.0) * 1e-6
-    everywhere(green_lagrange_strain(displacement), 1e-6 * np.eye(2), rtol=1e-4, atol=1e-11)
+    everywhere(
+        green_lagrange_strain(displacement, spacing=1), 1e-6 * np.eye(2), rtol=1e-4, atol=1e-11
+    )
 
 
 @pytest.mark.parametrize(
     ("call", "complaint"),
     [
-        (lambda: small_strain(np.zeros((4, 4))), "displacement: has shape"),
+        (lambda: small_strain(np.zeros((4, 4)), spacing=1), "displacement: has shape"),
         (lambda: deformation_gradient(np.zeros((4, 4, 2)), spacing=(1, 0)), "spacing"),
-        (lambda: folds(np.zeros((4, 4, 2)), tissue=np.ones((3, 4))), "tissue: has shape"),
+        (
+            lambda: folds(np.zeros((4, 4, 2)), spacing=1, tissue=np.ones((3, 4))),
+            "tissue: has shape",
+        ),
         (lambda: principal_strains(np.zeros((4, 3))), "strain: has shape"),
         (lambda: principal_strains("none"), "strain: is 'none', of type str"),
         (lambda: principal_strains(1j * np.eye(2)), "strain: has values of type complex128"),

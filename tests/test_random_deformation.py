@@ -108,7 +108,7 @@ def test_a_half_turn_is_no_way_to_unfold():
     at = np.moveaxis(np.indices((8, 8)), 0, -1)
     turned = -2.5 * (at - 3.5)
     everywhere = np.ones((8, 8), bool)
-    assert not folds(turned).any()
+    assert not folds(turned, spacing=1).any()
     assert largest_scale(turned, (1, 1), everywhere, 0.2) == pytest.approx(0.2211, abs=5e-4)
 
 
@@ -209,6 +209,23 @@ def test_image_labels_and_points_move_by_the_field_that_comes_with_them():
     np.testing.assert_allclose(went - points, d[tissue_labels == TUMOUR] / SPACING, atol=1e-5)
     seen = sample.labels(tissue_labels)[tuple(np.rint(went).astype(int).T)]
     assert (seen == TUMOUR).mean() > 0.9
+
+
+def test_a_sample_pulled_less_than_was_asked_for_is_reported_once(caplog):
+    random = RandomDeformation(labels(), MATERIALS, amplitude=(9, 12), patches=4)
+    sample = random.sample(1)
+    assert sample.scale < 1
+    assert 0 < sample.amplitude < 9
+    (said,) = [record.getMessage() for record in caplog.records if "amplitude" in record.message]
+    assert said.startswith(
+        f"amplitude of at least 9 was asked for, and a sample has {sample.amplitude:.3g}"
+    )
+    random.sample(2)
+    assert sum("amplitude" in record.message for record in caplog.records) == 1
+    caplog.clear()
+    even = RandomDeformation(labels(), MATERIALS, amplitude=(0.01, 12), patches=4)
+    assert even.sample(1).amplitude >= 0.01
+    assert not caplog.records
 
 
 def test_the_amplitude_is_how_far_the_farthest_patch_is_pulled():
@@ -350,7 +367,9 @@ def test_pictures_are_those_of_warp_wherever_the_tissue_lies():
     for seed in range(4):
         sample = random.sample(seed)
         for order in (0, 1, 3):
-            expected = warp(noise, sample.displacement, tissue=sample.tissue, order=order)
+            expected = warp(
+                noise, sample.displacement, spacing=1, tissue=sample.tissue, order=order
+            )
             (moved,) = sample.pictures(Picture(noise, order=order))
             np.testing.assert_allclose(moved, expected, atol=1e-9)
 

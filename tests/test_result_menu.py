@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 from PIL import Image as Picture
-from qtpy.QtWidgets import QFileDialog, QTableWidget
+from qtpy.QtWidgets import QFileDialog, QLabel, QTableWidget
 from screen import Screen
 
 from napari_hmrf import HmrfError, measure, read_field, warp
 from napari_hmrf.contributions import open_solution
+from napari_hmrf.field.elastic_strain import strain_note
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.field.moved_points import moved_points
@@ -229,7 +230,11 @@ def test_measurements_are_shown_and_saved_in_the_image_s_unit(result, asked, tmp
     (table,) = dock.native.window().findChildren(QTableWidget, "measurements")
     heads = [table.horizontalHeaderItem(at).text() for at in range(table.columnCount())]
     cells = dict(zip(heads, [table.item(0, at).text() for at in range(len(heads))], strict=True))
+    kind = "elastic" if dock.solution.provenance.model == "elastic" else "in-plane"
     assert cells["tissue"] == "gel"
+    assert cells[f"{kind} strain, mean (%)"] == f"{gel.mean_strain:.4g}"
+    notes = [each.text() for each in table.window().findChildren(QLabel) if "Note:" in each.text()]
+    assert notes == ([] if kind == "elastic" else [f"Note: {strain_note(dock.solution)}."])
     assert cells["moved, most (mm)"] == f"{gel.largest_displacement:.4g}"
     (save,) = [
         each

@@ -171,8 +171,32 @@ def test_values_that_are_no_numbers_are_said():
     by_brightness = Tissue(curve=StiffnessCurve(((50.0, 1.0), (150.0, 2.0))))
     pictures = Pictures(image=image, name="MR")
     study = Study(GRID, by_brightness, pictures=pictures, names={"image": "MR"})
-    (note,) = [each for each in Ground.of(study).notes if "NaN" in each]
-    assert note.startswith("'MR' is NaN or infinite at 3 pixels")
-    assert (Ground.of(study).stiffness[3, 4:7] == 0).all()
+    with pytest.raises(
+        ProblemError, match=r"'MR' has values at 3 pixels that are NaN .* \(3, 4\), where its"
+    ):
+        Ground.of(study)
+    even = replace(study, tissue=Tissue())
+    (note,) = [each for each in Ground.of(even).notes if "NaN" in each]
+    assert note == "'MR' is NaN or infinite at 3 pixels, which stay so where they move"
     whole = replace(study, pictures=Pictures(image=np.nan_to_num(image)))
     assert not [each for each in Ground.of(whole).notes if "NaN" in each]
+
+
+def test_each_part_says_in_one_line_what_it_is():
+    labels, photo = np.ones((40, 50), np.uint8), np.zeros((40, 50, 3), np.uint8)
+    marks = tuple(Arrow((8, 8), (0, 2), 3) for _ in range(40))
+    study = Study(
+        Grid((40, 50), (0.5, 0.5), "mm"),
+        Tissue(labels=labels, materials=(Material(1, "liver", 5.0),), unit="kPa"),
+        Motion(hold_edge=True, labels=labels, drawing=Drawing(marks)),
+        pictures=Pictures(photo, labels, "CT", "organs"),
+    )
+    for part in (study, study.grid, study.tissue, study.motion, study.motion.drawing):
+        said = repr(part)
+        assert said.startswith(f"{type(part).__name__}(")
+        assert "\n" not in said
+        assert "array" not in said
+        assert len(said) < 300
+    assert repr(study.pictures) == "Pictures(image 'CT' uint8, labels 'organs')"
+    assert repr(study.grid) == "Grid(40 x 50 sites of 0.5 x 0.5 mm)"
+    assert repr(Motion()) == "Motion(none)"

@@ -77,7 +77,9 @@ def a_ball(shape=SHAPE):
 def answers():
     """An image that has moved, and how near each of its sites is to a fold."""
     image = np.random.default_rng(0).random(SHAPE)
-    return warp(image, waves(), tissue=a_ball()), smallest_determinant(waves(), None, a_ball())
+    return warp(image, waves(), spacing=1, tissue=a_ball()), smallest_determinant(
+        waves(), 1, a_ball()
+    )
 
 
 def on_compute_thread(work, stop):

@@ -73,13 +73,13 @@ def test_linear_motion_is_inverted_exactly():
 
 def test_what_is_seen_came_from_where_the_inverse_says():
     d, image = bent(), places()[..., 2] * places()[..., 1]
-    origin, covered = inverse_map(d)
+    origin, covered = inverse_map(d, spacing=1)
     assert covered.all()
     ends = moved_points(origin.reshape(-1, 3), d, spacing=(1, 1, 1)).reshape(origin.shape)
     # Between sites points are moved trilinearly, tetrahedra linearly.
     np.testing.assert_allclose(ends, places(), atol=0.05)
     values = looked_up(image[..., None], origin.reshape(-1, 3)).reshape(SHAPE)
-    np.testing.assert_allclose(warp(image, d), values)
+    np.testing.assert_allclose(warp(image, d, spacing=1), values)
 
 
 def test_slices_that_move_alike_and_within_themselves_move_as_one_slice_does():
@@ -87,8 +87,8 @@ def test_slices_that_move_alike_and_within_themselves_move_as_one_slice_does():
     d[..., 1:] = bent()[4, ..., 1:] + 0.3
     d[..., 1:] += 0.4 * np.sin(places()[0, ..., 1:] / 3)
     tissue = np.repeat(ball()[4][None], len(d), axis=0)
-    origin, covered = inverse_map(d, tissue=tissue)
-    slice_origin, slice_covered = inverse_map(d[0, ..., 1:], tissue=tissue[0])
+    origin, covered = inverse_map(d, spacing=1, tissue=tissue)
+    slice_origin, slice_covered = inverse_map(d[0, ..., 1:], spacing=1, tissue=tissue[0])
     for plane in range(len(d)):
         both = covered[plane] & slice_covered
         near = np.abs(origin[plane][..., 1:] - slice_origin)[both]
@@ -116,12 +116,12 @@ def test_the_axes_have_no_order(order):
 def test_labels_stay_labels_and_what_does_not_move_stays():
     labels = np.random.default_rng(0).choice([0, 3, 250], SHAPE).astype(np.uint8)
     tissue = ball()
-    moved = warp(labels, bent(), tissue=tissue, order=0)
+    moved = warp(labels, bent(), spacing=1, tissue=tissue, order=0)
     assert moved.dtype == np.uint8
     assert set(np.unique(moved)) <= {0, 3, 250}
     far = ~tissue & ~ball(np.array(SHAPE))
     assert far.any()
-    still = warp(labels, np.zeros((*SHAPE, 3)), tissue=tissue, order=0)
+    still = warp(labels, np.zeros((*SHAPE, 3)), spacing=1, tissue=tissue, order=0)
     np.testing.assert_array_equal(still, labels)
 
 
@@ -131,7 +131,7 @@ def test_tissue_one_voxel_thin_survives():
     sheet = np.zeros(SHAPE, bool)
     sheet[4] = True
     for thin in (tissue, sheet):
-        moved = warp(thin.astype(float), np.full((*SHAPE, 3), 1.0), tissue=thin)
+        moved = warp(thin.astype(float), np.full((*SHAPE, 3), 1.0), spacing=1, tissue=thin)
         there = np.zeros(SHAPE)
         there[1:, 1:, 1:] = thin[:-1, :-1, :-1]
         np.testing.assert_allclose(moved, there)
@@ -140,8 +140,8 @@ def test_tissue_one_voxel_thin_survives():
 def test_what_folds_shows_the_part_that_is_not_turned_over():
     d = np.zeros((*SHAPE, 3))
     d[5, 3:8, 3:8, 0] = -2.5
-    assert folds(d).any()
-    _, covered = inverse_map(d)
+    assert folds(d, spacing=1).any()
+    _, covered = inverse_map(d, spacing=1)
     assert covered.all()
 
 
@@ -205,11 +205,11 @@ def test_what_does_not_fit_a_volume_is_refused():
     with pytest.raises(ProblemError, match="spacing"):
         jacobian_determinant(bent(), spacing=(1.0, 1.0))
     with pytest.raises(ProblemError, match=r"\(D, H, W\)"):
-        warp(np.zeros(SHAPE[1:]), bent())
+        warp(np.zeros(SHAPE[1:]), bent(), spacing=1)
     with pytest.raises(ProblemError, match="slices"):
-        deformation_grid(bent())
+        deformation_grid(bent(), spacing=1)
     with pytest.raises(ProblemError, match="displacement"):
-        warp(np.zeros(SHAPE), np.zeros((*SHAPE, 2)))
+        warp(np.zeros(SHAPE), np.zeros((*SHAPE, 2)), spacing=1)
 
 
 def test_volumes_may_be_warped_on_any_thread_even_two_at_once():
@@ -218,9 +218,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from napari_hmrf import warp
 image, motion = np.random.default_rng(0).random((24, 24, 24)), np.full((24, 24, 24, 3), 0.4)
-alone = warp(image, motion)
+alone = warp(image, motion, spacing=1)
 with ThreadPoolExecutor(4) as threads:
-    for warped in threads.map(lambda _: warp(image, motion), range(60)):
+    for warped in threads.map(lambda _: warp(image, motion, spacing=1), range(60)):
         np.testing.assert_array_equal(warped, alone)
 """
     # Of numba's threading layers this one ends a process that enters it from two threads.

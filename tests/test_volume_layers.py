@@ -185,7 +185,7 @@ def test_a_colour_volume_is_drawn_as_one():
 def test_slices_across_each_axis_have_as_many_arrows_apart_from_each_other():
     shape = (48, 56, 40)
     d = np.broadcast_to(np.float32((1, 1, 1)), (*shape, 3))
-    starts = arrows_in_slices(d, about=60)[:, 0]
+    starts = arrows_in_slices(d, spacing=1, about=60)[:, 0]
     for axis in range(3):
         others = [at for at in range(3) if at != axis]
         wanted = 60 * np.prod(np.take(shape, others)) / (56 * 40)

@@ -29,21 +29,21 @@ def picture():
 def test_tissue_that_stays_looks_the_same(picture):
     for order in range(6):
         np.testing.assert_array_equal(
-            warp(picture, field(picture.shape, (0, 0)), order=order), picture
+            warp(picture, field(picture.shape, (0, 0)), spacing=1, order=order), picture
         )
 
 
 def test_a_dot_goes_where_the_displacement_points_not_where_it_comes_from():
     image = np.zeros((20, 20), dtype=np.uint8)
     image[8, 6] = 200
-    moved = warp(image, field((20, 20), (5, -3)))
+    moved = warp(image, field((20, 20), (5, -3)), spacing=1)
     assert moved[13, 3] == 200
     assert moved.sum() == 200
 
 
 @pytest.mark.parametrize("order", [0, 1, 3])
 def test_whole_pixels_are_moved_exactly(picture, order):
-    moved = warp(picture, field(picture.shape, (4, -7)), order=order, fill=9)
+    moved = warp(picture, field(picture.shape, (4, -7)), spacing=1, order=order, fill=9)
     np.testing.assert_array_equal(moved[4:, :-7], picture[:-4, 7:])
     assert (moved[:4] == 9).all()
     assert (moved[:, -7:] == 9).all()
@@ -54,7 +54,7 @@ def test_an_affine_stretch_shows_each_grey_at_its_new_place():
     image = places(shape) @ np.array([2.0, 3.0])  # linear, so that interpolation is exact
     gradient = np.array([[1.3, 0.2], [-0.1, 0.9]])
     moved_to = (places(shape) - 20) @ gradient.T + 20
-    result = warp(image, moved_to - places(shape), fill=np.nan)
+    result = warp(image, moved_to - places(shape), spacing=1, fill=np.nan)
     back = (places(shape) - 20) @ np.linalg.inv(gradient).T + 20
     inside = ((back >= 0) & (back <= 39)).all(axis=-1)
     assert inside.sum() > 700
@@ -68,7 +68,7 @@ def test_the_inverse_map_undoes_the_motion_even_where_it_is_steep():
     moved = np.interp(col, np.linspace(0, 59, 60), moved[::1])
     displacement = np.zeros((5, 60, 2))
     displacement[..., 1] = moved - col
-    coordinates, covered = inverse_map(displacement)
+    coordinates, covered = inverse_map(displacement, spacing=1)
     sources = coordinates[2, :, 1]
     inside = covered[2] & (col >= moved[0]) & (col <= moved[-1])
     assert inside.sum() > 55
@@ -79,24 +79,24 @@ def test_going_there_and_back_returns_the_image():
     shape = (80, 90)
     image = 100 + 50 * np.sin(places(shape) @ np.array([0.2, 0.15]))
     forth = smooth_field(shape, 4.0)
-    coordinates, covered = inverse_map(forth)
+    coordinates, covered = inverse_map(forth, spacing=1)
     back = np.where(covered[..., None], coordinates - places(shape), 0)
-    again = warp(warp(image, forth, order=3), back, order=3)
+    again = warp(warp(image, forth, spacing=1, order=3), back, spacing=1, order=3)
     middle = (slice(12, -12), slice(12, -12))
     assert np.abs(again - image)[middle].max() < 1.0
-    assert np.abs(warp(image, forth) - image)[middle].max() > 20
+    assert np.abs(warp(image, forth, spacing=1) - image)[middle].max() > 20
 
 
 def test_labels_stay_labels():
     labels = (places((40, 40))[..., 0] // 10).astype(np.int32) * 1_000_003
-    moved = warp(labels, smooth_field((40, 40), 3.0), order=0)
+    moved = warp(labels, smooth_field((40, 40), 3.0), spacing=1, order=0)
     assert moved.dtype == np.int32
     assert set(np.unique(moved)) <= set(np.unique(labels)) | {0}
 
 
 def test_large_label_numbers_survive():
     labels = np.full((6, 6), 2**63 - 5, dtype=np.uint64)
-    moved = warp(labels, field((6, 6), (0.3, 0)), order=0)
+    moved = warp(labels, field((6, 6), (0.3, 0)), spacing=1, order=0)
     assert (moved == labels).all()
 
 
@@ -105,11 +105,11 @@ def test_colours_move_together_and_alpha_with_them(picture):
                         .reshape(picture.shape)], axis=-1)  # fmt: skip
     displacement = smooth_field(picture.shape, 2.0)
     for channels in (3, 4):
-        moved = warp(colours[..., :channels], displacement)
+        moved = warp(colours[..., :channels], displacement, spacing=1)
         assert moved.shape == (*picture.shape, channels)
         for channel in range(channels):
             np.testing.assert_array_equal(
-                moved[..., channel], warp(colours[..., channel], displacement)
+                moved[..., channel], warp(colours[..., channel], displacement, spacing=1)
             )
 
 
@@ -124,7 +124,7 @@ def test_displacements_are_in_the_unit_of_the_pixel_spacing(picture):
 def test_the_type_of_the_image_is_kept(dtype):
     image = np.random.default_rng(0).integers(0, 2, (12, 12)).astype(dtype)
     before = image.copy()
-    moved = warp(image, smooth_field((12, 12), 1.0))
+    moved = warp(image, smooth_field((12, 12), 1.0), spacing=1)
     assert moved.dtype == image.dtype
     assert moved.shape == image.shape
     np.testing.assert_array_equal(image, before)
@@ -135,26 +135,26 @@ def test_integers_are_rounded_and_never_wrap_around(dtype):
     top = np.iinfo(dtype).max
     image = np.zeros((16, 16), dtype=dtype)
     image[:, 8:] = top
-    moved = warp(image, field((16, 16), (0.0, 0.4)), order=3)
-    overshoot = warp((image > 0).astype(float), field((16, 16), (0.0, 0.4)), order=3)
+    moved = warp(image, field((16, 16), (0.0, 0.4)), spacing=1, order=3)
+    overshoot = warp((image > 0).astype(float), field((16, 16), (0.0, 0.4)), spacing=1, order=3)
     assert overshoot.max() > 1
     assert overshoot.min() < 0
     assert (moved[overshoot > 1] >= top - top // 1000).all()
     assert (moved[overshoot < 0] <= 0).all()
     ramp = np.array([[0, 1, 2, 3]] * 4, dtype=dtype)
-    assert warp(ramp, field((4, 4), (0.0, 0.4)))[1, 2] == 2  # 1.6
+    assert warp(ramp, field((4, 4), (0.0, 0.4)), spacing=1)[1, 2] == 2  # 1.6
 
 
 def test_a_missing_pixel_stays_one_missing_pixel():
     image = np.ones((20, 20), dtype=np.float32)
     image[9, 9], image[4, 15] = np.nan, np.inf
     for order in (1, 3):
-        moved = warp(image, field((20, 20), (0.25, 0.25)), order=order)
+        moved = warp(image, field((20, 20), (0.25, 0.25)), spacing=1, order=order)
         assert np.isnan(moved[9, 9])
         assert moved[4, 15] == np.inf
         np.testing.assert_allclose(moved[np.isfinite(moved)], 1.0, rtol=1e-6)
         assert np.isfinite(moved).sum() == 398
-    assert np.isnan(warp(np.full((4, 4), np.nan), field((4, 4), (0.2, 0)))).all()
+    assert np.isnan(warp(np.full((4, 4), np.nan), field((4, 4), (0.2, 0)), spacing=1)).all()
 
 
 def block(shape, rows, cols):
@@ -167,7 +167,7 @@ def test_void_stays_in_place_and_tissue_covers_it_and_leaves_fill_behind():
     shape = (12, 30)
     tissue = block(shape, slice(3, 9), slice(5, 15))
     image = np.where(tissue, 100, 7).astype(np.uint8)
-    moved = warp(image, field(shape, (0, 6)), tissue=tissue, fill=1)
+    moved = warp(image, field(shape, (0, 6)), spacing=1, tissue=tissue, fill=1)
     expected = np.full(shape, 7, dtype=np.uint8)
     expected[3:9, 5:15] = 1
     expected[3:9, 11:21] = 100
@@ -180,7 +180,7 @@ def test_a_piece_that_covers_another_is_found_though_nothing_folds(shift):
     shape = (12, 40)
     left, right = block(shape, slice(2, 9), slice(5, 15)), block(shape, slice(2, 9), slice(17, 30))
     displacement = field(shape, (0, shift)) * left[..., None]
-    _, _, overlaps = inverse_map_and_overlaps(displacement, tissue=left | right)
+    _, _, overlaps = inverse_map_and_overlaps(displacement, spacing=1, tissue=left | right)
     expected = np.zeros(shape, bool)
     if shift >= 3:  # its last site, at 14, has come to or beyond the first of the other, at 17
         expected[2:9, 17 : int(14 + shift) + 1] = True
@@ -191,8 +191,8 @@ def test_a_piece_that_covers_another_is_found_though_nothing_folds(shift):
 @pytest.mark.parametrize("amplitude", [0.0, 1.0, 2.0])
 def test_tissue_that_only_bends_covers_nothing(shape, amplitude):
     bent = smooth_field(shape, amplitude)
-    assert count_folds(bent) == 0
-    assert not inverse_map_and_overlaps(bent)[2].any()
+    assert count_folds(bent, spacing=1) == 0
+    assert not inverse_map_and_overlaps(bent, spacing=1)[2].any()
     assert not inverse_map_and_overlaps(bent * (0.3, 2.0), (0.3, 2.0))[2].any()
 
 
@@ -200,15 +200,15 @@ def test_tissue_that_is_pressed_together_covers_nothing():
     """To a tenth, and by amounts that put many sites on one pixel."""
     shape = (40, 40)
     pressed = -0.9 * places(shape) + np.random.default_rng(0).uniform(-0.02, 0.02, (*shape, 2))
-    assert count_folds(pressed) == 0
-    assert not inverse_map_and_overlaps(pressed)[2].any()
+    assert count_folds(pressed, spacing=1) == 0
+    assert not inverse_map_and_overlaps(pressed, spacing=1)[2].any()
 
 
 def test_a_fold_covers_too():
     shape = (20, 40)
     folded = np.zeros((*shape, 2))
     folded[:, :20, 1] = 8.0  # the left half slides over the right one
-    overlaps = inverse_map_and_overlaps(folded)[2]
+    overlaps = inverse_map_and_overlaps(folded, spacing=1)[2]
     assert overlaps[:, 22:27].all()
     assert not overlaps[:, :19].any()
     assert not overlaps[:, 29:].any()
@@ -219,14 +219,16 @@ def test_void_is_not_dragged_along_whatever_its_displacement_says():
     tissue = block(shape, slice(0, 6), slice(0, 12))
     displacement = np.where(tissue[..., None], (0.0, 0.0), np.nan)
     image = np.arange(144.0).reshape(shape)
-    np.testing.assert_array_equal(warp(image, displacement, tissue=tissue), image)
+    np.testing.assert_array_equal(warp(image, displacement, spacing=1, tissue=tissue), image)
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.3, 0.49, 0.51, 0.8, 1.0])
 def test_tissue_keeps_its_size_when_it_moves_by_part_of_a_pixel(shift):
     shape = (30, 30)
     tissue = block(shape, slice(10, 20), slice(10, 20))
-    moved = warp(tissue.astype(np.uint8) * 100, field(shape, (shift, shift)), tissue=tissue)
+    moved = warp(
+        tissue.astype(np.uint8) * 100, field(shape, (shift, shift)), spacing=1, tissue=tissue
+    )
     assert (moved > 90).sum() == 100
 
 
@@ -235,7 +237,7 @@ def test_tissue_one_pixel_thin_does_not_vanish(vector):
     shape = (16, 16)
     tissue = block(shape, slice(4, 12), 6) | block(shape, 8, slice(2, 12))
     image = np.where(tissue, 50, 0).astype(np.uint8)
-    moved = warp(image, field(shape, vector), tissue=tissue)
+    moved = warp(image, field(shape, vector), spacing=1, tissue=tissue)
     assert (moved >= 25).sum() == tissue.sum()
 
 
@@ -245,7 +247,7 @@ def test_a_thin_line_that_is_stretched_does_not_tear(along):
     tissue = block(shape, 4, slice(2, 12)) if along else block(shape, slice(2, 12), 4)
     displacement = np.zeros((*shape, 2))
     displacement[..., along] = 2 * places(shape)[..., along]  # three times as long
-    moved = warp(tissue.astype(np.uint8), displacement, tissue=tissue)
+    moved = warp(tissue.astype(np.uint8), displacement, spacing=1, tissue=tissue)
     seen = moved[4] if along else moved[:, 4]
     assert seen[6:34].all()
     assert moved.sum() == 28
@@ -258,7 +260,7 @@ def test_the_edge_of_a_body_stays_smooth(squeeze):
     displacement = np.stack(
         [(squeeze - 1) * (places(shape)[..., 0] - 19.5), 0.1 * places(shape)[..., 1]], axis=-1
     )
-    moved = warp(np.ones(shape, dtype=np.uint8), displacement)
+    moved = warp(np.ones(shape, dtype=np.uint8), displacement, spacing=1)
     assert np.unique(moved.sum(axis=0)).size == 1
 
 
@@ -269,7 +271,7 @@ def test_a_cell_that_lacks_one_corner_is_still_a_triangle():
         grown = np.zeros((8, 8), dtype=bool)
         grown[:2, :2] = tissue
         displacement = places((8, 8)) * 5.0  # six times as large
-        coordinates, covered = inverse_map(displacement, tissue=grown)
+        coordinates, covered = inverse_map(displacement, spacing=1, tissue=grown)
         middle = np.array([[1, 1], [1, 5], [5, 1], [5, 5]])
         inside = [at for at in middle if tuple(at // 4) != corner]
         for at in inside:
@@ -282,7 +284,7 @@ def test_where_tissue_folds_the_part_that_is_not_turned_over_is_seen():
     at = np.array([0, 1, 2, 3, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5])
     displacement = np.zeros((3, 10, 2))
     displacement[..., 1] = at - np.arange(10)
-    coordinates, covered = inverse_map(displacement)
+    coordinates, covered = inverse_map(displacement, spacing=1)
     seen = coordinates[1, :7, 1]
     assert covered[1, :7].all()
     upright = (seen <= 3) | (seen >= 4)
@@ -293,37 +295,41 @@ def test_where_only_turned_tissue_came_it_is_seen():
     image = np.arange(30.0).reshape(3, 10)
     displacement = np.zeros((3, 10, 2))
     displacement[..., 1] = 9 - 2 * np.arange(10)  # mirrored
-    np.testing.assert_array_equal(warp(image, displacement), image[:, ::-1])
+    np.testing.assert_array_equal(warp(image, displacement, spacing=1), image[:, ::-1])
 
 
 def test_growth_leaves_no_holes():
     problem = phantom("expansion", 96).problem
     displacement = places((96, 96)) * 0.07 - 3.3
-    _, covered = inverse_map(displacement * problem.tissue[..., None], tissue=problem.tissue)
+    _, covered = inverse_map(
+        displacement * problem.tissue[..., None], spacing=1, tissue=problem.tissue
+    )
     assert covered.all()
 
 
 def test_a_collapse_and_huge_or_tiny_displacements_do_no_harm(picture):
     shape = picture.shape
-    assert (warp(picture, field(shape, (1e30, -1e30)), fill=3) == 3).all()
-    np.testing.assert_array_equal(warp(picture, field(shape, (1e-30, 1e-30))), picture)
+    assert (warp(picture, field(shape, (1e30, -1e30)), spacing=1, fill=3) == 3).all()
+    np.testing.assert_array_equal(warp(picture, field(shape, (1e-30, 1e-30)), spacing=1), picture)
     collapsed = np.array([11.0, 15.0]) - places(shape)
-    assert (warp(picture, collapsed) > 0).sum() <= 1
+    assert (warp(picture, collapsed, spacing=1) > 0).sum() <= 1
 
 
 @pytest.mark.parametrize("shape", [(1, 9), (9, 1), (2, 2), (7, 13)])
 def test_any_shape_moves(shape):
     image = np.arange(1.0, 1 + np.prod(shape)).reshape(shape)
-    np.testing.assert_array_equal(warp(image, field(shape, (0, 0))), image)
+    np.testing.assert_array_equal(warp(image, field(shape, (0, 0)), spacing=1), image)
     if shape[1] > 2:
-        np.testing.assert_array_equal(warp(image, field(shape, (0, 2)))[:, 2:], image[:, :-2])
+        np.testing.assert_array_equal(
+            warp(image, field(shape, (0, 2)), spacing=1)[:, 2:], image[:, :-2]
+        )
 
 
 def test_several_images_share_one_inverse_map(picture):
     displacement = smooth_field(picture.shape, 3.0)
-    coordinates, covered = inverse_map(displacement)
+    coordinates, covered = inverse_map(displacement, spacing=1)
     np.testing.assert_array_equal(
-        resample(picture, coordinates, covered, order=1), warp(picture, displacement)
+        resample(picture, coordinates, covered, order=1), warp(picture, displacement, spacing=1)
     )
 
 
@@ -365,6 +371,7 @@ def test_the_brain_grows_outward_in_its_picture():
     ],
 )
 def test_what_does_not_fit_is_named(changes, complaint):
-    given = {"image": np.zeros((6, 6)), "displacement": np.zeros((6, 6, 2)), **changes}
+    still = {"displacement": np.zeros((6, 6, 2)), "spacing": 1}
+    given = {"image": np.zeros((6, 6)), **still, **changes}
     with pytest.raises(ProblemError, match=complaint):
         warp(**given)

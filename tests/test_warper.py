@@ -61,8 +61,8 @@ KINDS = ["uint8", "colour", "float32", "gaps", "bool", "uint16", "float16", "flo
 def test_every_kind_of_picture_is_moved_as_by_warp(kind, order):
     image, d, tissue = image_of(kind), rough_field(1, 2.5), some_tissue(1)
     fill = 1
-    (found,) = moved(Warper([Picture(image, order=order, fill=fill)]), d, tissue)
-    expected = warp(image, d, order=order, tissue=tissue, fill=fill)
+    (found,) = moved(Warper([Picture(image, order=order, fill=fill)], spacing=(1, 1)), d, tissue)
+    expected = warp(image, d, spacing=1, order=order, tissue=tissue, fill=fill)
     assert found.dtype == expected.dtype
     np.testing.assert_array_equal(found, expected)
 
@@ -107,16 +107,16 @@ def test_bands_change_nothing(bands):
 
 def test_one_motion_after_another_leaves_nothing_behind():
     image = image_of("uint8")
-    warper = Warper(image)
+    warper = Warper(image, spacing=(1, 1))
     for seed, amplitude in ((1, 5.0), (2, 0.0), (3, 50.0), (4, 1.0)):
         d, tissue = rough_field(seed, amplitude), some_tissue(seed)
         np.testing.assert_array_equal(
-            moved(warper, d, tissue)[0], warp(image, d, order=1, tissue=tissue)
+            moved(warper, d, tissue)[0], warp(image, d, spacing=1, order=1, tissue=tissue)
         )
 
 
 def test_what_was_shown_is_not_drawn_over():
-    warper = Warper(image_of("uint8"))
+    warper = Warper(image_of("uint8"), spacing=(1, 1))
     (first,) = moved(warper, rough_field(1, 3.0))
     before = first.copy()
     moved(warper, rough_field(2, 3.0))
@@ -125,9 +125,9 @@ def test_what_was_shown_is_not_drawn_over():
 
 def test_pictures_move_together():
     image, labels, d = image_of("uint8"), image_of("int64") % 7, rough_field(1, 3.0)
-    one, two = moved(Warper([Picture(image), Picture(labels, order=0)]), d)
-    np.testing.assert_array_equal(one, warp(image, d))
-    np.testing.assert_array_equal(two, warp(labels, d, order=0))
+    one, two = moved(Warper([Picture(image), Picture(labels, order=0)], spacing=(1, 1)), d)
+    np.testing.assert_array_equal(one, warp(image, d, spacing=1))
+    np.testing.assert_array_equal(two, warp(labels, d, spacing=1, order=0))
 
 
 @pytest.mark.parametrize("kind", ["int64", "uint64"])
@@ -136,8 +136,8 @@ def test_labels_of_any_number_keep_it_to_the_last_bit(kind):
     labels, d = numbers.view(kind)[..., 0], rough_field(1, 3.0)
     labels[:, ::2] = np.iinfo(kind).max  # as a real number, none
     labels[::2] |= labels.dtype.type(0x7FF0 << 48)
-    (found,) = moved(Warper([Picture(labels, order=0)]), d)
-    np.testing.assert_array_equal(found, warp(labels, d, order=0))
+    (found,) = moved(Warper([Picture(labels, order=0)], spacing=(1, 1)), d)
+    np.testing.assert_array_equal(found, warp(labels, d, spacing=1, order=0))
 
 
 def test_no_kind_of_image_has_anything_compiled_that_another_process_has_not():
@@ -148,7 +148,7 @@ def test_no_kind_of_image_has_anything_compiled_that_another_process_has_not():
         image, still = np.ones((9, 9), kind), np.zeros((9, 9, 2), np.float32)
         image.setflags(write=not read_only)
         still.setflags(write=not read_only)
-        moved(Warper([Picture(image, order=order)]), still)
+        moved(Warper([Picture(image, order=order)], spacing=(1, 1)), still)
 
     for kind in ("uint8", "float32", "float64"):
         move(kind, 1, read_only=False)
@@ -163,36 +163,65 @@ def test_no_kind_of_image_has_anything_compiled_that_another_process_has_not():
 @pytest.mark.parametrize("shape", [(1, 9), (9, 1), (2, 2), (7, 13)])
 def test_any_shape_moves(shape):
     image, d = image_of("uint8", shape), rough_field(0, 1.0, shape)
-    np.testing.assert_array_equal(moved(Warper(image), d)[0], warp(image, d))
+    np.testing.assert_array_equal(
+        moved(Warper(image, spacing=(1, 1)), d)[0], warp(image, d, spacing=1)
+    )
 
 
 def test_void_is_not_dragged_along_whatever_its_displacement_says():
     image, tissue = image_of("uint8"), some_tissue(1)
     d = np.where(tissue[..., None], np.float32([0, 0]), np.float32(np.nan))
-    np.testing.assert_array_equal(moved(Warper(image), d, tissue)[0], image)
+    np.testing.assert_array_equal(moved(Warper(image, spacing=(1, 1)), d, tissue)[0], image)
 
 
 def test_it_belongs_to_the_compute_thread():
     with pytest.raises(RuntimeError, match="compute thread; call warp"):
-        Warper(image_of("uint8"))(rough_field(0, 1.0))
+        Warper(image_of("uint8"), spacing=(1, 1))(rough_field(0, 1.0))
 
 
 @pytest.mark.parametrize(
     ("make", "displacement", "tissue", "complaint"),
     [
-        (lambda: Warper(np.zeros(5)), None, None, "image: has shape"),
-        (lambda: Warper([Picture(np.zeros((5, 5)), order=7)]), None, None, "order: is 7"),
+        (lambda: Warper(np.zeros(5), spacing=(1, 1)), None, None, "image: has shape"),
         (
-            lambda: Warper([Picture(np.zeros((5, 5), np.uint8), order=1, fill=300)]),
+            lambda: Warper([Picture(np.zeros((5, 5)), order=7)], spacing=(1, 1)),
+            None,
+            None,
+            "order: is 7",
+        ),
+        (
+            lambda: Warper(
+                [Picture(np.zeros((5, 5), np.uint8), order=1, fill=300)], spacing=(1, 1)
+            ),
             None,
             None,
             "fill",
         ),
-        (lambda: Warper([Picture(np.eye(5)), Picture(np.eye(6))]), None, None, "image: has shape"),
+        (
+            lambda: Warper([Picture(np.eye(5)), Picture(np.eye(6))], spacing=(1, 1)),
+            None,
+            None,
+            "image: has shape",
+        ),
         (lambda: Warper(np.eye(5), spacing=(1, 0)), None, None, "spacing"),
-        (lambda: Warper(np.eye(5)), np.zeros((5, 6, 2)), None, "displacement: has shape"),
-        (lambda: Warper(np.eye(5)), np.zeros((5, 5, 2)), np.ones(5), "tissue: has shape"),
-        (lambda: Warper(np.eye(5)), np.full((5, 5, 2), np.nan), None, "displacement: is NaN"),
+        (
+            lambda: Warper(np.eye(5), spacing=(1, 1)),
+            np.zeros((5, 6, 2)),
+            None,
+            "displacement: has shape",
+        ),
+        (
+            lambda: Warper(np.eye(5), spacing=(1, 1)),
+            np.zeros((5, 5, 2)),
+            np.ones(5),
+            "tissue: has shape",
+        ),
+        (
+            lambda: Warper(np.eye(5), spacing=(1, 1)),
+            np.full((5, 5, 2), np.nan),
+            None,
+            "displacement: is NaN",
+        ),
     ],
 )
 def test_what_does_not_fit_is_named(make, displacement, tissue, complaint):

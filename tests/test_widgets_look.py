@@ -123,7 +123,7 @@ def test_half_of_the_deformation_is_the_image_moved_by_half_the_displacement(loo
     image, moved = viewer.layers["MR"], viewer.layers["MR deformed, paper"]
     whole, layers = moved.data.copy(), names(viewer)
     set_to(look, percent=50)
-    expected = warp(image.data, solution.displacement / 2, tissue=solution.tissue)
+    expected = warp(image.data, solution.displacement / 2, spacing=1, tissue=solution.tissue)
     np.testing.assert_array_equal(moved.data, expected)
     assert known_of(moved)["percent"] == 50
     assert "50 %: tissue moved up to 1.5 px" in look._form.result.how_far.value
@@ -342,7 +342,7 @@ def test_colours_show_how_far_how_the_area_changes_and_the_strain(look, set_to):
     low, high = layer.contrast_limits
     assert low + high == pytest.approx(2), "no change is in the middle"
     set_to(look, overlay="columns")
-    assert layer.name == "MR strain from column to column (%), paper"
+    assert layer.name == "MR in-plane strain from column to column (%), paper"
     np.testing.assert_allclose(layer.data[10, 5:19], 50 * (inside**2 - 1), atol=2)
     layer.name = "mine"
     set_to(look, overlay="equivalent")
@@ -452,7 +452,7 @@ def test_colours_are_those_of_the_moment_that_is_seen_on_one_scale(look, set_to)
         np.testing.assert_allclose(layer.data, lengths_of(solution, percent / 100), rtol=1e-5)
         assert layer.contrast_limits == [0, 3], "what grows is seen to grow"
     set_to(look, overlay="columns", percent=50)
-    values = viewer_of(look).layers["MR strain from column to column (%), paper"].data
+    values = viewer_of(look).layers["MR in-plane strain from column to column (%), paper"].data
     half = replace(solution, displacement=solution.displacement / 2)
     assert np.nanmax(values) == np.nanmax(coloured(half, "columns").values)
 
@@ -462,7 +462,7 @@ def lengths_of(solution, part):
     lengths = part * np.linalg.norm(solution.displacement, axis=-1)
     lengths[~solution.tissue] = np.nan
     d = part * solution.displacement
-    return warp(lengths, d, tissue=solution.tissue, order=0, fill=np.nan)
+    return warp(lengths, d, spacing=1, tissue=solution.tissue, order=0, fill=np.nan)
 
 
 def test_what_was_given_lies_where_its_tissue_is_seen(look, set_to):
@@ -483,7 +483,7 @@ def test_what_was_given_lies_where_its_tissue_is_seen(look, set_to):
 
 def test_the_canvas_says_what_colours_and_marks_show_and_in_which_unit(look, set_to):
     set_to(look, overlay="equivalent")
-    layer = viewer_of(look).layers["MR equivalent strain (%), paper"]
+    layer = viewer_of(look).layers["MR equivalent in-plane strain (%), paper"]
     if not hasattr(layer, "name_overlay"):
         pytest.skip("napari before 0.9 writes no layer's name on the canvas")
     assert layer.name_overlay.visible
@@ -504,7 +504,7 @@ def test_folds_are_told_and_marked(widget, small_sample, run, set_to):
     solution = outputs.solution
     folded = coloured(solution, "jacobian").values <= 0
     assert folded.sum() == outputs.folds
-    moved = warp(folded, solution.displacement, tissue=solution.tissue, order=0)
+    moved = warp(folded, solution.displacement, spacing=1, tissue=solution.tissue, order=0)
     np.testing.assert_array_equal(layer.data <= 0, moved)
     assert layer.contrast_limits == [0, 2], "folds, and nothing else, are at the lower limit"
     values = coloured(solution, "jacobian").values
@@ -583,7 +583,7 @@ def test_the_strain_that_is_shown_is_read_as_well(look, set_to):
         solution.displacement, spacing=solution.spacing, tissue=solution.tissue
     )
     col = look.at((10, 12)).site[1]
-    assert f"strain from column to column {100 * along[10, col, 1, 1]:.3g} %" in said()
+    assert f"in-plane strain from column to column {100 * along[10, col, 1, 1]:.3g} %" in said()
     assert along[10, col, 1, 1] > 0.05, "it is pulled out"
     for other in ("magnitude", "labels", "grid", "nothing"):
         set_to(look, overlay=other)
@@ -889,11 +889,11 @@ def test_what_is_added_says_what_it_is(look, set_to):
         set_to(look, overlay=name)
         (layer,) = (each for each in viewer.layers if known_of(each).get("kind") == name)
         assert type(layer) is kind
-    facts = viewer.layers["MR largest stretch (%), paper"].metadata[METADATA]
+    facts = viewer.layers["MR largest in-plane stretch (%), paper"].metadata[METADATA]
     assert facts["source"] == "MR"
     assert "percent" not in facts, "all of the deformation"
     set_to(look, percent=30)
-    facts = viewer.layers["MR largest stretch (%), paper"].metadata[METADATA]
+    facts = viewer.layers["MR largest in-plane stretch (%), paper"].metadata[METADATA]
     assert facts["percent"] == 30
 
 

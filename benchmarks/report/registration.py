@@ -75,7 +75,7 @@ def section(settings: Settings) -> Section:
         example = phantom(name, size)
         problem = example.problem
         truth = plane_stress_displacement(problem)
-        moved = warp(example.image, truth, tissue=problem.tissue)
+        moved = warp(example.image, truth, spacing=1, tissue=problem.tissue)
         found = {}
         for spline in settings.choose((20,), (12,)):
             started = time.perf_counter()

@@ -7,6 +7,7 @@ is a random sum of them. It is scaled down where it would squeeze tissue to litt
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 from collections.abc import Callable, Iterable, Sequence
@@ -36,11 +37,14 @@ from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.resample import as_image, emptiness
 from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.optimizers.base import Convergence
+from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import as_numbers, checked_spacing
 from napari_hmrf.solver.solution import Provenance, Solution
 from napari_hmrf.study.study import Grid, Study
-from napari_hmrf.tissue.boundary_rules import Material, stiffness_image
+from napari_hmrf.tissue.boundary_rules import Material, poisson_image, stiffness_image
+from napari_hmrf.tissue.painted_loads import growth_loads
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
 #: What a generator is made from: a seed, or a generator itself, which goes on.
@@ -52,6 +56,7 @@ _PATCHES = {2: 12, 3: 8}
 # How far a sample pulls at most, as a part of how far patches lie from their next.
 _REACH = {2: 1 / 4, 3: 1 / 8}
 _MOVING = "pictures to be moved"
+_log = logging.getLogger("napari_hmrf")
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +90,11 @@ class RandomSample:
         farthest = float(np.linalg.norm(self.displacement, axis=-1).max(initial=0.0))
         return f"RandomSample(moved up to {farthest:.3g}, scale {self.scale:.3g})"
 
+    @property
+    def amplitude(self) -> float:
+        """Largest pull of a control patch, in the unit of `spacing`, as it is after scaling."""
+        return float(np.linalg.norm(self.causes.pulls, axis=1).max())
+
     @cached_property
     def study(self) -> Study:
         """What `solve_study` solves in full to the same field, and `save_study` keeps."""
@@ -93,7 +103,13 @@ class RandomSample:
     @cached_property
     def solution(self) -> Solution:
         """The field as a result: for `measure`, `export_field`, `save_study` and the like."""
-        study = self.study
+        study, labels = self.study, self.case.labels
+        rows, grown = study.tissue.materials, growth_loads(labels, study.tissue.materials)
+        elasticity = Elasticity(
+            ElasticPrior(poisson_image(labels, rows)).poisson,
+            growth=None if grown is None else grown.growth,
+            rigid=np.isinf(stiffness_image(labels, rows)),
+        )
         return Solution(
             displacement=self.displacement,
             energy=np.zeros(1),
@@ -109,6 +125,7 @@ class RandomSample:
                 },
             ),
             convergence=Convergence(WRONG, 0.0),
+            elasticity=elasticity,
         )
 
     def pictures(self, *pictures: Picture) -> list[npt.NDArray[Any]]:
@@ -196,10 +213,11 @@ class RandomDeformation:
     unit : str
         Of all lengths.
     amplitude : float or (float, float), optional
-        How far that of the control patches is pulled that is pulled farthest, in the unit of
-        `spacing`: always so far, or evenly between two lengths. By default from nothing to a
-        quarter of how far patches lie from their next, in a volume an eighth. Where that squeezed
-        tissue too much, it is less.
+        Largest pull of a control patch, in the unit of `spacing`: one length for all samples, or
+        two between which it is drawn evenly. By default from nothing to a quarter of the distance
+        between neighbouring patches, in a volume an eighth. A sample that would squeeze tissue too
+        much is scaled down: its own `amplitude` says how far it is pulled, and a warning is logged
+        if that is less than the least one that was asked for.
     patches : int, optional
         How many control patches there are, at most; where tissue is narrow there is room for fewer.
         By default 12, in a volume 8.
@@ -305,7 +323,7 @@ class RandomDeformation:
 
     def _take(self, solutions: UnitSolutions) -> None:
         """Draw from these from now on."""
-        self._solutions, self._case = solutions, solutions.case
+        self._solutions, self._case, self._said = solutions, solutions.case, False
         self._factor = _factor(self._case.centres, self._case.smoothness)
 
     @property
@@ -389,8 +407,25 @@ class RandomDeformation:
         scale = largest_scale(displacement, case.grid.spacing, self.tissue, case.least_jacobian)
         if scale < 1:
             displacement *= np.float32(scale)
-        return RandomSample(
+        sample = RandomSample(
             displacement, self.tissue, case.grid.spacing, drawn * scale, scale, case
+        )
+        self._say_if_short(sample)
+        return sample
+
+    def _say_if_short(self, sample: RandomSample) -> None:
+        """Log once that a sample is pulled by less than the least amplitude."""
+        least = self.amplitude[0]
+        if self._said or sample.amplitude >= least * (1 - 1e-6):
+            return
+        self._said = True
+        _log.warning(
+            "amplitude of at least %.3g was asked for, and a sample has %.3g: more would squeeze "
+            "tissue to less than least_jacobian, %.3g. Ask for less, or take fewer patches or a "
+            "larger smoothness. (This is said once.)",
+            least,
+            sample.amplitude,
+            self._case.least_jacobian,
         )
 
     def _draw(self, random: np.random.Generator) -> Causes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, get_args
 
@@ -130,8 +130,7 @@ class Motion:
         """The quantity, of the tissue before it moved, after a part of the displacement."""
         if fraction == 1 or self.quantity is None:
             return whole
-        displacement = self.solution.displacement * np.float32(fraction)
-        return values_of(replace(self.solution, displacement=displacement), self.quantity)
+        return values_of(self.solution, self.quantity, fraction)
 
     @cached_property
     def _warper(self) -> Warper:

@@ -16,7 +16,14 @@ import numpy.typing as npt
 from napari_hmrf.arguments import is_whole, real, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.slabs import slabs, with_neighbours
-from napari_hmrf.field.warp import BoolArray, Float64Array, as_field, checked_sizes, moved_sites
+from napari_hmrf.field.warp import (
+    BoolArray,
+    Float64Array,
+    Spacing,
+    as_field,
+    checked_sizes,
+    moved_sites,
+)
 from napari_hmrf.solver.backends import loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 
@@ -58,7 +65,7 @@ def magnitude(displacement: npt.ArrayLike) -> FloatArray:
 def jacobian_determinant(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] | None = None,
+    spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
     """By which factor the area, or the volume, around each site changes: det d(X + d(X)) / dX.
@@ -71,8 +78,8 @@ def jacobian_determinant(
     ----------
     displacement : array_like, shape (H, W, 2), or (D, H, W, 3) of a volume
         Material displacement in the order of the axes, in the unit of `spacing`.
-    spacing : sequence of float, shape (n,), optional
-        Size of a pixel along each axis; by default 1.
+    spacing : float or sequence of float, shape (n,)
+        Size of a pixel along each axis, or along all of them.
     tissue : array_like of bool, shape ([D,] H, W), optional
         By default everything. Differences are never taken across its border.
 
@@ -94,7 +101,7 @@ def jacobian_determinant(
 def count_folds(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] | None = None,
+    spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> int:
     """Count the sites at which tissue folds over itself or collapses.
@@ -121,7 +128,7 @@ def count_folds(
 
 def smallest_determinant(
     displacement: npt.ArrayLike,
-    spacing: Sequence[float] | None = None,
+    spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
     """Find how near each site is to a fold: the smallest determinant of its elements there.
@@ -148,7 +155,7 @@ def smallest_determinant(
 
 def determinant_or_fold(
     displacement: npt.ArrayLike,
-    spacing: Sequence[float] | None = None,
+    spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
     """The `jacobian_determinant`; at folds the `smallest_determinant`, which is 0 or below."""
@@ -158,7 +165,7 @@ def determinant_or_fold(
 def deformation_grid(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] | None = None,
+    spacing: Spacing,
     every: int = 10,
     tissue: npt.ArrayLike | None = None,
     pieces: int = 5,
@@ -213,7 +220,7 @@ def pixels_between(lines: int, shape: Sequence[int], spacing: Sequence[float]) -
 def arrows(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] | None = None,
+    spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
     about: int = 1000,
 ) -> FloatArray:
@@ -258,7 +265,7 @@ def arrows(
 def arrows_apart(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] | None = None,
+    spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
     about: int = 1000,
 ) -> FloatArray:
@@ -280,7 +287,7 @@ def arrows_apart(
 def arrows_in_slices(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] | None = None,
+    spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
     about: int = 1000,
 ) -> FloatArray:

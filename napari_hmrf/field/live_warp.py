@@ -82,7 +82,7 @@ class Warper:
     >>> import numpy as np
     >>> from napari_hmrf.solver.backends.thread import compute_thread
     >>> right = np.broadcast_to(np.float32([0, 2]), (3, 4, 2))
-    >>> warper = Warper(np.arange(12).reshape(3, 4).astype(np.uint8))
+    >>> warper = Warper(np.arange(12).reshape(3, 4).astype(np.uint8), spacing=(1, 1))
     >>> (half,) = compute_thread.submit(lambda: warper(right, fraction=0.5)).result()
     >>> half[0].tolist()
     [0, 0, 1, 2]
@@ -92,7 +92,7 @@ class Warper:
         self,
         pictures: Picture | Sequence[Picture] | npt.ArrayLike,
         *,
-        spacing: Sequence[float] = (1.0, 1.0),
+        spacing: Sequence[float],
     ) -> None:
         given = _as_pictures(pictures)
         n = 3 if length_hint(spacing) == 3 else 2

@@ -9,9 +9,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.arguments import refuse_unless
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.deformation import determinant, jacobian_determinant
-from napari_hmrf.field.strain import equivalent_strain, folds, magnitude, strain_values
+from napari_hmrf.field.elastic_strain import StrainKind, strain_kind, values_of_strain
+from napari_hmrf.field.strain import equivalent_strain, folds, magnitude
 from napari_hmrf.field.warp import BoolArray, Float64Array, moved_sites
 from napari_hmrf.solver.problem import as_numbers, grid_in_words
 from napari_hmrf.solver.solution import Solution
@@ -37,9 +39,13 @@ class Measurement(NamedTuple):
     mean_displacement, largest_displacement : float
         In the unit of the spacing.
     mean_strain, largest_strain : float
-        Equivalent strain of von Mises, in a slice of plane strain, in per cent.
+        Equivalent strain of von Mises, in per cent, of the kind that `strain` says.
     folds : int
         Pixels at which it is pushed through itself.
+    strain : {"elastic", "in-plane", "total"}
+        "elastic": elastic strain in all three directions, without growth, as the model has it (see
+        `elastic_strain`). "in-plane": total strain within an image, where the model has no third
+        direction, as the paper's. "total": total strain of a volume.
     """
 
     label: int
@@ -52,6 +58,7 @@ class Measurement(NamedTuple):
     mean_strain: float
     largest_strain: float
     folds: int
+    strain: StrainKind = "elastic"
 
 
 def measure(
@@ -74,9 +81,14 @@ def measure(
 
     Raises
     ------
+    ArgumentError
+        If the first argument is no Solution.
     ProblemError
         If the labels are not on the pixels of the solution.
     """
+    refuse_unless(
+        isinstance(solution, Solution), "solution", solution, "a Solution, such as solve() returns"
+    )
     image = as_numbers("labels", labels)
     d, tissue = solution.displacement, solution.tissue
     if image.shape != tissue.shape or image.dtype.kind not in "biu":
@@ -88,7 +100,7 @@ def measure(
     spacing = solution.spacing
     length, folded = magnitude(d), folds(d, spacing=spacing, tissue=tissue)
     change, weight = _changes(solution)
-    strain = strain_values(equivalent_strain, d, spacing=spacing, tissue=tissue)
+    strain, kind = values_of_strain(solution, equivalent_strain), strain_kind(solution)
     pixel = float(np.prod(spacing))
     found = []
     for label in np.unique(image[tissue]).tolist():
@@ -105,6 +117,7 @@ def measure(
                 mean_strain=float(100 * np.nanmean(strain[there])),
                 largest_strain=float(100 * np.nanmax(strain[there])),
                 folds=int(folded[there].sum()),
+                strain=kind,
             )
         )
     return tuple(found)

@@ -1,44 +1,43 @@
-"""What is seen of a result as colours: how far tissue goes, how its area changes, its strain."""
+"""Quantities of a result that are shown as colours: displacement, change of area, strain."""
 
 from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from napari_hmrf.field.colormaps import SMALLEST, area_limits, reach_of
 from napari_hmrf.field.deformation import FloatArray, determinant_or_fold
-from napari_hmrf.field.strain import (
-    equivalent_strain,
-    magnitude,
-    principal_strains,
-    strain_values,
-)
+from napari_hmrf.field.elastic_strain import strain_kind, values_of_strain
+from napari_hmrf.field.strain import equivalent_strain, magnitude, principal_strains
 from napari_hmrf.solver.solution import Solution
 
 Quantity = Literal[
     "magnitude", "jacobian", "equivalent", "stretch", "squeeze", "rows", "columns", "shear"
 ]
 _PER_CENT = 100.0
-#: What there is to show, and its unit; "" stands for that of the lengths. Strains are
-#: Green-Lagrange's, in per cent of the length; of a volume those of rows and columns, and the shear
+#: Titles and units of the quantities; the unit "" stands for that of the lengths, "{kind}" for the
+#: `StrainKind`. Strains are in per cent; of a volume those of rows and columns, and the shear
 #: between them, are those within its slices.
 QUANTITIES: dict[Quantity, tuple[str, str]] = {
     "magnitude": ("displacement", ""),
     "jacobian": ("Jacobian", "area ratio"),
-    "equivalent": ("equivalent strain", "%"),
-    "stretch": ("largest stretch", "%"),
-    "squeeze": ("largest squeeze", "%"),
-    "rows": ("strain from row to row", "%"),
-    "columns": ("strain from column to column", "%"),
-    "shear": ("shear strain", "%"),
+    "equivalent": ("equivalent {kind} strain", "%"),
+    "stretch": ("largest {kind} stretch", "%"),
+    "squeeze": ("largest {kind} squeeze", "%"),
+    "rows": ("{kind} strain from row to row", "%"),
+    "columns": ("{kind} strain from column to column", "%"),
+    "shear": ("{kind} shear strain", "%"),
 }
 
 
-def title_and_unit(quantity: Quantity, axes: int = 2) -> tuple[str, str]:
-    """What `QUANTITIES` says of a quantity, of a slice or of a volume, which has three axes."""
+def title_and_unit(quantity: Quantity, solution: Solution) -> tuple[str, str]:
+    """Return the title of a quantity of a solution, which names the kind of a strain; its unit."""
     title, unit = QUANTITIES[quantity]
-    return title, unit.replace("area", "volume") if axes == 3 else unit
+    if solution.tissue.ndim == 3:
+        unit = unit.replace("area", "volume")
+    return title.format(kind=strain_kind(solution)), unit
 
 
 class Coloured(NamedTuple):
@@ -70,8 +69,8 @@ def coloured(solution: Solution, quantity: Quantity) -> Coloured:
     solution : Solution
     quantity : {"magnitude", "jacobian", "equivalent", "stretch", "squeeze", "rows", "columns", \
 "shear"}
-        The strains are Green-Lagrange's: "stretch" and "squeeze" the principal ones; "jacobian" is
-        as of `area_change`.
+        Strains are of the kind that `strain_kind` says; "stretch" and "squeeze" are the principal
+        ones, of an image those within it. "jacobian" is as of `area_change`.
     """
     values, signed = values_of(solution, quantity), quantity not in ("magnitude", "equivalent")
     if quantity == "jacobian":
@@ -82,29 +81,30 @@ def coloured(solution: Solution, quantity: Quantity) -> Coloured:
     return Coloured(values, (-reach if signed else 0.0, reach), signed)
 
 
-def values_of(solution: Solution, quantity: Quantity) -> FloatArray:
-    """Compute the values of `coloured` alone."""
-    d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
+def values_of(solution: Solution, quantity: Quantity, fraction: float = 1.0) -> FloatArray:
+    """Compute the values of `coloured` alone, after a part of the deformation."""
+    tissue = solution.tissue
     if quantity == "magnitude":
-        return np.where(tissue, magnitude(d), np.float32(np.nan))
+        return np.where(tissue, fraction * magnitude(solution.displacement), np.float32(np.nan))
     if quantity == "jacobian":
-        return area_change(solution)
+        return area_change(solution, fraction)
 
-    def value(strain: FloatArray) -> FloatArray:
+    def value(strain: npt.NDArray[np.float64], across: npt.ArrayLike) -> npt.NDArray[np.floating]:
         if quantity == "equivalent":
-            return equivalent_strain(strain)
+            return equivalent_strain(strain, across)
         if quantity in ("stretch", "squeeze"):
             return principal_strains(strain)[..., 0 if quantity == "stretch" else -1]
         one, other = {"rows": (-2, -2), "columns": (-1, -1), "shear": (-2, -1)}[quantity]
         return strain[..., one, other]
 
-    return strain_values(value, d, spacing=spacing, tissue=tissue) * np.float32(_PER_CENT)
+    return values_of_strain(solution, value, fraction) * np.float32(_PER_CENT)
 
 
-def area_change(solution: Solution) -> FloatArray:
-    """By which factor the area, or volume, of each site changes; NaN where there is no tissue.
+def area_change(solution: Solution, fraction: float = 1.0) -> FloatArray:
+    """Compute the factor by which the area, or volume, of each site changes.
 
-    Where tissue folds it is the smallest determinant around the site, so that it is 0 or below at
-    all folds.
+    NaN where there is no tissue. Where tissue folds it is the smallest determinant around the site,
+    so that it is 0 or below at all folds.
     """
-    return determinant_or_fold(solution.displacement, solution.spacing, solution.tissue)
+    displacement = solution.displacement * np.float32(fraction)
+    return determinant_or_fold(displacement, solution.spacing, solution.tissue)

@@ -151,6 +151,27 @@ def sampled(picture: npt.NDArray[Any], places: Float64Array, order: int) -> npt.
     return np.stack([_interpolated(channel, axes, nearest, order) for channel in channels], axis=-1)
 
 
+def unknown_values(picture: npt.NDArray[Any], axes: int, name: str) -> str:
+    """Say, as a clause, that a picture has pixels that are no numbers; "" if it has none.
+
+    Parameters
+    ----------
+    picture : ndarray, shape ([D,] H, W) or with channels behind
+    axes : int
+        Number of its axes that are not channels.
+    name : str
+        Of the picture.
+    """
+    if picture.dtype.kind != "f" or np.isfinite(picture).all():
+        return ""
+    unknown = ~np.isfinite(picture).reshape(*picture.shape[:axes], -1).all(axis=-1)
+    count, sites = int(unknown.sum()), "voxel" if axes == 3 else "pixel"
+    return (
+        f"{name} is NaN or infinite at {count} {sites}{'s' * (count > 1)}, which stay so where "
+        "they move"
+    )
+
+
 def on_finer_grid(solution: Solution, tissue: BoolArray, step: int) -> Solution:
     """The field of every so many-th pixel as one of all pixels, linear between them.
 
@@ -170,7 +191,14 @@ def on_finer_grid(solution: Solution, tissue: BoolArray, step: int) -> Solution:
     ]
     d = np.where(tissue[..., None], np.stack(finer, axis=-1), np.float32(0))
     spacing = tuple(size / step for size in solution.spacing)
-    return replace(solution, displacement=d, tissue=tissue, spacing=spacing)
+    nearest = np.ix_(
+        *(
+            np.minimum(np.rint(np.arange(size) / step).astype(np.intp), last - 1)
+            for size, last in zip(shape, solution.tissue.shape, strict=True)
+        )
+    )
+    elasticity = solution.elasticity and solution.elasticity.mapped(lambda each: each[nearest])
+    return replace(solution, displacement=d, tissue=tissue, spacing=spacing, elasticity=elasticity)
 
 
 def emptiness(picture: npt.NDArray[Any], axes: int = 2) -> Any:

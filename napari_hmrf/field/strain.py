@@ -18,7 +18,7 @@ volume the order is (depth, row, col).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +32,13 @@ from napari_hmrf.field.deformation import (
     magnitude,
     smallest_determinant,
 )
-from napari_hmrf.field.warp import BoolArray, Float64Array, as_field, checked_sizes, moved_sites
+from napari_hmrf.field.warp import (
+    BoolArray,
+    Float64Array,
+    Spacing,
+    checked_sizes,
+    moved_sites,
+)
 from napari_hmrf.solver.backends import loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import as_numbers
@@ -48,7 +54,6 @@ __all__ = [
     "principal_strains",
     "small_strain",
     "strain_through_slice",
-    "strain_values",
 ]
 
 #: Planes of a volume whose strains are in memory at once.
@@ -60,7 +65,7 @@ _AT_ONCE = 2**17
 def deformation_gradient(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] | None = None,
+    spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
     """How small pieces of tissue are stretched and turned: F = d(X + d(X)) / dX.
@@ -69,8 +74,8 @@ def deformation_gradient(
     ----------
     displacement : array_like, shape (H, W, 2), or (D, H, W, 3) of a volume
         Material displacement in the order of the axes, in the unit of `spacing`.
-    spacing : sequence of float, shape (n,), optional
-        Size of a pixel along each axis; by default 1.
+    spacing : float or sequence of float, shape (n,)
+        Size of a pixel along each axis, or along all of them.
     tissue : array_like of bool, shape ([D,] H, W), optional
         By default everything.
 
@@ -85,14 +90,14 @@ def deformation_gradient(
     ProblemError
         Naming the input at fault.
     """
-    gradient, mask = _displacement_gradient(displacement, spacing, tissue)
-    return _on_sites(gradient + np.eye(mask.ndim), mask)
+    gradient, mask = displacement_gradient(displacement, spacing, tissue)
+    return on_sites(gradient + np.eye(mask.ndim), mask)
 
 
 def folds(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] | None = None,
+    spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> BoolArray:
     """Mark where tissue folds over itself or collapses: the sites that `count_folds` counts.
@@ -120,7 +125,7 @@ def folds(
 def small_strain(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] | None = None,
+    spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
     """Strain of linear elasticity, e = (H + H^T) / 2: what `ElasticPrior` knows.
@@ -144,14 +149,14 @@ def small_strain(
     ProblemError
         Naming the input at fault.
     """
-    gradient, mask = _displacement_gradient(displacement, spacing, tissue)
-    return _on_sites(_symmetric(gradient), mask)
+    gradient, mask = displacement_gradient(displacement, spacing, tissue)
+    return on_sites(symmetric(gradient), mask)
 
 
 def green_lagrange_strain(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] | None = None,
+    spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
     """Strain of any deformation, E = (F^T F - I) / 2: nothing turned is strained by that.
@@ -173,57 +178,57 @@ def green_lagrange_strain(
     ProblemError
         Naming the input at fault.
     """
-    gradient, mask = _displacement_gradient(displacement, spacing, tissue)
+    gradient, mask = displacement_gradient(displacement, spacing, tissue)
+    return on_sites(green_lagrange(gradient), mask)
+
+
+def green_lagrange(gradient: Float64Array) -> Float64Array:
+    """Return the Green-Lagrange strain of displacement gradients H, shape (N, n, n)."""
     # (F^T F - I) / 2 by way of H: small strains are not lost beside the ones of I.
     product = np.einsum("...ki,...kj->...ij", gradient, gradient)
-    return _on_sites(_symmetric(gradient) + product / 2, mask)
+    return np.asarray(symmetric(gradient) + product / 2)
 
 
-def strain_values(
-    value: Callable[[FloatArray], FloatArray],
-    displacement: npt.ArrayLike,
-    *,
-    spacing: Sequence[float] | None = None,
-    tissue: npt.ArrayLike | None = None,
+def values_by_parts(
+    strains: Callable[[slice], tuple[Float64Array, npt.ArrayLike, BoolArray]],
+    value: Callable[[Float64Array, npt.ArrayLike], npt.NDArray[np.floating]],
+    tissue: BoolArray,
 ) -> FloatArray:
-    """Compute one number of the `green_lagrange_strain` of each site.
+    """Compute one number of the strain of each site.
 
     Of a volume some planes after the others: all of its strains take nine times the memory.
 
     Parameters
     ----------
+    strains : callable
+        Makes strains of the tissue in a range of the first axis: (N, n, n), in an image those
+        across it, (N,) or 0, and the sites, of bool.
     value : callable
-        Makes numbers, shape (...), of strains, shape (..., n, n), such as `equivalent_strain`.
-    displacement, spacing, tissue
-        As in `deformation_gradient`.
+        Makes numbers, shape (N,), of the first two.
+    tissue : ndarray of bool, shape ([D,] H, W)
 
     Returns
     -------
     ndarray, shape ([D,] H, W), float32
-
-    Raises
-    ------
-    ProblemError
-        Naming the input at fault.
+        NaN where there is no tissue.
     """
-    d = as_field(displacement)
-    mask = np.ones(d.shape[:-1], bool)
-    if tissue is not None:
-        mask = as_numbers("tissue", tissue).astype(bool)
-
-    def valued(strains: FloatArray) -> FloatArray:
-        compute_thread.look()
-        return value(strains)
-
-    slab = len(d) if d.ndim == 3 else _SLAB
-    values = np.full(d.shape[:-1], np.nan, np.float32)
-    for begin in range(0, len(d), slab):
-        first, last = max(begin - 1, 0), begin + slab + 1
-        strain = green_lagrange_strain(d[first:last], spacing=spacing, tissue=mask[first:last])
-        there = mask[begin : begin + slab]
-        strains = strain[begin - first :][:slab][there]
-        parts = np.array_split(strains, max(1, len(strains) // _AT_ONCE))
-        values[begin : begin + slab][there] = np.concatenate([valued(part) for part in parts])
+    slab = len(tissue) if tissue.ndim == 2 else _SLAB
+    values = np.full(tissue.shape, np.nan, np.float32)
+    for begin in range(0, len(tissue), slab):
+        first, end = max(begin - 1, 0), begin + slab
+        strain, across, wide = strains(slice(first, end + 1))
+        inner = np.zeros_like(wide)
+        inner[begin - first :][:slab] = True
+        inside = inner[wide]
+        strain = strain[inside]
+        through = np.asarray(across)[inside] if np.ndim(across) else across
+        parts = [np.zeros(0, np.float32)]
+        for at in range(0, len(strain), _AT_ONCE):
+            compute_thread.look()
+            span = slice(at, at + _AT_ONCE)
+            beyond = np.asarray(through)[span] if np.ndim(through) else through
+            parts.append(np.asarray(value(strain[span], beyond), np.float32))
+        values[begin:end][tissue[begin:end]] = np.concatenate(parts)
     return values
 
 
@@ -328,10 +333,10 @@ def strain_through_slice(strain: npt.ArrayLike, poisson: npt.ArrayLike) -> Float
     return np.asarray(-ratio / (1 - ratio) * trace, dtype=np.float32)
 
 
-def _displacement_gradient(
-    displacement: npt.ArrayLike, spacing: Sequence[float] | None, tissue: npt.ArrayLike | None
+def displacement_gradient(
+    displacement: npt.ArrayLike, spacing: Spacing, tissue: npt.ArrayLike | None
 ) -> tuple[Float64Array, BoolArray]:
-    """H[..., i, j] = dd_i / dX_j without a unit, of one site of the tissue after the other."""
+    """Compute H = dd/dX, shape (N, n, n) without a unit, of the N sites of tissue; and these."""
     moved, mask = moved_sites(displacement, spacing, tissue)
     sizes = checked_sizes(spacing, mask.ndim)
     if mask.ndim == 3 and loops.ready_for_volumes():
@@ -346,16 +351,17 @@ def _displacement_gradient(
     return gradient[mask] * (sizes[:, None] / sizes), mask
 
 
-def _on_sites(values: Float64Array, mask: BoolArray) -> FloatArray:
-    """What is known of the tissue, on all pixels; NaN where there is none."""
+def on_sites(values: Float64Array, mask: BoolArray) -> FloatArray:
+    """Spread values of the sites of tissue over all pixels; NaN where there is no tissue."""
     made = np.full((*mask.shape, *values.shape[1:]), np.nan, np.float32)
     made[mask] = values
     return made
 
 
-def _symmetric(tensor: Float64Array) -> Float64Array:
-    symmetric: Float64Array = (tensor + tensor.swapaxes(-1, -2)) / 2
-    return symmetric
+def symmetric(tensor: Float64Array) -> Float64Array:
+    """Return the symmetric part of tensors, shape (..., n, n)."""
+    part: Float64Array = (tensor + tensor.swapaxes(-1, -2)) / 2
+    return part
 
 
 def _as_strain(strain: npt.ArrayLike, *axes: int) -> Float64Array:

@@ -34,7 +34,7 @@ class Probe(NamedTuple):
     jacobian : float
         By which factor its area, or volume, changes; 0 or below where it folds.
     strain : float
-        Its equivalent strain, in per cent.
+        Its equivalent strain, in per cent, of the kind that `strain_kind` says.
     """
 
     site: tuple[int, ...]
@@ -106,6 +106,8 @@ class Points:
             solution,
             displacement=solution.displacement[around],
             tissue=solution.tissue[around],
+            elasticity=solution.elasticity
+            and solution.elasticity.mapped(lambda values: values[around]),
         )
         middle = tuple(min(at, 1) for at in site)
         return Probe(

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -27,13 +28,15 @@ from napari_hmrf.solver.problem import as_numbers
 
 Float64Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
+#: Size of a pixel along each axis, or one number for all axes.
+Spacing = float | Sequence[float]
 
 
 def warp(
     image: npt.ArrayLike,
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] | None = None,
+    spacing: Spacing,
     order: int = 1,
     tissue: npt.ArrayLike | None = None,
     fill: float = 0,
@@ -43,11 +46,12 @@ def warp(
     Parameters
     ----------
     image : array_like, shape ([D,] H, W) or ([D,] H, W, channels)
-        Grey, RGB or RGBA image, or labels (with ``order=0``).
+        Grey, RGB or RGBA image, or labels (with ``order=0``). A pixel that is NaN or infinite
+        stays so where it moves, and is left out of the interpolation around it.
     displacement : array_like, shape (H, W, 2), or (D, H, W, 3) of a volume
         Material displacement in the order of the axes, in the unit of `spacing`.
-    spacing : sequence of float, shape (n,), optional
-        Size of a pixel along each axis; by default 1.
+    spacing : float or sequence of float, shape (n,)
+        Size of a pixel along each axis, or along all of them.
     order : int
         Of the interpolating spline, 0 to 5: 0 takes the nearest pixel, as labels need; 1 is linear.
     tissue : array_like of bool, shape ([D,] H, W), optional
@@ -78,7 +82,7 @@ def warp(
 def inverse_map(
     displacement: npt.ArrayLike,
     *,
-    spacing: Sequence[float] | None = None,
+    spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> tuple[Float64Array, BoolArray]:
     """Find where that which is seen at each pixel after the motion came from.
@@ -108,7 +112,7 @@ def inverse_map(
 
 def inverse_map_and_overlaps(
     displacement: npt.ArrayLike,
-    spacing: Sequence[float] | None = None,
+    spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> tuple[Float64Array, BoolArray, BoolArray]:
     """`inverse_map`, and where one part of the tissue lies on another.
@@ -202,7 +206,7 @@ def _volume_raster(
 
 def moved_sites(
     displacement: npt.ArrayLike,
-    spacing: Sequence[float] | None,
+    spacing: Spacing,
     tissue: npt.ArrayLike | None,
     fraction: float = 1.0,
 ) -> tuple[Float64Array, BoolArray]:
@@ -280,9 +284,10 @@ def _added(
     return moved
 
 
-def checked_sizes(spacing: Sequence[float] | None, axes: int = 2) -> Float64Array:
-    """Check a pixel spacing, shape (axes,); by default 1 along each axis."""
-    sizes = np.array(reals((1.0,) * axes if spacing is None else spacing, axes))
+def checked_sizes(spacing: Spacing, axes: int = 2) -> Float64Array:
+    """Return a checked pixel spacing, shape (axes,); one number counts along all axes."""
+    one = isinstance(spacing, Real)
+    sizes = np.array(reals((spacing,) * axes if one else spacing, axes))
     if not (np.isfinite(sizes) & (sizes > 0)).all():
         raise ProblemError(
             "spacing", f"is {shown(spacing)}. Give {axes} positive, finite pixel sizes."

@@ -17,6 +17,7 @@ from napari_hmrf.field.deformation import count_folds
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import PixelField
+from napari_hmrf.field.resample import unknown_values
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.fields import Place, placed, read_field, write_field
 from napari_hmrf.io.images import SAME, ImageFile, load_image, save_image
@@ -200,7 +201,8 @@ def apply_field(
         moved = pixels.copy()
         for number in _slices(field, image, name):
             moved[number] = _moved(field, pixels[number], order)
-    return Applied(save_image(target, image._replace(pixels=moved)))
+    note = unknown_values(pixels, image.ndim, name)
+    return Applied(save_image(target, image._replace(pixels=moved)), note)
 
 
 def _moved(field: FieldFile, pixels: Pixels, order: int) -> Pixels:

@@ -12,11 +12,10 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.brightness import at_edges
-from napari_hmrf.field.deformation import count_folds
+from napari_hmrf.field.elastic_strain import strain_note
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.measurement import Measurement, measure
+from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.field.units import unit_symbol
-from napari_hmrf.field.warp import warp
 from napari_hmrf.io.apply import load_field, place_for
 from napari_hmrf.io.fields import Place, place_of
 from napari_hmrf.io.images import ImageFile, load_image, save_image
@@ -205,12 +204,12 @@ def solve_case(
     name = case.image.name.partition(".")[0]
     image = study.pictures.image
     if image is not None:
-        moved = warp(image, solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
+        moved = solution.warp(image)
         where = None if study.grid.unit == "pixel" else place_of(solution)
         written = ImageFile(moved, where, colours=moved.ndim > len(study.grid.shape))
         save_image(folder / f"{name} deformed{'.nrrd' if where else '.tif'}", written)
     save_study(folder / f"{name}.study", study, solution)
-    folds = count_folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
+    folds = solution.count_folds()
     notes = (*_shortcomings(solution, folds, study.grid.unit), *ground.notes_on(stated))
     return SolvedCase(study, solution, folds, notes)
 
@@ -225,11 +224,23 @@ def _shortcomings(solution: Solution, folds: int, unit: str) -> Iterator[str]:
 
 
 class Measured(NamedTuple):
-    """What happened to each tissue, in which unit, and whether it has a volume for an area."""
+    """Measurements of each tissue.
+
+    Attributes
+    ----------
+    rows : tuple of Measurement
+    unit : str
+        Of lengths.
+    of_volume : bool
+        Whether tissue has a volume for an area.
+    note : str
+        Why the strain is not the elastic one, as a clause; "" if it is.
+    """
 
     rows: tuple[Measurement, ...]
     unit: str
     of_volume: bool
+    note: str = ""
 
 
 def measured(path: Path, labels: Path | None = None) -> Measured:
@@ -255,7 +266,8 @@ def measured(path: Path, labels: Path | None = None) -> Measured:
     if image is None:  # nothing tells one tissue from another
         image, names = np.ones(solution.tissue.shape, np.int32), {1: "tissue"}
     unit = unit_symbol(Frame.of_solution(solution).unit)
-    return Measured(measure(solution, image, names=names), unit, solution.tissue.ndim == 3)
+    rows, of_volume = solution.measure(image, names=names), solution.tissue.ndim == 3
+    return Measured(rows, unit, of_volume, strain_note(solution))
 
 
 def labels_in(path: Path) -> tuple[int, ...]:

@@ -20,7 +20,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.colormaps import DIVERGING, FOLDED, OPACITY, RISING, opacity
 from napari_hmrf.field.deformation import arrows, deformation_grid, pixels_between
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.quantities import Coloured, Quantity, coloured
+from napari_hmrf.field.quantities import Coloured, Quantity, coloured, title_and_unit
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.energy_figure import draw_energy
 from napari_hmrf.solver.problem import Problem
@@ -238,8 +238,9 @@ def jacobian_picture(solution: Solution, image: npt.ArrayLike | None = None) -> 
 
 
 def strain_picture(solution: Solution, image: npt.ArrayLike | None = None) -> Figure:
-    """Draw the equivalent Green-Lagrange strain, no strain across the slice assumed."""
-    return _map(solution, "equivalent", "equivalent strain (%)", image)
+    """Draw the equivalent strain, elastic or in-plane as the title says."""
+    title, unit = title_and_unit("equivalent", solution)
+    return _map(solution, "equivalent", f"{title} ({unit})", image)
 
 
 def energy_picture(solution: Solution) -> Figure:

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, get_args
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.field.directions import Directions
+from napari_hmrf.field.elastic_strain import StrainKind
 from napari_hmrf.field.held_forces import HeldForce
 from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.field.units import as_seen
@@ -224,12 +225,35 @@ def named_materials_in_words(found: NamedMaterials) -> str:
     return "\n".join(lines)
 
 
-def measurement_titles(*, volume: bool) -> list[str]:
-    """What the columns of measurements are called, of a slice or of a volume."""
-    words = _OF_VOLUMES if volume else {}
-    return [
-        f"{words.get(name, name)}{'_percent' * (name in _PER_CENT)}" for name in Measurement._fields
-    ]
+def measurement_table(
+    rows: Sequence[Measurement], *, volume: bool = False
+) -> tuple[list[str], list[tuple[Any, ...]]]:
+    """Lay measurements out as a table.
+
+    Parameters
+    ----------
+    rows : sequence of Measurement
+    volume : bool
+        Whether they are of a volume.
+
+    Returns
+    -------
+    titles : list of str
+        Of the columns; those of strain name its kind: "mean_elastic_strain_percent".
+    cells : list of tuple
+        Of each row.
+    """
+    kind = _strain_of(rows).replace("-", "_")
+    words = {name: name.replace("strain", f"{kind}_strain") for name in Measurement._fields}
+    words |= _OF_VOLUMES if volume else {}
+    names = [name for name in Measurement._fields if name != "strain"]
+    titles = [f"{words[name]}{'_percent' * (name in _PER_CENT)}" for name in names]
+    return titles, [tuple(getattr(row, name) for name in names) for row in rows]
+
+
+def _strain_of(rows: Sequence[Measurement]) -> StrainKind:
+    """Return the kind of strain of measurements, which is one for all of a solution."""
+    return rows[0].strain if rows else "elastic"
 
 
 def measurements_in_words(
@@ -253,6 +277,7 @@ def measurements_in_words(
         Of each row.
     """
     size, content, site = ("volume", "³", "voxels") if volume else ("area", "²", "px")
+    kind = _strain_of(rows)
     columns = {
         "tissue": "name",
         "label": "label",
@@ -260,8 +285,8 @@ def measurements_in_words(
         f"{size} change (%)": "area_change",
         f"moved, mean ({unit})": "mean_displacement",
         f"moved, most ({unit})": "largest_displacement",
-        "strain, mean (%)": "mean_strain",
-        "strain, most (%)": "largest_strain",
+        f"{kind} strain, mean (%)": "mean_strain",
+        f"{kind} strain, most (%)": "largest_strain",
         f"folds ({site})": "folds",
     }
     axes = 3 if volume else 2
@@ -340,8 +365,9 @@ def save_measurements(
         If it cannot be written.
     """
     more = {"unit": unit} if unit else {}
-    titles = [*measurement_titles(volume=volume), *more]
-    return save_csv(path, titles, ([*row, *more.values()] for row in rows), what="measurements")
+    titles, cells = measurement_table(rows, volume=volume)
+    lines = ([*row, *more.values()] for row in cells)
+    return save_csv(path, [*titles, *more], lines, what="measurements")
 
 
 def _read(

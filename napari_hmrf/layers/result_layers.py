@@ -351,7 +351,7 @@ def _pixels_of(answer: Answer, name: Name, compared: Comparison | None) -> tuple
     """Pixels before they move, and what else `Answer.layer` takes; None if there are none."""
     pictures, problem = answer.pictures, answer.problem
     if name in QUANTITIES:
-        title, unit = title_and_unit(name, answer.solution.tissue.ndim)
+        title, unit = title_and_unit(name, answer.solution)
         shown = coloured(answer.solution, name)
         return shown.values, f"{title} ({unit or answer.unit})", _colours(shown)
     if name in MARKS:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.field.deformation import count_folds
 from napari_hmrf.samples.phantoms import Phantom, phantom, reference_displacement, sample
 from napari_hmrf.solver.model_names import in_words
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
@@ -147,7 +146,7 @@ def demonstrate(
         solution=solution,
         rmsd=rmsd,
         rmsd_of_fem=rmsd_of_fem,
-        folds=count_folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue),
+        folds=solution.count_folds(),
     )
 
 

@@ -6,16 +6,22 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf import array_file
+from napari_hmrf.arguments import is_one_of, refuse_unless
+from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Reach
+from napari_hmrf.solver.priors.elastic import POISSON_RANGE, Plane
 from napari_hmrf.solver.problem import grid_in_words
+
+if TYPE_CHECKING:
+    from napari_hmrf.field.measurement import Measurement
 
 
 @dataclass(frozen=True)
@@ -90,6 +96,9 @@ class Solution:
         only. The solver neither reads nor writes it.
     loads : Loads, optional
         What pulled at it, for solves that begin with it. Files keep its digest only.
+    elasticity : Elasticity, optional
+        Poisson's ratios and growth of elastic tissue, from which `strain` and `measure` get elastic
+        strain. None for the paper's model.
     """
 
     displacement: npt.NDArray[np.floating]
@@ -102,6 +111,7 @@ class Solution:
     frame: Mapping[str, Any] | None = None
     loads: Loads | None = None
     reach: Reach | None = None
+    elasticity: Elasticity | None = None
 
     def __repr__(self) -> str:
         farthest = float(np.linalg.norm(self.displacement, axis=-1).max(initial=0.0))
@@ -122,6 +132,185 @@ class Solution:
     def mean_energy(self) -> float:
         """Mean total energy per site of tissue at the end, in pixels squared."""
         return float(self.energy[-1])
+
+    # These methods import rooms above this one when they are called: a user who has a solution
+    # needs no other name, and its spacing and tissue cannot be forgotten.
+
+    def warp(
+        self, image: npt.ArrayLike, *, order: int = 1, fill: float = 0
+    ) -> npt.NDArray[np.generic]:
+        """Move an image, or labels with ``order=0``, with the tissue.
+
+        Parameters
+        ----------
+        image : array_like, shape ([D,] H, W) or ([D,] H, W, channels)
+        order, fill
+            As of the function `warp`.
+
+        Returns
+        -------
+        ndarray
+            Of the shape and dtype of `image`.
+
+        Raises
+        ------
+        ProblemError
+            If it is not on the pixels of the solution.
+        """
+        from napari_hmrf.field.warp import warp
+
+        return warp(image, self.displacement, order=order, fill=fill, **self._on_grid)
+
+    def jacobian(self) -> npt.NDArray[np.float32]:
+        """Return the factor by which area, or volume, changes at each site.
+
+        Returns
+        -------
+        ndarray, shape ([D,] H, W), float32
+            As of `jacobian_determinant`.
+        """
+        from napari_hmrf.field.deformation import jacobian_determinant
+
+        return jacobian_determinant(self.displacement, **self._on_grid)
+
+    def count_folds(self) -> int:
+        """Count the sites at which tissue folds over itself or collapses."""
+        from napari_hmrf.field.deformation import count_folds
+
+        return count_folds(self.displacement, **self._on_grid)
+
+    def strain(
+        self, kind: Literal["elastic", "total", "small"] = "elastic"
+    ) -> npt.NDArray[np.float32]:
+        """Return the strain of each site.
+
+        Parameters
+        ----------
+        kind : {"elastic", "total", "small"}
+            "elastic": what the tissue is strained by, in all three directions, without growth, as
+            the model has it. "total": `green_lagrange_strain` of the displacement, growth included.
+            "small": `small_strain` of it.
+
+        Returns
+        -------
+        ndarray, float32
+            Symmetric tensors in the order of the axes, NaN where there is no tissue: shape
+            ([D,] H, W, 3, 3) of elastic strain, whose first axis is across the image in an image;
+            (H, W, 2, 2) or (D, H, W, 3, 3) of the others.
+
+        Raises
+        ------
+        ArgumentError
+            If there is no such kind.
+        ProblemError
+            If the model has no elastic strain, as the paper's.
+        """
+        from napari_hmrf.field.elastic_strain import elastic_strain
+        from napari_hmrf.field.strain import green_lagrange_strain, small_strain
+
+        known = is_one_of(kind, ("elastic", "total", "small"))
+        refuse_unless(known, "kind", kind, '"elastic", "total" or "small"')
+        if kind == "elastic":
+            return elastic_strain(self)
+        of_field = green_lagrange_strain if kind == "total" else small_strain
+        return of_field(self.displacement, **self._on_grid)
+
+    def at(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Return the displacement at points of the tissue, linear between pixels.
+
+        Parameters
+        ----------
+        points : array_like, shape (N, n)
+            Before the motion, in pixels, in the order of the axes.
+
+        Returns
+        -------
+        ndarray, shape (N, n), float64
+            In the unit of `spacing`.
+
+        Raises
+        ------
+        ProblemError
+            If the points have not as many axes as the field.
+        """
+        moved = self.move(points) - np.asarray(points)
+        step: npt.NDArray[np.float64] = moved * np.array(self.spacing)
+        return step
+
+    def move(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Return where points of the tissue move to.
+
+        Parameters
+        ----------
+        points : array_like, shape (N, n)
+            In pixels, in the order of the axes.
+
+        Returns
+        -------
+        ndarray, shape (N, n), float64
+            In pixels.
+
+        Raises
+        ------
+        ProblemError
+            If the points have not as many axes as the field.
+        """
+        from napari_hmrf.field.moved_points import moved_points
+
+        return moved_points(points, self.displacement, spacing=self.spacing)
+
+    def measure(
+        self, labels: npt.ArrayLike, *, names: Mapping[int, str] | None = None
+    ) -> tuple[Measurement, ...]:
+        """Measure what happened to each tissue.
+
+        Parameters
+        ----------
+        labels : array_like of int, shape ([D,] H, W)
+            Of the tissue before it moved.
+        names : mapping of int to str, optional
+            Of the labels.
+
+        Returns
+        -------
+        tuple of Measurement
+            By label; those without tissue are left out.
+
+        Raises
+        ------
+        ProblemError
+            If the labels are not on the pixels of the solution.
+        """
+        from napari_hmrf.field.measurement import measure
+
+        return measure(self, labels, names=names)
+
+    def export(self, path: str | os.PathLike[str], *, forward: bool = False) -> float:
+        """Write the field for other tools, where its image lies.
+
+        Parameters
+        ----------
+        path, forward
+            As of `export_field`.
+
+        Returns
+        -------
+        float
+            As of `export_field`: how far the file is from an inverse of the motion at the worst
+            site, in pixels.
+
+        Raises
+        ------
+        HmrfError, OSError
+            As of `export_field`.
+        """
+        from napari_hmrf.io.fields import export_field
+
+        return export_field(path, self, forward=forward)
+
+    @property
+    def _on_grid(self) -> dict[str, Any]:
+        return {"spacing": self.spacing, "tissue": self.tissue}
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Save to one .npz file, whole or not at all.
@@ -182,9 +371,19 @@ def _describe(solution: Solution) -> tuple[array_file.Header, array_file.Arrays]
         "convergence": None if reached is None else asdict(reached),
         "reach": None if got is None else asdict(got),
     }
-    arrays = {name: getattr(solution, name) for name in SOLUTION_FORMAT.arrays}
+    arrays = {name: getattr(solution, name) for name in ("displacement", "energy", "tissue")}
     if solution.displacement.dtype != np.float64:
         arrays["displacement"] = solution.displacement.astype(np.float32, copy=False)
+    if (elasticity := solution.elasticity) is not None:
+        nu, growth = elasticity.poisson, elasticity.growth
+        header["elasticity"] = {
+            "poisson": nu if isinstance(nu, float) else None,
+            "plane": elasticity.plane,
+            "finite": elasticity.finite,
+        }
+        arrays |= {} if isinstance(nu, float) else {"poisson": nu}
+        arrays |= {} if growth is None else {"growth": growth}
+        arrays |= {} if elasticity.rigid is None else {"rigid": elasticity.rigid}
     return header, arrays
 
 
@@ -196,7 +395,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
         for run in header["levels"]
     )
     spacing = tuple(float(size) for size in header["spacing"])
-    displacement, energy, tissue = (arrays[name] for name in SOLUTION_FORMAT.arrays)
+    displacement, energy, tissue = (arrays[name] for name in ("displacement", "energy", "tissue"))
     if displacement.shape != (*tissue.shape, tissue.ndim) or displacement.size == 0:
         raise array_file.Invalid(
             f"its displacement {displacement.shape} and tissue {tissue.shape} disagree"
@@ -226,6 +425,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
         ),
         frame=frame,
         reach=_reach(header.get("reach")),
+        elasticity=_elasticity(header, arrays),
     )
 
 
@@ -246,6 +446,49 @@ def _reach(given: Mapping[str, Any] | None) -> Reach | None:
     )
 
 
+def _elasticity(header: array_file.Header, arrays: array_file.Arrays) -> Elasticity | None:
+    """Read elastic properties; those of an earlier file as far as its parameters tell them."""
+    grid, poisson, growth = arrays["tissue"].shape, arrays.get("poisson"), arrays.get("growth")
+    given, rigid = header.get("elasticity"), arrays.get("rigid")
+    if given is None:
+        if any(each is not None for each in (poisson, growth, rigid)):
+            raise array_file.Invalid("it has arrays of elastic tissue, but no elastic model")
+        given = _elasticity_in_parameters(header["provenance"])
+        if given is None:
+            return None
+    nu, plane, finite = given["poisson"], given["plane"], given["finite"]
+    if poisson is None:
+        if not (isinstance(nu, float | int) and POISSON_RANGE[0] <= nu <= POISSON_RANGE[1]):
+            raise array_file.Invalid(f"its Poisson's ratio is {nu!r}"[:200])
+    elif nu is not None or poisson.shape != grid:
+        raise array_file.Invalid(f"its Poisson's ratios {poisson.shape} and tissue disagree")
+    elif not (np.isfinite(poisson) & (np.abs(poisson) < 1)).all():
+        raise array_file.Invalid("its Poisson's ratios are out of range")
+    if plane not in get_args(Plane) or not isinstance(finite, bool):
+        raise array_file.Invalid("its elastic model is none")
+    if growth is not None:
+        sizes = {len(grid), 3}
+        if growth.shape not in [grid, *((*grid, size, size) for size in sizes)]:
+            raise array_file.Invalid(f"its growth {growth.shape} and tissue disagree")
+        if not np.isfinite(growth).all():
+            raise array_file.Invalid("its growth holds values that are not numbers")
+    if rigid is not None and rigid.shape != grid:
+        raise array_file.Invalid(f"its rigid tissue {rigid.shape} and tissue disagree")
+    return Elasticity(float(nu) if poisson is None else poisson, plane, finite, growth, rigid)
+
+
+def _elasticity_in_parameters(provenance: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Find elastic properties of a result without growth and with one Poisson's ratio."""
+    prior = provenance.get("parameters", {}).get("prior")
+    finite = {"ElasticPrior": False, "NeoHookeanPrior": True}
+    if not isinstance(prior, dict) or prior.get("name") not in finite:
+        return None
+    if "growth" in provenance.get("inputs", {}) or not isinstance(prior.get("poisson"), float):
+        return None
+    name, plane = prior["name"], prior.get("plane", "stress")
+    return {"poisson": prior["poisson"], "plane": plane, "finite": finite[name]}
+
+
 #: The file that `Solution.save` writes.
 SOLUTION_FORMAT: array_file.Format[Solution] = array_file.Format(
     name="napari-hmrf solution",
@@ -255,6 +498,9 @@ SOLUTION_FORMAT: array_file.Format[Solution] = array_file.Format(
         "displacement": array_file.Kind(("<f4", "<f8"), (3, 4)),
         "energy": array_file.Kind(("<f8",), (1,)),
         "tissue": array_file.Kind(("|b1",), (2, 3)),
+        "poisson": array_file.Kind(("<f4",), (2, 3), optional=True),
+        "growth": array_file.Kind(("<f4",), (2, 3, 4, 5), optional=True),
+        "rigid": array_file.Kind(("|b1",), (2, 3), optional=True),
     },
     describe=_describe,
     parse=_parse,

@@ -29,6 +29,7 @@ from napari_hmrf.solver.backends import (
 )
 from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
 from napari_hmrf.solver.backends.watch import HARDER
+from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
 from napari_hmrf.solver.preparation import job_of, loop_watch, prepare, provide_loops
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
@@ -283,6 +284,7 @@ def _solution_of(
             f"{renderer} returned values that are not numbers, so the result was dropped. Is the "
             'prior damped enough, and observed of a reasonable size? If so, try backend="cpu".'
         )
+    grown = 1.0 if outcome.reach is None else outcome.reach.grown
     of_prior = dict(prior.parameters)
     if problem.is_volume:
         of_prior.pop("plane", None)  # it has none
@@ -308,6 +310,9 @@ def _solution_of(
             inputs=problem.digests,
         ),
         loads=problem.loads,
+        elasticity=Elasticity.of_problem(problem, prior, grown)
+        if isinstance(prior, ElasticPrior | NeoHookeanPrior)
+        else None,
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import LayerError
+from napari_hmrf.field.resample import unknown_values
 from napari_hmrf.solver.body_forces import weight
 from napari_hmrf.solver.caveats import caveats, lack
 from napari_hmrf.solver.loads import Loads
@@ -20,6 +21,7 @@ from napari_hmrf.solver.normals import outer_rim
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.problem import FloatArray, Problem, as_stiffness, check_reach
+from napari_hmrf.solver.real_arrays import first_index, how_many
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
@@ -134,6 +136,7 @@ class Ground:
             ground = _tissue_of(study)
         base, there, notes = ground.base, ground.stiffness > 0, [*ground.notes]
         checkpoint()
+        notes += filter(None, [_unknown_pixels(study)])
         notes += _observe(study, base)
         ignored = int(((base.confidence > 0).any(axis=-1) & ~there).sum())
         if ignored:
@@ -323,10 +326,8 @@ def _tissue_of(study: Study) -> Ground:
     elif tissue.stiffness is not None:
         m = as_stiffness(tissue.stiffness)
     elif tissue.curve and (intensities := study.intensities) is not None:
-        m, unknown = tissue.curve(intensities), np.count_nonzero(~np.isfinite(intensities))
-        if unknown:
-            where = f"'{study.named('image')}' is NaN or infinite at {unknown} pixels"
-            notes.append(f"{where}, where there is no tissue by its brightness")
+        _refuse_unknown_brightness(study, intensities)
+        m = tissue.curve(intensities)
     else:
         around = around if image is None else dark_border(image, len(shape))
         m = np.where(around, np.float32(_SURROUNDINGS), np.float32(_TISSUE))
@@ -334,6 +335,24 @@ def _tissue_of(study: Study) -> Ground:
         labels = np.where(around, OTHER, palette.usual).astype(np.int32)
     base = Canvas.blank(shape, study.grid.spacing, labels)
     return Ground(study, base, m, prior, (m > 0) & ~around, palette, tuple(notes))
+
+
+def _refuse_unknown_brightness(study: Study, intensities: npt.NDArray[Any]) -> None:
+    """Refuse an image whose brightness decides stiffness and is no number somewhere."""
+    unknown = ~np.isfinite(intensities)
+    if unknown.any():
+        raise LayerError(
+            study.named("image"),
+            f"has {how_many(unknown)} that are NaN or infinite, the first at "
+            f"{first_index(unknown)}, where its brightness decides how stiff tissue is. Replace "
+            "them by numbers, or give the tissue as labels.",
+        )
+
+
+def _unknown_pixels(study: Study) -> str:
+    """Say, as a clause, that an image has pixels that are no numbers; "" if it has none."""
+    image, name = study.pictures.image, f"'{study.named('image')}'"
+    return "" if image is None else unknown_values(image, len(study.grid.shape), name)
 
 
 def _observe(study: Study, base: Canvas) -> list[str]:

@@ -6,7 +6,7 @@ the one before what is the same in both. So parts are compared by identity, and 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import InitVar, dataclass, field, replace
 from typing import Any
@@ -18,6 +18,7 @@ from napari_hmrf.field.brightness import luminance
 from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.study.models import chosen
 from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
@@ -48,6 +49,11 @@ class Grid:
     spacing: tuple[float, ...]
     unit: str = "pixel"
     place: Any = None
+
+    def __repr__(self) -> str:
+        place = "" if self.place is None else ", placed"
+        sizes = f"{grid_in_words(self.spacing)} {self.unit}"
+        return f"Grid({grid_in_words(self.shape)} sites of {sizes}{place})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +100,17 @@ class Tissue:
                 "tissue", f"is given by its {' and by its '.join(given)}. Give one of them."
             )
 
+    def __repr__(self) -> str:
+        parts = [
+            "labels" if self.labels is not None else "",
+            f"{len(self.materials)} materials" if self.materials else "",
+            "stiffness" if self.stiffness is not None else "",
+            "brightness" if self.curve is not None else "",
+            f"preset {self.preset.name!r}" if self.preset is not None else "",
+            self.unit,
+        ]
+        return f"Tissue({_listed(parts) or 'as the image shows it'})"
+
 
 @dataclass(frozen=True, eq=False)
 class Motion:
@@ -130,6 +147,16 @@ class Motion:
         if (self.observed is None) != (self.confidence is None):
             raise ProblemError("motion", "needs both what is observed and how sure that is.")
 
+    def __repr__(self) -> str:
+        parts = [
+            "edge held" if self.hold_edge else "",
+            f"labels, {len(self.rules)} rules" if self.labels is not None else "",
+            "observed" if self.observed is not None else "",
+            repr(self.drawing) if self.drawing.marks else "",
+            f"weight {self.weight}" if any(self.weight) else "",
+        ]
+        return f"Motion({_listed(parts) or 'none'})"
+
 
 @dataclass(frozen=True, eq=False)
 class Pictures:
@@ -151,6 +178,13 @@ class Pictures:
     labels_name: str = ""
     look: dict[str, Any] = field(default_factory=dict)
     labels_look: dict[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        parts = [
+            "" if self.image is None else f"image {self.name!r} {self.image.dtype}",
+            "" if self.labels is None else f"labels {self.labels_name!r}",
+        ]
+        return f"Pictures({_listed(parts) or 'none'})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,6 +266,10 @@ class Study:
                     what, f"has shape {part.shape}, but the grid is {needed}. Give one of its size."
                 )
 
+    def __repr__(self) -> str:
+        parts = self.grid, self.tissue, self.motion, self.pictures
+        return f"Study({', '.join(map(repr, parts))}, {self.model_name})"
+
     @property
     def model_name(self) -> str:
         """The name of the model, as results have it."""
@@ -310,6 +348,10 @@ class Study:
                 raise error
         except Exception as named:  # noqa: BLE001 - that is what is wanted
             return named
+
+
+def _listed(parts: Iterable[str]) -> str:
+    return ", ".join(filter(None, parts))
 
 
 def is_same(one: Any, other: Any) -> bool:

@@ -62,6 +62,11 @@ class Material:
     growth : float or tuple of float
         How much longer it would be if it were free: 0.1 is a tenth. In all directions, or along
         (row, col), in a volume (plane, row, col); neither void nor what is rigid grows.
+
+    Raises
+    ------
+    ProblemError
+        If the stiffness is below 0.
     """
 
     label: int
@@ -69,6 +74,10 @@ class Material:
     stiffness: float
     poisson: float = USUAL_POISSON
     growth: Growth = 0.0
+
+    def __post_init__(self) -> None:
+        if real(self.stiffness) < 0:
+            raise _wrong_stiffness(self)
 
     @property
     def is_rigid(self) -> bool:
@@ -192,12 +201,7 @@ def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> Flo
     for material in table.values():
         stiffness = real(material.stiffness)
         if not (0 <= stiffness <= LARGEST_STIFFNESS or stiffness == RIGID):
-            raise ProblemError(
-                "stiffness",
-                f"gives {quoted(material)} a stiffness of {shown(material.stiffness)}. Give a "
-                f"number above 0 (up to {LARGEST_STIFFNESS:.2g}), 0 where there is no tissue, or "
-                "'rigid' for what moves as one.",
-            )
+            raise _wrong_stiffness(material)
     return _at_labels(image, present, [table[int(label)].stiffness for label in present])
 
 
@@ -347,6 +351,16 @@ def _check_rule(rule: BoundaryRule, n: int) -> None:
     ):
         if not right:
             raise ProblemError(field, f"has {shown(rule)} as a rule. Give {needed}.")
+
+
+def _wrong_stiffness(material: Material) -> ProblemError:
+    """Return the error for a stiffness that no tissue has."""
+    return ProblemError(
+        "stiffness",
+        f"gives {quoted(material)} a stiffness of {shown(material.stiffness)}. Give a number above "
+        f"0 (up to {LARGEST_STIFFNESS:.2g}), 0 where there is no tissue, or 'rigid' for what moves "
+        "as one.",
+    )
 
 
 def quoted(row: Material | BoundaryRule) -> str:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Any, Literal, NamedTuple
 
+from napari_hmrf.arguments import refuse_unless
 from napari_hmrf.tissue.drawing.canvas import Box, Canvas, box_of, covers, is_empty, paint
 from napari_hmrf.tissue.drawing.marks import (
     Arrow,
@@ -38,9 +40,25 @@ class Drawing:
     ----------
     marks : tuple of Arrow, Landmark or Stroke
         In the order they were made. Where they overlap, the later ones win.
+
+    Raises
+    ------
+    ArgumentError
+        If they are no tuple or list of marks.
     """
 
     marks: tuple[Mark, ...] = ()
+
+    def __post_init__(self) -> None:
+        given: Any = self.marks
+        right = isinstance(given, Sequence) and all(isinstance(mark, Mark) for mark in given)
+        what = "a tuple of Arrow, Landmark or Stroke, such as Drawing((Arrow(...),))"
+        refuse_unless(right, "marks", given, what)
+        object.__setattr__(self, "marks", tuple(given))
+
+    def __repr__(self) -> str:
+        kinds = Counter(type(mark).__name__ for mark in self.marks)
+        return f"Drawing({', '.join(f'{n} {kind}' for kind, n in kinds.items()) or 'empty'})"
 
     def with_mark(self, mark: Mark) -> Drawing:
         """The drawing with a mark on top."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from napari_hmrf.field.quantities import QUANTITIES
+from napari_hmrf.field.quantities import QUANTITIES, title_and_unit
 from napari_hmrf.field.tissue_point import Probe, at_point, rounded
 from napari_hmrf.layers.field_layer import place_at
 from napari_hmrf.layers.metadata import tissue_recorded
@@ -74,7 +74,7 @@ class UnderCursor:
         ways = ways_of(answer.frame, self._viewer)
         more = [_stiffness(shown, found)]
         if overlay is not None and overlay.picture is not None and overlay.name in QUANTITIES:
-            title, unit = QUANTITIES[overlay.name]
+            title, unit = title_and_unit(overlay.name, answer.solution)
             if unit == "%":  # the others are in each line anyway
                 strain = rounded(float(overlay.picture[found.site]))
                 more.insert(0, f"{title} {strain:g} %")

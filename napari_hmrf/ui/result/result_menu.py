@@ -13,8 +13,9 @@ from qtpy import QtWidgets
 from qtpy.QtCore import Qt
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.elastic_strain import strain_note
 from napari_hmrf.field.held_forces import HeldForce
-from napari_hmrf.field.measurement import Measurement, measure
+from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.io.apply import FieldFile, save_field
 from napari_hmrf.io.figures import save_result_pictures
 from napari_hmrf.io.moving_pictures import save_moving_picture
@@ -30,6 +31,8 @@ from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_form import ResultForm
 from napari_hmrf.ui.result.result_messages import NO_FORCES, NO_IMAGE, NO_RESULT, SAVING, saved
 
+# As wide as the layout is.
+_ANYWHERE = Qt.AlignmentFlag(0)
 _FOR_IMAGES = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
 _FOR_POINTS = "Fields (*.mha *.nrrd *.nii.gz)"
 _FILMS = "Films (*.gif *.mp4)"
@@ -93,8 +96,8 @@ class ResultMenu:
         if layer is not None:  # of a result from a file
             labels, rows = picture_of(layer, answer), rows_of(layer, TISSUE)
         if labels is None:
-            return measure(answer.solution, np.ones(answer.shape, int), names={1: "tissue"})
-        return measure(answer.solution, labels, names={row.label: row.name for row in rows})
+            return answer.solution.measure(np.ones(answer.shape, int), names={1: "tissue"})
+        return answer.solution.measure(labels, names={row.label: row.name for row in rows})
 
     def save_pictures(self, folder: str | Path, own_folder: bool = False) -> None:
         """Write pictures, perhaps into a new folder in that one; then `saved` is emitted.
@@ -205,7 +208,9 @@ class ResultMenu:
         unit, volume = answer.unit, len(answer.shape) == 3
         button = QtWidgets.QPushButton("Save .csv ...")
         words = measurements_in_words(rows, unit, volume=volume)
-        self._show_table("What happened to each tissue", words, button)
+        note = strain_note(answer.solution)
+        below = [QtWidgets.QLabel(f"Note: {note}.", wordWrap=True)] if note else []
+        self._show_table("What happened to each tissue", words, *below, button)
         save = partial(save_measurements, rows=rows, unit=unit, volume=volume)
         ask = partial(self._ask, save, "Save measurements", "measurements.csv", "Tables (*.csv)")
         button.clicked.connect(lambda _: ask())
@@ -224,15 +229,16 @@ class ResultMenu:
         self._errands.send("forces", answer.forces, show)
 
     def _show_table(
-        self, title: str, words: tuple[list[str], list[list[str]]], *below: QtWidgets.QPushButton
+        self, title: str, words: tuple[list[str], list[list[str]]], *below: QtWidgets.QWidget
     ) -> None:
-        """Show numbers in a window of their own, with buttons below."""
+        """Show numbers in a window of their own, with a note and buttons below."""
         seen = QtWidgets.QDialog(self._button.window(), windowTitle=title)
         seen.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         table, layout = _table_of(*words), QtWidgets.QVBoxLayout(seen)
         layout.addWidget(table)
-        for button in below:
-            layout.addWidget(button, alignment=Qt.AlignmentFlag.AlignRight)
+        for each in below:
+            aside = isinstance(each, QtWidgets.QPushButton)
+            layout.addWidget(each, alignment=Qt.AlignmentFlag.AlignRight if aside else _ANYWHERE)
         seen.resize(table.horizontalHeader().length() + 40, 132 + 32 * table.rowCount())
         seen.show()
 

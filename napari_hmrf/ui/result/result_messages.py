@@ -57,8 +57,8 @@ LACKING: dict[Name, str] = {
 OVERLAY_TIP = (
     "What lies over the image and moves with the tissue, its values those of what is seen.\n"
     "Jacobian: by which factor its area changes; purple shrinks, orange grows, yellow folds.\n"
-    "Strain: Green-Lagrange's, in per cent, squeeze below 0; equivalent: von Mises's, no strain\n"
-    "across the slice assumed.\n"
+    "Strain: elastic, without growth, in per cent, squeeze below 0; equivalent: von Mises's, in\n"
+    "all three directions. The paper's model has total strain, within the image.\n"
     "Given motion begins where tissue was before it moved; a dot: where it is held."
 )
 

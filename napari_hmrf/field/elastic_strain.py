@@ -1,0 +1,217 @@
+"""Elastic strain of a solution: the strain that its model stores energy in.
+
+Growth is taken out of it, and it has a third direction, as the model has it. With H = dd/dX, the
+growth strain g and its component g_z across an image,
+
+    linear elasticity   e = (H + H^T) / 2 - g
+    large motion        e = (Fe^T Fe - I) / 2,   Fe = (I + H) (I + g)^-1,   J = det Fe
+
+and across an image
+
+                        plane stress                              plane strain
+    linear elasticity   e_z = -nu / (1 - nu) (e_rr + e_cc)        e_z = -g_z
+    large motion        e_z = nu (1 - J^2) / 2 (1 - 2 nu + nu J^2)   e_z = ((1 + g_z)^-2 - 1) / 2
+
+The last column but one is where the stress across a slice that is free to bulge is 0. Shears across
+the image count as 0. Differences are those of `green_lagrange_strain`; growth and Poisson's ratio
+at a site are the means over the elements around it, as the model has them.
+
+The paper's model has neither Poisson's ratio nor a third direction, and a displacement alone says
+nothing of growth: their strain is the total one, Green-Lagrange's, within the image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from operator import add
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.strain import (
+    displacement_gradient,
+    green_lagrange,
+    on_sites,
+    symmetric,
+    values_by_parts,
+)
+from napari_hmrf.field.warp import BoolArray, Float64Array
+from napari_hmrf.solver.elasticity import Elasticity
+from napari_hmrf.solver.neighbours import around_sites, in_elements, of_corners
+from napari_hmrf.solver.real_arrays import FloatArray
+from napari_hmrf.solver.solution import Solution
+
+#: Kinds of strain that are measured: elastic strain; total strain within an image; total strain.
+StrainKind = Literal["elastic", "in-plane", "total"]
+#: Makes numbers, shape (N,), of strains (N, n, n) and the strain across an image, (N,) or 0.
+StrainValue = Callable[[Float64Array, npt.ArrayLike], npt.NDArray[np.floating]]
+
+_BY_MODEL = ("ElasticPrior", "NeoHookeanPrior")
+
+
+def strain_kind(solution: Solution) -> StrainKind:
+    """Return which strain `measure` and colours show of a solution."""
+    if solution.elasticity is not None:
+        return "elastic"
+    return "in-plane" if solution.tissue.ndim == 2 else "total"
+
+
+def strain_note(solution: Solution) -> str:
+    """Say, as a clause, why the elastic strain of a solution is unknown; "" if it is known."""
+    if solution.elasticity is not None:
+        return ""
+    total = "its strain is the total one"
+    total += ", within the image" if solution.tissue.ndim == 2 else ""
+    prior = solution.provenance.parameters.get("prior")
+    name = prior.get("name") if isinstance(prior, dict) else None
+    if name in _BY_MODEL:
+        return (
+            f"this result was saved by an earlier version, without its growth and Poisson's "
+            f"ratios: {total}, growth included; solve it again for elastic strain"
+        )
+    if name == "SeilerPrior":
+        return f"the paper's model has no Poisson's ratio and no third direction: {total}"
+    return f"no model of the tissue is known: {total}"
+
+
+def elastic_strain(solution: Solution) -> FloatArray:
+    """Return the elastic strain of a solution, in all three directions.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of elastic tissue.
+
+    Returns
+    -------
+    ndarray, shape ([D,] H, W, 3, 3), float32
+        Symmetric, in the order of the axes before the motion; of an image the first one is across
+        it. Small strain of `ElasticPrior`, Green-Lagrange's of `NeoHookeanPrior`. NaN where there
+        is no tissue.
+
+    Raises
+    ------
+    ProblemError
+        If the model has no elastic strain, or the file of the solution did not keep it.
+    """
+    if solution.elasticity is None:
+        raise ProblemError(
+            "solution",
+            f"has no elastic strain: {strain_note(solution)}. Take another kind of strain.",
+        )
+    strain, across, mask = _elastic(solution, slice(None), 1.0)
+    if mask.ndim == 2:
+        whole = np.zeros((len(strain), 3, 3))
+        whole[:, 1:, 1:], whole[:, 0, 0] = strain, across
+        strain = whole
+    return on_sites(strain, mask)
+
+
+def values_of_strain(solution: Solution, value: StrainValue, fraction: float = 1.0) -> FloatArray:
+    """Compute one number of the strain of each site, of the kind that `strain_kind` says.
+
+    Parameters
+    ----------
+    solution : Solution
+    value : callable
+        Such as `equivalent_strain`.
+    fraction : float
+        Part of the deformation, growth included, that has happened.
+
+    Returns
+    -------
+    ndarray, shape ([D,] H, W), float32
+        NaN where there is no tissue.
+    """
+    known = solution.elasticity is not None
+
+    def strains(sites: slice) -> tuple[Float64Array, npt.ArrayLike, BoolArray]:
+        return (_elastic if known else _total)(solution, sites, fraction)
+
+    return values_by_parts(strains, value, solution.tissue)
+
+
+def _total(
+    solution: Solution, sites: slice, fraction: float
+) -> tuple[Float64Array, npt.ArrayLike, BoolArray]:
+    """Compute Green-Lagrange strain of tissue in a range of the first axis; sites come third."""
+    d = solution.displacement[sites] * np.float32(fraction)
+    gradient, mask = displacement_gradient(d, solution.spacing, solution.tissue[sites])
+    return green_lagrange(gradient), 0.0, mask
+
+
+def _elastic(
+    solution: Solution, sites: slice, fraction: float
+) -> tuple[Float64Array, npt.ArrayLike, BoolArray]:
+    """Compute elastic strain in a range of the first axis, within and across an image; sites."""
+    elasticity = solution.elasticity
+    assert elasticity is not None
+    strain, across, mask = _of_model(solution, elasticity, sites, fraction)
+    if elasticity.rigid is not None:
+        # Differences at its rim see the tissue beside it, but what is rigid has no strain.
+        rigid = elasticity.rigid[sites][mask]
+        strain[rigid], across = 0, np.where(rigid, 0.0, across)
+    return strain, across, mask
+
+
+def _of_model(
+    solution: Solution, elasticity: Elasticity, sites: slice, fraction: float
+) -> tuple[Float64Array, npt.ArrayLike, BoolArray]:
+    """Compute strain as of `_elastic`, of tissue that is not rigid."""
+    d = solution.displacement[sites] * np.float32(fraction)
+    gradient, mask = displacement_gradient(d, solution.spacing, solution.tissue[sites])
+    growth, growth_across = _growth_at(elasticity, sites, mask, fraction)
+    if elasticity.finite:
+        if growth is not None:
+            step = np.eye(mask.ndim)
+            gradient = (step + gradient) @ np.linalg.inv(step + growth) - step
+        strain = green_lagrange(gradient)
+    else:
+        strain = symmetric(gradient)
+        if growth is not None:
+            strain -= growth
+    if mask.ndim == 3:
+        return strain, 0.0, mask
+    if elasticity.plane == "strain":
+        stretch = 1 / (1 + np.asarray(growth_across))
+        across = (stretch**2 - 1) / 2 if elasticity.finite else -np.asarray(growth_across)
+        return strain, np.broadcast_to(across, strain.shape[:1]), mask
+    nu = elasticity.poisson
+    ratio = nu if isinstance(nu, float) else _of_elements(nu[sites], mask)
+    if elasticity.finite:
+        squared = np.linalg.det(np.eye(2) + gradient) ** 2
+        across = ratio * (1 - squared) / (2 * (1 - 2 * ratio + ratio * squared))
+    else:
+        across = -ratio / (1 - ratio) * np.trace(strain, axis1=-2, axis2=-1)
+    return strain, across, mask
+
+
+def _growth_at(
+    elasticity: Elasticity, sites: slice, mask: BoolArray, fraction: float
+) -> tuple[Float64Array | None, npt.ArrayLike]:
+    """Growth strain of the sites of tissue, (N, n, n), and across an image; None if none grows."""
+    if elasticity.growth is None or not (grown := elasticity.growth[sites])[mask].any():
+        return None, 0.0
+    n = mask.ndim
+    if grown.ndim == n:
+        amount = fraction * _of_elements(grown, mask)
+        return amount[:, None, None] * np.eye(n), amount
+    parts = [[_of_elements(grown[..., i, j], mask) for j in _axes(grown)] for i in _axes(grown)]
+    tensor = fraction * np.moveaxis(np.array(parts), -1, 0)
+    beyond = tensor.shape[-1] - n
+    return tensor[:, beyond:, beyond:], tensor[:, 0, 0] if beyond else 0.0
+
+
+def _axes(tensors: npt.NDArray[Any]) -> range:
+    return range(tensors.shape[-1])
+
+
+def _of_elements(values: npt.NDArray[Any], mask: BoolArray) -> Float64Array:
+    """Return the mean of the elements around each site of tissue, each the mean of its corners."""
+    elements = in_elements(mask)  # tissue too thin for them has its own values
+    own = np.where(mask, values, 0).astype(np.float64)
+    means = np.where(elements, of_corners(own, add) / 2**mask.ndim, 0.0)
+    total, count = around_sites(means, add)[mask], around_sites(elements.astype(int), add)[mask]
+    return np.divide(total, count, out=own[mask], where=count > 0)

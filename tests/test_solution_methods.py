@@ -1,0 +1,126 @@
+"""A solution's own methods, which know its spacing and tissue; functions need the spacing."""
+
+import numpy as np
+import pytest
+
+import napari_hmrf
+from napari_hmrf import (
+    ArgumentError,
+    Material,
+    ProblemError,
+    Solution,
+    deformation_gradient,
+    equivalent_strain,
+    export_field,
+    green_lagrange_strain,
+    jacobian_determinant,
+    measure,
+    small_strain,
+    warp,
+)
+from napari_hmrf.field.moved_points import moved_points
+from napari_hmrf.field.strain import count_folds
+from napari_hmrf.solver.elasticity import Elasticity
+from napari_hmrf.solver.solution import Provenance
+
+SIZE = (2.0, 0.5)
+D = np.zeros((4, 5, 2))
+
+
+@pytest.fixture
+def solution():
+    random = np.random.default_rng(5)
+    rows, cols = np.indices((20, 24))
+    d = np.stack([np.sin(cols / 5), 0.6 * np.cos(rows / 4)], axis=-1).astype(np.float32)
+    d += 0.1 * random.standard_normal(d.shape).astype(np.float32)
+    tissue = np.hypot(rows - 10, cols - 12) < 9
+    d[~tissue] = 0
+    run = Provenance("cpu", "here")
+    return Solution(d, np.zeros(1), (), tissue, SIZE, run, elasticity=Elasticity(0.4))
+
+
+def test_methods_are_the_functions_with_spacing_and_tissue(solution, tmp_path):
+    d, on = solution.displacement, {"spacing": SIZE, "tissue": solution.tissue}
+    photo = np.random.default_rng(6).random((20, 24))
+    labels = (photo > 0.5).astype(np.uint8)
+    points = np.array([(4.0, 6.5), (10, 12)])
+    for method, function in (
+        (solution.warp(photo), warp(photo, d, **on)),
+        (solution.warp(labels, order=0), warp(labels, d, order=0, **on)),
+        (solution.jacobian(), jacobian_determinant(d, **on)),
+        (solution.count_folds(), count_folds(d, **on)),
+        (solution.strain("total"), green_lagrange_strain(d, **on)),
+        (solution.strain("small"), small_strain(d, **on)),
+        (solution.move(points), moved_points(points, d, spacing=SIZE)),
+    ):
+        assert np.array_equal(method, function, equal_nan=True)
+    assert solution.measure(labels, names={1: "bright"}) == measure(
+        solution, labels, names={1: "bright"}
+    )
+    assert np.allclose(solution.at(points)[1], d[10, 12])
+    assert np.allclose(solution.move(points), points + solution.at(points) / SIZE)
+    other = np.abs(warp(photo, d, spacing=1, tissue=solution.tissue) - solution.warp(photo))
+    assert other.max() > 0.1, "a wrong spacing would be seen"
+    pytest.importorskip("SimpleITK")
+    assert solution.export(tmp_path / "a.mha") == export_field(tmp_path / "b.mha", solution)
+    assert (tmp_path / "a.mha").exists()
+
+
+def test_elastic_strain_is_small_strain_and_that_across(solution):
+    strain = solution.strain()[solution.tissue]
+    within = solution.strain("small")[solution.tissue]
+    assert np.allclose(strain[:, 1:, 1:], within, atol=1e-6)
+    across = -0.4 / 0.6 * np.trace(within, axis1=1, axis2=2)
+    assert np.allclose(strain[:, 0, 0], across, atol=1e-6)
+    assert not strain[:, 0, 1:].any()
+    with pytest.raises(ArgumentError, match='kind must be "elastic", "total" or "small"'):
+        solution.strain("von Mises")
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda **more: warp(np.zeros((4, 5)), D, **more),
+        *[
+            lambda name=name, **more: getattr(napari_hmrf, name)(D, **more)
+            for name in (
+                "jacobian_determinant",
+                "count_folds",
+                "folds",
+                "inverse_map",
+                "small_strain",
+                "green_lagrange_strain",
+                "deformation_gradient",
+                "arrows",
+                "deformation_grid",
+            )
+        ],
+        lambda **more: napari_hmrf.Warper(np.zeros((4, 5)), **more),
+    ],
+)
+def test_a_function_of_a_displacement_needs_its_spacing(call):
+    with pytest.raises(TypeError, match="missing 1 required keyword-only argument: 'spacing'"):
+        call()
+    with pytest.raises(ProblemError, match=r"spacing: is None\. Give 2 positive, finite pixel"):
+        call(spacing=None)
+    call(spacing=(2, 2))
+
+
+def test_one_spacing_counts_along_all_axes():
+    rows, cols, planes = np.indices((4, 5, 6))
+    d = 0.2 * np.stack([rows, cols, planes], axis=-1)
+    for spacing in (2, 2.0, np.float32(2)):
+        assert np.allclose(jacobian_determinant(d, spacing=spacing), 1.1**3)
+        assert np.allclose(deformation_gradient(d, spacing=spacing), 1.1 * np.eye(3))
+    with pytest.raises(ProblemError, match=r"spacing: is 0\. Give 3"):
+        jacobian_determinant(d, spacing=0)
+    total = equivalent_strain(green_lagrange_strain(d, spacing=2))
+    assert np.allclose(total, 0, atol=1e-6)
+
+
+@pytest.mark.parametrize("stiffness", [-1.0, -np.inf])
+def test_a_material_of_negative_stiffness_is_refused(stiffness):
+    said = rf"stiffness: gives label 3 \(liver\) a stiffness of {stiffness}\. Give a number above 0"
+    with pytest.raises(ProblemError, match=said):
+        Material(3, "liver", stiffness)
+    assert Material(3, "air", 0.0).stiffness == 0
