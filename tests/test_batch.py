@@ -108,10 +108,10 @@ def test_values_that_a_cell_has_several_of_are_a_case_each(files):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("", r"t\.csv lacks the column 'image'"),
+        ("", r"t\.csv: line 1 lacks the column 'image'"),
         ("image\n", r"t\.csv has no line below the names"),
-        ("image,growth\na.tif,1\n", r"has a column 'growth', which says nothing here"),
-        ("image,lables\na.tif,b\n", r"has a column 'lables', which says nothing here"),
+        ("image,growth\na.tif,1\n", r"line 1: there is no column 'growth'\. Did you mean 'growth:"),
+        ("image,lables\na.tif,b\n", r"there is no column 'lables'\. Did you mean 'labels'\? The"),
         ("image,image\na.tif,b\n", r"t\.csv has two columns 'image'"),
         ("image\na.tif\na.png\n", r"line 3: there is a case 'a' already\. Give each a name"),
         ("name,image\na/b,a.tif\n", r"line 2: 'a/b' is no name for a folder"),

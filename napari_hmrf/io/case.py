@@ -339,7 +339,7 @@ def _grid(part: ImageFile, whole: ImageFile, case: Case) -> Grid:
 def _materials(
     path: Path | None, labels: npt.NDArray[Any] | None
 ) -> tuple[tuple[Material, ...], str, tuple[str, ...]]:
-    """The materials of a table, their unit, and a note on the names that are unknown."""
+    """Return the materials of a table, their unit, and notes on what was looked up by name."""
     if path is None or labels is None:
         return (), "", ()
     table = tissue_table(path)
@@ -347,8 +347,8 @@ def _materials(
         return table.materials, table.unit, ()
     there, unknown = set(np.unique(labels).tolist()), table.unknown
     named = ", ".join(f"{label} ({unknown[label]})" for label in unknown if label in there)
-    notes = (f"{path.name}: no stiffness is known for {named}",) if named else ()
-    return table.materials, table.unit, notes
+    notes = (table.published(there), f"no stiffness is known for {named}" if named else "")
+    return table.materials, table.unit, tuple(f"{path.name}: {note}" for note in notes if note)
 
 
 def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> npt.NDArray[Any]:

@@ -21,7 +21,7 @@ from typing import Any
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.errors import FileFormatError, HmrfError
 from napari_hmrf.io.case import Case
-from napari_hmrf.io.csv_files import read_csv
+from napari_hmrf.io.csv_files import read_csv, unknown_column
 from napari_hmrf.io.images import load_image
 from napari_hmrf.io.sweeps import OF_BOUNDARIES, OF_TISSUES, Change
 from napari_hmrf.io.tables import value_of
@@ -94,23 +94,25 @@ def read_cases(path: str | os.PathLike[str]) -> tuple[NamedCase, ...]:
 def _titles(file: str) -> Callable[[list[str]], list[str]]:
     """What refuses columns that say nothing."""
 
-    def check(written: list[str]) -> list[str]:
+    def check(written: list[str], line: int) -> list[str]:
         titles = [_title(cell) for cell in written]
         for title in filter(None, titles):
             kind, _, of = title.partition(":")
             if not (title in _COLUMNS or (kind in _SWEEPS and of)):
-                raise FileFormatError(
-                    f"{file} has a column {title!r}, which says nothing here. Its columns are "
-                    f"{', '.join(_COLUMNS)}, and {', '.join(f'{each}:NAME' for each in _SWEEPS)}."
-                )
+                raise unknown_column(file, line, title, [*_COLUMNS, *map(_sweep_of_named, _SWEEPS)])
         if not {"image", "study"} & set(titles):
             raise FileFormatError(
-                f"{file} lacks the column 'image'. Its first line names the columns, with "
+                f"{file}: line {line} lacks the column 'image'. It names the columns, with "
                 f"commas between them: {', '.join(_COLUMNS)}."
             )
         return titles
 
     return check
+
+
+def _sweep_of_named(kind: str) -> str:
+    """Return the title of a sweep over one tissue or boundary, as it is explained."""
+    return f"{kind}:NAME"
 
 
 def _title(cell: str) -> str:

@@ -21,7 +21,7 @@ from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.held_forces import HeldForce
 from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.field.units import as_seen
-from napari_hmrf.io.csv_files import read_csv, save_csv
+from napari_hmrf.io.csv_files import read_csv, save_csv, unknown_column
 from napari_hmrf.io.tissue_names import KnownTissue, NamedMaterials
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.tissue.boundary_rules import (
@@ -113,6 +113,10 @@ _OF_RULES = {
     **dict.fromkeys(("plane", "row", "col", "amount"), _LENGTH),
     "confidence": _Column(_number(0, 1), "a number from 0 to 1"),
 }
+
+
+#: Columns of a table of materials.
+MATERIAL_COLUMNS = (*_OF_MATERIALS,)
 
 
 def value_of(column: str, text: str) -> Any:
@@ -351,19 +355,16 @@ def _read(
     source = Path(checked_path(path))
     file, called = source.name, ", ".join(columns)
 
-    def check(written: list[str]) -> list[str]:
+    def check(written: list[str], line: int) -> list[str]:
         titles = [title.casefold() for title in written]
+        unknown = [title for title in titles if title and title not in columns]
+        if unknown:
+            raise unknown_column(file, line, unknown[0], [*columns])
         missing = [name for name in needed if name not in titles]
         if missing:
             raise FileFormatError(
-                f"{file} lacks the column {missing[0]!r}. Its first line names the columns, with "
+                f"{file}: line {line} lacks the column {missing[0]!r}. It names the columns, with "
                 f"commas between them: {called}."
-            )
-        unknown = [title for title in titles if title and title not in columns]
-        if unknown:
-            raise FileFormatError(
-                f"{file} has a column {unknown[0]!r}, which says nothing here. Its columns "
-                f"are {called}."
             )
         return titles
 
