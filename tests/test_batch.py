@@ -296,7 +296,9 @@ def test_how_far_a_batch_is_is_said_in_words():
 def test_without_dask_a_scheduler_is_refused(files, monkeypatch):
     table = write_table(files, "a,image.tif")
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(HmrfError, match=r'pip install "napari-hmrf\[cluster\]"'):
+    with pytest.raises(
+        HmrfError, match=r'in a copy of the repository, run: pip install "\.\[cluster\]"'
+    ):
         solve_cases(read_cases(table), files / "out", scheduler="tcp://127.0.0.1:1")
 
 

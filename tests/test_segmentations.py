@@ -178,8 +178,10 @@ def test_what_is_wrong_with_a_table_of_names_is_said(tmp_path, file, content, se
         (
             "a.csv",
             "\nlabel,name,stiffnes\n1,brain,3\n",
-            r"a\.csv: line 2: there is no column 'stiffnes'\. Did you mean 'stiffness'\? "
-            "The columns are label, name, ",
+            (
+                r"a\.csv: line 2: there is no column 'stiffnes'\. Did you mean 'stiffness'\? "
+                "The columns are label, name, "
+            ),
         ),
         ("a.csv", "label;name\n1;brain\n", r"line 1: there are semicolons between its cells"),
         ("a.csv", "label,name\nx,brain\n", r"a\.csv: line 2: label is 'x'\. Give a whole number"),
@@ -345,8 +347,10 @@ def test_the_dock_s_menu_takes_the_names_of_a_segmentation(files, qtbot):
         Material(91, "skull", RIGID),
     )
     assert said == [
-        "Materials: classes. The table only names its labels, so published stiffness is used for "
-        "91 (skull). No stiffness is known for 20 (colon), now as stiff as liver."
+        (
+            "Materials: classes. The table only names its labels, so published stiffness is used "
+            "for 91 (skull). No stiffness is known for 20 (colon), now as stiff as liver."
+        )
     ]
     menu.take("classes.json")
     (files / "own.csv").write_text("label,name,stiffness\n91,skull,rigid\n20,colon,9\n")

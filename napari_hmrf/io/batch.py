@@ -30,6 +30,7 @@ import pydantic
 import threadpoolctl
 
 from napari_hmrf.errors import HmrfError, in_words
+from napari_hmrf.extras import how_to_install
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.io.case import SolvedCase, solve_case
@@ -408,7 +409,8 @@ def _by_cluster(
         from distributed import Client, as_completed
     except ImportError:
         raise HmrfError(
-            'a scheduler takes dask.distributed: pip install "napari-hmrf[cluster]"'
+            "a scheduler takes dask.distributed, which is not installed: "
+            f"{how_to_install('cluster')}."
         ) from None
     where = {"scheduler_file": address} if address.endswith(".json") else {"address": address}
     try:

@@ -91,7 +91,7 @@ def read_cases(path: str | os.PathLike[str]) -> tuple[NamedCase, ...]:
     return tuple(cases.values())
 
 
-def _titles(file: str) -> Callable[[list[str]], list[str]]:
+def _titles(file: str) -> Callable[[list[str], int], list[str]]:
     """What refuses columns that say nothing."""
 
     def check(written: list[str], line: int) -> list[str]:

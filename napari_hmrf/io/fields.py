@@ -5,7 +5,7 @@ vector u(P) leads to P + u(P), where what is seen there came from. It is in mill
 physical axes left, posterior, superior (LPS), not along the image's own. Outside of a field's grid
 ITK's tools take nothing to move.
 
-SimpleITK reads and writes them; it comes with ``pip install "napari-hmrf[medical]"``.
+SimpleITK reads and writes them; it comes with the extra ``medical``.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import numpy.typing as npt
 from napari_hmrf.arguments import checked_path, shown
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
+from napari_hmrf.extras import how_to_install
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import PATIENT_AXES, Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
@@ -375,8 +376,8 @@ def simpleitk() -> Any:
         import SimpleITK
     except ImportError as error:
         raise HmrfError(
-            "medical files are read and written by SimpleITK, which is not installed. Run: "
-            'pip install "napari-hmrf[medical]"'
+            "medical files are read and written by SimpleITK, which is not installed: "
+            f"{how_to_install('medical')}."
         ) from error
     sitk: Any = SimpleITK
     sitk.ProcessObject.SetGlobalWarningDisplay(False)

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from napari_hmrf.arguments import checked_path, refuse_unless
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
+from napari_hmrf.extras import how_to_install
 from napari_hmrf.field.animation import Motion
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.solution import Solution
@@ -37,7 +38,7 @@ def save_moving_picture(
     Parameters
     ----------
     path : str or path-like
-        Ends in .gif, or .mp4, which takes ``pip install imageio-ffmpeg``.
+        Ends in .gif, or .mp4, which takes the extra ``film``.
     solution : Solution
     image : array_like, shape (H, W) or (H, W, 3 or 4)
         Before it moves.
@@ -129,8 +130,8 @@ def _film(pictures: npt.NDArray[np.uint8], per_second: int) -> bytes:
         import imageio_ffmpeg
     except ImportError as error:
         raise HmrfError(
-            "films are written by imageio-ffmpeg, which is not installed. Run: pip install "
-            "imageio-ffmpeg; or write a .gif."
+            "films are written by imageio-ffmpeg, which is not installed: "
+            f"{how_to_install('film')}; or write a .gif."
         ) from error
     # The codec takes even sizes only.
     rows, cols = (2 * (size // 2) for size in pictures.shape[1:3])
