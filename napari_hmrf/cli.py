@@ -20,6 +20,7 @@ from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.study.models import chosen, family_of
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
+from napari_hmrf.wording import in_words_of
 
 if TYPE_CHECKING:
     from napari_hmrf.contributions import LayerData
@@ -46,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _tell("interrupted")
         return 130
     except (HmrfError, OSError) as error:
-        _tell(f"napari-hmrf: {in_words(error)}")
+        _tell(f"napari-hmrf: {in_words_of('shell', in_words(error))}")
         return 1
 
 
@@ -92,10 +93,10 @@ def _apply(options: argparse.Namespace) -> int:
             written = apply_field(field, file, options.out / file.name, labels=options.labels)
             print(f"written: {written.path}", flush=True)
             if written.note:
-                print(f"note: {written.note}", flush=True)
+                _note(written.note)
         except (HmrfError, OSError) as error:
             failed += 1
-            _tell(f"napari-hmrf: {in_words(error)}")
+            _tell(f"napari-hmrf: {in_words_of('shell', in_words(error))}")
     return int(failed > 0)
 
 
@@ -159,7 +160,7 @@ def _solve(options: argparse.Namespace) -> int:
     solved = solve_case(case, options.out, backend=options.backend)
     print(f"solved: {solved.solution!r}")
     for note in solved.notes:
-        print(f"note: {note}")
+        _note(note)
     written = ", ".join(sorted(path.name for path in options.out.iterdir()))
     print(f"in {options.out}: {written}")
     return 0
@@ -180,6 +181,7 @@ def _batch(options: argparse.Namespace) -> int:
         resume=options.resume,
         backend=options.backend,
         progress=lambda progress: line.write(progress.words),
+        tell=_note,
     )
     line.end()
     failed = [each for each in outcomes if each.state != "done"]
@@ -383,6 +385,11 @@ class _ProgressLine:
         if self._live and self._shown:
             sys.stderr.write("\r" + " " * self._shown + "\r")
             sys.stderr.flush()
+
+
+def _note(clause: str) -> None:
+    """Print something to know of a result, in the words of the shell."""
+    print(f"note: {in_words_of('shell', clause)}", flush=True)
 
 
 def _tell(message: str) -> None:

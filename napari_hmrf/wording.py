@@ -31,6 +31,9 @@ TERMS: dict[str, Term] = {
     "hold_edge=True": Term("--hold-edge", ""),
     "model='elastic'": Term("--model elastic", ""),
     "penalty=inf": Term("without --penalty", "'holding force' under 'Advanced' at 'held exactly'"),
+    "forward=True": Term("--forward", ""),
+    "number": Term("--slice", ""),
+    "resume=True": Term("--resume", "resume"),
     "poisson": Term("--poisson", "Poisson's ratio"),
     "without_border=True": Term(
         "a label of stiffness 0 in --labels and --materials",

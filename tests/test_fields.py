@@ -297,5 +297,5 @@ def test_what_is_no_field_is_refused(tmp_path):
 
 def test_without_simpleitk_it_is_said_what_to_install(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "SimpleITK", None)
-    with pytest.raises(HmrfError, match=r'pip install "napari-hmrf\[medical\]"'):
+    with pytest.raises(HmrfError, match=r'pip install "\.\[medical\]"'):
         write_field(tmp_path / "field.mha", np.zeros((4, 5, 2)), spacing=(1, 1))

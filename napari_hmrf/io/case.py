@@ -26,19 +26,33 @@ from napari_hmrf.io.study_file import is_study_file, load_solved, load_study, sa
 from napari_hmrf.io.sweeps import Change, changed
 from napari_hmrf.io.tables import read_rules
 from napari_hmrf.solver.caveats import shortfall
+from napari_hmrf.solver.model_names import ELASTIC, MODELS, as_word
+from napari_hmrf.solver.optimizers import Multigrid, Optimizer
+from napari_hmrf.solver.priors import Elastic, Prior
+from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.ground import Ground, solve_study
+from napari_hmrf.study.models import chosen
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
-from napari_hmrf.tissue.boundary_rules import Material
+from napari_hmrf.tissue.boundary_rules import (
+    USUAL_POISSON,
+    BoundaryRule,
+    Material,
+    default_material,
+    unlisted,
+)
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
+#: Labels that are listed in a sentence.
+_FEW = 6
+
 
 @dataclass(frozen=True)
 class Case:
-    """What a command line says of one case.
+    """Files and options of one case, as a command line has them.
 
     Attributes
     ----------
@@ -56,6 +70,9 @@ class Case:
         or a displacement field, such as a registration's.
     rules : Path, optional
         A .csv.
+    forward : bool
+        Whether a boundary that is a field leads from where tissue was to where it goes, though its
+        file does not say so.
     confidence : Path or "edges", optional
         How sure a field is: an image from 0 to 1 or a mask; or 1 at the edges of the image and 0
         elsewhere. By default 1 wherever there is a field.
@@ -65,6 +82,16 @@ class Case:
         Whether the outer edge of the tissue stays where it is.
     model : str, optional
         By default elastic.
+    poisson : float, optional
+        Poisson's ratio of all tissue, in place of that of `materials`.
+    plane : {"stress", "strain"}, optional
+        Of a slice of elastic tissue: free to bulge, the default, or held between its neighbours.
+    tolerance : float, optional
+        Largest estimated error of the field, in pixels; of all models but "paper".
+    penalty : float, optional
+        K of eq. 19, with which what is held may slip; by default the model's own.
+    weight : tuple of float
+        Force at each part of elastic tissue along each axis, in the unit of stiffness per length.
     """
 
     image: Path
@@ -73,10 +100,16 @@ class Case:
     maps: Sequence[Path] = ()
     boundary: Path | None = None
     rules: Path | None = None
+    forward: bool = False
     confidence: Path | Literal["edges"] | None = None
     slice: int | None = None
     hold_edge: bool = False
     model: str | None = None
+    poisson: float | None = None
+    plane: Plane | None = None
+    tolerance: float | None = None
+    penalty: float | None = None
+    weight: tuple[float, ...] = ()
 
     @property
     def options(self) -> tuple[str, ...]:
@@ -111,20 +144,100 @@ def read_case(case: Case) -> Study:
     if case.maps:
         labels = _most_likely([_pixels(case, each, whole) for each in case.maps])
     materials, unit, notes = _materials(case.materials, labels)
-    motion = replace(_motion(case, grid, place, whole), hold_edge=case.hold_edge)
+    motion = replace(
+        _motion(case, grid, place, whole), hold_edge=case.hold_edge, weight=_weight(case, grid)
+    )
+    prior, optimizer = energy_of(case, volume=len(grid.shape) == 3)
+    if case.poisson is not None and labels is not None:
+        materials, more = _with_ratio(case, materials, labels)
+        notes = (*notes, *more)
     return Study(
         grid,
         Tissue(labels=labels, materials=materials, unit=unit),
         motion,
-        model=case.model or "elastic",
+        prior=prior,
+        optimizer=optimizer,
         pictures=Pictures(image.pixels, labels, case.image.name.partition(".")[0]),
         names=_names(case),
         notes=notes,
     )
 
 
+def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
+    """Return the energy that a case asks for, and how it is minimised.
+
+    Parameters
+    ----------
+    case : Case
+    volume : bool
+        Whether all of a volume is solved.
+
+    Raises
+    ------
+    HmrfError
+        If the model has no such parameter: naming the option and the reason.
+    ArgumentError
+        If a parameter has a value that it cannot have.
+    """
+    name = MODELS[as_word(case.model or "elastic")]
+    prior, optimizer = chosen(name)
+    elastic = name in ELASTIC
+    for given, option, has_it, why in (
+        (case.poisson is not None, "--poisson", elastic, "the paper's has no Poisson's ratio"),
+        (case.plane is not None, "--plane", elastic, "the paper's model has no plane"),
+        (case.plane is not None, "--plane", not volume, "a volume is strained in all directions"),
+        (bool(case.weight), "--weight", elastic, "the paper's model bears no forces"),
+        (
+            case.tolerance is not None,
+            "--tolerance",
+            isinstance(optimizer, Multigrid),
+            "the paper's schedule ends after its sweeps; --model paper-converged has a tolerance",
+        ),
+    ):
+        if given and not has_it:
+            raise HmrfError(f"{option} means nothing here: {why}. Leave {option} out.")
+    if isinstance(prior, Elastic):
+        prior = replace(
+            prior,
+            poisson=prior.poisson if case.poisson is None else case.poisson,
+            plane=case.plane or prior.plane,
+        )
+    if case.penalty is not None:
+        prior = replace(prior, penalty=case.penalty)
+    if case.tolerance is not None:
+        optimizer = Multigrid(case.tolerance)
+    return prior, optimizer
+
+
+def _weight(case: Case, grid: Grid) -> tuple[float, ...]:
+    if case.weight and len(case.weight) != len(grid.shape):
+        axes = "plane, row and col" if len(grid.shape) == 3 else "row and col"
+        raise HmrfError(
+            f"--weight has {len(case.weight)} numbers, but what is solved has {len(grid.shape)} "
+            f"axes. Give its {axes}."
+        )
+    return case.weight
+
+
+def _with_ratio(
+    case: Case, materials: tuple[Material, ...], labels: npt.NDArray[Any]
+) -> tuple[tuple[Material, ...], tuple[str, ...]]:
+    """Return materials that all have the Poisson's ratio of a case, and notes on it."""
+    ratio = USUAL_POISSON if case.poisson is None else case.poisson
+    notes = []
+    if any(row.poisson not in (ratio, USUAL_POISSON) and row.is_deformable for row in materials):
+        table = "the table" if case.materials is None else case.materials.name
+        notes.append(f"--poisson {ratio:g} replaces the Poisson's ratios of {table}")
+    added = [default_material(label, materials) for label in unlisted(labels, materials)]
+    notes += [
+        f"label {row.label} is not in the table and got stiffness {row.stiffness:g}"
+        for row in added
+    ]
+    return tuple(replace(row, poisson=ratio) for row in (*materials, *added)), tuple(notes)
+
+
 def _refuse_unused(case: Case, flat: bool) -> None:
-    """Refuse options that would change nothing, as nobody gives them for that."""
+    """Refuse options without an effect."""
     path = case.boundary
     marks = path is not None and path.name.lower().endswith(POINT_SUFFIXES)
     field = path is not None and not marks and case.rules is None
@@ -133,6 +246,7 @@ def _refuse_unused(case: Case, flat: bool) -> None:
         (bool(case.maps), "--labels", "is given beside --maps, and each says where tissue is"),
         (path is None or marks, "--rules", "is for a --boundary that is an image of labels"),
         (not field, "--confidence", "is for a --boundary that is a field"),
+        (not field, "--forward", "is for a --boundary that is a field"),
         (flat, "--slice", f"is for volumes, and {case.image.name} is none"),
     ):
         if unused and option in case.options:
@@ -399,13 +513,14 @@ def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Mo
     if case.rules is not None:
         labels = _pixels(case, path, whole, labels=True)
         rules, n = read_rules(case.rules), len(grid.shape)
+        _refuse_unruled(labels, rules, path.name, case.rules.name)
         if any(len(rule.vector) > n for rule in rules):
             raise ProblemError(
                 case.rules.name, "has a column 'plane', but what is solved is a slice. Remove it."
             )
         return Motion(labels=labels, rules=rules)
     try:
-        field = load_field(path).in_pixels
+        field = load_field(path, forward=case.forward).in_pixels
     except FileFormatError as error:
         raise FileFormatError(f"{error} If it is an image of labels, give --rules, too.") from None
     counts, frame = _counts(case, whole), grid.place
@@ -418,6 +533,21 @@ def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Mo
     except ProblemError as error:
         raise ProblemError(path.name, error.message) from None
     return Motion(observed=there.displacement, confidence=np.where(there.known, counts, 0))
+
+
+def _refuse_unruled(
+    labels: npt.NDArray[Any], rules: Sequence[BoundaryRule], image: str, table: str
+) -> None:
+    """Refuse painted labels that a table of rules does not name, and labels that are nowhere."""
+    missing = [label for label in unlisted(labels, rules) if label]
+    if missing:
+        listed = ", ".join(map(str, missing[:_FEW]))
+        more = f" and {len(missing) - _FEW} more" if len(missing) > _FEW else ""
+        lines = "a line" if len(missing) == 1 else "lines"
+        raise FileFormatError(
+            f"{table}: there is no rule for label {listed}{more}, painted in {image}. Add {lines} "
+            f"such as {missing[0]},fixed, or paint 0 there."
+        )
 
 
 def _counts(case: Case, whole: ImageFile) -> npt.NDArray[Any]:
