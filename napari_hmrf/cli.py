@@ -6,20 +6,20 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from napari_hmrf.atomic_write import is_stream
 from napari_hmrf.command_line import parser_of_commands
 from napari_hmrf.errors import HmrfError, in_words
 from napari_hmrf.samples.demo import SAMPLE_SIZE
 from napari_hmrf.samples.head import SAMPLE_SIZE as VOLUME_SIZE
-from napari_hmrf.solver.model_names import MODELS
+from napari_hmrf.solver.model_names import MODELS, as_word
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.study.models import chosen, family_of
-from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 from napari_hmrf.wording import in_words_of
 
 if TYPE_CHECKING:
@@ -52,14 +52,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _model(options: argparse.Namespace) -> tuple[Prior, Optimizer]:
-    """The energy asked for, and how it is minimised."""
-    prior, optimizer = chosen(MODELS[options.model])
-    if isinstance(prior, Elastic):
-        nu = USUAL_POISSON if options.poisson is None else options.poisson
-        return replace(prior, poisson=nu, plane=options.plane or "stress"), optimizer
-    if options.poisson is not None or options.plane is not None:
-        raise HmrfError("--poisson and --plane are for elastic tissue: the paper's has neither")
-    return prior, optimizer
+    """Return the energy of a demonstration, and how it is minimised."""
+    from napari_hmrf.io.case import Case, energy_of
+
+    case = Case(Path(), model=options.model, poisson=options.poisson, plane=options.plane)
+    return energy_of(case, volume=options.volume)
+
+
+def _refuse_overwriting(options: argparse.Namespace, paths: Iterable[Path]) -> None:
+    """Refuse to write over files, unless the user says so.
+
+    Raises
+    ------
+    HmrfError
+        Naming the first file that is there.
+    """
+    there = [path for path in paths if path.exists() and not is_stream(path)]
+    if there and not options.force:
+        more = f" (and {len(there) - 1} more)" if len(there) > 1 else ""
+        raise HmrfError(
+            f"{there[0]} is there already{more}. Give another name, or --force to write over it."
+        )
 
 
 def _selftest(_: argparse.Namespace) -> int:
@@ -71,6 +84,7 @@ def _selftest(_: argparse.Namespace) -> int:
 def _export(options: argparse.Namespace) -> int:
     from napari_hmrf.io.apply import load_field, save_field
 
+    _refuse_overwriting(options, [options.out])
     print(save_field(options.out, load_field(options.result), forward=options.forward))
     return 0
 
@@ -85,6 +99,16 @@ def _apply(options: argparse.Namespace) -> int:
             f"{twice} is the name of two files, of which one would be written over the other. "
             "Move them one after the other, with another --out for each"
         )
+    if options.out.is_dir():
+        moved = [options.out / name for name in names]
+        # A file that would be written over itself is refused by its name.
+        same = [
+            each.samefile(at)
+            for each, at in zip(options.files, moved, strict=True)
+            if each.exists() and at.exists()
+        ]
+        if not any(same):
+            _refuse_overwriting(options, moved)
     field = load_field(options.field)
     options.out.mkdir(parents=True, exist_ok=True)
     failed = 0
@@ -106,6 +130,8 @@ def _materials(options: argparse.Namespace) -> int:
     from napari_hmrf.io.tables import named_materials_in_words, save_named_materials
     from napari_hmrf.io.tissue_names import materials_by_name
 
+    if options.out is not None:
+        _refuse_overwriting(options, [options.out])
     names = read_label_names(options.table)
     if options.labels is not None:
         there = labels_in(options.labels)
@@ -123,6 +149,8 @@ def _measure(options: argparse.Namespace) -> int:
     from napari_hmrf.io.case import measured
     from napari_hmrf.io.tables import measurement_titles, save_measurements
 
+    if options.out is not None:
+        _refuse_overwriting(options, [options.out])
     found = measured(options.result, options.labels)
     table = DataFrame(found.rows, columns=measurement_titles(volume=found.of_volume))
     print(table.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
@@ -136,13 +164,23 @@ def _play(options: argparse.Namespace) -> int:
     from napari_hmrf.io.case import image_of
     from napari_hmrf.io.moving_pictures import save_moving_picture
 
+    _refuse_overwriting(options, [options.out])
     solution, image = image_of(options.result, options.image)
-    print(f"written: {save_moving_picture(options.out, solution, image)}")
+    number, shape = options.slice, solution.tissue.shape
+    if len(shape) == 2 and number is not None:
+        raise HmrfError("--slice is for volumes, and this result is of one slice. Leave it out.")
+    if len(shape) == 3:
+        if number is None:
+            number = shape[0] // 2
+            _note(f"slice {number} of 0 to {shape[0] - 1}, in the middle; --slice takes another")
+        elif not 0 <= number < shape[0]:
+            raise HmrfError(f"the volume has slices 0 to {shape[0] - 1}, and --slice is {number}")
+    print(f"written: {save_moving_picture(options.out, solution, image, number=number)}")
     return 0
 
 
 def _solve(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.case import Case, solve_case
+    from napari_hmrf.io.case import Case, files_of, solve_case
 
     sure = options.confidence
     case = Case(
@@ -156,9 +194,16 @@ def _solve(options: argparse.Namespace) -> int:
         slice=options.slice,
         hold_edge=options.hold_edge,
         model=options.model and MODELS[options.model],
+        forward=options.forward,
+        poisson=options.poisson,
+        plane=options.plane,
+        tolerance=options.tolerance,
+        penalty=options.penalty,
+        weight=options.weight or (),
     )
+    _refuse_overwriting(options, files_of(case, options.out))
     solved = solve_case(case, options.out, backend=options.backend)
-    print(f"solved: {solved.solution!r}")
+    print(f"solved: {_in_shell(solved.solution)}")
     for note in solved.notes:
         _note(note)
     written = ", ".join(sorted(path.name for path in options.out.iterdir()))
@@ -203,7 +248,7 @@ def _replay(options: argparse.Namespace) -> int:
     if image is not None and study.pictures.image is not image:
         raise HmrfError(f"{options.study.name} holds its own image. Leave out --image.")
     now = replay(options.study, image=image)
-    print(f"solved: {now!r}")
+    print(f"solved: {_in_shell(now)}")
     if before is None:
         print("the study was saved without its field, so there is none to compare with")
         return 0
@@ -227,6 +272,12 @@ def _replay(options: argparse.Namespace) -> int:
     return int(apart > allowed and now.provenance.backend == before.provenance.backend)
 
 
+def _in_shell(solution: Solution) -> str:
+    """Return a solution in a line, with its model as it is typed."""
+    model = solution.provenance.model
+    return repr(solution).replace(f", {model}, ", f", {as_word(model)}, ", 1)
+
+
 def _truth(options: argparse.Namespace) -> int:
     from napari_hmrf.augmentation.ground_truth import Truth, write_truth
     from napari_hmrf.io.case import Case
@@ -236,6 +287,10 @@ def _truth(options: argparse.Namespace) -> int:
         part = "" if truth.scale == 1 else f", of what was drawn {truth.scale:.0%}"
         print(f"written: {truth.folder} (moved up to {truth.farthest:.3g}{part})", flush=True)
 
+    pairs = [f"{number + 1:03}" for number in range(options.count)]
+    _refuse_overwriting(
+        options, [options.out / name for name in ("image.mha", "labels.mha", *pairs)]
+    )
     progress = _ProgressLine()
     names = ("amplitude", "patches", "weight", "hold_edge", "backend")
     given = {name: getattr(options, name) for name in names}
@@ -268,8 +323,7 @@ def _demo(options: argparse.Namespace) -> int:
     models = [_model(options)]
     if models[0] != chosen("paper"):
         models.append(chosen("paper"))
-    # Before the work, so that it is not done in vain.
-    options.out.mkdir(parents=True, exist_ok=True)
+    _make_demo_folder(options)
     progress = _ProgressLine()
     demonstrations = [
         demonstrate(
@@ -292,16 +346,29 @@ def _demo(options: argparse.Namespace) -> int:
     return 0
 
 
+def _make_demo_folder(options: argparse.Namespace) -> None:
+    """Make the folder of a demonstration before the work; only its usual folder is written over."""
+    usual = options.out is None
+    options.out = Path("demo-output") if usual else options.out
+    there = options.out.is_dir() and any(options.out.iterdir())
+    if there and usual:
+        _note(f"an earlier demo in {options.out} is written over")
+    elif there and not options.force:
+        raise HmrfError(
+            f"{options.out} is there already, and is not empty. Give another folder, or --force to "
+            "write over its files."
+        )
+    options.out.mkdir(parents=True, exist_ok=True)
+
+
 def _demo_volume(options: argparse.Namespace) -> int:
     from napari_hmrf.contributions import volume_layers
     from napari_hmrf.samples.demo import table
     from napari_hmrf.samples.volume_demo import demonstrate_volume, write_volume_results
 
     prior, optimizer = _model(options)
-    if options.plane is not None:
-        raise HmrfError("--plane is for slices: a volume is strained in all directions")
     more = {"poisson": float(prior.poisson)} if isinstance(prior, Elastic) else {}
-    options.out.mkdir(parents=True, exist_ok=True)
+    _make_demo_folder(options)
     progress = _ProgressLine()
     demonstration = demonstrate_volume(
         options.size or VOLUME_SIZE,

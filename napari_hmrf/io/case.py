@@ -281,6 +281,13 @@ class SolvedCase(NamedTuple):
     notes: tuple[str, ...]
 
 
+def files_of(case: Case, folder: Path) -> tuple[Path, ...]:
+    """Return the files that `solve_case` writes into a folder, and may write over."""
+    name = case.image.name.partition(".")[0]
+    images = (f"{name} deformed.nrrd", f"{name} deformed.tif")
+    return tuple(folder / each for each in (f"{name}.study", *images))
+
+
 def solve_case(
     case: Case, folder: Path, *, backend: str = "auto", changes: Sequence[Change] = ()
 ) -> SolvedCase:
