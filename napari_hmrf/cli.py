@@ -6,14 +6,14 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from napari_hmrf.atomic_write import is_stream
 from napari_hmrf.command_line import parser_of_commands
 from napari_hmrf.errors import HmrfError, in_words
+from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.samples.demo import SAMPLE_SIZE
 from napari_hmrf.samples.head import SAMPLE_SIZE as VOLUME_SIZE
 from napari_hmrf.solver.model_names import MODELS, as_word
@@ -59,22 +59,6 @@ def _model(options: argparse.Namespace) -> tuple[Prior, Optimizer]:
     return energy_of(case, volume=options.volume)
 
 
-def _refuse_overwriting(options: argparse.Namespace, paths: Iterable[Path]) -> None:
-    """Refuse to write over files, unless the user says so.
-
-    Raises
-    ------
-    HmrfError
-        Naming the first file that is there.
-    """
-    there = [path for path in paths if path.exists() and not is_stream(path)]
-    if there and not options.force:
-        more = f" (and {len(there) - 1} more)" if len(there) > 1 else ""
-        raise HmrfError(
-            f"{there[0]} is there already{more}. Give another name, or --force to write over it."
-        )
-
-
 def _selftest(_: argparse.Namespace) -> int:
     from napari_hmrf.samples.selftest import selftest
 
@@ -84,8 +68,9 @@ def _selftest(_: argparse.Namespace) -> int:
 def _export(options: argparse.Namespace) -> int:
     from napari_hmrf.io.apply import load_field, save_field
 
-    _refuse_overwriting(options, [options.out])
-    print(save_field(options.out, load_field(options.result), forward=options.forward))
+    field = load_field(options.result)
+    refuse_overwriting([options.out], overwrite=options.force)
+    print(save_field(options.out, field, forward=options.forward))
     return 0
 
 
@@ -108,7 +93,7 @@ def _apply(options: argparse.Namespace) -> int:
             if each.exists() and at.exists()
         ]
         if not any(same):
-            _refuse_overwriting(options, moved)
+            refuse_overwriting(moved, overwrite=options.force)
     field = load_field(options.field)
     options.out.mkdir(parents=True, exist_ok=True)
     failed = 0
@@ -130,9 +115,9 @@ def _materials(options: argparse.Namespace) -> int:
     from napari_hmrf.io.tables import named_materials_in_words, save_named_materials
     from napari_hmrf.io.tissue_names import materials_by_name
 
-    if options.out is not None:
-        _refuse_overwriting(options, [options.out])
     names = read_label_names(options.table)
+    if options.out is not None:
+        refuse_overwriting([options.out], overwrite=options.force)
     if options.labels is not None:
         there = labels_in(options.labels)
         names = {label: names.get(label, "not in the table") for label in there}
@@ -149,9 +134,9 @@ def _measure(options: argparse.Namespace) -> int:
     from napari_hmrf.io.case import measured
     from napari_hmrf.io.tables import measurement_titles, save_measurements
 
-    if options.out is not None:
-        _refuse_overwriting(options, [options.out])
     found = measured(options.result, options.labels)
+    if options.out is not None:
+        refuse_overwriting([options.out], overwrite=options.force)
     table = DataFrame(found.rows, columns=measurement_titles(volume=found.of_volume))
     print(table.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
     if options.out is not None:
@@ -164,8 +149,8 @@ def _play(options: argparse.Namespace) -> int:
     from napari_hmrf.io.case import image_of
     from napari_hmrf.io.moving_pictures import save_moving_picture
 
-    _refuse_overwriting(options, [options.out])
     solution, image = image_of(options.result, options.image)
+    refuse_overwriting([options.out], overwrite=options.force)
     number, shape = options.slice, solution.tissue.shape
     if len(shape) == 2 and number is not None:
         raise HmrfError("--slice is for volumes, and this result is of one slice. Leave it out.")
@@ -180,7 +165,7 @@ def _play(options: argparse.Namespace) -> int:
 
 
 def _solve(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.case import Case, files_of, solve_case
+    from napari_hmrf.io.case import Case, solve_case
 
     sure = options.confidence
     case = Case(
@@ -201,8 +186,7 @@ def _solve(options: argparse.Namespace) -> int:
         penalty=options.penalty,
         weight=options.weight or (),
     )
-    _refuse_overwriting(options, files_of(case, options.out))
-    solved = solve_case(case, options.out, backend=options.backend)
+    solved = solve_case(case, options.out, backend=options.backend, overwrite=options.force)
     print(f"solved: {_in_shell(solved.solution)}")
     for note in solved.notes:
         _note(note)
@@ -279,7 +263,7 @@ def _in_shell(solution: Solution) -> str:
 
 
 def _truth(options: argparse.Namespace) -> int:
-    from napari_hmrf.augmentation.ground_truth import Truth, write_truth
+    from napari_hmrf.augmentation.ground_truth import Truth, truth_files, write_truth
     from napari_hmrf.io.case import Case
 
     def tell(truth: Truth) -> None:
@@ -287,10 +271,7 @@ def _truth(options: argparse.Namespace) -> int:
         part = "" if truth.scale == 1 else f", of what was drawn {truth.scale:.0%}"
         print(f"written: {truth.folder} (moved up to {truth.farthest:.3g}{part})", flush=True)
 
-    pairs = [f"{number + 1:03}" for number in range(options.count)]
-    _refuse_overwriting(
-        options, [options.out / name for name in ("image.mha", "labels.mha", *pairs)]
-    )
+    refuse_overwriting(truth_files(options.out, options.count), overwrite=options.force)
     progress = _ProgressLine()
     names = ("amplitude", "patches", "weight", "hold_edge", "backend")
     given = {name: getattr(options, name) for name in names}

@@ -277,7 +277,7 @@ def test_where_a_field_folds_it_is_said_that_it_has_no_inverse(tmp_path, capsys)
     said = capsys.readouterr().out
     assert f"But tissue folds over itself at {folds} pixels, and has no inverse there" in said
     write_field(tmp_path / "folded.mha", d / 20, spacing=(1, 1), forward=True)
-    assert main(["export", *files]) == 0
+    assert main(["export", *files, "--force"]) == 0
     assert "folds" not in capsys.readouterr().out
 
 

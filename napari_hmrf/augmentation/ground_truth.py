@@ -24,6 +24,8 @@ from napari_hmrf.study.study import Pictures, Study
 
 # Landmarks of each pair, roughly.
 _LANDMARKS = 200
+#: Files of each pair.
+_OF_PAIRS = "deformed.mha", "deformed_labels.mha", "field.mha", "landmarks.csv", "truth.study"
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,15 @@ class Truth:
     farthest: float
     scale: float
     inexact: float
+
+
+def truth_files(folder: Path, count: int) -> list[Path]:
+    """Return the files that `write_truth` writes for so many pairs."""
+    within = [folder / f"{number + 1:03}" for number in range(count)]
+    return [
+        *(folder / name for name in ("image.mha", "labels.mha")),
+        *(pair / name for pair in within for name in _OF_PAIRS),
+    ]
 
 
 def write_truth(

@@ -21,6 +21,7 @@ from napari_hmrf.io.apply import load_field, place_for
 from napari_hmrf.io.fields import Place, place_of
 from napari_hmrf.io.images import ImageFile, load_image, save_image
 from napari_hmrf.io.landmark_files import POINT_SUFFIXES, load_points
+from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.segmentation_tables import tissue_table
 from napari_hmrf.io.study_file import is_study_file, load_solved, load_study, save_study
 from napari_hmrf.io.sweeps import Change, changed
@@ -281,17 +282,22 @@ class SolvedCase(NamedTuple):
     notes: tuple[str, ...]
 
 
-def files_of(case: Case, folder: Path) -> tuple[Path, ...]:
-    """Return the files that `solve_case` writes into a folder, and may write over."""
+def _files_of(case: Case, folder: Path) -> tuple[Path, ...]:
+    """Return the files that `solve_case` may write into a folder."""
     name = case.image.name.partition(".")[0]
     images = (f"{name} deformed.nrrd", f"{name} deformed.tif")
     return tuple(folder / each for each in (f"{name}.study", *images))
 
 
 def solve_case(
-    case: Case, folder: Path, *, backend: str = "auto", changes: Sequence[Change] = ()
+    case: Case,
+    folder: Path,
+    *,
+    backend: str = "auto",
+    changes: Sequence[Change] = (),
+    overwrite: bool = True,
 ) -> SolvedCase:
-    """Solve a case and write the study with its field, and the image as it is seen after.
+    """Solve a case and write the study with its field, and the deformed image.
 
     Parameters
     ----------
@@ -301,7 +307,9 @@ def solve_case(
     backend : str
         As of `solve`.
     changes : sequence of Change
-        Which numbers are other than in its files.
+        Numbers that replace those of its files.
+    overwrite : bool
+        Whether files of an earlier solve may be replaced.
 
     Raises
     ------
@@ -319,6 +327,7 @@ def solve_case(
             "nothing says how the tissue moves. Give --boundary with what moves, and --hold-edge "
             "if its outer edge stays."
         )
+    refuse_overwriting(_files_of(case, folder), overwrite=overwrite)
     folder.mkdir(parents=True, exist_ok=True)  # before the work, so that it is not done in vain
     ground = Ground.of(study)
     stated = ground.statement()
