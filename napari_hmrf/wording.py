@@ -31,6 +31,7 @@ TERMS: dict[str, Term] = {
     "hold_edge=True": Term("--hold-edge", ""),
     "model='elastic'": Term("--model elastic", ""),
     "penalty=inf": Term("without --penalty", "'holding force' under 'Advanced' at 'held exactly'"),
+    "action='move'": Term("the action move in --rules", "'moves by'"),
     "overwrite=True": Term("--force", ""),
     "forward=True": Term("--forward", ""),
     "number": Term("--slice", ""),

@@ -202,6 +202,7 @@ def test_a_slice_of_a_stack_that_lies_nowhere_knows_its_number_too(tmp_path):
             "label,action,row,row2\n1,move,1,\n",
             r"line 1: there is no column 'row2'\. Did you mean 'row'",
         ),
+        ("label,stiffness\n1,3\n", r"column 'stiffness'\. It is a column of a table of materials"),
         ("label,action,dx\n1,move,1\n", r"there is no column 'dx'\. Did you mean 'col'\?"),
     ],
 )

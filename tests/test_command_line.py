@@ -205,6 +205,12 @@ def test_notes_of_the_shell_name_its_own_options(files, capsys):
     assert "Advanced" not in err
 
 
+def test_that_nothing_moves_is_said(files, capsys):
+    code, out, _ = run("solve image.png --hold-edge -o out", capsys)
+    assert code == 0
+    assert "note: nothing moves" in out
+
+
 def test_of_a_volume_the_middle_slice_is_played_and_said(tmp_path, capsys):
     from PIL import Image
 

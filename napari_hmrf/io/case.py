@@ -342,6 +342,8 @@ def solve_case(
     save_study(folder / f"{name}.study", study, solution)
     folds = count_folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
     notes = (*_shortcomings(solution, folds, study.grid.unit), *ground.notes_on(stated))
+    if not solution.displacement.any() and not any("nothing moves" in note for note in notes):
+        notes = (*notes, "nothing moves: nothing is drawn, painted, pressed or grown that would")
     return SolvedCase(study, solution, folds, notes)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -92,7 +92,9 @@ def read_cells(path: Path, largest: int) -> list[tuple[int, list[str]]]:
         raise FileFormatError(f"{path.name} is no table of comma-separated text.") from None
 
 
-def unknown_column(file: str, line: int, title: str, known: Sequence[str]) -> FileFormatError:
+def unknown_column(
+    file: str, line: int, title: str, known: Sequence[str], others: Mapping[str, str] | None = None
+) -> FileFormatError:
     """Return the error for a column without a meaning.
 
     Parameters
@@ -105,6 +107,8 @@ def unknown_column(file: str, line: int, title: str, known: Sequence[str]) -> Fi
         As it is written.
     known : sequence of str
         Titles with a meaning.
+    others : mapping of str to str, optional
+        Kinds of tables that have other columns, by these columns.
     """
     for separator, name in ((";", "semicolons"), ("\t", "tabs")):
         if separator in title:
@@ -113,6 +117,8 @@ def unknown_column(file: str, line: int, title: str, known: Sequence[str]) -> Fi
                 "between them."
             )
     hint = did_you_mean(title, known, SYNONYMS)
+    if title in (others or {}):
+        hint = f" It is a column of {(others or {})[title]}."
     return FileFormatError(
         f"{file}: line {line}: there is no column {title!r}.{hint} The columns are "
         f"{', '.join(known)}."

@@ -115,6 +115,11 @@ _OF_RULES = {
 }
 
 
+#: Columns of one kind of table alone.
+_OTHERS = {
+    **{title: "a table of rules" for title in _OF_RULES if title not in _OF_MATERIALS},
+    **{title: "a table of materials" for title in _OF_MATERIALS if title not in _OF_RULES},
+}
 #: Columns of a table of materials.
 MATERIAL_COLUMNS = (*_OF_MATERIALS,)
 
@@ -359,7 +364,7 @@ def _read(
         titles = [title.casefold() for title in written]
         unknown = [title for title in titles if title and title not in columns]
         if unknown:
-            raise unknown_column(file, line, unknown[0], [*columns])
+            raise unknown_column(file, line, unknown[0], [*columns], _OTHERS)
         missing = [name for name in needed if name not in titles]
         if missing:
             raise FileFormatError(
