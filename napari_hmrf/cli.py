@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _model(options: argparse.Namespace) -> tuple[Prior, Optimizer]:
     """Return the energy of a demonstration, and how it is minimised."""
-    from napari_hmrf.io.case import Case, energy_of
+    from napari_hmrf.io.case_options import Case, energy_of
 
     case = Case(Path(), model=options.model, poisson=options.poisson, plane=options.plane)
     return energy_of(case, volume=options.volume)
@@ -110,7 +110,7 @@ def _apply(options: argparse.Namespace) -> int:
 
 
 def _materials(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.case import labels_in
+    from napari_hmrf.io.results import labels_in
     from napari_hmrf.io.segmentation_tables import read_label_names
     from napari_hmrf.io.tables import named_materials_in_words, save_named_materials
     from napari_hmrf.io.tissue_names import materials_by_name
@@ -131,7 +131,7 @@ def _materials(options: argparse.Namespace) -> int:
 def _measure(options: argparse.Namespace) -> int:
     from pandas import DataFrame
 
-    from napari_hmrf.io.case import measured
+    from napari_hmrf.io.results import measured
     from napari_hmrf.io.tables import measurement_titles, save_measurements
 
     found = measured(options.result, options.labels)
@@ -146,8 +146,8 @@ def _measure(options: argparse.Namespace) -> int:
 
 
 def _play(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.case import image_of
     from napari_hmrf.io.moving_pictures import save_moving_picture
+    from napari_hmrf.io.results import image_of
 
     solution, image = image_of(options.result, options.image)
     refuse_overwriting([options.out], overwrite=options.force)
@@ -165,7 +165,8 @@ def _play(options: argparse.Namespace) -> int:
 
 
 def _solve(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.case import Case, solve_case
+    from napari_hmrf.io.case import solve_case
+    from napari_hmrf.io.case_options import Case
 
     sure = options.confidence
     case = Case(
@@ -264,7 +265,7 @@ def _in_shell(solution: Solution) -> str:
 
 def _truth(options: argparse.Namespace) -> int:
     from napari_hmrf.augmentation.ground_truth import Truth, truth_files, write_truth
-    from napari_hmrf.io.case import Case
+    from napari_hmrf.io.case_options import Case
 
     def tell(truth: Truth) -> None:
         progress.end()

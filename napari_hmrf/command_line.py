@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import napari_hmrf
+from napari_hmrf.io.option_types import (
+    count_option,
+    energy_option,
+    lengths_option,
+    poisson_option,
+    size_option,
+)
 from napari_hmrf.samples.demo import SAMPLE_SIZE
 from napari_hmrf.samples.head import SAMPLE_SIZE as VOLUME_SIZE
 from napari_hmrf.samples.phantoms import PHANTOM_NAMES, SMALLEST
@@ -17,7 +23,7 @@ from napari_hmrf.solver.priors.elastic import POISSON_RANGE, Plane
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
 
-class _Commands:
+class Commands:
     """Commands of a parser, each with a sentence that says what it does, and an example."""
 
     def __init__(self, parser: argparse.ArgumentParser) -> None:
@@ -65,7 +71,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
     parser.add_argument(
         "--version", action="version", version=f"napari-hmrf {napari_hmrf.__version__}"
     )
-    commands = _Commands(parser)
+    commands = Commands(parser)
     demo = commands.add(
         "demo",
         "Deform a sample, draw it, and open it in napari where there is a display.",
@@ -94,7 +100,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
     _add_material(demo)
     demo.add_argument(
         "--size",
-        type=_size,
+        type=size_option(SMALLEST),
         metavar="N",
         help=f"pixels along each side (default: {SAMPLE_SIZE}, the size with a finite-element "
         f"field; of a volume from front to back: {VOLUME_SIZE}, voxels of 2 mm)",
@@ -126,7 +132,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_result_commands(commands: _Commands) -> None:
+def _add_result_commands(commands: Commands) -> None:
     export = commands.add(
         "export",
         "Write the field of a result for other tools.",
@@ -217,7 +223,7 @@ def _add_result_commands(commands: _Commands) -> None:
     )
 
 
-def _add_solve(commands: _Commands) -> None:
+def _add_solve(commands: Commands) -> None:
     solve = commands.add(
         "solve",
         "Solve a study, or an image with its tables.",
@@ -269,21 +275,21 @@ def _add_solve(commands: _Commands) -> None:
     _add_material(solve)
     solve.add_argument(
         "--tolerance",
-        type=_energy("tolerance"),
+        type=energy_option("tolerance"),
         metavar="PX",
         help="largest estimated error of the field, in pixels (default: 0.001); the model paper "
         "has none",
     )
     solve.add_argument(
         "--penalty",
-        type=_energy("penalty"),
+        type=energy_option("penalty"),
         metavar="K",
         help="force with which what is held may slip (default: held exactly; in the paper's models "
         "large enough to hold)",
     )
     solve.add_argument(
         "--weight",
-        type=_energy("weight"),
+        type=energy_option("weight"),
         metavar="ROW/COL",
         help="force at each part of elastic tissue along each axis, in the unit of stiffness per "
         "length, such as 0.00981/0 for water in kPa and mm; before a minus write an equals sign: "
@@ -317,7 +323,7 @@ def _add_material(command: argparse.ArgumentParser) -> None:
     low, high = POISSON_RANGE
     command.add_argument(
         "--poisson",
-        type=_poisson,
+        type=poisson_option,
         metavar="NU",
         help=f"Poisson's ratio of all elastic tissue, {low:g} to {high:g} (default: "
         f"{USUAL_POISSON}, or that of each tissue in its table)",
@@ -360,7 +366,7 @@ def _add_slice(command: argparse.ArgumentParser) -> None:
     )
 
 
-def _add_truth(commands: _Commands) -> None:
+def _add_truth(commands: Commands) -> None:
     truth = commands.add(
         "truth",
         "Deform an image by random fields that are known, to validate a registration.",
@@ -396,7 +402,7 @@ def _add_truth(commands: _Commands) -> None:
     )
     truth.add_argument(
         "--amplitude",
-        type=_lengths,
+        type=lengths_option,
         metavar="A|LOW-HIGH",
         help="largest pull of a pair, or its range, in mm, or in pixels of an image without a "
         "size (default: from 0 to a quarter of the distance between pulls, in a volume an eighth)",
@@ -423,7 +429,7 @@ def _add_truth(commands: _Commands) -> None:
     _add_backend(truth)
 
 
-def _add_many_commands(commands: _Commands) -> None:
+def _add_many_commands(commands: Commands) -> None:
     materials = commands.add(
         "materials",
         "Find published stiffness by the names that a segmentation gives its labels.",
@@ -470,7 +476,7 @@ def _add_many_commands(commands: _Commands) -> None:
     where = batch.add_mutually_exclusive_group()
     where.add_argument(
         "--jobs",
-        type=_count,
+        type=count_option,
         metavar="N",
         help="number of processes, of one thread each (default: one for each core)",
     )
@@ -485,58 +491,3 @@ def _add_many_commands(commands: _Commands) -> None:
         help="keep finished cases whose line and files are the same, and solve the others",
     )
     _add_backend(batch, usual="cpu")
-
-
-def _energy(name: str) -> Callable[[str], Any]:
-    """Return what reads an option of the energy, and says what it should be."""
-
-    def read(text: str) -> Any:
-        from napari_hmrf.io.case_tables import energy_option
-
-        try:
-            return energy_option(name, text)
-        except ValueError as error:
-            raise argparse.ArgumentTypeError(f"{text!r} is not {error}") from None
-
-    return read
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
-    return int(text)
-
-
-def _lengths(text: str) -> float | tuple[float, float]:
-    """A length, or two with a dash between them."""
-    try:
-        return float(text)
-    except ValueError:
-        pass
-    low, _, high = text.partition("-")
-    try:
-        return float(low), float(high)
-    except ValueError:
-        said = f"{text!r} is not a length such as 3, or two such as 1-4"
-        raise argparse.ArgumentTypeError(said) from None
-
-
-def _size(text: str) -> int:
-    try:
-        size = int(text)
-    except ValueError:
-        size = 0
-    if size < SMALLEST:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {SMALLEST}")
-    return size
-
-
-def _poisson(text: str) -> float:
-    low, high = POISSON_RANGE
-    try:
-        poisson = float(text)
-    except ValueError:
-        poisson = -1.0
-    if not low <= poisson <= high:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number from {low:g} to {high:g}")
-    return poisson

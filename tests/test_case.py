@@ -30,7 +30,8 @@ from napari_hmrf import (
     write_field,
 )
 from napari_hmrf.cli import main
-from napari_hmrf.io.case import Case, read_case, solve_case
+from napari_hmrf.io.case import read_case, solve_case
+from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.fields import Place, place_of
 from napari_hmrf.io.images import ImageFile, load_image, save_image
 from napari_hmrf.io.tables import read_materials, read_rules

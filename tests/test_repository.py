@@ -33,7 +33,9 @@ ROOMS = (
     {"study"},
     {"tissue", "field"},
     {"solver"},
-    LEAVES := {"arguments", "array_file", "atomic_write", "errors", "resources"},
+    LEAVES := {
+        *("arguments", "array_file", "atomic_write", "errors", "extras", "resources", "wording"),
+    },
 )
 #: What people, napari and other processes start.
 ENTRIES = {"__init__", "__main__", "cli", "command_line", "compiling", "contributions"}

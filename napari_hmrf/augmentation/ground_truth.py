@@ -14,7 +14,8 @@ from napari_hmrf.arguments import is_whole, refuse_unless
 from napari_hmrf.augmentation.random_deformation import RandomDeformation, RandomSample
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.deformation import spread
-from napari_hmrf.io.case import Case, read_case
+from napari_hmrf.io.case import read_case
+from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.fields import Place, place_of, write_field
 from napari_hmrf.io.images import ImageFile, save_image
 from napari_hmrf.io.landmark_files import save_points

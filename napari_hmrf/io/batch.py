@@ -8,7 +8,6 @@ folder (`folder_lock`), and only that process writes the summary.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import logging
 import multiprocessing
@@ -25,10 +24,9 @@ from dataclasses import asdict, dataclass
 from functools import cache, partial
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-import pydantic
 import threadpoolctl
 
 from napari_hmrf.errors import HmrfError, in_words
@@ -36,61 +34,22 @@ from napari_hmrf.extras import how_to_install
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.io.case import SolvedCase, solve_case
+from napari_hmrf.io.case_records import RECORD, CaseOutcome, fingerprints, finished_cases, leftovers
 from napari_hmrf.io.case_tables import NamedCase
 from napari_hmrf.io.csv_files import save_csv
 from napari_hmrf.io.folder_lock import exclusive
 from napari_hmrf.wording import in_words_of
 
 _log = logging.getLogger("napari_hmrf")
-#: File in the folder of a case with its line of the table, its files, and its outcome.
-RECORD = "case.json"
 #: Where cases are written until they are whole.
 UNFINISHED = ".unfinished"
 SUMMARY = "summary.csv"
 #: How often the summary is written while cases come, in seconds.
 _SELDOM = 5.0
-#: Names that a sentence lists.
-_FEW = 5
 #: By how many cases the pace is told.
 _PACE = 20
 #: What libraries are told of how many threads to start.
 _THREADS = "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
-
-
-@dataclass(frozen=True)
-class CaseOutcome:
-    """What came of a case.
-
-    Attributes
-    ----------
-    case : str
-        Its name.
-    state : {"done", "failed", "not done"}
-    error : str
-        Why it failed, in words.
-    notes : str
-        What was guessed as its files were read, and what its field falls short of.
-    seconds : float
-        From its files to its files.
-    folds : int
-        Pixels at which the tissue folds over itself, which no tissue does.
-    error_bound : float, optional
-        How far the field is from the exact one at most, in pixels; None of a model that has none.
-    largest_displacement : float, optional
-        In `unit`.
-    unit : str
-        Of the image's lengths.
-    """
-
-    case: str
-    state: Literal["done", "failed", "not done"] = "not done"
-    error: str = ""
-    notes: str = ""
-    seconds: float = 0.0
-    folds: int = 0
-    error_bound: float | None = None
-    largest_displacement: float | None = None
-    unit: str = ""
 
 
 @dataclass(frozen=True)
@@ -182,8 +141,8 @@ def solve_cases(
                 f"{target.name}: {there[0]!r} is there already. Resume the batch "
                 "(`resume=True`), or take another folder."
             )
-        found, again = _finished_cases(cases, target)
-        for sentence in (*_leftovers(cases, target), *again):
+        found, again = finished_cases(cases, target)
+        for sentence in (*leftovers(cases, target), *again):
             (tell or _log.warning)(sentence)
         shutil.rmtree(target / UNFINISHED, ignore_errors=True)
         todo = [case for case in cases if case.name not in found]
@@ -211,7 +170,7 @@ def solve_into(case: NamedCase, folder: Path, backend: str = "cpu") -> CaseOutco
     begun = time.perf_counter()
     part = folder / UNFINISHED / f"{case.name}-{secrets.token_hex(4)}"
     try:
-        inputs = _fingerprints(case)  # before they are read, so that a later change is seen
+        inputs = fingerprints(case)  # before they are read, so that a later change is seen
         solved = solve_case(case.case, part, backend=backend, changes=case.changes)
         outcome = _outcome(case.name, solved, _seconds_since(begun))
         record = {"cells": dict(case.cells), "outcome": asdict(outcome), "inputs": inputs}
@@ -265,94 +224,6 @@ def _publish(part: Path, target: Path) -> None:
     if target.exists():
         target.rename(part.with_name(f"{part.name}-old"))
     part.rename(target)
-
-
-class _Record(pydantic.BaseModel):
-    """Content of the record of a case."""
-
-    cells: dict[str, str]
-    outcome: CaseOutcome
-    inputs: dict[str, str] = {}
-
-
-def _record_in(folder: Path) -> _Record | None:
-    """Read the record in a folder; None if it holds none."""
-    try:
-        return _Record.model_validate_json((folder / RECORD).read_bytes())
-    except (OSError, pydantic.ValidationError):
-        return None
-
-
-def _finished_cases(
-    cases: Sequence[NamedCase], folder: Path
-) -> tuple[dict[str, CaseOutcome], list[str]]:
-    """Return the outcomes of finished cases, and sentences on those that are solved again."""
-    found, rows, files = {}, [], []
-    digests: dict[Path, str] = {}
-    for case in cases:
-        record = _record_in(folder / case.name)
-        if record is None:
-            continue
-        if record.cells != dict(case.cells):
-            rows.append(case.name)
-        elif record.inputs and record.inputs != _fingerprints(case, digests):
-            files.append(case.name)
-        else:
-            found[case.name] = record.outcome
-    said = [
-        f"solved again, as the line in the table has changed: {_listed(rows)}" if rows else "",
-        f"solved again, as files it is read from have changed: {_listed(files)}" if files else "",
-    ]
-    return found, [sentence for sentence in said if sentence]
-
-
-def _leftovers(cases: Sequence[NamedCase], folder: Path) -> list[str]:
-    """Return sentences on folders of cases that are no longer in the table."""
-    named = {case.name.casefold() for case in cases}
-    others = [
-        path.parent.name
-        for path in sorted(folder.glob(f"*/{RECORD}"))
-        if path.parent.name.casefold() not in named and _record_in(path.parent) is not None
-    ]
-    if not others:
-        return []
-    return [f"not counted, as no case of the table has this name: {_listed(others)}"]
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _FEW} more" if len(names) > _FEW else ""
-    return f"{', '.join(names[:_FEW])}{more}"
-
-
-def _fingerprints(case: NamedCase, known: dict[Path, str] | None = None) -> dict[str, str]:
-    """Return a digest of each file that a case is read from; "" of one that cannot be read.
-
-    Parameters
-    ----------
-    case : NamedCase
-    known : dict, optional
-        Digests that were made before; those of the case are added.
-    """
-    made = {} if known is None else known
-    for path in case.inputs:
-        if path not in made:
-            made[path] = _digest(path)
-    return {f"{number} {path.name}": made[path] for number, path in enumerate(case.inputs)}
-
-
-def _digest(path: Path) -> str:
-    files = sorted(path.rglob("*")) if path.is_dir() else [path]
-    whole = hashlib.sha256()
-    try:
-        for each in files:
-            if each.is_file():
-                with open(each, "rb") as file:
-                    whole.update(hashlib.file_digest(file, "sha256").digest())
-            elif each is path:
-                return ""
-    except OSError:
-        return ""
-    return whole.hexdigest()
 
 
 class _Batch:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,33 +14,26 @@ from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.brightness import at_edges
 from napari_hmrf.field.deformation import count_folds
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.measurement import Measurement, measure
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.apply import load_field, place_for
+from napari_hmrf.io.case_options import Case, energy_of, weight_of, with_ratio
 from napari_hmrf.io.fields import Place, place_of
 from napari_hmrf.io.images import ImageFile, load_image, save_image
 from napari_hmrf.io.landmark_files import POINT_SUFFIXES, load_points
 from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.segmentation_tables import tissue_table
-from napari_hmrf.io.study_file import is_study_file, load_solved, load_study, save_study
+from napari_hmrf.io.study_file import is_study_file, load_study, save_study
 from napari_hmrf.io.sweeps import Change, changed
 from napari_hmrf.io.tables import read_rules
 from napari_hmrf.solver.caveats import shortfall
-from napari_hmrf.solver.model_names import ELASTIC, MODELS, as_word
-from napari_hmrf.solver.optimizers import Multigrid, Optimizer
-from napari_hmrf.solver.priors import Elastic, Prior
-from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.ground import Ground, solve_study
-from napari_hmrf.study.models import chosen
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import (
-    USUAL_POISSON,
     BoundaryRule,
     Material,
-    default_material,
     unlisted,
 )
 from napari_hmrf.tissue.drawing import Drawing, Landmark
@@ -49,75 +42,6 @@ from napari_hmrf.tissue.usual_lengths import usual_radius
 
 #: Labels that are listed in a sentence.
 _FEW = 6
-
-
-@dataclass(frozen=True)
-class Case:
-    """Files and options of one case, as a command line has them.
-
-    Attributes
-    ----------
-    image : Path
-        An image, or a study's file, which needs nothing else.
-    labels, materials : Path, optional
-        An image of tissue labels and a table of materials, .csv or .json, or one of what a
-        segmentation calls its labels, as of `read_label_names`.
-    maps : sequence of Path
-        Instead of `labels`: how likely each tissue is, an image for each. The place of the
-        likeliest in this list, from 1 on, is the label; 0 where all of them together leave more for
-        none than the likeliest has.
-    boundary : Path, optional
-        How tissue moves: an image of labels with a table of `rules`; pairs of landmarks in a .csv;
-        or a displacement field, such as a registration's.
-    rules : Path, optional
-        A .csv.
-    forward : bool
-        Whether a boundary that is a field leads from where tissue was to where it goes, though its
-        file does not say so.
-    confidence : Path or "edges", optional
-        How sure a field is: an image from 0 to 1 or a mask; or 1 at the edges of the image and 0
-        elsewhere. By default 1 wherever there is a field.
-    slice : int, optional
-        Of a volume along its first axis; by default all of a volume is deformed.
-    hold_edge : bool
-        Whether the outer edge of the tissue stays where it is.
-    model : str, optional
-        By default elastic.
-    poisson : float, optional
-        Poisson's ratio of all tissue, in place of that of `materials`.
-    plane : {"stress", "strain"}, optional
-        Of a slice of elastic tissue: free to bulge, the default, or held between its neighbours.
-    tolerance : float, optional
-        Largest estimated error of the field, in pixels; of all models but "paper".
-    penalty : float, optional
-        K of eq. 19, with which what is held may slip; by default the model's own.
-    weight : tuple of float
-        Force at each part of elastic tissue along each axis, in the unit of stiffness per length.
-    """
-
-    image: Path
-    labels: Path | None = None
-    materials: Path | None = None
-    maps: Sequence[Path] = ()
-    boundary: Path | None = None
-    rules: Path | None = None
-    forward: bool = False
-    confidence: Path | Literal["edges"] | None = None
-    slice: int | None = None
-    hold_edge: bool = False
-    model: str | None = None
-    poisson: float | None = None
-    plane: Plane | None = None
-    tolerance: float | None = None
-    penalty: float | None = None
-    weight: tuple[float, ...] = ()
-
-    @property
-    def options(self) -> tuple[str, ...]:
-        """What is given beside the image, as it is typed."""
-        names = [each.name for each in fields(self) if each.name != "image"]
-        given = [name for name in names if getattr(self, name) not in (None, (), False)]
-        return tuple(f"--{name.replace('_', '-')}" for name in given)
 
 
 def read_case(case: Case) -> Study:
@@ -146,11 +70,11 @@ def read_case(case: Case) -> Study:
         labels = _most_likely([_pixels(case, each, whole) for each in case.maps])
     materials, unit, notes = _materials(case.materials, labels)
     motion = replace(
-        _motion(case, grid, place, whole), hold_edge=case.hold_edge, weight=_weight(case, grid)
+        _motion(case, grid, place, whole), hold_edge=case.hold_edge, weight=weight_of(case, grid)
     )
     prior, optimizer = energy_of(case, volume=len(grid.shape) == 3)
     if case.poisson is not None and labels is not None:
-        materials, more = _with_ratio(case, materials, labels)
+        materials, more = with_ratio(case, materials, labels)
         notes = (*notes, *more)
     return Study(
         grid,
@@ -162,79 +86,6 @@ def read_case(case: Case) -> Study:
         names=_names(case),
         notes=notes,
     )
-
-
-def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
-    """Return the energy that a case asks for, and how it is minimised.
-
-    Parameters
-    ----------
-    case : Case
-    volume : bool
-        Whether all of a volume is solved.
-
-    Raises
-    ------
-    HmrfError
-        If the model has no such parameter: naming the option and the reason.
-    ArgumentError
-        If a parameter has a value that it cannot have.
-    """
-    name = MODELS[as_word(case.model or "elastic")]
-    prior, optimizer = chosen(name)
-    elastic = name in ELASTIC
-    for given, option, has_it, why in (
-        (case.poisson is not None, "--poisson", elastic, "the paper's has no Poisson's ratio"),
-        (case.plane is not None, "--plane", elastic, "the paper's model has no plane"),
-        (case.plane is not None, "--plane", not volume, "a volume is strained in all directions"),
-        (bool(case.weight), "--weight", elastic, "the paper's model bears no forces"),
-        (
-            case.tolerance is not None,
-            "--tolerance",
-            isinstance(optimizer, Multigrid),
-            "the paper's schedule ends after its sweeps; --model paper-converged has a tolerance",
-        ),
-    ):
-        if given and not has_it:
-            raise HmrfError(f"{option} means nothing here: {why}. Leave {option} out.")
-    if isinstance(prior, Elastic):
-        prior = replace(
-            prior,
-            poisson=prior.poisson if case.poisson is None else case.poisson,
-            plane=case.plane or prior.plane,
-        )
-    if case.penalty is not None:
-        prior = replace(prior, penalty=case.penalty)
-    if case.tolerance is not None:
-        optimizer = Multigrid(case.tolerance)
-    return prior, optimizer
-
-
-def _weight(case: Case, grid: Grid) -> tuple[float, ...]:
-    if case.weight and len(case.weight) != len(grid.shape):
-        axes = "plane, row and col" if len(grid.shape) == 3 else "row and col"
-        raise HmrfError(
-            f"--weight has {len(case.weight)} numbers, but what is solved has {len(grid.shape)} "
-            f"axes. Give its {axes}."
-        )
-    return case.weight
-
-
-def _with_ratio(
-    case: Case, materials: tuple[Material, ...], labels: npt.NDArray[Any]
-) -> tuple[tuple[Material, ...], tuple[str, ...]]:
-    """Return materials that all have the Poisson's ratio of a case, and notes on it."""
-    ratio = USUAL_POISSON if case.poisson is None else case.poisson
-    notes = []
-    if any(row.poisson not in (ratio, USUAL_POISSON) and row.is_deformable for row in materials):
-        table = "the table" if case.materials is None else case.materials.name
-        notes.append(f"--poisson {ratio:g} replaces the Poisson's ratios of {table}")
-    added = [default_material(label, materials) for label in unlisted(labels, materials)]
-    notes += [
-        f"label {row.label} is not in the table and got stiffness {row.stiffness:g}"
-        for row in added
-    ]
-    return tuple(replace(row, poisson=ratio) for row in (*materials, *added)), tuple(notes)
 
 
 def _refuse_unused(case: Case, flat: bool) -> None:
@@ -356,85 +207,6 @@ def _shortcomings(solution: Solution, folds: int, unit: str) -> Iterator[str]:
         yield short
 
 
-class Measured(NamedTuple):
-    """What happened to each tissue, in which unit, and whether it has a volume for an area."""
-
-    rows: tuple[Measurement, ...]
-    unit: str
-    of_volume: bool
-
-
-def measured(path: Path, labels: Path | None = None) -> Measured:
-    """Measure what happened to each tissue of a study or result.
-
-    Parameters
-    ----------
-    path : Path
-    labels : Path, optional
-        An image of labels; by default those of the study.
-
-    Raises
-    ------
-    HmrfError, OSError
-        If a file cannot be read; or if it holds no field, or no labels and none are given.
-    """
-    study, solution = load_solved(path)
-    tissue = None if study is None else study.tissue
-    names = {} if tissue is None else {row.label: row.name for row in tissue.materials}
-    image = None if tissue is None else tissue.labels
-    if labels is not None:
-        image = _as_labels(_on_grid(labels, solution), labels)
-    if image is None:  # nothing tells one tissue from another
-        image, names = np.ones(solution.tissue.shape, np.int32), {1: "tissue"}
-    unit = unit_symbol(Frame.of_solution(solution).unit)
-    return Measured(measure(solution, image, names=names), unit, solution.tissue.ndim == 3)
-
-
-def labels_in(path: Path) -> tuple[int, ...]:
-    """The labels that are somewhere in an image.
-
-    Raises
-    ------
-    HmrfError, OSError
-        If it cannot be read, or holds no labels.
-    """
-    return tuple(np.unique(_as_labels(load_image(path).pixels, path)).tolist())
-
-
-def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArray[Any]]:
-    """The field of a study or result, and its image, or another that is given.
-
-    Raises
-    ------
-    HmrfError, OSError
-        If a file cannot be read; or if it holds no field, or no image and none is given.
-    """
-    study, solution = load_solved(path)
-    pixels = None if study is None else study.pictures.image
-    if image is not None:
-        pixels = _on_grid(image, solution)
-    if pixels is None:
-        raise HmrfError(f"{path.name}: the image is not in the file. Give --image.")
-    return solution, pixels
-
-
-def _on_grid(path: Path, solution: Solution) -> npt.NDArray[Any]:
-    """The pixels of a file; of a volume in the order of the solution's axes."""
-    unknown = Frame.of_solution(solution).unit == "pixel"
-    image, place = load_image(path), None if unknown else place_of(solution)
-    if solution.tissue.ndim == 3:
-        image = image.laid_as(place)
-    sizes, shape = image.pixels.shape[: image.ndim], solution.tissue.shape
-    if sizes != shape:
-        raise ProblemError(
-            path.name,
-            f"is {grid_in_words(sizes)}, but the field {grid_in_words(shape)}. Give an image of "
-            "the same pixels.",
-        )
-    image.refuse_elsewhere(place, path.name, "the field")
-    return image.pixels
-
-
 def _part(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:
     """The slice that is meant, and its place in the volume; or all of a volume, upright."""
     place, number = image.place, case.slice
@@ -499,10 +271,10 @@ def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> n
             "the same pixels.",
         )
     image._replace(place=at).refuse_elsewhere(place, path.name, "the image")
-    return _as_labels(pixels, path) if labels else pixels
+    return as_labels(pixels, path) if labels else pixels
 
 
-def _as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
+def as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
     """The pixels of a file as labels, which some tools keep as numbers that need not be whole."""
     is_mask = pixels.dtype.kind == "b"
     if is_mask or (pixels.dtype.kind == "f" and (pixels == np.rint(pixels)).all()):

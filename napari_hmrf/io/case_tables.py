@@ -22,7 +22,7 @@ from typing import Any, get_args
 
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.errors import FileFormatError, HmrfError
-from napari_hmrf.io.case import Case
+from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.csv_files import read_csv, unknown_column
 from napari_hmrf.io.images import load_image
 from napari_hmrf.io.sweeps import OF_BOUNDARIES, OF_TISSUES, Change
@@ -149,7 +149,7 @@ def _titles(file: str) -> Callable[[list[str], int], list[str]]:
     return check
 
 
-def energy_option(name: str, text: str) -> Any:
+def read_energy(name: str, text: str) -> Any:
     """Read an option of the energy of a case.
 
     Parameters
@@ -262,7 +262,7 @@ def _named_case(name: str, cells: dict[str, str], folder: Path, where: str) -> N
     for title in _ENERGY:
         if title in cells:
             try:
-                files[title] = energy_option(title, cells[title])
+                files[title] = read_energy(title, cells[title])
             except ValueError as error:
                 raise refuse(title, str(error)) from None
     number = cells.get("slice")
