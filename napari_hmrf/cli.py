@@ -221,6 +221,8 @@ def _batch(options: argparse.Namespace) -> int:
         _tell(f"and {len(failed) - _MOST} more")
     done = f"{len(outcomes) - len(failed)} of {len(outcomes)} cases are solved"
     print(f"{done}; all of them are listed in {options.out / SUMMARY}")
+    if noted := sum(bool(each.notes) for each in outcomes):
+        _note(f"the column notes has something to know of {noted} of them")
     return int(bool(failed))
 
 

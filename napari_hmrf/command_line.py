@@ -337,7 +337,7 @@ def _add_material(command: argparse.ArgumentParser) -> None:
 
 
 def _add_tissue(command: argparse.ArgumentParser) -> None:
-    """Add what says which tissue is where."""
+    """Add the options that say where each tissue is."""
     command.add_argument("--labels", type=Path, metavar="IMAGE", help="image of tissue labels")
     command.add_argument(
         "--maps",

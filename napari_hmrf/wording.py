@@ -36,7 +36,6 @@ TERMS: dict[str, Term] = {
     "forward=True": Term("--forward", ""),
     "number": Term("--slice", ""),
     "resume=True": Term("--resume", "resume"),
-    "poisson": Term("--poisson", "Poisson's ratio"),
     "without_border=True": Term(
         "a label of stiffness 0 in --labels and --materials",
         "leave them unpainted and tick 'the dark border is no tissue'",

@@ -354,6 +354,11 @@ def test_the_dock_s_menu_takes_the_names_of_a_segmentation(files, qtbot):
     ]
     menu.take("classes.json")
     (files / "own.csv").write_text("label,name,stiffness\n91,skull,rigid\n20,colon,9\n")
+    before = table.contents
+    (files / "young.csv").write_text("label,name,young\n91,skull,3\n20,colon,9\n")
+    with pytest.raises(FileFormatError, match=r"no column 'young'\. Did you mean 'stiffness'"):
+        menu.take("young.csv")
+    assert table.contents is before
     menu.take("own.csv")
     assert {row.label: row.stiffness for row in table.contents.rows} == {
         0: 0.0,

@@ -49,8 +49,7 @@ def test_every_setting_in_a_message_has_words_in_the_shell_and_in_the_window():
         for text in messages(path)
         for setting in re.findall(r"\(`([^`]+)`\)", text)
     }
-    assert found
-    assert found <= set(TERMS)
+    assert found == set(TERMS)
 
 
 def test_no_message_of_the_core_names_a_box_of_the_window():

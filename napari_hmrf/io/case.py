@@ -17,14 +17,14 @@ from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.apply import load_field, place_for
-from napari_hmrf.io.case_options import Case, energy_of, weight_of, with_ratio
+from napari_hmrf.io.case_options import Case, energy_of, notes_on_ratio, weight_of
 from napari_hmrf.io.fields import Place, place_of
 from napari_hmrf.io.images import ImageFile, load_image, save_image
 from napari_hmrf.io.landmark_files import POINT_SUFFIXES, load_points
 from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.segmentation_tables import tissue_table
 from napari_hmrf.io.study_file import is_study_file, load_study, save_study
-from napari_hmrf.io.sweeps import Change, changed
+from napari_hmrf.io.sweeps import Change, changed, with_ratio
 from napari_hmrf.io.tables import read_rules
 from napari_hmrf.solver.caveats import shortfall
 from napari_hmrf.solver.problem import grid_in_words
@@ -73,12 +73,13 @@ def read_case(case: Case) -> Study:
         _motion(case, grid, place, whole), hold_edge=case.hold_edge, weight=weight_of(case, grid)
     )
     prior, optimizer = energy_of(case, volume=len(grid.shape) == 3)
+    tissue = Tissue(labels=labels, materials=materials, unit=unit)
     if case.poisson is not None and labels is not None:
-        materials, more = with_ratio(case, materials, labels)
-        notes = (*notes, *more)
+        notes = (*notes, *notes_on_ratio(case, tissue))
+        tissue = with_ratio(tissue, case.poisson)
     return Study(
         grid,
-        Tissue(labels=labels, materials=materials, unit=unit),
+        tissue,
         motion,
         prior=prior,
         optimizer=optimizer,

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Literal
-
-import numpy.typing as npt
+from typing import Literal
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.solver.model_names import ELASTIC, MODELS, as_word
@@ -15,10 +13,9 @@ from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.study.models import chosen
-from napari_hmrf.study.study import Grid
+from napari_hmrf.study.study import Grid, Tissue
 from napari_hmrf.tissue.boundary_rules import (
     USUAL_POISSON,
-    Material,
     default_material,
     unlisted,
 )
@@ -150,18 +147,23 @@ def weight_of(case: Case, grid: Grid) -> tuple[float, ...]:
     return case.weight
 
 
-def with_ratio(
-    case: Case, materials: tuple[Material, ...], labels: npt.NDArray[Any]
-) -> tuple[tuple[Material, ...], tuple[str, ...]]:
-    """Return materials that all have the Poisson's ratio of a case, and notes on it."""
-    ratio = USUAL_POISSON if case.poisson is None else case.poisson
+def notes_on_ratio(case: Case, tissue: Tissue) -> tuple[str, ...]:
+    """Return notes on what the Poisson's ratio of a case replaces, and on labels without a row.
+
+    Parameters
+    ----------
+    case : Case
+    tissue : Tissue
+        By labels, with the materials of the table.
+    """
     notes = []
-    if any(row.poisson not in (ratio, USUAL_POISSON) and row.is_deformable for row in materials):
+    if any(row.poisson not in (case.poisson, USUAL_POISSON) for row in tissue.materials):
         table = "the table" if case.materials is None else case.materials.name
-        notes.append(f"--poisson {ratio:g} replaces the Poisson's ratios of {table}")
-    added = [default_material(label, materials) for label in unlisted(labels, materials)]
+        notes.append(f"--poisson {case.poisson:g} replaces the Poisson's ratios of {table}")
+    missing = [] if tissue.labels is None else unlisted(tissue.labels, tissue.materials)
+    added = [default_material(label, tissue.materials) for label in missing]
     notes += [
         f"label {row.label} is not in the table and got stiffness {row.stiffness:g}"
         for row in added
     ]
-    return tuple(replace(row, poisson=ratio) for row in (*materials, *added)), tuple(notes)
+    return tuple(notes)

@@ -11,7 +11,7 @@ from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 
 
 def energy_option(name: str) -> Callable[[str], Any]:
-    """Return what reads an option of the energy, and says what it should be."""
+    """Return the reader of an option of the energy."""
 
     def read(text: str) -> Any:
         try:
@@ -44,7 +44,7 @@ def lengths_option(text: str) -> float | tuple[float, float]:
 
 
 def size_option(smallest: int) -> Callable[[str], int]:
-    """Return what reads the size of a sample in pixels."""
+    """Return the reader of the size of a sample in pixels."""
 
     def read(text: str) -> int:
         try:
