@@ -197,12 +197,14 @@ def _solve(options: argparse.Namespace) -> int:
 
 
 def _batch(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.batch import SUMMARY, solve_cases
+    from napari_hmrf.io.batch import SUMMARY, BatchProgress, solve_cases
     from napari_hmrf.io.case_tables import read_cases
 
     line = _ProgressLine()
     cases = read_cases(options.cases)
-    line.write(f"{len(cases)} cases")  # as the first may wait for loops to be compiled
+    line.write(
+        BatchProgress(0, 0, len(cases)).words
+    )  # as the first may wait for loops to be compiled
     outcomes = solve_cases(
         cases,
         options.out,
@@ -219,7 +221,8 @@ def _batch(options: argparse.Namespace) -> int:
         _tell(f"{each.case}: {each.error}")
     if len(failed) > _MOST:
         _tell(f"and {len(failed) - _MOST} more")
-    done = f"{len(outcomes) - len(failed)} of {len(outcomes)} cases are solved"
+    are = "case is" if len(outcomes) == 1 else "cases are"
+    done = f"{len(outcomes) - len(failed)} of {len(outcomes)} {are} solved"
     print(f"{done}; all of them are listed in {options.out / SUMMARY}")
     if noted := sum(bool(each.notes) for each in outcomes):
         _note(f"the column notes has something to know of {noted} of them")

@@ -404,6 +404,7 @@ def test_a_batch_that_is_interrupted_says_so_and_what_is_not_done(files, monkeyp
 
 def test_how_far_a_batch_is_is_said_in_words():
     assert batch.BatchProgress(0, 0, 9).words == "0 of 9 cases"
+    assert batch.BatchProgress(1, 0, 1).words == "1 of 1 case"
     assert batch.BatchProgress(5, 1, 9, 42.0).words == "6 of 9 cases, 1 failed, about 42 s left"
     assert batch.BatchProgress(5, 0, 9, 600.0).words == "5 of 9 cases, about 10 min left"
     assert batch.BatchProgress(5, 0, 9, 36000.0).words == "5 of 9 cases, about 10 h left"

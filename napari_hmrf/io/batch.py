@@ -73,8 +73,8 @@ class BatchProgress:
 
     @property
     def words(self) -> str:
-        """That in a line."""
-        said = f"{self.done + self.failed} of {self.of} cases"
+        """Progress in a line."""
+        said = f"{self.done + self.failed} of {self.of} case{'s' * (self.of != 1)}"
         said += f", {self.failed} failed" if self.failed else ""
         left = self.seconds_left
         return said if left is None else f"{said}, about {_duration(left)} left"
