@@ -27,8 +27,9 @@ import numpy as np
 import psutil
 
 from napari_hmrf import phantom, read_cases, solve_cases
-from napari_hmrf.io.batch import RECORD, one_thread
+from napari_hmrf.io.batch import one_thread
 from napari_hmrf.io.case import solve_case
+from napari_hmrf.io.case_records import RECORD
 from napari_hmrf.io.images import ImageFile, save_image
 
 SIZE, WORKERS = 256, 2

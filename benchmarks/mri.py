@@ -103,10 +103,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     (out / "rules.csv").write_text(_RULES.format(growth=options.growth))
     tables = ("--materials", out / "materials.csv", "--rules", out / "rules.csv")
     inputs = ("--slice", number, "--maps", grey, white, "--boundary", out / "rim.png")
-    typed = [run("solve", t1, *inputs, *tables, "-o", out)]
+    typed = [run("solve", t1, *inputs, *tables, "-o", out, "--force")]
     saved, field = out / "t1.study", out / "field.mha"
-    typed.append(run("export", saved, field))
-    typed.append(run("measure", saved, "-o", out / "measured.csv"))
+    typed.append(run("export", saved, field, "--force"))
+    typed.append(run("measure", saved, "-o", out / "measured.csv", "--force"))
     typed.append(run("replay", saved))
     study, solution = load_study(saved)
     assert solution is not None

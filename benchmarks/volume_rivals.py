@@ -15,8 +15,9 @@ import numpy.typing as npt
 from volume_oracle import direct_solution
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, Solution, solve
+from napari_hmrf.extras import how_to_install
 
-_MISSING = 'is not installed. pip install "napari-hmrf[rivals]"'
+_MISSING = f"is not installed: {how_to_install('rivals')}"
 _OBLONG = (1.0, 1.7, 0.6)
 # The stiffest tissue over the softest, and what a field may be off by, in voxels.
 _RATIO, _TOLERANCE = 1e4, 0.001

@@ -41,8 +41,9 @@ from napari_hmrf.field.strain import (
     strain_through_slice,
 )
 from napari_hmrf.field.warp import inverse_map, warp
-from napari_hmrf.io.batch import BatchProgress, CaseOutcome, solve_cases
-from napari_hmrf.io.case import Case
+from napari_hmrf.io.batch import BatchProgress, solve_cases
+from napari_hmrf.io.case_options import Case
+from napari_hmrf.io.case_records import CaseOutcome
 from napari_hmrf.io.case_tables import NamedCase, read_cases
 from napari_hmrf.io.fields import Field, export_field, read_field, write_field
 from napari_hmrf.io.landmark_files import LandmarkFile, load_points, save_points

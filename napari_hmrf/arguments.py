@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import os
 import reprlib
-from collections.abc import Iterable, Sized
+from collections.abc import Iterable, Mapping, Sized
 from numbers import Real
 from typing import Any
 
@@ -62,3 +63,35 @@ def checked_path(path: Any) -> str:
     """The name of a file, or say that it is none."""
     refuse_unless(isinstance(path, str | os.PathLike), "path", path, "the name of a file")
     return str(os.fsdecode(path))
+
+
+def nearest_word(
+    word: str, known: Iterable[str], synonyms: Mapping[str, str] | None = None
+) -> str | None:
+    """Return the known word that a misspelt or foreign word most likely stands for.
+
+    Parameters
+    ----------
+    word : str
+    known : iterable of str
+    synonyms : mapping of str to str, optional
+        Known words by other words for the same.
+
+    Returns
+    -------
+    str or None
+        None if no known word is near.
+    """
+    words = [*known]
+    plain = " ".join(word.casefold().replace("_", " ").replace("-", " ").split())
+    meant = (synonyms or {}).get(plain)
+    if meant in words:
+        return meant
+    found = difflib.get_close_matches(word.casefold(), words, n=1, cutoff=0.6)
+    return found[0] if found else None
+
+
+def did_you_mean(word: str, known: Iterable[str], synonyms: Mapping[str, str] | None = None) -> str:
+    """Return a question that offers the nearest known word, with a space in front, or ""."""
+    near = nearest_word(word, known, synonyms)
+    return f" Did you mean {near!r}?" if near else ""

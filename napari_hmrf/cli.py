@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING
 
 from napari_hmrf.command_line import parser_of_commands
 from napari_hmrf.errors import HmrfError, in_words
+from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.samples.demo import SAMPLE_SIZE
 from napari_hmrf.samples.head import SAMPLE_SIZE as VOLUME_SIZE
-from napari_hmrf.solver.model_names import MODELS
+from napari_hmrf.solver.model_names import MODELS, as_word
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.study.models import chosen, family_of
-from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
+from napari_hmrf.wording import in_words_of
 
 if TYPE_CHECKING:
     from napari_hmrf.contributions import LayerData
@@ -46,19 +47,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _tell("interrupted")
         return 130
     except (HmrfError, OSError) as error:
-        _tell(f"napari-hmrf: {in_words(error)}")
+        _tell(f"napari-hmrf: {in_words_of('shell', in_words(error))}")
         return 1
 
 
 def _model(options: argparse.Namespace) -> tuple[Prior, Optimizer]:
-    """The energy asked for, and how it is minimised."""
-    prior, optimizer = chosen(MODELS[options.model])
-    if isinstance(prior, Elastic):
-        nu = USUAL_POISSON if options.poisson is None else options.poisson
-        return replace(prior, poisson=nu, plane=options.plane or "stress"), optimizer
-    if options.poisson is not None or options.plane is not None:
-        raise HmrfError("--poisson and --plane are for elastic tissue: the paper's has neither")
-    return prior, optimizer
+    """Return the energy of a demonstration, and how it is minimised."""
+    from napari_hmrf.io.case_options import Case, energy_of
+
+    case = Case(Path(), model=options.model, poisson=options.poisson, plane=options.plane)
+    return energy_of(case, volume=options.volume)
 
 
 def _selftest(_: argparse.Namespace) -> int:
@@ -70,7 +68,9 @@ def _selftest(_: argparse.Namespace) -> int:
 def _export(options: argparse.Namespace) -> int:
     from napari_hmrf.io.apply import load_field, save_field
 
-    print(save_field(options.out, load_field(options.result), forward=options.forward))
+    field = load_field(options.result)
+    refuse_overwriting([options.out], overwrite=options.force)
+    print(save_field(options.out, field, forward=options.forward))
     return 0
 
 
@@ -84,6 +84,16 @@ def _apply(options: argparse.Namespace) -> int:
             f"{twice} is the name of two files, of which one would be written over the other. "
             "Move them one after the other, with another --out for each"
         )
+    if options.out.is_dir():
+        moved = [options.out / name for name in names]
+        # A file that would be written over itself is refused by its name.
+        same = [
+            each.samefile(at)
+            for each, at in zip(options.files, moved, strict=True)
+            if each.exists() and at.exists()
+        ]
+        if not any(same):
+            refuse_overwriting(moved, overwrite=options.force)
     field = load_field(options.field)
     options.out.mkdir(parents=True, exist_ok=True)
     failed = 0
@@ -92,20 +102,22 @@ def _apply(options: argparse.Namespace) -> int:
             written = apply_field(field, file, options.out / file.name, labels=options.labels)
             print(f"written: {written.path}", flush=True)
             if written.note:
-                print(f"note: {written.note}", flush=True)
+                _note(written.note)
         except (HmrfError, OSError) as error:
             failed += 1
-            _tell(f"napari-hmrf: {in_words(error)}")
+            _tell(f"napari-hmrf: {in_words_of('shell', in_words(error))}")
     return int(failed > 0)
 
 
 def _materials(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.case import labels_in
+    from napari_hmrf.io.results import labels_in
     from napari_hmrf.io.segmentation_tables import read_label_names
     from napari_hmrf.io.tables import named_materials_in_words, save_named_materials
     from napari_hmrf.io.tissue_names import materials_by_name
 
     names = read_label_names(options.table)
+    if options.out is not None:
+        refuse_overwriting([options.out], overwrite=options.force)
     if options.labels is not None:
         there = labels_in(options.labels)
         names = {label: names.get(label, "not in the table") for label in there}
@@ -119,10 +131,12 @@ def _materials(options: argparse.Namespace) -> int:
 def _measure(options: argparse.Namespace) -> int:
     from pandas import DataFrame
 
-    from napari_hmrf.io.case import measured
+    from napari_hmrf.io.results import measured
     from napari_hmrf.io.tables import measurement_table, save_measurements
 
     found = measured(options.result, options.labels)
+    if options.out is not None:
+        refuse_overwriting([options.out], overwrite=options.force)
     titles, cells = measurement_table(found.rows, volume=found.of_volume)
     table = DataFrame(cells, columns=titles)
     print(table.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
@@ -135,16 +149,27 @@ def _measure(options: argparse.Namespace) -> int:
 
 
 def _play(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.case import image_of
     from napari_hmrf.io.moving_pictures import save_moving_picture
+    from napari_hmrf.io.results import image_of
 
     solution, image = image_of(options.result, options.image)
-    print(f"written: {save_moving_picture(options.out, solution, image)}")
+    refuse_overwriting([options.out], overwrite=options.force)
+    number, shape = options.slice, solution.tissue.shape
+    if len(shape) == 2 and number is not None:
+        raise HmrfError("--slice is for volumes, and this result is of one slice. Leave it out.")
+    if len(shape) == 3:
+        if number is None:
+            number = shape[0] // 2
+            _note(f"slice {number} of 0 to {shape[0] - 1}, in the middle; --slice takes another")
+        elif not 0 <= number < shape[0]:
+            raise HmrfError(f"the volume has slices 0 to {shape[0] - 1}, and --slice is {number}")
+    print(f"written: {save_moving_picture(options.out, solution, image, number=number)}")
     return 0
 
 
 def _solve(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.case import Case, solve_case
+    from napari_hmrf.io.case import solve_case
+    from napari_hmrf.io.case_options import Case
 
     sure = options.confidence
     case = Case(
@@ -158,23 +183,31 @@ def _solve(options: argparse.Namespace) -> int:
         slice=options.slice,
         hold_edge=options.hold_edge,
         model=options.model and MODELS[options.model],
+        forward=options.forward,
+        poisson=options.poisson,
+        plane=options.plane,
+        tolerance=options.tolerance,
+        penalty=options.penalty,
+        weight=options.weight or (),
     )
-    solved = solve_case(case, options.out, backend=options.backend)
-    print(f"solved: {solved.solution!r}")
+    solved = solve_case(case, options.out, backend=options.backend, overwrite=options.force)
+    print(f"solved: {_in_shell(solved.solution)}")
     for note in solved.notes:
-        print(f"note: {note}")
+        _note(note)
     written = ", ".join(sorted(path.name for path in options.out.iterdir()))
     print(f"in {options.out}: {written}")
     return 0
 
 
 def _batch(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.batch import SUMMARY, solve_cases
+    from napari_hmrf.io.batch import SUMMARY, BatchProgress, solve_cases
     from napari_hmrf.io.case_tables import read_cases
 
     line = _ProgressLine()
     cases = read_cases(options.cases)
-    line.write(f"{len(cases)} cases")  # as the first may wait for loops to be compiled
+    line.write(
+        BatchProgress(0, 0, len(cases)).words
+    )  # as the first may wait for loops to be compiled
     outcomes = solve_cases(
         cases,
         options.out,
@@ -183,6 +216,7 @@ def _batch(options: argparse.Namespace) -> int:
         resume=options.resume,
         backend=options.backend,
         progress=lambda progress: line.write(progress.words),
+        tell=_note,
     )
     line.end()
     failed = [each for each in outcomes if each.state != "done"]
@@ -190,8 +224,11 @@ def _batch(options: argparse.Namespace) -> int:
         _tell(f"{each.case}: {each.error}")
     if len(failed) > _MOST:
         _tell(f"and {len(failed) - _MOST} more")
-    done = f"{len(outcomes) - len(failed)} of {len(outcomes)} cases are solved"
+    are = "case is" if len(outcomes) == 1 else "cases are"
+    done = f"{len(outcomes) - len(failed)} of {len(outcomes)} {are} solved"
     print(f"{done}; all of them are listed in {options.out / SUMMARY}")
+    if noted := sum(bool(each.notes) for each in outcomes):
+        _note(f"the column notes has something to know of {noted} of them")
     return int(bool(failed))
 
 
@@ -204,7 +241,7 @@ def _replay(options: argparse.Namespace) -> int:
     if image is not None and study.pictures.image is not image:
         raise HmrfError(f"{options.study.name} holds its own image. Leave out --image.")
     now = replay(options.study, image=image)
-    print(f"solved: {now!r}")
+    print(f"solved: {_in_shell(now)}")
     if before is None:
         print("the study was saved without its field, so there is none to compare with")
         return 0
@@ -228,15 +265,22 @@ def _replay(options: argparse.Namespace) -> int:
     return int(apart > allowed and now.provenance.backend == before.provenance.backend)
 
 
+def _in_shell(solution: Solution) -> str:
+    """Return a solution in a line, with its model as it is typed."""
+    model = solution.provenance.model
+    return repr(solution).replace(f", {model}, ", f", {as_word(model)}, ", 1)
+
+
 def _truth(options: argparse.Namespace) -> int:
-    from napari_hmrf.augmentation.ground_truth import Truth, write_truth
-    from napari_hmrf.io.case import Case
+    from napari_hmrf.augmentation.ground_truth import Truth, truth_files, write_truth
+    from napari_hmrf.io.case_options import Case
 
     def tell(truth: Truth) -> None:
         progress.end()
         part = "" if truth.scale == 1 else f", of what was drawn {truth.scale:.0%}"
         print(f"written: {truth.folder} (moved up to {truth.farthest:.3g}{part})", flush=True)
 
+    refuse_overwriting(truth_files(options.out, options.count), overwrite=options.force)
     progress = _ProgressLine()
     names = ("amplitude", "patches", "weight", "hold_edge", "backend")
     given = {name: getattr(options, name) for name in names}
@@ -269,8 +313,7 @@ def _demo(options: argparse.Namespace) -> int:
     models = [_model(options)]
     if models[0] != chosen("paper"):
         models.append(chosen("paper"))
-    # Before the work, so that it is not done in vain.
-    options.out.mkdir(parents=True, exist_ok=True)
+    _make_demo_folder(options)
     progress = _ProgressLine()
     demonstrations = [
         demonstrate(
@@ -293,16 +336,29 @@ def _demo(options: argparse.Namespace) -> int:
     return 0
 
 
+def _make_demo_folder(options: argparse.Namespace) -> None:
+    """Make the folder of a demonstration before the work; only its usual folder is written over."""
+    usual = options.out is None
+    options.out = Path("demo-output") if usual else options.out
+    there = options.out.is_dir() and any(options.out.iterdir())
+    if there and usual:
+        _note(f"an earlier demo in {options.out} is written over")
+    elif there and not options.force:
+        raise HmrfError(
+            f"{options.out} is there already, and is not empty. Give another folder, or --force to "
+            "write over its files."
+        )
+    options.out.mkdir(parents=True, exist_ok=True)
+
+
 def _demo_volume(options: argparse.Namespace) -> int:
     from napari_hmrf.contributions import volume_layers
     from napari_hmrf.samples.demo import table
     from napari_hmrf.samples.volume_demo import demonstrate_volume, write_volume_results
 
     prior, optimizer = _model(options)
-    if options.plane is not None:
-        raise HmrfError("--plane is for slices: a volume is strained in all directions")
     more = {"poisson": float(prior.poisson)} if isinstance(prior, Elastic) else {}
-    options.out.mkdir(parents=True, exist_ok=True)
+    _make_demo_folder(options)
     progress = _ProgressLine()
     demonstration = demonstrate_volume(
         options.size or VOLUME_SIZE,
@@ -388,6 +444,11 @@ class _ProgressLine:
         if self._live and self._shown:
             sys.stderr.write("\r" + " " * self._shown + "\r")
             sys.stderr.flush()
+
+
+def _note(clause: str) -> None:
+    """Print something to know of a result, in the words of the shell."""
+    print(f"note: {in_words_of('shell', clause)}", flush=True)
 
 
 def _tell(message: str) -> None:

@@ -171,7 +171,10 @@ MUTATIONS = (
     # many cases, random deformations and tables of segmentations
     Mutation("io/sweeps.py", "step * amount / length", "step * amount", "test_batch.py"),
     Mutation(
-        "io/batch.py", "record.cells == dict(case.cells)", "bool(record.cells)", "test_batch.py"
+        "io/case_records.py",
+        "record.cells != dict(case.cells)",
+        "not record.cells",
+        "test_batch.py",
     ),
     Mutation(
         "augmentation/random_deformation.py",

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,7 +28,8 @@ from napari_hmrf import (
 )
 from napari_hmrf.cli import main
 from napari_hmrf.io import batch
-from napari_hmrf.io.images import ImageFile, save_image
+from napari_hmrf.io.folder_lock import exclusive, marks_in
+from napari_hmrf.io.images import ImageFile, load_image, save_image
 from napari_hmrf.io.sweeps import Change, changed
 
 SHAPE = (24, 30)
@@ -85,10 +87,10 @@ def test_values_that_a_cell_has_several_of_are_a_case_each(files):
     )
     cases = read_cases(table)
     assert [case.name for case in cases] == [
-        *(f"film, slice={n}, growth tumour={by}" for n in range(3) for by in (0.1, 0.2)),
-        "image, growth tumour=0.1_0, model=paper-converged",
-        "b, slice=1",
-        "b, slice=2",
+        *(f"film_slice-{n}_growth-tumour-{by}" for n in range(3) for by in (0.1, 0.2)),
+        "image_growth-tumour-0.1_0_model-paper-converged",
+        "b_slice-1",
+        "b_slice-2",
     ]
     assert cases[3].changes == (Change("growth", 0.2, "tumour"),)
     assert cases[3].case == Case(
@@ -108,10 +110,10 @@ def test_values_that_a_cell_has_several_of_are_a_case_each(files):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("", r"t\.csv lacks the column 'image'"),
+        ("", r"t\.csv: line 1 lacks the column 'image'"),
         ("image\n", r"t\.csv has no line below the names"),
-        ("image,growth\na.tif,1\n", r"has a column 'growth', which says nothing here"),
-        ("image,lables\na.tif,b\n", r"has a column 'lables', which says nothing here"),
+        ("image,growth\na.tif,1\n", r"line 1: there is no column 'growth'\. Did you mean 'growth:"),
+        ("image,lables\na.tif,b\n", r"there is no column 'lables'\. Did you mean 'labels'\? The"),
         ("image,image\na.tif,b\n", r"t\.csv has two columns 'image'"),
         ("image\na.tif\na.png\n", r"line 3: there is a case 'a' already\. Give each a name"),
         ("name,image\na/b,a.tif\n", r"line 2: 'a/b' is no name for a folder"),
@@ -123,6 +125,12 @@ def test_values_that_a_cell_has_several_of_are_a_case_each(files):
         ("image,poisson\na.tif,0.7\n", r"line 2: poisson is '0\.7'\. Give a number from 0 to"),
         ("image,growth:1\na.tif,-2\n", r"growth:1 is '-2'\. Give "),
         ("image,amount:1\na.tif,;\n", r"amount:1 is ';'\. Give a number, a length"),
+        ("name,image\nSummary.csv,a.tif\n", r"line 2: 'Summary\.csv' is the name of another file"),
+        ("name,image\na b,a.tif\nA_B,b.tif\n", r"line 3: there is a case 'a_b' already"),
+        ("name,image\n=,a.tif\n_,b.tif\n", r"line 3: there is a case '_' already"),
+        ("image,plane\na.tif,bulge\n", r"line 2: plane is 'bulge'\. Give stress or strain"),
+        ("image,penalty\na.tif,-1\n", r"line 2: penalty is '-1'\. Give a number above 0"),
+        ("image,weight\na.tif,0.1\n", r"line 2: weight is '0\.1'\. Give a number for each axis"),
         ("image,hold-edge\na.tif,maybe\n", r"hold-edge is 'maybe'\. Give yes or no"),
         ("image\na.tif,b\n", r"line 2 has more cells than there are columns"),
     ],
@@ -163,6 +171,9 @@ def test_a_sweep_changes_how_far_what_moves_does_and_the_model():
     found = changed(study(), both)
     assert found.motion.rules == (RULES[0], BoundaryRule(2, "move", vector=(0, 5.0), name="rim"))
     assert found.model_name == "paper"
+    unnamed = replace(study(), tissue=Tissue(labels=np.ones(SHAPE, np.uint8)))
+    (row,) = changed(unnamed, [Change("poisson", 0.3)]).tissue.materials
+    assert (row.label, row.poisson) == (1, 0.3)
     bare = Study(Grid(SHAPE, (1.0, 1.0)))
     assert changed(bare, [Change("poisson", 0.3)]).prior.poisson == 0.3
 
@@ -198,30 +209,135 @@ def test_one_case_that_fails_stops_no_other_and_is_named(files, capsys):
     assert "3 of 4 cases are solved" in said.out
     out = files / "out"
     assert sorted(path.name for path in out.iterdir()) == [
-        "a, amount rim=4",
-        "a, amount rim=5",
+        "a_amount-rim-4",
+        "a_amount-rim-5",
         "study",
         "summary.csv",
     ]
+    assert {name: rows["amount:rim"] for name, rows in summary(out).items()} == {
+        "a_amount-rim-4": "4",
+        "a_amount-rim-5": "5",
+        "broken": "4",
+        "study": "3",
+    }
     rows = summary(out)
     assert [rows[name]["state"] for name in rows] == ["done", "done", "failed", "done"]
-    assert float(rows["a, amount rim=5"]["largest_displacement"]) == pytest.approx(5)
-    assert 0 < float(rows["a, amount rim=5"]["error_bound"]) < 0.01
+    assert float(rows["a_amount-rim-5"]["largest_displacement"]) == pytest.approx(5)
+    assert 0 < float(rows["a_amount-rim-5"]["error_bound"]) < 0.01
     assert rows["study"]["folds"] == "0"
-    assert moved(out, "a, amount rim=4") == pytest.approx(4)
+    assert moved(out, "a_amount-rim-4") == pytest.approx(4)
     assert load_study(out / "study" / "own.study").solution is not None
     # What is there is not written over, nor done again, but for what the table says otherwise.
     assert main(["batch", str(table), "out"]) == 1
-    assert "'a, amount rim=4' is there already. Resume the batch" in capsys.readouterr().err
+    assert "'a_amount-rim-4' is there already. Resume the batch" in capsys.readouterr().err
     before = (out / "study").stat().st_ino
     write_table(files, "a,image.tif,4", "broken,image.tif,6", more=",amount:rim")
-    text = table.read_text().replace("a,image", '"a, amount rim=5",image')
+    text = table.read_text().replace("a,image", '"a_amount-rim-5",image')
     table.write_text(f"{text}\nstudy,own.study,,,,,3\n")
+    capsys.readouterr()
     assert main(["batch", str(table), "out", "--jobs", "1", "--resume"]) == 0
+    said = capsys.readouterr().out
+    assert "note: not counted, as no case of the table has this name: a_amount-rim-4\n" in said
+    assert "note: solved again, as the line in the table has changed: a_amount-rim-5\n" in said
+    assert "3 of 3 cases are solved" in said
     assert (out / "study").stat().st_ino == before
-    assert moved(out, "a, amount rim=5") == pytest.approx(4)
+    assert moved(out, "a_amount-rim-5") == pytest.approx(4)
     assert moved(out, "broken") == pytest.approx(6)
     assert not (out / batch.UNFINISHED).exists()
+
+
+def test_names_of_folders_need_no_quotation_marks(tmp_path):
+    (tmp_path / "t.csv").write_text(
+        "name,image,growth:a b\n'Ann, 3 = x',a b.tif,-0.1;0.2/0\n".replace("'", '"') + ",a b.tif,\n"
+    )
+    names = [case.name for case in read_cases(tmp_path / "t.csv")]
+    assert names == ["Ann_3_x_growth-a_b--0.1", "Ann_3_x_growth-a_b-0.2_0", "a_b"]
+
+
+def test_a_case_whose_files_changed_is_solved_again(files, caplog):
+    for name in ("b.tif", "c.tif"):
+        save_image(name, load_image("image.tif"))
+    table = write_table(
+        files, *(f"{name}.tif,4" for name in ("a,image", "b,b", "c,c")), more=",amount:rim"
+    )
+    cases = read_cases(table)
+    first = solve_cases(cases, files / "out", jobs=1)
+    assert {each.state for each in first} == {"done"}
+    os.utime(files / "image.tif")  # touched, and still the same
+    assert solve_cases(cases, files / "out", jobs=1, resume=True) == first
+    assert not caplog.messages
+    save_image("b.tif", ImageFile(np.full(SHAPE, 7, np.uint8)))
+    (files / "c.tif").unlink()
+    told = []
+    again = solve_cases(cases, files / "out", jobs=1, resume=True, tell=told.append)
+    assert told == ["solved again, as files it is read from have changed: b, c"]
+    assert again[0] == first[0]
+    assert [each.state for each in again] == ["done", "done", "failed"]
+    assert "(the folder c still has an earlier result, which is not counted)" in again[2].error
+
+
+HELD = """
+import sys
+from pathlib import Path
+from napari_hmrf.io.folder_lock import exclusive
+with exclusive(Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_a_second_batch_on_a_folder_is_refused_and_a_dead_one_is_taken_over(files, capsys):
+    out = files / "out"
+    out.mkdir()
+    (out / batch.UNFINISHED).mkdir()
+    command = [sys.executable, "-c", HELD, str(out)]
+    held = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert held.stdout.readline().strip() == "held"
+    (mark,) = marks_in(out)
+    table = write_table(files, "a,image.tif")
+    for more in ([], ["--resume"]):
+        assert main(["batch", str(table), "out", "--jobs", "1", *more]) == 1
+        said = capsys.readouterr().err
+        assert f"another batch, process {held.pid}, writes into this folder" in said
+    assert marks_in(out) == (mark,), "its mark and its work are left alone"
+    assert (out / batch.UNFINISHED).exists()
+    held.kill()
+    held.wait()
+    held.stdin.close()
+    held.stdout.close()
+    assert mark.is_stale
+    assert mark.path.exists()
+    assert main(["batch", str(table), "out", "--jobs", "1"]) == 0
+    assert marks_in(out) == ()
+    # On another machine nobody can see whether it has ended.
+    there = out / mark.path.name.replace(f"@{mark.machine}.", "@elsewhere.")
+    there.touch()
+    assert main(["batch", str(table), "out", "--jobs", "1", "--resume"]) == 1
+    said = capsys.readouterr().err
+    assert "on elsewhere, writes into this folder" in said
+    assert f"delete {there.name} in it" in said
+    assert there.exists()
+
+
+def test_a_batch_of_a_process_is_refused_beside_another_of_it(tmp_path):
+    with exclusive(tmp_path):
+        again = exclusive(tmp_path)
+        with pytest.raises(HmrfError, match=r"another batch, process \d+, writes"), again:
+            pass
+        assert len(marks_in(tmp_path)) == 1
+    assert marks_in(tmp_path) == ()
+
+
+def test_a_summary_has_no_formula_and_says_what_was_guessed(files):
+    (files / "=m.csv").write_text("label,name\n1,brain\n2,colon\n")
+    table = write_table(files, "x,image.tif", "y,image.tif,-4", more=",amount:rim")
+    table.write_text(table.read_text().replace("m.csv", "=m.csv"))
+    solve_cases(read_cases(table), files / "out", jobs=1)
+    rows = summary(files / "out")
+    assert rows["x"]["state"] == "done"
+    assert rows["x"]["notes"].startswith("'=m.csv: the table only names its labels, so published")
+    assert "no stiffness is known for 2 (colon)" in rows["x"]["notes"]
+    assert rows["y"]["amount:rim"] == "-4", "a number stays a number"
 
 
 ENDLESS = """
@@ -288,6 +404,7 @@ def test_a_batch_that_is_interrupted_says_so_and_what_is_not_done(files, monkeyp
 
 def test_how_far_a_batch_is_is_said_in_words():
     assert batch.BatchProgress(0, 0, 9).words == "0 of 9 cases"
+    assert batch.BatchProgress(1, 0, 1).words == "1 of 1 case"
     assert batch.BatchProgress(5, 1, 9, 42.0).words == "6 of 9 cases, 1 failed, about 42 s left"
     assert batch.BatchProgress(5, 0, 9, 600.0).words == "5 of 9 cases, about 10 min left"
     assert batch.BatchProgress(5, 0, 9, 36000.0).words == "5 of 9 cases, about 10 h left"
@@ -296,7 +413,9 @@ def test_how_far_a_batch_is_is_said_in_words():
 def test_without_dask_a_scheduler_is_refused(files, monkeypatch):
     table = write_table(files, "a,image.tif")
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(HmrfError, match=r'pip install "napari-hmrf\[cluster\]"'):
+    with pytest.raises(
+        HmrfError, match=r'in a copy of the repository, run: pip install "\.\[cluster\]"'
+    ):
         solve_cases(read_cases(table), files / "out", scheduler="tcp://127.0.0.1:1")
 
 
@@ -309,5 +428,5 @@ def test_the_workers_of_a_dask_scheduler_solve_cases(files):
         command = ["batch", str(table), "out", "--scheduler", cluster.scheduler_address]
         assert main(command) == 1
     states = {name: row["state"] for name, row in summary(files / "out").items()}
-    assert states == {"a, amount rim=1": "done", "a, amount rim=2": "done", "broken": "failed"}
-    assert moved(files / "out", "a, amount rim=2") == pytest.approx(2)
+    assert states == {"a_amount-rim-1": "done", "a_amount-rim-2": "done", "broken": "failed"}
+    assert moved(files / "out", "a_amount-rim-2") == pytest.approx(2)

@@ -30,7 +30,8 @@ from napari_hmrf import (
     write_field,
 )
 from napari_hmrf.cli import main
-from napari_hmrf.io.case import Case, read_case, solve_case
+from napari_hmrf.io.case import read_case, solve_case
+from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.fields import Place, place_of
 from napari_hmrf.io.images import ImageFile, load_image, save_image
 from napari_hmrf.io.tables import read_materials, read_rules
@@ -81,7 +82,7 @@ def test_tables_are_read_as_spreadsheets_write_them(files):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("", r"t\.csv lacks the column 'label'"),
+        ("", r"t\.csv: line 1 lacks the column 'label'"),
         ("label,name\n1,brain\n", r"lacks the column 'stiffness'"),
         (
             "label,stiffness\n1,stiff\n",
@@ -93,8 +94,11 @@ def test_tables_are_read_as_spreadsheets_write_them(files):
         ("label,stiffness\n", r"t\.csv has no line below the names"),
         ("label,stiffness\n\n1,3\n\n1,4\n", r"t\.csv: line 5: label 1 is there twice"),
         ("label,stiffness\n1,3,4\n", r"t\.csv: line 2 has more cells than there are columns"),
-        ("label;stiffness\n1;3\n", r"lacks the column 'label'.*with commas between them"),
-        ("label,stiffness,poison\n1,3,.4\n", r"t\.csv has a column 'poison', which says nothing"),
+        ("label;stiffness\n1;3\n", r"t\.csv: line 1: there are semicolons between its cells"),
+        (
+            "label,stiffness,poison\n1,3,.4\n",
+            r"t\.csv: line 1: there is no column 'poison'\. Did you mean 'poisson'\? The columns",
+        ),
         (
             "label,stiffness,poisson\n1,3,0.4\n2,3,0.7\n",
             r"t\.csv: line 3: poisson is '0\.7'\. Give a number from 0 to 0\.499\.",
@@ -195,7 +199,12 @@ def test_a_slice_of_a_stack_that_lies_nowhere_knows_its_number_too(tmp_path):
             r"line 2: label 1 is to move, but not by how much\. Give row",
         ),
         ("label,action\n1,expand\n", r"label 1 is to expand, but not by how much\. Give amount"),
-        ("label,action,row,row2\n1,move,1,\n", r"has a column 'row2'"),
+        (
+            "label,action,row,row2\n1,move,1,\n",
+            r"line 1: there is no column 'row2'\. Did you mean 'row'",
+        ),
+        ("label,stiffness\n1,3\n", r"column 'stiffness'\. It is a column of a table of materials"),
+        ("label,action,dx\n1,move,1\n", r"there is no column 'dx'\. Did you mean 'col'\?"),
     ],
 )
 def test_what_is_wrong_with_rules_is_said_by_their_line(tmp_path, text, sentence):

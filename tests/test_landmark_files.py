@@ -67,6 +67,17 @@ def test_what_slicer_keeps_in_ras_is_turned(tmp_path):
     ("name", "text", "sentence"),
     [
         ("a.csv", "", r"a\.csv: not a file of landmarks: it is empty"),
+        (
+            "a.csv",
+            "index,axis-0,axs-1\n0,1,2\n",
+            r"line 1: there is no column 'axs-1'\. Did you mean 'axis-1'\? The columns are index",
+        ),
+        ("a.csv", "index,axis-1,axis-0\n0,1,2\n", r"line 1: the columns are index, axis-0, axis-1"),
+        (
+            "a.csv",
+            "name,active,mx,my,fx,fy\na,true,1,2,3,4\n",
+            r"landmark 1: the second column is 'active', and should be true or false",
+        ),
         ("a.csv", "x,y\n1,2\n", r"neither napari's first line nor BigWarp's columns"),
         ("a.csv", "index,axis-0,axis-1\n0,one,2\n", r"it is damaged, or of another kind"),
         ("a.csv", "Pt-0,true,1,2,nan,4\n", r"it holds no numbers somewhere"),

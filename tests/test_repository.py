@@ -33,7 +33,10 @@ ROOMS = (
     {"study"},
     {"tissue", "field"},
     {"solver"},
-    LEAVES := {"arguments", "array_file", "atomic_write", "errors", "regular_file", "resources"},
+    LEAVES := {
+        *("arguments", "array_file", "atomic_write", "errors", "extras", "regular_file"),
+        *("resources", "wording"),
+    },
 )
 #: Modules that import rooms above their own, in functions only: a `Solution` has the methods that
 #: take a displacement with its spacing and tissue, so that these cannot be forgotten.

@@ -342,7 +342,7 @@ def test_a_film_is_saved_from_the_menu(result, asked, wait_for, tmp_path, monkey
     monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
     dock.more.save_film(tmp_path / "gel.mp4")
     wait_for(lambda: not dock.busy)
-    assert "pip install imageio-ffmpeg" in dock.status
+    assert 'pip install ".[film]"' in dock.status
     assert not (tmp_path / "gel.mp4").exists()
 
 

@@ -168,6 +168,69 @@ def test_what_is_wrong_with_a_table_of_names_is_said(tmp_path, file, content, se
 
 
 @pytest.mark.parametrize(
+    ("file", "content", "sentence"),
+    [
+        (
+            "a.csv",
+            "label,name,young\n1,brain,3\n",
+            r"a\.csv: line 1: there is no column 'young'\. Did you mean 'stiffness'\?",
+        ),
+        (
+            "a.csv",
+            "\nlabel,name,stiffnes\n1,brain,3\n",
+            (
+                r"a\.csv: line 2: there is no column 'stiffnes'\. Did you mean 'stiffness'\? "
+                "The columns are label, name, "
+            ),
+        ),
+        ("a.csv", "label;name\n1;brain\n", r"line 1: there are semicolons between its cells"),
+        ("a.csv", "label,name\nx,brain\n", r"a\.csv: line 2: label is 'x'\. Give a whole number"),
+        (
+            "a.json",
+            '{"brain": {"label": 1, "young": 3}, "fat": {"label": 2, "young": 1}}',
+            r"""a\.json: 'brain' is \{"label": 1.*Give each label a name""",
+        ),
+        ("a.json", '{"1": "brain", "young": 2.5}', r"a\.json: 'young' is 2\.5\. Give each label"),
+        ("a.txt", "1 bone 1 2 3 4\n2 fat 1 2\n", r"a\.txt: line 2 is '2 fat 1 2'\. Give a label"),
+    ],
+)
+def test_a_misspelt_column_is_never_replaced_by_published_values(tmp_path, file, content, sentence):
+    path = tmp_path / file
+    path.write_text(content)
+    for read in (read_label_names, tissue_table):
+        with pytest.raises(FileFormatError, match=sentence):
+            read(path)
+
+
+def test_a_table_of_materials_is_no_list_of_names(tmp_path):
+    path = tmp_path / "m.csv"
+    path.write_text("label,name,stiffness\n1,brain,3\n")
+    assert tissue_table(path).materials == (Material(1, "brain", 3.0),)
+    with pytest.raises(FileFormatError, match=r"m\.csv: line 1: a list of names has no column 'st"):
+        read_label_names(path)
+    path.write_text("label,name,poisson\n1,brain,0.4\n")
+    with pytest.raises(FileFormatError, match=r"m\.csv: line 1 lacks the column 'stiffness'"):
+        tissue_table(path)
+    words = '{"format": "napari-hmrf materials", "version": 1, "materials": [{"label": 1, %s}]}'
+    for written, sentence in (
+        ('"young": 3', r"m\.json has an unknown word 'young' in material 1\. Did you mean 'stiff"),
+        (
+            '"stiffness": 3, "poison": 0.3',
+            r"unknown word 'poison' in material 1\. Did you mean 'po",
+        ),
+    ):
+        (tmp_path / "m.json").write_text(words % written)
+        with pytest.raises(FileFormatError, match=sentence):
+            tissue_table(tmp_path / "m.json")
+
+
+def test_columns_of_other_tools_beside_names_are_no_materials(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("LabelValue,Name,Color_R,Color_A,Type_CodeMeaning\n1,liver,3,255,Organ\n")
+    assert tissue_table(path).materials[0].stiffness == 5.4
+
+
+@pytest.mark.parametrize(
     "name",
     [
         "colon",
@@ -253,7 +316,12 @@ def test_the_shell_solves_with_the_names_of_a_segmentation(files, capsys):
     command = "solve image.png --labels labels.png --materials classes.json --boundary rim.png "
     command += "--rules rules.csv -o out --backend cpu"
     assert main(command.split()) == 0
-    assert "note: classes.json: no stiffness is known for 20 (colon)\n" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "note: classes.json: no stiffness is known for 20 (colon)\n" in said
+    assert (
+        "note: classes.json: the table only names its labels, so published stiffness is used for "
+        "16 (trachea), 90 (brain), 91 (skull)\n"
+    ) in said
     study, _ = load_study(files / "out" / "image.study")
     assert study.tissue.unit == "kPa"
     assert {row.label for row in study.tissue.materials} == set(TOTAL) - {20}
@@ -279,10 +347,18 @@ def test_the_dock_s_menu_takes_the_names_of_a_segmentation(files, qtbot):
         Material(91, "skull", RIGID),
     )
     assert said == [
-        "Materials: classes. No stiffness is known for 20 (colon), now as stiff as liver."
+        (
+            "Materials: classes. The table only names its labels, so published stiffness is used "
+            "for 91 (skull). No stiffness is known for 20 (colon), now as stiff as liver."
+        )
     ]
     menu.take("classes.json")
     (files / "own.csv").write_text("label,name,stiffness\n91,skull,rigid\n20,colon,9\n")
+    before = table.contents
+    (files / "young.csv").write_text("label,name,young\n91,skull,3\n20,colon,9\n")
+    with pytest.raises(FileFormatError, match=r"no column 'young'\. Did you mean 'stiffness'"):
+        menu.take("young.csv")
+    assert table.contents is before
     menu.take("own.csv")
     assert {row.label: row.stiffness for row in table.contents.rows} == {
         0: 0.0,

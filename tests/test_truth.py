@@ -80,7 +80,7 @@ def test_each_of_several_pairs_is_another_and_a_seed_repeats_them(files):
     assert truth(files, "--count", 2, "--seed", 1) == 0
     first = [load_image(files / "out" / f"00{n}" / "deformed.mha").pixels for n in (1, 2)]
     assert not np.array_equal(*first)
-    assert truth(files, "--count", 1, "--seed", 1) == 0
+    assert truth(files, "--count", 1, "--seed", 1, "--force") == 0
     again = load_image(files / "out" / "001" / "deformed.mha").pixels
     np.testing.assert_array_equal(again, first[0])
 
@@ -166,7 +166,7 @@ def test_a_study_with_its_labels_is_all_it_takes(files, capsys):
         load_image(files / name / "001" / "deformed.mha").pixels for name in ("out", "again")
     )
     np.testing.assert_array_equal(first, second)
-    assert main([*again, "--free-edge", "--amplitude", "1.5-2"]) == 0
+    assert main([*again, "--free-edge", "--amplitude", "1.5-2", "--force"]) == 0
     drawn = load_study(files / "again" / "001" / "truth.study").study.motion.rules
     assert 1.5 <= max(np.linalg.norm(rule.vector) for rule in drawn) <= 2
     assert not load_study(files / "again" / "001" / "truth.study").study.motion.hold_edge

@@ -15,7 +15,8 @@ from napari_hmrf import (
 )
 from napari_hmrf.cli import main
 from napari_hmrf.field.frame import PATIENT_AXES
-from napari_hmrf.io.case import Case, read_case
+from napari_hmrf.io.case import read_case
+from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.fields import Place, place_of
 from napari_hmrf.io.images import ImageFile, load_image, save_image
 from napari_hmrf.io.tables import read_rules

@@ -32,10 +32,10 @@ from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.io.apply import apply_field, load_field
-from napari_hmrf.io.case import measured
 from napari_hmrf.io.fields import FIELD_SUFFIXES, Place, place_of
 from napari_hmrf.io.figures import save_result_pictures
 from napari_hmrf.io.images import ImageFile, load_image, save_image
+from napari_hmrf.io.results import measured
 from napari_hmrf.io.tables import save_measurements
 from napari_hmrf.solver.solution import Solution
 

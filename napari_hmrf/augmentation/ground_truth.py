@@ -14,7 +14,8 @@ from napari_hmrf.arguments import is_whole, refuse_unless
 from napari_hmrf.augmentation.random_deformation import RandomDeformation, RandomSample
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.deformation import spread
-from napari_hmrf.io.case import Case, read_case
+from napari_hmrf.io.case import read_case
+from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.fields import Place, place_of, write_field
 from napari_hmrf.io.images import ImageFile, save_image
 from napari_hmrf.io.landmark_files import save_points
@@ -24,6 +25,8 @@ from napari_hmrf.study.study import Pictures, Study
 
 # Landmarks of each pair, roughly.
 _LANDMARKS = 200
+#: Files of each pair.
+_OF_PAIRS = "deformed.mha", "deformed_labels.mha", "field.mha", "landmarks.csv", "truth.study"
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,15 @@ class Truth:
     farthest: float
     scale: float
     inexact: float
+
+
+def truth_files(folder: Path, count: int) -> list[Path]:
+    """Return the files that `write_truth` writes for so many pairs."""
+    within = [folder / f"{number + 1:03}" for number in range(count)]
+    return [
+        *(folder / name for name in ("image.mha", "labels.mha")),
+        *(pair / name for pair in within for name in _OF_PAIRS),
+    ]
 
 
 def write_truth(

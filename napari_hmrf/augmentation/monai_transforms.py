@@ -1,6 +1,6 @@
-"""Random deformations as a transform of MONAI: ``pip install "napari-hmrf[monai]"``.
+"""Random deformations as a transform of MONAI, which comes with the extra ``monai``.
 
-Nothing else here knows of MONAI, and nothing imports this module but those who ask for it.
+No other module imports MONAI, and none imports this one.
 """
 
 from __future__ import annotations
@@ -9,14 +9,28 @@ from collections.abc import Callable, Hashable, Mapping
 from typing import Any
 
 import numpy as np
-from monai.config import KeysCollection
-from monai.transforms import MapTransform, RandomizableTransform
-from monai.utils import TransformBackends, convert_to_dst_type, convert_to_numpy, ensure_tuple_rep
 
 from napari_hmrf.augmentation.random_deformation import RandomDeformation
 from napari_hmrf.errors import ArgumentError
+from napari_hmrf.extras import how_to_install
 from napari_hmrf.field.live_warp import Picture
 from napari_hmrf.field.resample import emptiness
+
+try:
+    from monai.config import KeysCollection
+    from monai.transforms import MapTransform, RandomizableTransform
+    from monai.utils import (
+        TransformBackends,
+        convert_to_dst_type,
+        convert_to_numpy,
+        ensure_tuple_rep,
+    )
+except ModuleNotFoundError as error:
+    if (error.name or "").partition(".")[0] != "monai":
+        raise
+    raise ModuleNotFoundError(
+        f"MONAI is not installed: {how_to_install('monai')}.", name="monai"
+    ) from error
 
 #: How each is looked up, by MONAI's words.
 _ORDERS = {"bilinear": 1, "nearest": 0}

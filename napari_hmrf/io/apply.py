@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.errors import ProblemError
+from napari_hmrf.errors import HmrfError, ProblemError
 from napari_hmrf.field.deformation import count_folds
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import Frame
@@ -104,8 +104,15 @@ class FieldFile:
         return self.field.displacement
 
 
-def load_field(path: str | os.PathLike[str]) -> FieldFile:
+def load_field(path: str | os.PathLike[str], *, forward: bool = False) -> FieldFile:
     """Read the field of a saved result, of a study with its field, or of another tool.
+
+    Parameters
+    ----------
+    path : str or path-like
+    forward : bool
+        Whether the field of another tool leads from where tissue was to where it goes, though its
+        file does not say so.
 
     Raises
     ------
@@ -115,8 +122,13 @@ def load_field(path: str | os.PathLike[str]) -> FieldFile:
         As of `read_field`.
     """
     if is_solution_file(path) or is_study_file(path):
+        if forward:
+            raise HmrfError(
+                f"{Path(path).name} is a result, and its direction is known. Leave out that it "
+                "leads forward (`forward=True`)."
+            )
         return FieldFile.of(load_solved(path)[1])
-    file = read_field(path)
+    file = read_field(path, forward=forward)
     field, place = file.field, Place(file.spacing, file.origin, file.direction)
     across = field.vectors[..., 0]
     if across.ndim == 3 and len(across) == 1 and np.abs(across).max() < _ROUNDING:  # of one slice

@@ -2,13 +2,14 @@
 
 A folder is complete or not there: a case is written beside the others, under `UNFINISHED`, and
 moved to its place when it is whole, with `RECORD` in it. So whatever ends a batch, and whenever,
-what is there is right, and `resume` does the rest. Only the process that was asked writes the
-summary.
+the folders that are there are right, and `resume` does the rest. One process at a time uses a
+folder (`folder_lock`), and only that process writes the summary.
 """
 
 from __future__ import annotations
 
 import json
+import logging
 import multiprocessing
 import os
 import secrets
@@ -23,22 +24,24 @@ from dataclasses import asdict, dataclass
 from functools import cache, partial
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-import pydantic
 import threadpoolctl
 
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import HmrfError, in_words
+from napari_hmrf.extras import how_to_install
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.io.case import SolvedCase, solve_case
+from napari_hmrf.io.case_records import RECORD, CaseOutcome, fingerprints, finished_cases, leftovers
 from napari_hmrf.io.case_tables import NamedCase
 from napari_hmrf.io.csv_files import save_csv
+from napari_hmrf.io.folder_lock import exclusive
+from napari_hmrf.wording import in_words_of
 
-#: In each case's folder: what the table said of it, and what came of it.
-RECORD = "case.json"
+_log = logging.getLogger("napari_hmrf")
 #: Where cases are written until they are whole.
 UNFINISHED = ".unfinished"
 SUMMARY = "summary.csv"
@@ -48,39 +51,6 @@ _SELDOM = 5.0
 _PACE = 20
 #: What libraries are told of how many threads to start.
 _THREADS = "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
-
-
-@dataclass(frozen=True)
-class CaseOutcome:
-    """What came of a case.
-
-    Attributes
-    ----------
-    case : str
-        Its name.
-    state : {"done", "failed", "not done"}
-    error : str
-        Why it failed, in words.
-    seconds : float
-        From its files to its files.
-    folds : int
-        Pixels at which the tissue folds over itself, which no tissue does.
-    error_bound : float, optional
-        How far the field is from the exact one at most, in pixels; None of a model that has none.
-    largest_displacement : float, optional
-        In `unit`.
-    unit : str
-        Of the image's lengths.
-    """
-
-    case: str
-    state: Literal["done", "failed", "not done"] = "not done"
-    error: str = ""
-    seconds: float = 0.0
-    folds: int = 0
-    error_bound: float | None = None
-    largest_displacement: float | None = None
-    unit: str = ""
 
 
 @dataclass(frozen=True)
@@ -104,8 +74,8 @@ class BatchProgress:
 
     @property
     def words(self) -> str:
-        """That in a line."""
-        said = f"{self.done + self.failed} of {self.of} cases"
+        """Progress in a line."""
+        said = f"{self.done + self.failed} of {self.of} case{'s' * (self.of != 1)}"
         said += f", {self.failed} failed" if self.failed else ""
         left = self.seconds_left
         return said if left is None else f"{said}, about {_duration(left)} left"
@@ -120,6 +90,7 @@ def solve_cases(
     resume: bool = False,
     backend: str = "cpu",
     progress: Callable[[BatchProgress], object] | None = None,
+    tell: Callable[[str], object] | None = None,
 ) -> tuple[CaseOutcome, ...]:
     """Solve many cases, into a folder each; one that fails stops no other.
 
@@ -131,18 +102,22 @@ def solve_cases(
     cases : sequence of NamedCase
         As of `read_cases`.
     folder : path-like
-        Where the folders go, and `summary.csv`. One batch at a time writes there.
+        Where the folders go, and `summary.csv`. One batch at a time writes there; a second is
+        refused.
     jobs : int, optional
         Processes, of one thread each; by default one for each core.
     scheduler : str, optional
         The address of a dask scheduler, or its file (.json): its workers solve the cases. They have
         to see the same files.
     resume : bool
-        Leave alone what is finished and is still the same in the table, and do the rest.
+        Keep the finished cases whose line and files are the same, and solve the others.
     backend : str
         As of `solve`; with the loops a field does not depend on the machine's GPU.
     progress : callable, optional
         Called with a `BatchProgress` after each case.
+    tell : callable, optional
+        Called with each sentence on folders that are not counted, and cases that are solved again;
+        by default these are logged as warnings of "napari_hmrf".
 
     Returns
     -------
@@ -152,36 +127,41 @@ def solve_cases(
     Raises
     ------
     HmrfError
-        If the folder has finished cases and it is not to `resume`; or there is no scheduler.
+        If the folder has finished cases and `resume` is not given; if another batch writes into
+        it; or there is no scheduler.
     OSError
         If the folder cannot be written.
     """
     target = Path(folder).absolute()
-    found = {case.name: outcome for case in cases if (outcome := _finished(case, target))}
-    there = [case.name for case in cases if (target / case.name).exists()]
-    if there and not resume:
-        raise HmrfError(
-            f"{target.name}: {there[0]!r} is there already. Resume the batch (--resume), or "
-            "take another folder."
-        )
     target.mkdir(parents=True, exist_ok=True)
-    shutil.rmtree(target / UNFINISHED, ignore_errors=True)
-    todo = [case for case in cases if case.name not in found]
-    solve_one = partial(solve_into, folder=target, backend=backend)
-    batch = _Batch(cases, found, target)
-    if scheduler is None:
-        coming = _by_processes(todo, solve_one, jobs or _cores())
-    else:
-        coming = _by_cluster(todo, solve_one, scheduler)
-    try:
-        for outcome in coming:
-            said = batch.take(outcome)
-            if progress is not None:
-                progress(said)
-    finally:
-        coming.close()
+    with exclusive(target):
+        there = [case.name for case in cases if (target / case.name).exists()]
+        there += [SUMMARY] * (target / SUMMARY).exists()
+        if there and not resume:
+            raise HmrfError(
+                f"{target.name}: {there[0]!r} is there already. Resume the batch "
+                "(`resume=True`), or take another folder."
+            )
+        found, again = finished_cases(cases, target)
+        for sentence in (*leftovers(cases, target), *again):
+            (tell or _log.warning)(sentence)
         shutil.rmtree(target / UNFINISHED, ignore_errors=True)
-        batch.write()
+        todo = [case for case in cases if case.name not in found]
+        solve_one = partial(solve_into, folder=target, backend=backend)
+        batch = _Batch(cases, found, target)
+        if scheduler is None:
+            coming = _by_processes(todo, solve_one, jobs or _cores())
+        else:
+            coming = _by_cluster(todo, solve_one, scheduler)
+        try:
+            for outcome in coming:
+                said = batch.take(outcome)
+                if progress is not None:
+                    progress(said)
+        finally:
+            coming.close()
+            shutil.rmtree(target / UNFINISHED, ignore_errors=True)
+            batch.write()
     return batch.outcomes
 
 
@@ -191,16 +171,20 @@ def solve_into(case: NamedCase, folder: Path, backend: str = "cpu") -> CaseOutco
     begun = time.perf_counter()
     part = folder / UNFINISHED / f"{case.name}-{secrets.token_hex(4)}"
     try:
+        inputs = fingerprints(case)  # before they are read, so that a later change is seen
         solved = solve_case(case.case, part, backend=backend, changes=case.changes)
         outcome = _outcome(case.name, solved, _seconds_since(begun))
-        record = {"cells": dict(case.cells), "outcome": asdict(outcome)}
+        record = {"cells": dict(case.cells), "outcome": asdict(outcome), "inputs": inputs}
         write_whole(part / RECORD, json.dumps(record, indent=2).encode())
         _publish(part, folder / case.name)
     except Exception as error:  # noqa: BLE001 - one that fails stops no other
         said = in_words(error)
         known = isinstance(error, HmrfError | OSError)
         said = said if known else f"{type(error).__name__}: {said}"
-        return CaseOutcome(case.name, "failed", said, _seconds_since(begun))
+        said = in_words_of("shell", said)
+        if (folder / case.name / RECORD).exists():
+            said += f" (the folder {case.name} still has an earlier result, which is not counted)"
+        return CaseOutcome(case.name, "failed", said, seconds=_seconds_since(begun))
     finally:
         shutil.rmtree(part, ignore_errors=True)
     return outcome
@@ -225,6 +209,7 @@ def _outcome(name: str, solved: SolvedCase, seconds: float) -> CaseOutcome:
     return CaseOutcome(
         name,
         "done",
+        notes="; ".join(in_words_of("shell", note) for note in solved.notes),
         seconds=seconds,
         folds=solved.folds,
         error_bound=None if solution.convergence is None else float(solution.convergence.error),
@@ -242,22 +227,6 @@ def _publish(part: Path, target: Path) -> None:
     part.rename(target)
 
 
-class _Record(pydantic.BaseModel):
-    """What the record of a case says."""
-
-    cells: dict[str, str]
-    outcome: CaseOutcome
-
-
-def _finished(case: NamedCase, folder: Path) -> CaseOutcome | None:
-    """What came of a case earlier, if the table still says the same of it."""
-    try:
-        record = _Record.model_validate_json((folder / case.name / RECORD).read_bytes())
-    except (OSError, pydantic.ValidationError):
-        return None
-    return record.outcome if record.cells == dict(case.cells) else None
-
-
 class _Batch:
     """What has come so far, and the summary of it."""
 
@@ -266,6 +235,7 @@ class _Batch:
     ) -> None:
         self._found = {case.name: found.get(case.name, CaseOutcome(case.name)) for case in cases}
         self._folder = folder
+        self._parameters = {case.name: case.parameters for case in cases}
         self._todo = len(cases) - len(found)
         self._come: list[float] = []
         self._written = time.monotonic()
@@ -296,10 +266,15 @@ class _Batch:
         return (newest[-1] - newest[0]) / (_PACE - 1) * (self._todo - len(self._come))
 
     def write(self) -> None:
-        """Write the summary: a line for each case."""
+        """Write the summary: a line for each case, with the numbers that the table sweeps over."""
         titles = [*CaseOutcome.__dataclass_fields__]
-        rows = ([getattr(each, title) for title in titles] for each in self.outcomes)
-        save_csv(self._folder / SUMMARY, titles, rows)
+        swept = [*dict.fromkeys(title for each in self._parameters.values() for title in each)]
+        rows = []
+        for outcome in self.outcomes:
+            own = self._parameters[outcome.case]
+            first, *others = (getattr(outcome, title) for title in titles)
+            rows.append([first, *(own.get(title) for title in swept), *others])
+        save_csv(self._folder / SUMMARY, [titles[0], *swept, *titles[1:]], rows)
 
 
 # By processes of this machine
@@ -409,7 +384,8 @@ def _by_cluster(
         from distributed import Client, as_completed
     except ImportError:
         raise HmrfError(
-            'a scheduler takes dask.distributed: pip install "napari-hmrf[cluster]"'
+            "a scheduler takes dask.distributed, which is not installed: "
+            f"{how_to_install('cluster')}."
         ) from None
     where = {"scheduler_file": address} if address.endswith(".json") else {"address": address}
     try:

@@ -3,86 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.brightness import at_edges
-from napari_hmrf.field.elastic_strain import strain_note
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.io.apply import load_field, place_for
+from napari_hmrf.io.case_options import Case, energy_of, notes_on_ratio, weight_of
 from napari_hmrf.io.fields import Place, place_of
 from napari_hmrf.io.images import ImageFile, load_image, save_image
 from napari_hmrf.io.landmark_files import POINT_SUFFIXES, load_points
+from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.segmentation_tables import tissue_table
-from napari_hmrf.io.study_file import is_study_file, load_solved, load_study, save_study
-from napari_hmrf.io.sweeps import Change, changed
+from napari_hmrf.io.study_file import is_study_file, load_study, save_study
+from napari_hmrf.io.sweeps import Change, changed, with_ratio
 from napari_hmrf.io.tables import read_rules
 from napari_hmrf.solver.caveats import shortfall
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.ground import Ground, solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
-from napari_hmrf.tissue.boundary_rules import Material
+from napari_hmrf.tissue.boundary_rules import (
+    BoundaryRule,
+    Material,
+    unlisted,
+)
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
-
-@dataclass(frozen=True)
-class Case:
-    """What a command line says of one case.
-
-    Attributes
-    ----------
-    image : Path
-        An image, or a study's file, which needs nothing else.
-    labels, materials : Path, optional
-        An image of tissue labels and a table of materials, .csv or .json, or one of what a
-        segmentation calls its labels, as of `read_label_names`.
-    maps : sequence of Path
-        Instead of `labels`: how likely each tissue is, an image for each. The place of the
-        likeliest in this list, from 1 on, is the label; 0 where all of them together leave more for
-        none than the likeliest has.
-    boundary : Path, optional
-        How tissue moves: an image of labels with a table of `rules`; pairs of landmarks in a .csv;
-        or a displacement field, such as a registration's.
-    rules : Path, optional
-        A .csv.
-    confidence : Path or "edges", optional
-        How sure a field is: an image from 0 to 1 or a mask; or 1 at the edges of the image and 0
-        elsewhere. By default 1 wherever there is a field.
-    slice : int, optional
-        Of a volume along its first axis; by default all of a volume is deformed.
-    hold_edge : bool
-        Whether the outer edge of the tissue stays where it is.
-    model : str, optional
-        By default elastic.
-    """
-
-    image: Path
-    labels: Path | None = None
-    materials: Path | None = None
-    maps: Sequence[Path] = ()
-    boundary: Path | None = None
-    rules: Path | None = None
-    confidence: Path | Literal["edges"] | None = None
-    slice: int | None = None
-    hold_edge: bool = False
-    model: str | None = None
-
-    @property
-    def options(self) -> tuple[str, ...]:
-        """What is given beside the image, as it is typed."""
-        names = [each.name for each in fields(self) if each.name != "image"]
-        given = [name for name in names if getattr(self, name) not in (None, (), False)]
-        return tuple(f"--{name.replace('_', '-')}" for name in given)
+#: Labels that are listed in a sentence.
+_FEW = 6
 
 
 def read_case(case: Case) -> Study:
@@ -110,12 +67,20 @@ def read_case(case: Case) -> Study:
     if case.maps:
         labels = _most_likely([_pixels(case, each, whole) for each in case.maps])
     materials, unit, notes = _materials(case.materials, labels)
-    motion = replace(_motion(case, grid, place, whole), hold_edge=case.hold_edge)
+    motion = replace(
+        _motion(case, grid, place, whole), hold_edge=case.hold_edge, weight=weight_of(case, grid)
+    )
+    prior, optimizer = energy_of(case, volume=len(grid.shape) == 3)
+    tissue = Tissue(labels=labels, materials=materials, unit=unit)
+    if case.poisson is not None and labels is not None:
+        notes = (*notes, *notes_on_ratio(case, tissue))
+        tissue = with_ratio(tissue, case.poisson)
     return Study(
         grid,
-        Tissue(labels=labels, materials=materials, unit=unit),
+        tissue,
         motion,
-        model=case.model or "elastic",
+        prior=prior,
+        optimizer=optimizer,
         pictures=Pictures(image.pixels, labels, case.image.name.partition(".")[0]),
         names=_names(case),
         notes=notes,
@@ -123,7 +88,7 @@ def read_case(case: Case) -> Study:
 
 
 def _refuse_unused(case: Case, flat: bool) -> None:
-    """Refuse options that would change nothing, as nobody gives them for that."""
+    """Refuse options without an effect."""
     path = case.boundary
     marks = path is not None and path.name.lower().endswith(POINT_SUFFIXES)
     field = path is not None and not marks and case.rules is None
@@ -132,6 +97,7 @@ def _refuse_unused(case: Case, flat: bool) -> None:
         (bool(case.maps), "--labels", "is given beside --maps, and each says where tissue is"),
         (path is None or marks, "--rules", "is for a --boundary that is an image of labels"),
         (not field, "--confidence", "is for a --boundary that is a field"),
+        (not field, "--forward", "is for a --boundary that is a field"),
         (flat, "--slice", f"is for volumes, and {case.image.name} is none"),
     ):
         if unused and option in case.options:
@@ -166,10 +132,22 @@ class SolvedCase(NamedTuple):
     notes: tuple[str, ...]
 
 
+def _files_of(case: Case, folder: Path) -> tuple[Path, ...]:
+    """Return the files that `solve_case` may write into a folder."""
+    name = case.image.name.partition(".")[0]
+    images = (f"{name} deformed.nrrd", f"{name} deformed.tif")
+    return tuple(folder / each for each in (f"{name}.study", *images))
+
+
 def solve_case(
-    case: Case, folder: Path, *, backend: str = "auto", changes: Sequence[Change] = ()
+    case: Case,
+    folder: Path,
+    *,
+    backend: str = "auto",
+    changes: Sequence[Change] = (),
+    overwrite: bool = True,
 ) -> SolvedCase:
-    """Solve a case and write the study with its field, and the image as it is seen after.
+    """Solve a case and write the study with its field, and the deformed image.
 
     Parameters
     ----------
@@ -179,7 +157,9 @@ def solve_case(
     backend : str
         As of `solve`.
     changes : sequence of Change
-        Which numbers are other than in its files.
+        Numbers that replace those of its files.
+    overwrite : bool
+        Whether files of an earlier solve may be replaced.
 
     Raises
     ------
@@ -197,6 +177,7 @@ def solve_case(
             "nothing says how the tissue moves. Give --boundary with what moves, and --hold-edge "
             "if its outer edge stays."
         )
+    refuse_overwriting(_files_of(case, folder), overwrite=overwrite)
     folder.mkdir(parents=True, exist_ok=True)  # before the work, so that it is not done in vain
     ground = Ground.of(study)
     stated = ground.statement()
@@ -211,6 +192,8 @@ def solve_case(
     save_study(folder / f"{name}.study", study, solution)
     folds = solution.count_folds()
     notes = (*_shortcomings(solution, folds, study.grid.unit), *ground.notes_on(stated))
+    if not solution.displacement.any() and not any("nothing moves" in note for note in notes):
+        notes = (*notes, "nothing moves: nothing is drawn, painted, pressed or grown that would")
     return SolvedCase(study, solution, folds, notes)
 
 
@@ -221,98 +204,6 @@ def _shortcomings(solution: Solution, folds: int, unit: str) -> Iterator[str]:
         yield f"the tissue folds over itself at {folds} {sites}, which no tissue does: move it less"
     if short := shortfall(solution.reach, unit_symbol(unit)):
         yield short
-
-
-class Measured(NamedTuple):
-    """Measurements of each tissue.
-
-    Attributes
-    ----------
-    rows : tuple of Measurement
-    unit : str
-        Of lengths.
-    of_volume : bool
-        Whether tissue has a volume for an area.
-    note : str
-        Why the strain is not the elastic one, as a clause; "" if it is.
-    """
-
-    rows: tuple[Measurement, ...]
-    unit: str
-    of_volume: bool
-    note: str = ""
-
-
-def measured(path: Path, labels: Path | None = None) -> Measured:
-    """Measure what happened to each tissue of a study or result.
-
-    Parameters
-    ----------
-    path : Path
-    labels : Path, optional
-        An image of labels; by default those of the study.
-
-    Raises
-    ------
-    HmrfError, OSError
-        If a file cannot be read; or if it holds no field, or no labels and none are given.
-    """
-    study, solution = load_solved(path)
-    tissue = None if study is None else study.tissue
-    names = {} if tissue is None else {row.label: row.name for row in tissue.materials}
-    image = None if tissue is None else tissue.labels
-    if labels is not None:
-        image = _as_labels(_on_grid(labels, solution), labels)
-    if image is None:  # nothing tells one tissue from another
-        image, names = np.ones(solution.tissue.shape, np.int32), {1: "tissue"}
-    unit = unit_symbol(Frame.of_solution(solution).unit)
-    rows, of_volume = solution.measure(image, names=names), solution.tissue.ndim == 3
-    return Measured(rows, unit, of_volume, strain_note(solution))
-
-
-def labels_in(path: Path) -> tuple[int, ...]:
-    """The labels that are somewhere in an image.
-
-    Raises
-    ------
-    HmrfError, OSError
-        If it cannot be read, or holds no labels.
-    """
-    return tuple(np.unique(_as_labels(load_image(path).pixels, path)).tolist())
-
-
-def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArray[Any]]:
-    """The field of a study or result, and its image, or another that is given.
-
-    Raises
-    ------
-    HmrfError, OSError
-        If a file cannot be read; or if it holds no field, or no image and none is given.
-    """
-    study, solution = load_solved(path)
-    pixels = None if study is None else study.pictures.image
-    if image is not None:
-        pixels = _on_grid(image, solution)
-    if pixels is None:
-        raise HmrfError(f"{path.name}: the image is not in the file. Give --image.")
-    return solution, pixels
-
-
-def _on_grid(path: Path, solution: Solution) -> npt.NDArray[Any]:
-    """The pixels of a file; of a volume in the order of the solution's axes."""
-    unknown = Frame.of_solution(solution).unit == "pixel"
-    image, place = load_image(path), None if unknown else place_of(solution)
-    if solution.tissue.ndim == 3:
-        image = image.laid_as(place)
-    sizes, shape = image.pixels.shape[: image.ndim], solution.tissue.shape
-    if sizes != shape:
-        raise ProblemError(
-            path.name,
-            f"is {grid_in_words(sizes)}, but the field {grid_in_words(shape)}. Give an image of "
-            "the same pixels.",
-        )
-    image.refuse_elsewhere(place, path.name, "the field")
-    return image.pixels
 
 
 def _part(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:
@@ -351,7 +242,7 @@ def _grid(part: ImageFile, whole: ImageFile, case: Case) -> Grid:
 def _materials(
     path: Path | None, labels: npt.NDArray[Any] | None
 ) -> tuple[tuple[Material, ...], str, tuple[str, ...]]:
-    """The materials of a table, their unit, and a note on the names that are unknown."""
+    """Return the materials of a table, their unit, and notes on what was looked up by name."""
     if path is None or labels is None:
         return (), "", ()
     table = tissue_table(path)
@@ -359,8 +250,8 @@ def _materials(
         return table.materials, table.unit, ()
     there, unknown = set(np.unique(labels).tolist()), table.unknown
     named = ", ".join(f"{label} ({unknown[label]})" for label in unknown if label in there)
-    notes = (f"{path.name}: no stiffness is known for {named}",) if named else ()
-    return table.materials, table.unit, notes
+    notes = (table.published(there), f"no stiffness is known for {named}" if named else "")
+    return table.materials, table.unit, tuple(f"{path.name}: {note}" for note in notes if note)
 
 
 def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> npt.NDArray[Any]:
@@ -379,10 +270,10 @@ def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> n
             "the same pixels.",
         )
     image._replace(place=at).refuse_elsewhere(place, path.name, "the image")
-    return _as_labels(pixels, path) if labels else pixels
+    return as_labels(pixels, path) if labels else pixels
 
 
-def _as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
+def as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
     """The pixels of a file as labels, which some tools keep as numbers that need not be whole."""
     is_mask = pixels.dtype.kind == "b"
     if is_mask or (pixels.dtype.kind == "f" and (pixels == np.rint(pixels)).all()):
@@ -411,13 +302,14 @@ def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Mo
     if case.rules is not None:
         labels = _pixels(case, path, whole, labels=True)
         rules, n = read_rules(case.rules), len(grid.shape)
+        _refuse_unruled(labels, rules, path.name, case.rules.name)
         if any(len(rule.vector) > n for rule in rules):
             raise ProblemError(
                 case.rules.name, "has a column 'plane', but what is solved is a slice. Remove it."
             )
         return Motion(labels=labels, rules=rules)
     try:
-        field = load_field(path).in_pixels
+        field = load_field(path, forward=case.forward).in_pixels
     except FileFormatError as error:
         raise FileFormatError(f"{error} If it is an image of labels, give --rules, too.") from None
     counts, frame = _counts(case, whole), grid.place
@@ -430,6 +322,21 @@ def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Mo
     except ProblemError as error:
         raise ProblemError(path.name, error.message) from None
     return Motion(observed=there.displacement, confidence=np.where(there.known, counts, 0))
+
+
+def _refuse_unruled(
+    labels: npt.NDArray[Any], rules: Sequence[BoundaryRule], image: str, table: str
+) -> None:
+    """Refuse painted labels that a table of rules does not name, and labels that are nowhere."""
+    missing = [label for label in unlisted(labels, rules) if label]
+    if missing:
+        listed = ", ".join(map(str, missing[:_FEW]))
+        more = f" and {len(missing) - _FEW} more" if len(missing) > _FEW else ""
+        lines = "a line" if len(missing) == 1 else "lines"
+        raise FileFormatError(
+            f"{table}: there is no rule for label {listed}{more}, painted in {image}. Add {lines} "
+            f"such as {missing[0]},fixed, or paint 0 there."
+        )
 
 
 def _counts(case: Case, whole: ImageFile) -> npt.NDArray[Any]:

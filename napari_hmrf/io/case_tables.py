@@ -1,8 +1,9 @@
 """Tables of cases: what to solve, a line for each study or image, with sweeps over its numbers.
 
 The columns are the words of ``napari-hmrf solve`` (``image`` or ``study``, ``labels``, ``maps``,
-``materials``, ``boundary``, ``rules``, ``confidence``, ``slice``, ``hold-edge``, ``model``), the
-``name`` of the case, and what it has other numbers of: ``poisson``, ``growth:TISSUE``,
+``materials``, ``boundary``, ``rules``, ``forward``, ``confidence``, ``slice``, ``hold-edge``,
+``model``, ``plane``, ``tolerance``, ``penalty``, ``weight``), the ``name`` of the case, and numbers
+that replace those of its files: ``poisson``, ``growth:TISSUE``,
 ``stiffness:TISSUE``, ``poisson:TISSUE`` and ``amount:BOUNDARY``, by label or by name. Paths are
 relative to the table. Several values in a cell, with semicolons between them, are a case each;
 ``slice`` takes ``3-7`` and ``all``, too, which are the time points of a film.
@@ -10,32 +11,44 @@ relative to the table. Several values in a cell, with semicolons between them, a
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.errors import FileFormatError, HmrfError
-from napari_hmrf.io.case import Case
-from napari_hmrf.io.csv_files import read_csv
+from napari_hmrf.io.case_options import Case
+from napari_hmrf.io.csv_files import read_csv, unknown_column
 from napari_hmrf.io.images import load_image
 from napari_hmrf.io.sweeps import OF_BOUNDARIES, OF_TISSUES, Change
 from napari_hmrf.io.tables import value_of
 from napari_hmrf.solver.model_names import MODELS, as_word
+from napari_hmrf.solver.priors.elastic import Plane
 
 #: Larger files are no tables of ours, and are not read.
 _LARGEST = 2**24
 _FILES = "image", "labels", "materials", "boundary", "rules", "confidence"
-_COLUMNS = ("name", "study", *_FILES, "maps", "slice", "hold-edge", "model", "poisson")
-#: Of these several values are a case each.
-_SEVERAL = "slice", "model", "poisson"
+_ENERGY = "plane", "tolerance", "penalty", "weight"
+_COLUMNS = (
+    *("name", "study", *_FILES, "maps", "forward", "slice", "hold-edge", "model", "poisson"),
+    *_ENERGY,
+)
+#: Columns of which several values are a case each.
+_SEVERAL = ("slice", "model", "poisson", *_ENERGY)
 _SWEEPS = (*OF_TISSUES, *OF_BOUNDARIES)
-#: What no name of a folder has.
-_PLAIN = str.maketrans(':/\\*?"<>|', " ________")
+#: Characters that no name of a case may have.
+_FORBIDDEN = re.compile(r'[\\/:*?"<>|\0-\x1f]')
+#: Characters of names of cases that shells, tables and tools read as no other; others become "_".
+_STRANGE = re.compile(r"[^\w.-]+")
+#: Names of files of a batch, and names that Windows has for devices.
+_RESERVED = {"summary.csv", *("con", "prn", "aux", "nul")} | {
+    f"{port}{number}" for port in ("com", "lpt") for number in range(10)
+}
 _YES, _NO = ("yes", "true", "1", "x"), ("", "no", "false", "0")
 
 
@@ -46,18 +59,42 @@ class NamedCase:
     Attributes
     ----------
     name : str
-        Also that of the folder with what comes of it.
+        Also the name of the folder of its results.
     case : Case
     changes : tuple of Change
-        Which numbers it has other than its files.
+        Numbers that replace those of its files.
     cells : mapping of str to str
-        What the table says of it, which tells whether a case is still the same.
+        Cells of its line, by which a changed line is recognised.
     """
 
     name: str
     case: Case
     changes: tuple[Change, ...] = ()
     cells: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def parameters(self) -> dict[str, str]:
+        """Slice and numbers of the case that a table may sweep over, as text by their titles."""
+        found = {} if self.case.slice is None else {"slice": str(self.case.slice)}
+        for option in ("plane", "tolerance", "penalty"):
+            if (value := getattr(self.case, option)) is not None:
+                found[option] = f"{value:g}" if isinstance(value, float) else str(value)
+        if self.case.weight:
+            found["weight"] = "/".join(f"{part:g}" for part in self.case.weight)
+        for change in self.changes:
+            title = f"{change.what}:{change.of}" if change.of else change.what
+            parts = change.value if isinstance(change.value, tuple) else (change.value,)
+            words = (as_word(part) if isinstance(part, str) else f"{part:g}" for part in parts)
+            found[title] = "/".join(words)
+        return found
+
+    @property
+    def inputs(self) -> tuple[Path, ...]:
+        """Files and folders that the case is read from."""
+        case = self.case
+        named = (case.image, case.labels, case.materials, case.boundary, case.rules, *case.maps)
+        sure = (case.confidence,) if isinstance(case.confidence, Path) else ()
+        return tuple(path for path in (*named, *sure) if path is not None)
 
 
 def read_cases(path: str | os.PathLike[str]) -> tuple[NamedCase, ...]:
@@ -81,36 +118,71 @@ def read_cases(path: str | os.PathLike[str]) -> tuple[NamedCase, ...]:
     for number, cells in read_csv(source, largest=_LARGEST, check=_titles(source.name)).lines:
         where = f"{source.name}: line {number}"
         for case in _cases_of(cells, source.parent, where):
-            if case.name in cases:
+            folder = case.name.casefold()  # some disks do not tell capital letters
+            if folder in cases:
                 raise FileFormatError(
-                    f"{where}: there is a case {case.name!r} already. Give each a name of its own."
+                    f"{where}: there is a case {cases[folder].name!r} already. Give each a name of "
+                    "its own."
                 )
-            cases[case.name] = case
+            cases[folder] = case
     if not cases:
         raise FileFormatError(f"{source.name} has no line below the names of its columns.")
     return tuple(cases.values())
 
 
-def _titles(file: str) -> Callable[[list[str]], list[str]]:
+def _titles(file: str) -> Callable[[list[str], int], list[str]]:
     """What refuses columns that say nothing."""
 
-    def check(written: list[str]) -> list[str]:
+    def check(written: list[str], line: int) -> list[str]:
         titles = [_title(cell) for cell in written]
         for title in filter(None, titles):
             kind, _, of = title.partition(":")
             if not (title in _COLUMNS or (kind in _SWEEPS and of)):
-                raise FileFormatError(
-                    f"{file} has a column {title!r}, which says nothing here. Its columns are "
-                    f"{', '.join(_COLUMNS)}, and {', '.join(f'{each}:NAME' for each in _SWEEPS)}."
-                )
+                raise unknown_column(file, line, title, [*_COLUMNS, *map(_sweep_of_named, _SWEEPS)])
         if not {"image", "study"} & set(titles):
             raise FileFormatError(
-                f"{file} lacks the column 'image'. Its first line names the columns, with "
+                f"{file}: line {line} lacks the column 'image'. It names the columns, with "
                 f"commas between them: {', '.join(_COLUMNS)}."
             )
         return titles
 
     return check
+
+
+def read_energy(name: str, text: str) -> Any:
+    """Read an option of the energy of a case.
+
+    Parameters
+    ----------
+    name : {"plane", "tolerance", "penalty", "weight"}
+    text : str
+        As it is typed in a shell or stands in a table; a weight has slashes between its parts.
+
+    Raises
+    ------
+    ValueError
+        Saying what the text should be.
+    """
+    if name == "plane":
+        if text.casefold() not in get_args(Plane):
+            raise ValueError(" or ".join(get_args(Plane)))
+        return text.casefold()
+    try:
+        numbers = tuple(float(part) for part in text.split("/"))
+    except ValueError:
+        numbers = ()
+    if name == "weight":
+        if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
+            raise ValueError("a number for each axis, such as 0.01/0")
+        return numbers
+    if len(numbers) != 1 or not 0 < numbers[0] < math.inf:
+        raise ValueError("a number above 0")
+    return numbers[0]
+
+
+def _sweep_of_named(kind: str) -> str:
+    """Return the title of a sweep over one tissue or boundary, as it is explained."""
+    return f"{kind}:NAME"
 
 
 def _title(cell: str) -> str:
@@ -130,12 +202,21 @@ def _cases_of(cells: dict[str, str], folder: Path, where: str) -> Iterator[Named
     told = [title for title in values if "name" not in cells or len(values[title]) > 1]
     for chosen in product(*values.values()):
         here = dict(zip(values, chosen, strict=True))
-        parts = [cells.get("name", Path(image).name.partition(".")[0])]
-        parts += [f"{title}={here[title]}".translate(_PLAIN) for title in told]
-        name = ", ".join(parts)
-        if re.search(r'[\\/:*?"<>|\0]', name) or name[0] in ". " or name[-1] in ". ":
-            raise FileFormatError(f"{where}: {name!r} is no name for a folder. Give another name.")
+        own = cells.get("name", Path(image).name.partition(".")[0])
+        if not own or _FORBIDDEN.search(own) or own[0] in ".-" or own[-1] == ".":
+            raise FileFormatError(f"{where}: {own!r} is no name for a folder. Give another name.")
+        parts = [own, *(f"{title}-{here[title]}" for title in told)]
+        name = "_".join(_plain(part) for part in parts)
+        if name.casefold() in _RESERVED:
+            raise FileFormatError(
+                f"{where}: {name!r} is the name of another file. Give another name."
+            )
         yield _named_case(name, {**cells, **here}, folder, where)
+
+
+def _plain(text: str) -> str:
+    """Return text as part of a name of a folder, which needs no quotation marks anywhere."""
+    return _STRANGE.sub("_", text.replace(":", "-")).strip("_") or "_"
 
 
 def _values(title: str, text: str, image: Path) -> list[str]:
@@ -174,16 +255,24 @@ def _named_case(name: str, cells: dict[str, str], folder: Path, where: str) -> N
         files["confidence"] = "edges"
     if maps := cells.get("maps"):
         files["maps"] = tuple(folder / each.strip() for each in maps.split(";"))
-    held = cells.get("hold-edge", "").casefold()
-    if held not in (*_YES, *_NO):
-        raise refuse("hold-edge", "yes or no")
+    ticked = {title: cells.get(title, "").casefold() for title in ("hold-edge", "forward")}
+    for title, said in ticked.items():
+        if said not in (*_YES, *_NO):
+            raise refuse(title, "yes or no")
+    for title in _ENERGY:
+        if title in cells:
+            try:
+                files[title] = read_energy(title, cells[title])
+            except ValueError as error:
+                raise refuse(title, str(error)) from None
     number = cells.get("slice")
     if number is not None and not number.isdecimal():
         raise refuse("slice", "a whole number, 3-7, or all")
     case = Case(
         **files,
         slice=None if number is None else int(number),
-        hold_edge=held in _YES,
+        hold_edge=ticked["hold-edge"] in _YES,
+        forward=ticked["forward"] in _YES,
     )
     changes: list[Change] = []
     for title in cells:

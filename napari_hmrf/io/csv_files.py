@@ -5,16 +5,41 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from napari_hmrf.arguments import checked_path
+from napari_hmrf.arguments import checked_path, did_you_mean
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.regular_file import read_at_most
 
 ENDING = ".csv"
+#: Characters with which a spreadsheet takes text for a formula.
+_FORMULA = "=+-@\t\r"
+#: Other words for columns, which are offered when a column is unknown.
+SYNONYMS = {
+    **dict.fromkeys(
+        ("young", "youngs", "young's", "youngs modulus", "young's modulus", "e", "modulus"),
+        "stiffness",
+    ),
+    **dict.fromkeys(("elasticity", "elastic modulus", "kpa", "e modulus", "rigidity"), "stiffness"),
+    **dict.fromkeys(("nu", "poisson ratio", "poissons ratio", "poisson's ratio"), "poisson"),
+    **dict.fromkeys(("labelvalue", "label value", "id", "index", "value", "key"), "label"),
+    **dict.fromkeys(("tissue", "structure", "segment", "label name", "region", "class"), "name"),
+    **dict.fromkeys(("strain", "swelling", "expansion"), "growth"),
+    **dict.fromkeys(("reference", "citation", "comment", "note"), "source"),
+    **dict.fromkeys(("rule", "kind", "motion", "condition"), "action"),
+    **dict.fromkeys(("dy", "y", "rows", "down"), "row"),
+    **dict.fromkeys(("dx", "x", "column", "columns", "right"), "col"),
+    **dict.fromkeys(("dz", "z", "planes", "depth"), "plane"),
+    **dict.fromkeys(("distance", "pressure", "by", "size"), "amount"),
+    **dict.fromkeys(("weight", "certainty", "sure"), "confidence"),
+    **dict.fromkeys(("case", "patient", "subject"), "name"),
+    **dict.fromkeys(("file", "scan", "picture", "volume", "path"), "image"),
+    **dict.fromkeys(("segmentation", "mask", "seg", "tissues"), "labels"),
+    **dict.fromkeys(("mat", "table", "stiffness table"), "materials"),
+}
 
 
 class CsvFile(NamedTuple):
@@ -64,15 +89,51 @@ def read_cells(path: Path, largest: int) -> list[tuple[int, list[str]]]:
     """
     reader = csv.reader(io.StringIO(text_of(path, largest)), skipinitialspace=True)
     try:
-        return [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
+        return [(reader.line_num, [_as_meant(cell.strip()) for cell in cells]) for cells in reader]
     except csv.Error:
         raise FileFormatError(f"{path.name} is no table of comma-separated text.") from None
 
 
+def unknown_column(
+    file: str, line: int, title: str, known: Sequence[str], others: Mapping[str, str] | None = None
+) -> FileFormatError:
+    """Return the error for a column without a meaning.
+
+    Parameters
+    ----------
+    file : str
+        Name of the file.
+    line : int
+        Number of the line with the titles.
+    title : str
+        As it is written.
+    known : sequence of str
+        Titles with a meaning.
+    others : mapping of str to str, optional
+        Kinds of tables that have other columns, by these columns.
+    """
+    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
+        if separator in title:
+            return FileFormatError(
+                f"{file}: line {line}: there are {name} between its cells. Save it with commas "
+                "between them."
+            )
+    hint = did_you_mean(title, known, SYNONYMS)
+    if title in (others or {}):
+        hint = f" It is a column of {(others or {})[title]}."
+    return FileFormatError(
+        f"{file}: line {line}: there is no column {title!r}.{hint} The columns are "
+        f"{', '.join(known)}."
+    )
+
+
 def read_csv(
-    path: Path, *, largest: int, check: Callable[[list[str]], list[str]] = lambda titles: titles
+    path: Path,
+    *,
+    largest: int,
+    check: Callable[[list[str], int], list[str]] = lambda titles, line: titles,
 ) -> CsvFile:
-    """Read a file whose first line names its columns.
+    """Read a file whose first line with text names its columns.
 
     Parameters
     ----------
@@ -80,8 +141,8 @@ def read_csv(
     largest : int
         In bytes.
     check : callable
-        Gets the titles as they are written; raises if one is wrong or missing, and returns them as
-        they are meant.
+        Called with the titles as they are written and the number of their line. Raises if a title
+        is unknown or missing, and returns the titles as they are meant.
 
     Raises
     ------
@@ -90,8 +151,9 @@ def read_csv(
     OSError
         If it cannot be opened.
     """
-    rows = read_cells(path, largest)
-    titles = check(rows[0][1] if rows else [])
+    rows = [(number, cells) for number, cells in read_cells(path, largest) if any(cells)]
+    line, written = rows[0] if rows else (1, [])
+    titles = check(written, line)
     for title in filter(None, titles):
         if titles.count(title) > 1:
             raise FileFormatError(f"{path.name} has two columns {title!r}. Remove one of them.")
@@ -117,6 +179,9 @@ def save_csv(
 ) -> Path:
     """Write lines under titles, whole or not at all; what is None is left empty.
 
+    Text that a spreadsheet would take for a formula gets an apostrophe in front, which `read_cells`
+    takes away again. Numbers stay numbers.
+
     Parameters
     ----------
     path : str or path-like
@@ -138,7 +203,30 @@ def save_csv(
         raise FileFormatError(f"{target.name}: {what} are saved as text. End its name in {ENDING}.")
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(titles)
-    writer.writerows(rows)
+    writer.writerow([_as_text(title) for title in titles])
+    writer.writerows([_as_text(cell) for cell in row] for row in rows)
     write_whole(target, file.getvalue().encode())
     return target
+
+
+def _as_text(cell: Any) -> Any:
+    """Return a cell that no spreadsheet takes for a formula."""
+    if not isinstance(cell, str) or not cell.startswith((*_FORMULA, "'")) or _is_number(cell):
+        return cell
+    return f"'{cell}" if _as_meant(f"'{cell}") == cell else cell
+
+
+def _as_meant(cell: str) -> str:
+    """Return a cell without the apostrophe that marks it as text."""
+    rest = cell.lstrip("'")
+    marked = cell.startswith("'") and rest.startswith((*_FORMULA,)) and not _is_number(rest)
+    return cell[1:] if marked else cell
+
+
+def _is_number(text: str) -> bool:
+    """Return whether text is a number, such as -0.5."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -25,6 +25,7 @@ import numpy.typing as npt
 import psutil
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.extras import how_to_install
 from napari_hmrf.io import itk_decoder
 
 #: Processor seconds for any file, however small.
@@ -310,8 +311,8 @@ def _started() -> subprocess.Popen[bytes]:
 def missing_simpleitk() -> HmrfError:
     """Return the error that says how to install SimpleITK."""
     return HmrfError(
-        "medical files are read and written by SimpleITK, which is not installed. Run: "
-        'pip install "napari-hmrf[medical]"'
+        "medical files are read and written by SimpleITK, which is not installed: "
+        f"{how_to_install('medical')}."
     )
 
 

@@ -5,7 +5,7 @@ vector u(P) leads to P + u(P), where what is seen there came from. It is in mill
 physical axes left, posterior, superior (LPS), not along the image's own. Outside of a field's grid
 ITK's tools take nothing to move.
 
-SimpleITK reads and writes them; it comes with ``pip install "napari-hmrf[medical]"``.
+SimpleITK reads and writes them; it comes with the extra ``medical``.
 """
 
 from __future__ import annotations

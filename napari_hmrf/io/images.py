@@ -1,7 +1,7 @@
 """Images in files, with their place: pictures, and what scanners make.
 
 Pictures (.png, .tif, .jpg, .bmp) by scikit-image; NIfTI, MetaImage, NRRD and folders of DICOM by
-SimpleITK, which comes with ``pip install "napari-hmrf[medical]"``.
+SimpleITK, which comes with the extra ``medical``.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import checked_path
+from napari_hmrf.arguments import checked_path, did_you_mean
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, ProblemError
 from napari_hmrf.regular_file import read_at_most
@@ -195,7 +195,18 @@ def _of_csv(text: str) -> LandmarkFile:
     rows = [row for row in csv.reader(io.StringIO(text)) if row]
     if not rows:
         raise _Wrong("it is empty")
-    if rows[0][0] == "index":  # napari's
+    if rows[0][0].strip().casefold() == "index":  # napari's
+        titles = [title.strip().casefold() for title in rows[0][1:]]
+        axes = [f"axis-{axis}" for axis in range(3)]
+        strange = next((title for title in titles if title not in axes), None)
+        if strange is not None:
+            hint = did_you_mean(strange, axes)
+            raise _Wrong(
+                f"line 1: there is no column {strange!r}.{hint} The columns are index, axis-0, "
+                "axis-1 and, in a volume, axis-2"
+            )
+        if titles != axes[: len(titles)] or len(titles) < 2:
+            raise _Wrong("line 1: the columns are index, axis-0, axis-1 and, in a volume, axis-2")
         return LandmarkFile(
             np.array([row[1:] for row in rows[1:]], float).reshape(len(rows) - 1, -1), unit="pixel"
         )
@@ -205,6 +216,12 @@ def _of_csv(text: str) -> LandmarkFile:
             "it has neither napari's first line nor BigWarp's columns, name, active, and 2 x 2 or "
             "2 x 3 numbers"
         )
+    for number, row in enumerate(rows, 1):
+        if row[1].strip().casefold() not in ("true", "false"):
+            raise _Wrong(
+                f"landmark {number}: the second column is {row[1][:40]!r}, and should be true or "
+                "false. BigWarp's files have no line with titles"
+            )
     used = [row for row in rows if row[1].strip().casefold() == "true"]
     numbers = np.array([row[2:] for row in used], float).reshape(len(used), 2, n)[..., ::-1]
     return LandmarkFile(numbers[:, 0], numbers[:, 1], tuple(row[0] for row in used))

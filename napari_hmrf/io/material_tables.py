@@ -29,8 +29,10 @@ from typing import Annotated, Literal
 
 import pydantic
 
+from napari_hmrf.arguments import did_you_mean
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError
+from napari_hmrf.io.csv_files import SYNONYMS
 from napari_hmrf.regular_file import read_at_most
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON, Material
@@ -124,7 +126,7 @@ def _version(preset: Preset) -> int:
 _Strain = Annotated[float, pydantic.Field(gt=-1, le=10, allow_inf_nan=False)]
 
 
-class _Row(pydantic.BaseModel, strict=True):
+class _Row(pydantic.BaseModel, strict=True, extra="forbid"):
     """A material as a file says it."""
 
     label: int = pydantic.Field(ge=0)
@@ -138,7 +140,7 @@ class _Row(pydantic.BaseModel, strict=True):
     growth: _Strain | tuple[_Strain, ...] = 0.0
 
 
-class _File(pydantic.BaseModel, strict=True):
+class _File(pydantic.BaseModel, strict=True, extra="forbid"):
     """All that a file says."""
 
     format: _Format
@@ -148,11 +150,17 @@ class _File(pydantic.BaseModel, strict=True):
     source: str = ""
     materials: list[_Row] = pydantic.Field(min_length=1)
 
+    @pydantic.field_validator("version")
+    @classmethod
+    def _is_known(cls, version: int) -> int:
+        # Before the rows are read, as a newer version may have other words in them.
+        if version > VERSION:
+            newer = f"was written by a newer napari-hmrf (version {version})"
+            raise ValueError(f"{newer}. Install the newest one")
+        return version
+
     @pydantic.model_validator(mode="after")
     def _go_together(self) -> _File:
-        if self.version > VERSION:
-            newer = f"was written by a newer napari-hmrf (version {self.version})"
-            raise ValueError(f"{newer}. Install the newest one")
         labels = [row.label for row in self.materials]
         for label in labels:
             if labels.count(label) > 1:
@@ -163,8 +171,13 @@ class _File(pydantic.BaseModel, strict=True):
 
 
 def _bad(path: Path, error: pydantic.ValidationError) -> FileFormatError:
-    """What is wrong with a file first, where, and what would be right."""
-    first = error.errors(include_url=False)[0]
+    """Return the first fault of a file, where it is, and what would be right."""
+    found = error.errors(include_url=False)
+    # A word that is misspelt is missing, too; the misspelt one says more.
+    unknown = [each for each in found if each["type"] == "extra_forbidden"]
+    first = (
+        unknown[0] if unknown and found[0]["type"] in ("missing", unknown[0]["type"]) else found[0]
+    )
     kind, message = first["type"], first["msg"]
     place = " ".join(
         str(part + 1) if isinstance(part, int) else part.replace("materials", "material")
@@ -176,6 +189,12 @@ def _bad(path: Path, error: pydantic.ValidationError) -> FileFormatError:
         said = message.replace("Invalid JSON", "is no JSON")
     elif place in ("", "format"):
         said = f'is no file of materials: it does not say "format": "{FORMAT}"'
+    elif kind == "extra_forbidden":
+        word, in_row = str(first["loc"][-1])[:40], len(first["loc"]) > 1
+        known = [*(_Row if in_row else _File).model_fields]
+        where = f" in material {int(first['loc'][1]) + 1}" if in_row else ""
+        hint = did_you_mean(word, known, SYNONYMS)
+        said = f"has an unknown word {word!r}{where}.{hint} The words are {', '.join(known)}"
     elif kind == "missing":
         said = f"lacks {place}"
     else:

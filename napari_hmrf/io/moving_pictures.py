@@ -6,6 +6,7 @@ import errno
 import io
 import os
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,9 @@ import numpy.typing as npt
 from napari_hmrf.arguments import checked_path, refuse_unless
 from napari_hmrf.atomic_write import raise_for_space, temporary_beside, write_whole
 from napari_hmrf.errors import CANNOT_SAVE, FileFormatError, HmrfError, ProblemError
+from napari_hmrf.extras import how_to_install
 from napari_hmrf.field.animation import Motion
+from napari_hmrf.field.moved_pictures import MovedPictures
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.solution import Solution
 
@@ -33,19 +36,22 @@ def save_moving_picture(
     *,
     frames: int = 24,
     per_second: int = 12,
+    number: int | None = None,
 ) -> Path:
     """Write an image as it moves, there and back, again and again.
 
     Parameters
     ----------
     path : str or path-like
-        Ends in .gif, or .mp4, which takes ``pip install imageio-ffmpeg``.
+        Ends in .gif, or .mp4, which takes the extra ``film``.
     solution : Solution
-    image : array_like, shape (H, W) or (H, W, 3 or 4)
+    image : array_like, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
         Before it moves.
     frames : int
         From rest to the end.
     per_second : int
+    number : int, optional
+        Number of the slice of a volume along its first axis that is shown.
 
     Raises
     ------
@@ -54,7 +60,7 @@ def save_moving_picture(
     ArgumentError
         If there are fewer than two frames, or less than one a second.
     ProblemError
-        If the solution is of a volume.
+        If the solution is of a volume and no slice of it is given.
     HmrfError
         If what writes .mp4 is not installed.
     OSError
@@ -68,17 +74,40 @@ def save_moving_picture(
         )
     refuse_unless(frames >= 2, "frames", frames, "at least 2")
     refuse_unless(per_second >= 1, "per_second", per_second, "at least 1")
-    if solution.tissue.ndim != 2:
-        raise ProblemError("displacement", "is of a volume. Write a picture of one of its slices.")
-    motion = Motion(solution, np.asarray(image))
-    there = [_seen(motion, number / (frames - 1)) for number in range(frames)]
-    forth = _in_proportion(_as_bytes(np.stack(there)), solution.spacing)
+    if solution.tissue.ndim == 2 and number is not None:
+        raise ProblemError("displacement", "is of one slice. Leave out which (`number`).")
+    if solution.tissue.ndim != 2 and number is None:
+        raise ProblemError(
+            "displacement", "is of a volume. Write a picture of one of its slices (`number`)."
+        )
+    steps = [moment / (frames - 1) for moment in range(frames)]
+    if number is None:
+        motion = Motion(solution, np.asarray(image))
+        there = [_seen(motion, step) for step in steps]
+    else:
+        count = len(solution.tissue)
+        refuse_unless(0 <= number < count, "number", number, f"from 0 to {count - 1}")
+        there = _slices_seen(solution, np.asarray(image), number, steps)
+    forth = _in_proportion(_as_bytes(np.stack(there)), solution.spacing[-2:])
     shown = np.concatenate([forth, forth[-2:0:-1]])
     if target.suffix.lower() == ".gif":
         write_whole(target, _gif(shown, per_second))
     else:
         write_whole(target, _film(target, shown, per_second))
     return target
+
+
+def _slices_seen(
+    solution: Solution, image: npt.NDArray[np.generic], number: int, steps: Sequence[float]
+) -> list[npt.NDArray[np.generic]]:
+    """Return a slice of a volume after each part of the motion."""
+    pictures, d = MovedPictures(), solution.displacement
+
+    def seen(step: float) -> npt.NDArray[np.generic]:
+        part = d * np.float32(step)
+        return pictures.plane(image, 0, number, part, solution.tissue, solution.spacing, every=1)
+
+    return [compute_thread.result_of(partial(seen, step), "drawing") for step in steps]
 
 
 def _seen(motion: Motion, fraction: float) -> npt.NDArray[np.generic]:
@@ -131,8 +160,8 @@ def _film(target: Path, pictures: npt.NDArray[np.uint8], per_second: int) -> byt
         import imageio_ffmpeg
     except ImportError as error:
         raise HmrfError(
-            "films are written by imageio-ffmpeg, which is not installed. Run: pip install "
-            "imageio-ffmpeg; or write a .gif."
+            "films are written by imageio-ffmpeg, which is not installed: "
+            f"{how_to_install('film')}; or write a .gif."
         ) from error
     # The codec takes even sizes only.
     rows, cols = (2 * (size // 2) for size in pictures.shape[1:3])

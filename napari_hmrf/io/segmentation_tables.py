@@ -14,16 +14,16 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.errors import FileFormatError
-from napari_hmrf.io.csv_files import read_cells, text_of
+from napari_hmrf.io.csv_files import read_cells, text_of, unknown_column
 from napari_hmrf.io.material_tables import FORMAT, load_materials
-from napari_hmrf.io.tables import read_materials
+from napari_hmrf.io.tables import MATERIAL_COLUMNS, read_materials
 from napari_hmrf.io.tissue_names import NamedMaterials, materials_by_name
 from napari_hmrf.regular_file import read_at_most
 from napari_hmrf.tissue.material_presets import Preset
@@ -33,9 +33,18 @@ _LARGEST = 2**22
 #: What columns of a .csv are called.
 _LABELS = "label", "labelvalue", "label value", "value", "index", "id", "no.", "key", "intensity"
 _NAMES = "name", "label name", "labelname", "structure", "segment", "tissue", "region", "class"
-# A label, its name, and red, green, blue and alpha; or what ITK-SNAP has between the two.
-_COLOUR_ROW = re.compile(r'\s*(\d+)\s+"?(\S.*?)"?((?:\s+[\d.]+){4})\s*$')
+#: Columns that only make a table of materials.
+_OF_MATERIALS = tuple(name for name in MATERIAL_COLUMNS if name not in ("label", "name"))
+#: Columns of colours, and of terms of 3D Slicer, which other tools write beside names.
+_BESIDE = re.compile(
+    r"(colou?r[ _]?)?(r|g|b|a|red|green|blue|alpha)|colou?r|hex|opacity|visib(le|ility)"
+    r"|[a-z]+_(codingscheme|codevalue|codemeaning)|(description|comment|abbreviation|acronym)s?"
+)
+# A label, its name, and red, green, blue and alpha, and the tissue type that newer tables of
+# FreeSurfer have; or the numbers that ITK-SNAP has between label and name.
+_COLOUR_ROW = re.compile(r'\s*(\d+)\s+"?(\S.*?)"?((?:\s+[\d.]+){4,5})\s*$')
 _SNAP_ROW = re.compile(r'\s*(\d+)((?:\s+[\d.]+){6})\s+"([^"]*)"\s*$')
+_NUMBERED = re.compile(r"\s*\d+\s+\S")
 _SEGMENT = re.compile(r"Segment(\d+)_(LabelValue|Name|Layer):=(.*)")
 
 ENDINGS = ".csv", ".json", ".txt", ".ctbl", ".nrrd"
@@ -60,17 +69,21 @@ def read_label_names(path: str | os.PathLike[str]) -> dict[int, str]:
     Raises
     ------
     FileFormatError
-        If it is no such table, or a label is there twice.
+        If it is no such table, has a column or a line that is not understood, or has a label
+        twice.
     OSError
         If it cannot be opened.
     """
     source = Path(checked_path(path))
     ending = source.suffix.lower()
     if ending == ".csv":
-        rows = _of_cells([cells for _, cells in read_cells(source, _LARGEST)])
+        rows = _of_cells(source)
+    elif ending == ".json":
+        rows = _of_json(_text(source, ending), source.name)
+    elif ending == ".nrrd":
+        rows = _of_segments(_text(source, ending))
     else:
-        read = {".json": _of_json, ".nrrd": _of_segments}.get(ending, _of_lines)
-        rows = read(_text(source, ending))
+        rows = _of_lines(_text(source, ending), source.name)
     names: dict[int, str] = {}
     for label, name in rows:
         if names.setdefault(label, name) != name:
@@ -94,7 +107,8 @@ def tissue_table(path: str | os.PathLike[str]) -> NamedMaterials | Preset:
     ----------
     path : str or path-like
         A file of `save_materials` or a .csv with a column `stiffness`; else as of
-        `read_label_names`.
+        `read_label_names`. A .csv is a list of names only if all of its columns are labels, names,
+        and colours or terms that other tools write beside them.
 
     Returns
     -------
@@ -132,11 +146,24 @@ def _text(source: Path, ending: str) -> str:
     return text_of(source, _LARGEST)
 
 
+def _header(source: Path) -> tuple[int, list[str], list[tuple[int, list[str]]]]:
+    """Return the line and the titles of a .csv, and its other lines that have text."""
+    rows = [(line, cells) for line, cells in read_cells(source, _LARGEST) if any(cells)]
+    line, titles = rows[0] if rows else (1, [])
+    return line, [title.casefold() for title in titles], rows[1:]
+
+
 def _is_of_names(source: Path) -> bool:
-    """Whether a .csv names labels, and does not say how stiff they are."""
-    titles = _titles([cells for _, cells in read_cells(source, _LARGEST)])
+    """Return whether a .csv can only be a list of names: by all of its columns."""
+    _, titles, _ = _header(source)
     there = [any(title in titles for title in known) for known in (_LABELS, _NAMES)]
-    return "stiffness" not in titles and all(there)
+    return all(there) and not any(map(_is_strange, titles))
+
+
+def _is_strange(title: str) -> bool:
+    """Return whether a list of names has no such column."""
+    known = not title or title in (*_LABELS, *_NAMES) or _BESIDE.fullmatch(title) is not None
+    return not known
 
 
 def _is_ours(source: Path) -> bool:
@@ -150,62 +177,87 @@ def _is_ours(source: Path) -> bool:
     )
 
 
-def _titles(rows: Sequence[Sequence[str]]) -> list[str]:
-    return [title.casefold() for title in rows[0]] if rows else []
-
-
-def _of_cells(rows: Sequence[Sequence[str]]) -> Iterable[tuple[int, str]]:
-    titles = _titles(rows)
+def _of_cells(source: Path) -> Iterable[tuple[int, str]]:
+    line, titles, rows = _header(source)
+    for title in filter(_is_strange, titles):
+        if title in _OF_MATERIALS:
+            raise FileFormatError(
+                f"{source.name}: line {line}: a list of names has no column {title!r}. Use the "
+                "file as a table of materials, or remove the column."
+            )
+        raise unknown_column(source.name, line, title, ["label", "name", *_OF_MATERIALS])
     label_at, name_at = (
         next((titles.index(title) for title in known if title in titles), None)
         for known in (_LABELS, _NAMES)
     )
     if label_at is None or name_at is None:
         return
-    for row in rows[1:]:
-        if len(row) > max(label_at, name_at) and (label := _whole(row[label_at])) is not None:
-            yield label, row[name_at]
+    for number, cells in rows:
+        label = _whole(cells[label_at]) if len(cells) > label_at else None
+        if label is None:
+            written = cells[label_at] if len(cells) > label_at else ""
+            raise FileFormatError(
+                f"{source.name}: line {number}: {titles[label_at]} is {written[:40]!r}. Give a "
+                "whole number, 0 or more."
+            )
+        yield label, cells[name_at] if len(cells) > name_at else ""
 
 
-def _of_json(text: str) -> Iterable[tuple[int, str]]:
+def _of_json(text: str, file: str) -> Iterable[tuple[int, str]]:
     """Both ways round, name by label or label by name, alone or under a word."""
     try:
         content = json.loads(text)
     except ValueError:
         return ()
-    return _of_mapping(content)
+    return _of_mapping(content, file)
 
 
-def _of_mapping(content: Any) -> Iterable[tuple[int, str]]:
+def _of_mapping(content: Any, file: str) -> Iterable[tuple[int, str]]:
     if not isinstance(content, Mapping):
         return ()
     if isinstance(content.get("labels"), Mapping):
-        return _of_mapping(content["labels"])
-    pairs = [(key, value) for key, value in content.items() if isinstance(value, str | int)]
-    rows = [
-        (label, str(name))
-        for key, value in pairs
-        for label, name in [(_whole(key), value) if _is_name(value) else (_whole(value), key)]
-        if label is not None
-    ]
-    if rows:
-        return rows
-    inner = [found for value in content.values() if (found := list(_of_mapping(value)))]
-    return inner[0] if len(inner) == 1 else ()
+        return _of_mapping(content["labels"], file)
+    rows = [_of_pair(key, value) for key, value in content.items()]
+    understood = [row for row in rows if row is not None]
+    if len(understood) == len(rows):
+        return understood
+    inner = [value for value in content.values() if isinstance(value, Mapping)]
+    if len(inner) == 1 and not understood:
+        return _of_mapping(inner[0], file)
+    if understood or inner:
+        key = next(key for key, row in zip(content, rows, strict=True) if row is None)
+        raise FileFormatError(
+            f"{file}: {key!r} is {json.dumps(content[key])[:40]}. Give each label a name, as in "
+            '{"1": "liver"}, or each name a label.'
+        )
+    return ()
+
+
+def _of_pair(key: str, value: Any) -> tuple[int, str] | None:
+    """Return a label and its name, whichever comes first; None if it is no such pair."""
+    if isinstance(value, bool) or not isinstance(value, str | int):
+        return None
+    label, name = (_whole(key), str(value)) if _is_name(value) else (_whole(value), key)
+    return None if label is None or not _is_name(name) else (label, name)
 
 
 def _is_name(value: Any) -> bool:
     return isinstance(value, str) and _whole(value) is None
 
 
-def _of_lines(text: str) -> Iterable[tuple[int, str]]:
-    for line in text.splitlines():
+def _of_lines(text: str, file: str) -> Iterable[tuple[int, str]]:
+    for number, line in enumerate(text.splitlines(), 1):
         if line.lstrip().startswith("#"):
             continue
         if snap := _SNAP_ROW.match(line):
             yield int(snap[1]), snap[3]
         elif row := _COLOUR_ROW.match(line):
             yield int(row[1]), row[2]
+        elif _NUMBERED.match(line):
+            raise FileFormatError(
+                f"{file}: line {number} is {line.strip()[:40]!r}. Give a label, its name and four "
+                "numbers of a colour, or begin it with #."
+            )
 
 
 def _of_segments(text: str) -> Iterable[tuple[int, str]]:

@@ -11,8 +11,13 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.io.tissue_names import known_tissue
 from napari_hmrf.solver.priors import Elastic
 from napari_hmrf.study.models import chosen
-from napari_hmrf.study.study import Study
-from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.study.study import Study, Tissue
+from napari_hmrf.tissue.boundary_rules import (
+    BoundaryRule,
+    Material,
+    default_material,
+    unlisted,
+)
 
 #: What can be changed of a tissue, and of a boundary.
 OF_TISSUES = "growth", "stiffness", "poisson"
@@ -63,10 +68,21 @@ def _changed(study: Study, change: Change) -> Study:
         return replace(study, motion=replace(motion, rules=rules))
     if not change.of and study.tissue.labels is None:
         return replace(study, prior=replace(study.prior, poisson=change.value))
+    if not change.of and change.what == "poisson":
+        return replace(study, tissue=with_ratio(study.tissue, change.value))
     rows = _edited(
         study.tissue.materials, change, lambda row: replace(row, **{change.what: change.value})
     )
     return replace(study, tissue=replace(study.tissue, materials=rows))
+
+
+def with_ratio(tissue: Tissue, ratio: float) -> Tissue:
+    """Return tissue by labels that has one Poisson's ratio, also where a label has no row."""
+    if tissue.labels is None:
+        return tissue
+    known = tissue.materials
+    added = [default_material(label, known) for label in unlisted(tissue.labels, known)]
+    return replace(tissue, materials=tuple(replace(row, poisson=ratio) for row in (*known, *added)))
 
 
 def _edited(rows: Sequence[Any], change: Change, edit: Callable[[Any], Any]) -> tuple[Any, ...]:

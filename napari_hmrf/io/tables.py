@@ -22,7 +22,7 @@ from napari_hmrf.field.elastic_strain import StrainKind
 from napari_hmrf.field.held_forces import HeldForce
 from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.field.units import as_seen
-from napari_hmrf.io.csv_files import read_csv, save_csv
+from napari_hmrf.io.csv_files import read_csv, save_csv, unknown_column
 from napari_hmrf.io.tissue_names import KnownTissue, NamedMaterials
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.tissue.boundary_rules import (
@@ -114,6 +114,15 @@ _OF_RULES = {
     **dict.fromkeys(("plane", "row", "col", "amount"), _LENGTH),
     "confidence": _Column(_number(0, 1), "a number from 0 to 1"),
 }
+
+
+#: Columns of one kind of table alone.
+_OTHERS = {
+    **{title: "a table of rules" for title in _OF_RULES if title not in _OF_MATERIALS},
+    **{title: "a table of materials" for title in _OF_MATERIALS if title not in _OF_RULES},
+}
+#: Columns of a table of materials.
+MATERIAL_COLUMNS = (*_OF_MATERIALS,)
 
 
 def value_of(column: str, text: str) -> Any:
@@ -377,19 +386,16 @@ def _read(
     source = Path(checked_path(path))
     file, called = source.name, ", ".join(columns)
 
-    def check(written: list[str]) -> list[str]:
+    def check(written: list[str], line: int) -> list[str]:
         titles = [title.casefold() for title in written]
+        unknown = [title for title in titles if title and title not in columns]
+        if unknown:
+            raise unknown_column(file, line, unknown[0], [*columns], _OTHERS)
         missing = [name for name in needed if name not in titles]
         if missing:
             raise FileFormatError(
-                f"{file} lacks the column {missing[0]!r}. Its first line names the columns, with "
+                f"{file}: line {line} lacks the column {missing[0]!r}. It names the columns, with "
                 f"commas between them: {called}."
-            )
-        unknown = [title for title in titles if title and title not in columns]
-        if unknown:
-            raise FileFormatError(
-                f"{file} has a column {unknown[0]!r}, which says nothing here. Its columns "
-                f"are {called}."
             )
         return titles
 

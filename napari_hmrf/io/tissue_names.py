@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
@@ -19,6 +19,8 @@ from napari_hmrf.resources import resource_folder
 from napari_hmrf.tissue.boundary_rules import Material, read_stiffness
 
 _Words = tuple[str, ...]
+#: Labels that are listed in a sentence.
+_FEW = 6
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,22 @@ class NamedMaterials:
     unit: str
     name: str = ""
 
+    def published(self, labels: Iterable[int]) -> str:
+        """Return a clause that says for which labels published stiffness is used, or "".
+
+        Parameters
+        ----------
+        labels : iterable of int
+            Labels that are in the image or the table.
+        """
+        there = set(labels)
+        known = [f"{row.label} ({row.name})" for row in self.materials if row.label in there]
+        more = f" and {len(known) - _FEW} more" if len(known) > _FEW else ""
+        if not known:
+            return ""
+        listed = f"{', '.join(known[:_FEW])}{more}"
+        return f"the table only names its labels, so published stiffness is used for {listed}"
+
     @property
     def source(self) -> str:
         """Where the values are from, tissue by tissue."""
@@ -88,7 +106,8 @@ class NamedMaterials:
         materials : tuple of Material
             By label.
         words : str
-            What became of the labels of which nothing is known; empty if there are none.
+            Sentences: for which labels published stiffness is used, and what became of the labels
+            of which nothing is known.
         """
         known = {row.label: row for row in self.materials}
         first = next((row for row in self.materials if row.is_deformable), None)
@@ -99,10 +118,13 @@ class NamedMaterials:
                 other = replace(other, stiffness=first.stiffness, poisson=first.poisson)
                 guessed.append(f"{row.label} ({other.name})")
             now.append(known.get(row.label, other))
-        if first is None or not guessed:
-            return tuple(now), ""
-        as_stiff = f"No stiffness is known for {', '.join(guessed)}, now as stiff as {first.name}."
-        return tuple(now), as_stiff
+        said = []
+        if published := self.published(row.label for row in rows):
+            said.append(f"{published[0].upper()}{published[1:]}.")
+        if first is not None and guessed:
+            unknown = ", ".join(guessed)
+            said.append(f"No stiffness is known for {unknown}, now as stiff as {first.name}.")
+        return tuple(now), " ".join(said)
 
 
 class _Rules(NamedTuple):

@@ -88,7 +88,8 @@ def lack(problem: Problem) -> str:
     if not steps.any(axis=-1).all() or ((seen & rim).any() and not as_one):
         return ""
     how = "moves as one" if as_one else "gives way"
-    return f"{LOOSE}, so that all of it {how}: hold its edge, or paint what stays there"
+    held = "hold its edge (`hold_edge=True`), or paint what stays there"
+    return f"{LOOSE}, so that all of it {how}: {held}"
 
 
 def _held_exactly(problem: Problem) -> str:

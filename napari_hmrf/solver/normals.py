@@ -119,7 +119,7 @@ def _refuse_open_line(
         "observed",
         f"lets {name} expand, but a part of it is an open {what} (about {length:.3g} long and "
         f"{thickness:.3g} thick), which has no outside: it would be torn along its middle. "
-        f"Close the {what} to a {closed}, or let it move by a vector instead ('moves by').",
+        f"Close the {what} to a {closed}, or let it move by a vector instead (`action='move'`).",
     )
 
 

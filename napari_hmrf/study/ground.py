@@ -227,7 +227,7 @@ def refuse_unknown(study: Study) -> None:
         raise LayerError(
             study.named("tissue", "image"),
             "is to grow, or forces pull at it, of which the paper's model knows nothing. Take the "
-            "elastic model, or a boundary that expands.",
+            "elastic model (`model='elastic'`), or a boundary that expands.",
         )
     if isinstance(prior, Elastic) and prior.penalty == math.inf:
         return
@@ -240,8 +240,8 @@ def refuse_unknown(study: Study) -> None:
         raise LayerError(
             study.named("tissue", "image"),
             f"has rigid tissue ({' and '.join(which)}), which the paper's model cannot have, nor "
-            "any in which what is held may slip. Take the elastic model with 'holding force' "
-            "under 'Advanced' at 'held exactly', or give it a number.",
+            "any in which what is held may slip. Take the elastic model that holds exactly "
+            "(`penalty=inf`), or give it a number.",
         )
 
 

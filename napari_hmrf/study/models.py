@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, get_args
 
 from napari_hmrf.errors import ArgumentError
-from napari_hmrf.solver.model_names import ELASTIC, ModelName
+from napari_hmrf.solver.model_names import ELASTIC, MODELS, ModelName, as_word
 from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.priors.elastic import Plane
@@ -140,18 +140,23 @@ def optimizer_of(model: ModelName, details: SolverDetails = _USUAL) -> Optimizer
 
 
 def chosen(name: str) -> tuple[Prior, Optimizer]:
-    """The energy of a model, and how it is minimised.
+    """Return the energy of a model, and how it is minimised.
+
+    Parameters
+    ----------
+    name : str
+        A `ModelName`, or the same with dashes, as the shell writes it: "large-motion".
 
     Raises
     ------
     ArgumentError
         If there is no model of that name.
     """
-    known: dict[str, ModelName] = {each: each for each in get_args(ModelName)}
-    if name not in known:
-        listed = ", ".join(f'"{each}"' for each in known)
+    model = MODELS.get(as_word(name)) if isinstance(name, str) else None
+    if model is None:
+        listed = ", ".join(f'"{each}"' for each in get_args(ModelName))
         raise ArgumentError(f"there is no model {name!r}. Take one of {listed}.")
-    return prior_of(known[name]), optimizer_of(known[name])
+    return prior_of(model), optimizer_of(model)
 
 
 def details_of(prior: Prior, optimizer: Optimizer) -> SolverDetails:

@@ -127,6 +127,6 @@ def air_that_is_tissue(picture: npt.NDArray[Any], tissue: npt.NDArray[np.bool_])
     if not dark.any() or 2 * np.count_nonzero(dark & tissue) < np.count_nonzero(dark):
         return ""
     return (
-        "the dark surroundings of the image move as tissue does, too: if they are air, leave them "
-        "unpainted and tick 'the dark border is no tissue'"
+        "the dark surroundings of the image move as tissue does, too: if they are air, say that "
+        "they are no tissue (`without_border=True`)"
     )

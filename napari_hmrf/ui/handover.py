@@ -14,6 +14,7 @@ from qtpy.QtCore import QCoreApplication, QEvent, QObject, Qt, Signal
 from napari_hmrf.errors import in_words
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.ui.events import single_shot
+from napari_hmrf.wording import in_words_of
 
 _log = logging.getLogger("napari_hmrf")
 _Answer = Callable[[Any], None]
@@ -146,7 +147,7 @@ class Errands:
                 found = future.result(timeout=0)
             except Exception as error:  # noqa: BLE001 - whatever it is, the user is told
                 _log.debug("%s failed", kind, exc_info=True)
-                self._refuse(in_words(error))
+                self._refuse(in_words_of("window", in_words(error)))
             else:
                 answer(found)
 

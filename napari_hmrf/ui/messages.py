@@ -15,6 +15,7 @@ from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.ui.follower import Done
+from napari_hmrf.wording import in_words_of
 
 WELCOME = "Open an image first (File > Open), or a sample (File > Open Sample)."
 CHOOSE = "Choose an image above, or open one (File > Open)."
@@ -104,7 +105,8 @@ def loose(notes: Sequence[str]) -> str:
 
 
 def _sentence(clause: str) -> str:
-    return f"{clause[0].upper()}{clause[1:]}."
+    said = in_words_of("window", clause)
+    return f"{said[0].upper()}{said[1:]}."
 
 
 def next_mark(outputs: Outputs, seen: str) -> Mark | None:
@@ -116,9 +118,9 @@ def next_mark(outputs: Outputs, seen: str) -> Mark | None:
 def in_short(error: Exception) -> str:
     """Why there is no result, as one sentence or two."""
     if isinstance(error, ConvergenceError):
-        return f"No result: {str(error).rstrip('.')}."
+        return in_words_of("window", f"No result: {str(error).rstrip('.')}.")
     if isinstance(error, HmrfError | ValueError | OSError):
-        return in_words(error)
+        return in_words_of("window", in_words(error))
     return f"The deformation failed: {type(error).__name__}: {error}"
 
 

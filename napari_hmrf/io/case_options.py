@@ -1,0 +1,169 @@
+"""Files and options of a case, and the energy that they ask for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Literal
+
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.solver.model_names import ELASTIC, MODELS, as_word
+from napari_hmrf.solver.optimizers import Multigrid, Optimizer
+from napari_hmrf.solver.priors import Elastic, Prior
+from napari_hmrf.solver.priors.elastic import Plane
+from napari_hmrf.study.models import chosen
+from napari_hmrf.study.study import Grid, Tissue
+from napari_hmrf.tissue.boundary_rules import (
+    USUAL_POISSON,
+    default_material,
+    unlisted,
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """Files and options of one case, as a command line has them.
+
+    Attributes
+    ----------
+    image : Path
+        An image, or a study's file, which needs nothing else.
+    labels, materials : Path, optional
+        An image of tissue labels and a table of materials, .csv or .json, or one of what a
+        segmentation calls its labels, as of `read_label_names`.
+    maps : sequence of Path
+        Instead of `labels`: how likely each tissue is, an image for each. The place of the
+        likeliest in this list, from 1 on, is the label; 0 where all of them together leave more for
+        none than the likeliest has.
+    boundary : Path, optional
+        How tissue moves: an image of labels with a table of `rules`; pairs of landmarks in a .csv;
+        or a displacement field, such as a registration's.
+    rules : Path, optional
+        A .csv.
+    forward : bool
+        Whether a boundary that is a field leads from where tissue was to where it goes, though its
+        file does not say so.
+    confidence : Path or "edges", optional
+        How sure a field is: an image from 0 to 1 or a mask; or 1 at the edges of the image and 0
+        elsewhere. By default 1 wherever there is a field.
+    slice : int, optional
+        Of a volume along its first axis; by default all of a volume is deformed.
+    hold_edge : bool
+        Whether the outer edge of the tissue stays where it is.
+    model : str, optional
+        By default elastic.
+    poisson : float, optional
+        Poisson's ratio of all tissue, in place of that of `materials`.
+    plane : {"stress", "strain"}, optional
+        Of a slice of elastic tissue: free to bulge, the default, or held between its neighbours.
+    tolerance : float, optional
+        Largest estimated error of the field, in pixels; of all models but "paper".
+    penalty : float, optional
+        K of eq. 19, with which what is held may slip; by default the model's own.
+    weight : tuple of float
+        Force at each part of elastic tissue along each axis, in the unit of stiffness per length.
+    """
+
+    image: Path
+    labels: Path | None = None
+    materials: Path | None = None
+    maps: Sequence[Path] = ()
+    boundary: Path | None = None
+    rules: Path | None = None
+    forward: bool = False
+    confidence: Path | Literal["edges"] | None = None
+    slice: int | None = None
+    hold_edge: bool = False
+    model: str | None = None
+    poisson: float | None = None
+    plane: Plane | None = None
+    tolerance: float | None = None
+    penalty: float | None = None
+    weight: tuple[float, ...] = ()
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """What is given beside the image, as it is typed."""
+        names = [each.name for each in fields(self) if each.name != "image"]
+        given = [name for name in names if getattr(self, name) not in (None, (), False)]
+        return tuple(f"--{name.replace('_', '-')}" for name in given)
+
+
+def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
+    """Return the energy that a case asks for, and how it is minimised.
+
+    Parameters
+    ----------
+    case : Case
+    volume : bool
+        Whether all of a volume is solved.
+
+    Raises
+    ------
+    HmrfError
+        If the model has no such parameter: naming the option and the reason.
+    ArgumentError
+        If a parameter has a value that it cannot have.
+    """
+    name = MODELS[as_word(case.model or "elastic")]
+    prior, optimizer = chosen(name)
+    elastic = name in ELASTIC
+    for given, option, has_it, why in (
+        (case.poisson is not None, "--poisson", elastic, "the paper's has no Poisson's ratio"),
+        (case.plane is not None, "--plane", elastic, "the paper's model has no plane"),
+        (case.plane is not None, "--plane", not volume, "a volume is strained in all directions"),
+        (bool(case.weight), "--weight", elastic, "the paper's model bears no forces"),
+        (
+            case.tolerance is not None,
+            "--tolerance",
+            isinstance(optimizer, Multigrid),
+            "the paper's schedule ends after its sweeps; --model paper-converged has a tolerance",
+        ),
+    ):
+        if given and not has_it:
+            raise HmrfError(f"{option} means nothing here: {why}. Leave {option} out.")
+    if isinstance(prior, Elastic):
+        prior = replace(
+            prior,
+            poisson=prior.poisson if case.poisson is None else case.poisson,
+            plane=case.plane or prior.plane,
+        )
+    if case.penalty is not None:
+        prior = replace(prior, penalty=case.penalty)
+    if case.tolerance is not None:
+        optimizer = Multigrid(case.tolerance)
+    return prior, optimizer
+
+
+def weight_of(case: Case, grid: Grid) -> tuple[float, ...]:
+    """Return the weight of a case, or refuse one of other axes than its grid has."""
+    if case.weight and len(case.weight) != len(grid.shape):
+        axes = "plane, row and col" if len(grid.shape) == 3 else "row and col"
+        raise HmrfError(
+            f"--weight has {len(case.weight)} numbers, but what is solved has {len(grid.shape)} "
+            f"axes. Give its {axes}."
+        )
+    return case.weight
+
+
+def notes_on_ratio(case: Case, tissue: Tissue) -> tuple[str, ...]:
+    """Return notes on what the Poisson's ratio of a case replaces, and on labels without a row.
+
+    Parameters
+    ----------
+    case : Case
+    tissue : Tissue
+        By labels, with the materials of the table.
+    """
+    notes = []
+    if any(row.poisson not in (case.poisson, USUAL_POISSON) for row in tissue.materials):
+        table = "the table" if case.materials is None else case.materials.name
+        notes.append(f"--poisson {case.poisson:g} replaces the Poisson's ratios of {table}")
+    missing = [] if tissue.labels is None else unlisted(tissue.labels, tissue.materials)
+    added = [default_material(label, tissue.materials) for label in missing]
+    notes += [
+        f"label {row.label} is not in the table and got stiffness {row.stiffness:g}"
+        for row in added
+    ]
+    return tuple(notes)

@@ -1,0 +1,142 @@
+"""Records of finished cases: their inputs and their outcomes."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import pydantic
+
+from napari_hmrf.io.case_tables import NamedCase
+
+#: File in the folder of a case with its line of the table, its files, and its outcome.
+RECORD = "case.json"
+#: Names that a sentence lists.
+_FEW = 5
+
+
+@dataclass(frozen=True)
+class CaseOutcome:
+    """What came of a case.
+
+    Attributes
+    ----------
+    case : str
+        Its name.
+    state : {"done", "failed", "not done"}
+    error : str
+        Why it failed, in words.
+    notes : str
+        What was guessed as its files were read, and what its field falls short of.
+    seconds : float
+        From its files to its files.
+    folds : int
+        Pixels at which the tissue folds over itself, which no tissue does.
+    error_bound : float, optional
+        How far the field is from the exact one at most, in pixels; None of a model that has none.
+    largest_displacement : float, optional
+        In `unit`.
+    unit : str
+        Of the image's lengths.
+    """
+
+    case: str
+    state: Literal["done", "failed", "not done"] = "not done"
+    error: str = ""
+    notes: str = ""
+    seconds: float = 0.0
+    folds: int = 0
+    error_bound: float | None = None
+    largest_displacement: float | None = None
+    unit: str = ""
+
+
+class CaseRecord(pydantic.BaseModel):
+    """Content of the record of a case."""
+
+    cells: dict[str, str]
+    outcome: CaseOutcome
+    inputs: dict[str, str] = {}
+
+
+def record_in(folder: Path) -> CaseRecord | None:
+    """Read the record in a folder; None if it holds none."""
+    try:
+        return CaseRecord.model_validate_json((folder / RECORD).read_bytes())
+    except (OSError, pydantic.ValidationError):
+        return None
+
+
+def finished_cases(
+    cases: Sequence[NamedCase], folder: Path
+) -> tuple[dict[str, CaseOutcome], list[str]]:
+    """Return the outcomes of finished cases, and sentences on those that are solved again."""
+    found, rows, files = {}, [], []
+    digests: dict[Path, str] = {}
+    for case in cases:
+        record = record_in(folder / case.name)
+        if record is None:
+            continue
+        if record.cells != dict(case.cells):
+            rows.append(case.name)
+        elif record.inputs and record.inputs != fingerprints(case, digests):
+            files.append(case.name)
+        else:
+            found[case.name] = record.outcome
+    said = [
+        f"solved again, as the line in the table has changed: {_listed(rows)}" if rows else "",
+        f"solved again, as files it is read from have changed: {_listed(files)}" if files else "",
+    ]
+    return found, [sentence for sentence in said if sentence]
+
+
+def leftovers(cases: Sequence[NamedCase], folder: Path) -> list[str]:
+    """Return sentences on folders of cases that are no longer in the table."""
+    named = {case.name.casefold() for case in cases}
+    others = [
+        path.parent.name
+        for path in sorted(folder.glob(f"*/{RECORD}"))
+        if path.parent.name.casefold() not in named and record_in(path.parent) is not None
+    ]
+    if not others:
+        return []
+    return [f"not counted, as no case of the table has this name: {_listed(others)}"]
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _FEW} more" if len(names) > _FEW else ""
+    return f"{', '.join(names[:_FEW])}{more}"
+
+
+def fingerprints(case: NamedCase, known: dict[Path, str] | None = None) -> dict[str, str]:
+    """Return a digest of each file that a case is read from; "" of one that cannot be read.
+
+    Parameters
+    ----------
+    case : NamedCase
+    known : dict, optional
+        Digests that were made before; those of the case are added.
+    """
+    made = {} if known is None else known
+    for path in case.inputs:
+        if path not in made:
+            made[path] = _digest(path)
+    return {f"{number} {path.name}": made[path] for number, path in enumerate(case.inputs)}
+
+
+def _digest(path: Path) -> str:
+    files = sorted(path.rglob("*")) if path.is_dir() else [path]
+    whole = hashlib.sha256()
+    try:
+        for each in files:
+            if each.is_file():
+                with open(each, "rb") as file:
+                    whole.update(hashlib.file_digest(file, "sha256").digest())
+            elif each is path:
+                return ""
+    except OSError:
+        return ""
+    return whole.hexdigest()

@@ -1,0 +1,72 @@
+"""Types of options of the command line, which read and check their text."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import Any
+
+from napari_hmrf.io.case_tables import read_energy
+from napari_hmrf.solver.priors.elastic import POISSON_RANGE
+
+
+def energy_option(name: str) -> Callable[[str], Any]:
+    """Return the reader of an option of the energy."""
+
+    def read(text: str) -> Any:
+        try:
+            return read_energy(name, text)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(f"{text!r} is not {error}") from None
+
+    return read
+
+
+def count_option(text: str) -> int:
+    """Read a whole number of at least 1."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
+    return int(text)
+
+
+def lengths_option(text: str) -> float | tuple[float, float]:
+    """Read a length, or two with a dash between them."""
+    try:
+        return float(text)
+    except ValueError:
+        pass
+    low, _, high = text.partition("-")
+    try:
+        return float(low), float(high)
+    except ValueError:
+        said = f"{text!r} is not a length such as 3, or two such as 1-4"
+        raise argparse.ArgumentTypeError(said) from None
+
+
+def size_option(smallest: int) -> Callable[[str], int]:
+    """Return the reader of the size of a sample in pixels."""
+
+    def read(text: str) -> int:
+        try:
+            size = int(text)
+        except ValueError:
+            size = 0
+        if size < smallest:
+            raise argparse.ArgumentTypeError(
+                f"{text!r} is not a whole number of at least {smallest}"
+            )
+        return size
+
+    return read
+
+
+def poisson_option(text: str) -> float:
+    """Read a Poisson's ratio."""
+    low, high = POISSON_RANGE
+    try:
+        poisson = float(text)
+    except ValueError:
+        poisson = -1.0
+    if not low <= poisson <= high:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from {low:g} to {high:g}")
+    return poisson

@@ -1,0 +1,113 @@
+"""Results in files: measurements, labels and images that go with their fields."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import HmrfError, ProblemError
+from napari_hmrf.field.elastic_strain import strain_note
+from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.measurement import Measurement
+from napari_hmrf.field.units import unit_symbol
+from napari_hmrf.io.case import as_labels
+from napari_hmrf.io.fields import place_of
+from napari_hmrf.io.images import load_image
+from napari_hmrf.io.study_file import load_solved
+from napari_hmrf.solver.problem import grid_in_words
+from napari_hmrf.solver.solution import Solution
+
+
+class Measured(NamedTuple):
+    """Measurements of each tissue.
+
+    Attributes
+    ----------
+    rows : tuple of Measurement
+    unit : str
+        Of lengths.
+    of_volume : bool
+        Whether tissue has a volume for an area.
+    note : str
+        Why the strain is not the elastic one, as a clause; "" if it is.
+    """
+
+    rows: tuple[Measurement, ...]
+    unit: str
+    of_volume: bool
+    note: str = ""
+
+
+def measured(path: Path, labels: Path | None = None) -> Measured:
+    """Measure what happened to each tissue of a study or result.
+
+    Parameters
+    ----------
+    path : Path
+    labels : Path, optional
+        An image of labels; by default those of the study.
+
+    Raises
+    ------
+    HmrfError, OSError
+        If a file cannot be read; or if it holds no field, or no labels and none are given.
+    """
+    study, solution = load_solved(path)
+    tissue = None if study is None else study.tissue
+    names = {} if tissue is None else {row.label: row.name for row in tissue.materials}
+    image = None if tissue is None else tissue.labels
+    if labels is not None:
+        image = as_labels(_on_grid(labels, solution), labels)
+    if image is None:  # nothing tells one tissue from another
+        image, names = np.ones(solution.tissue.shape, np.int32), {1: "tissue"}
+    unit = unit_symbol(Frame.of_solution(solution).unit)
+    rows, of_volume = solution.measure(image, names=names), solution.tissue.ndim == 3
+    return Measured(rows, unit, of_volume, strain_note(solution))
+
+
+def labels_in(path: Path) -> tuple[int, ...]:
+    """The labels that are somewhere in an image.
+
+    Raises
+    ------
+    HmrfError, OSError
+        If it cannot be read, or holds no labels.
+    """
+    return tuple(np.unique(as_labels(load_image(path).pixels, path)).tolist())
+
+
+def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArray[Any]]:
+    """The field of a study or result, and its image, or another that is given.
+
+    Raises
+    ------
+    HmrfError, OSError
+        If a file cannot be read; or if it holds no field, or no image and none is given.
+    """
+    study, solution = load_solved(path)
+    pixels = None if study is None else study.pictures.image
+    if image is not None:
+        pixels = _on_grid(image, solution)
+    if pixels is None:
+        raise HmrfError(f"{path.name}: the image is not in the file. Give --image.")
+    return solution, pixels
+
+
+def _on_grid(path: Path, solution: Solution) -> npt.NDArray[Any]:
+    """The pixels of a file; of a volume in the order of the solution's axes."""
+    unknown = Frame.of_solution(solution).unit == "pixel"
+    image, place = load_image(path), None if unknown else place_of(solution)
+    if solution.tissue.ndim == 3:
+        image = image.laid_as(place)
+    sizes, shape = image.pixels.shape[: image.ndim], solution.tissue.shape
+    if sizes != shape:
+        raise ProblemError(
+            path.name,
+            f"is {grid_in_words(sizes)}, but the field {grid_in_words(shape)}. Give an image of "
+            "the same pixels.",
+        )
+    image.refuse_elsewhere(place, path.name, "the field")
+    return image.pixels

@@ -1,0 +1,64 @@
+"""Words of the interface that a message appears in.
+
+A message states what is wrong in words that every interface shares, and names the setting to
+change as Python has it, in parentheses and backticks: ``hold its edge (`hold_edge=True`)``. Python
+shows it so. The shell and the window replace the setting by their own words for it as they show the
+message.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Literal, NamedTuple
+
+Interface = Literal["shell", "window"]
+
+
+class Term(NamedTuple):
+    """Words for one setting; "" where the message needs none.
+
+    Attributes
+    ----------
+    shell, window : str
+    """
+
+    shell: str
+    window: str
+
+
+#: By the setting in Python.
+TERMS: dict[str, Term] = {
+    "hold_edge=True": Term("--hold-edge", ""),
+    "model='elastic'": Term("--model elastic", ""),
+    "penalty=inf": Term("without --penalty", "'holding force' under 'Advanced' at 'held exactly'"),
+    "action='move'": Term("the action move in --rules", "'moves by'"),
+    "overwrite=True": Term("--force", ""),
+    "forward=True": Term("--forward", ""),
+    "number": Term("--slice", ""),
+    "resume=True": Term("--resume", "resume"),
+    "without_border=True": Term(
+        "a label of stiffness 0 in --labels and --materials",
+        "leave them unpainted and tick 'the dark border is no tissue'",
+    ),
+}
+_SETTING = re.compile(r" \(`([^`]+)`\)")
+
+
+def in_words_of(interface: Interface, message: str) -> str:
+    """Return a message in the words of an interface.
+
+    Parameters
+    ----------
+    interface : {"shell", "window"}
+    message : str
+        With settings as Python has them.
+    """
+
+    def words(found: re.Match[str]) -> str:
+        term = TERMS.get(found[1])
+        if term is None:
+            return found[0]
+        said: str = getattr(term, interface)
+        return said and f" ({said})"
+
+    return _SETTING.sub(words, message)

@@ -1,0 +1,256 @@
+"""Every command explains itself, and none writes over files unasked."""
+
+import argparse
+import os
+import re
+import shlex
+
+import numpy as np
+import pytest
+
+from napari_hmrf import (
+    Arrow,
+    Case,
+    Drawing,
+    Grid,
+    HmrfError,
+    Motion,
+    Pictures,
+    Study,
+    Tissue,
+    load_study,
+    save_study,
+    solve_study,
+    write_field,
+)
+from napari_hmrf.cli import main
+from napari_hmrf.command_line import parser_of_commands
+from napari_hmrf.io.case import read_case
+from napari_hmrf.io.images import ImageFile, save_image
+from napari_hmrf.study.models import chosen
+
+SHAPE = (20, 24)
+
+
+def commands():
+    parser = parser_of_commands()
+    (choices,) = (
+        action.choices
+        for action in parser._actions
+        if isinstance(action, argparse._SubParsersAction)
+    )
+    return choices
+
+
+@pytest.mark.parametrize("name", sorted(commands()))
+def test_every_command_has_a_sentence_an_example_and_help_for_each_option(name):
+    command = commands()[name]
+    assert re.match(r"[A-Z].*\.$", command.description)
+    example = command.epilog.removeprefix("example: ")
+    typed = shlex.split(example)
+    assert typed[:2] == ["napari-hmrf", name]
+    assert parser_of_commands().parse_args(typed[1:]).command == name
+    bare = [action.dest for action in command._actions if not action.help]
+    assert bare == []
+    assert example in command.format_help(), "in one line, to be copied"
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    """An image with labels, a rim and its tables."""
+    monkeypatch.chdir(tmp_path)
+    labels = np.ones(SHAPE, np.uint8)
+    labels[6:12, 6:12] = 2
+    rim = np.zeros(SHAPE, np.uint8)
+    rim[0], rim[-1] = 1, 2
+    save_image("labels.png", ImageFile(labels))
+    save_image("rim.png", ImageFile(rim))
+    save_image("image.png", ImageFile(50 * labels))
+    (tmp_path / "m.csv").write_text("label,name,stiffness,poisson\n1,brain,3,0.4\n2,fat,1,\n")
+    (tmp_path / "r.csv").write_text("label,action,row,col\n1,fixed,,\n2,move,1,0\n")
+    return tmp_path
+
+
+SOLVE = "solve image.png --labels labels.png --materials m.csv --boundary rim.png --rules r.csv"
+
+
+def run(line, capsys):
+    code = main(line.split())
+    said = capsys.readouterr()
+    return code, said.out, said.err
+
+
+def test_no_command_writes_over_a_file_unless_it_is_told_to(files, capsys):
+    assert run(f"{SOLVE} -o out", capsys)[0] == 0
+    lines = {
+        f"{SOLVE} -o out": "image.study",
+        "export out/image.study f.mha": "f.mha",
+        "apply out/image.study labels.png --labels -o moved": "labels.png",
+        "measure out/image.study -o t.csv": "t.csv",
+        "play out/image.study a.gif": "a.gif",
+        "materials names.json -o n.csv": "n.csv",
+        "truth image.png --labels labels.png --materials m.csv -o pairs --patches 1": "image.mha",
+    }
+    (files / "names.json").write_text('{"1": "brain"}')
+    for line, name in lines.items():
+        if not line.startswith("solve"):
+            assert run(line, capsys)[0] == 0, line
+        path = next(files.rglob(name if "moved" not in line else f"moved/{name}"))
+        before = path.stat().st_ino, path.read_bytes()
+        code, out, err = run(line, capsys)
+        assert code == 1, line
+        assert f"{name} is there already" in err
+        assert "Give another name, or write over it (--force)" in err
+        assert out == ""
+        assert (path.stat().st_ino, path.read_bytes()) == before
+        assert run(f"{line} --force", capsys)[0] == 0, line
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/null"), reason="writes into a device")
+def test_a_device_is_no_file_that_is_written_over(files, capsys):
+    assert run(f"{SOLVE} -o out", capsys)[0] == 0
+    os.symlink("/dev/null", files / "none.csv")
+    assert run("measure out/image.study -o none.csv", capsys)[0] == 0
+
+
+def test_the_shell_gives_the_energy_its_parameters(files, capsys):
+    line = f"{SOLVE} -o out --poisson 0.3 --plane strain --tolerance 0.01 --penalty 0.5"
+    code, out, err = run(f"{line} --weight=-0.01/0.02", capsys)
+    assert code == 0, err
+    assert "note: --poisson 0.3 replaces the Poisson's ratios of m.csv\n" in out
+    study, solution = load_study(files / "out" / "image.study")
+    assert {row.poisson for row in study.tissue.materials} == {0.3}
+    assert study.motion.weight == (-0.01, 0.02)
+    prior, optimizer = (solution.provenance.parameters[part] for part in ("prior", "optimizer"))
+    assert (prior["plane"], prior["penalty"], optimizer["tolerance"]) == ("strain", 0.5, 0.01)
+    bare = read_case(Case(files / "image.png", hold_edge=True, poisson=0.2))
+    assert bare.prior.poisson == 0.2
+    plain = read_case(
+        Case(files / "image.png", labels=files / "labels.png", hold_edge=True, poisson=0.2)
+    )
+    assert [(row.label, row.poisson) for row in plain.tissue.materials] == [(1, 0.2), (2, 0.2)]
+    assert any("label 2 is not in the table" in note for note in plain.notes)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ("--model paper --poisson 0.3", "--poisson means nothing here: the paper's has no Poisson"),
+        ("--model paper --plane strain", "--plane means nothing here: the paper's model has no"),
+        ("--model paper-converged --weight 0/1", "--weight means nothing here: the paper's model"),
+        ("--model paper --tolerance 0.1", "--tolerance means nothing here: the paper's schedule"),
+        ("--weight 0/0/1", "--weight has 3 numbers, but what is solved has 2 axes"),
+        ("--forward", "--forward is for a --boundary that is a field"),
+    ],
+)
+def test_a_parameter_that_a_model_lacks_is_refused_with_the_reason(
+    files, capsys, options, sentence
+):
+    code, out, err = run(f"{SOLVE} -o out {options}", capsys)
+    assert code == 1
+    assert sentence in err
+    assert out == ""
+    assert not (files / "out").exists()
+
+
+@pytest.mark.parametrize("option", ["--tolerance 0", "--penalty x", "--weight 1", "--plane both"])
+def test_a_parameter_that_is_no_number_is_refused_before_any_work(files, capsys, option):
+    with pytest.raises(SystemExit):
+        run(f"{SOLVE} -o out {option}", capsys)
+    assert option.split()[0] in capsys.readouterr().err
+
+
+def test_a_field_leads_forward_where_its_file_cannot_say_so(tmp_path):
+    d = np.zeros((*SHAPE, 2))
+    d[..., 1] = np.linspace(0, 3, SHAPE[1])
+    save_image(tmp_path / "image.png", ImageFile(np.ones(SHAPE, np.uint8)))
+    import SimpleITK as sitk
+
+    bare = sitk.GetImageFromArray(d[..., ::-1], isVector=True)
+    sitk.WriteImage(bare, str(tmp_path / "f.mha"))
+    given = Case(tmp_path / "image.png", boundary=tmp_path / "f.mha", forward=True)
+    np.testing.assert_allclose(read_case(given).motion.observed, d, atol=1e-6)
+    back = Case(tmp_path / "image.png", boundary=tmp_path / "f.mha")
+    assert abs(read_case(back).motion.observed - d).max() > 0.1
+    write_field(tmp_path / "own.mha", d, spacing=(1, 1))
+
+
+def test_a_painted_label_that_the_rules_do_not_name_is_refused(files, capsys):
+    (files / "r.csv").write_text("label,action\n1,fixed\n")
+    code, _, err = run(f"{SOLVE} -o out", capsys)
+    assert code == 1
+    assert "r.csv: there is no rule for label 2, painted in rim.png. Add a line such as 2,f" in err
+
+
+def test_a_model_is_called_alike_in_python_and_in_the_shell(files, capsys):
+    assert chosen("large-motion") == chosen("large motion")
+    assert Study(Grid(SHAPE, (1.0, 1.0)), model="large-motion").model_name == "large motion"
+    with pytest.raises(HmrfError, match=r"there is no model 'soft'\. Take one of .elastic"):
+        chosen("soft")
+    code, out, _ = run(f"{SOLVE} -o out --model large_motion", capsys)
+    assert code == 0
+    assert ", large-motion, moved up to" in out
+    assert "large motion" not in out
+
+
+def test_notes_of_the_shell_name_its_own_options(files, capsys):
+    (files / "r.csv").write_text("label,action,row,col\n1,move,1,0\n2,move,1,0\n")
+    code, out, _ = run(f"{SOLVE} -o out", capsys)
+    assert code == 0
+    assert "hold its edge (--hold-edge), or paint what stays there" in out
+    (files / "m.csv").write_text("label,stiffness\n1,3\n2,rigid\n")
+    code, _, err = run(f"{SOLVE} -o out --model paper --force", capsys)
+    assert code == 1
+    assert "that holds exactly (without --penalty)" in err
+    assert "Advanced" not in err
+
+
+def test_that_nothing_moves_is_said(files, capsys):
+    code, out, _ = run("solve image.png --hold-edge -o out", capsys)
+    assert code == 0
+    assert "note: nothing moves" in out
+
+
+def test_of_a_volume_the_middle_slice_is_played_and_said(tmp_path, capsys):
+    from PIL import Image
+
+    shape = (6, 8, 10)
+    pull = Drawing((Arrow((3, 4, 5), (0, 0, 1.0), 2.0),))
+    image = np.arange(480, dtype=np.float32).reshape(shape)
+    study = Study(
+        Grid(shape, (1.0, 1.0, 1.0)),
+        Tissue(stiffness=np.ones(shape)),
+        Motion(hold_edge=True, drawing=pull),
+        pictures=Pictures(image),
+    )
+    path = save_study(tmp_path / "v.study", study, solve_study(study, backend="cpu"))
+    code, out, _ = run(f"play {path} {tmp_path / 'a.gif'}", capsys)
+    assert code == 0
+    assert "note: slice 3 of 0 to 5, in the middle; --slice takes another\n" in out
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.size == (10, 8)
+        assert film.n_frames > 10
+    assert run(f"play {path} {tmp_path / 'b.gif'} --slice 6", capsys)[2].startswith(
+        "napari-hmrf: the volume has slices 0 to 5, and --slice is 6"
+    )
+    assert run(f"play {path} {tmp_path / 'b.gif'} --slice 2", capsys)[:2] == (
+        0,
+        f"written: {tmp_path / 'b.gif'}\n",
+    )
+
+
+def test_a_demo_writes_over_its_own_folder_alone_and_says_so(tmp_path, capsys, monkeypatch):
+    from napari_hmrf.io import figures
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CI", "true")
+    monkeypatch.setattr(figures, "save_pictures", lambda *_, **__: [])
+    line = "demo --size 24 --backend cpu --no-window"
+    assert run(line, capsys)[0] == 0
+    code, out, _ = run(line, capsys)
+    assert code == 0
+    assert "note: an earlier demo in demo-output is written over\n" in out
+    code, _, err = run(f"{line} --out demo-output", capsys)
+    assert code == 1
+    assert "demo-output is there already, and is not empty" in err
+    assert run(f"{line} --out demo-output --force", capsys)[0] == 0

@@ -1,0 +1,87 @@
+"""Messages are in the words of the interface that shows them, and hints lead somewhere."""
+
+import ast
+import re
+import tomllib
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+import napari_hmrf
+from napari_hmrf import ProblemError
+from napari_hmrf.extras import Extra, how_to_install
+from napari_hmrf.ui.messages import in_short
+from napari_hmrf.wording import TERMS, in_words_of
+
+PACKAGE = Path(napari_hmrf.__file__).parent
+ROOT = PACKAGE.parent
+#: The rooms whose messages every interface shows.
+CORE = ("solver", "field", "tissue", "study", "io", "augmentation", "samples")
+
+
+def messages(path):
+    """Return the strings of a module that are no docstrings, each as it is shown."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    bare = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in bare:
+            yield node.value
+
+
+def core():
+    return [path for room in CORE for path in (PACKAGE / room).rglob("*.py")]
+
+
+def test_a_setting_is_named_as_the_interface_has_it():
+    said = "hold its edge (`hold_edge=True`), or paint what stays there"
+    assert in_words_of("shell", said) == "hold its edge (--hold-edge), or paint what stays there"
+    assert in_words_of("window", said) == "hold its edge, or paint what stays there"
+    assert in_words_of("shell", "see (`unknown`)") == "see (`unknown`)"
+    error = ProblemError("tissue", "take the elastic model that holds exactly (`penalty=inf`)")
+    assert "('holding force' under 'Advanced' at 'held exactly')" in in_short(error)
+
+
+def test_every_setting_in_a_message_has_words_in_the_shell_and_in_the_window():
+    found = {
+        setting
+        for path in core()
+        for text in messages(path)
+        for setting in re.findall(r"\(`([^`]+)`\)", text)
+    }
+    assert found == set(TERMS)
+
+
+def test_no_message_of_the_core_names_a_box_of_the_window():
+    window = re.compile(r"'Advanced'|\btick\b|under 'Ad|\bpress Deform|\bthe menu\b", re.IGNORECASE)
+    found = [
+        f"{path.name}: {text}" for path in core() for text in messages(path) if window.search(text)
+    ]
+    assert found == []
+
+
+def test_extras_are_installed_from_a_copy_of_the_repository():
+    assert how_to_install("film").endswith('pip install ".[film]"')
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    assert set(get_args(Extra)) <= set(extras["project"]["optional-dependencies"])
+
+
+@pytest.mark.skipif(not (ROOT / "docs").exists(), reason="looks at a checkout of the repository")
+def test_no_hint_installs_an_extra_from_a_registry():
+    files = [
+        path
+        for folder in ("napari_hmrf", "docs", "benchmarks", "examples")
+        for kind in ("*.py", "*.md")
+        for path in (ROOT / folder).rglob(kind)
+    ]
+    assert len(files) > 100
+    named = [
+        path.name
+        for path in files
+        if re.search(
+            r"pip install\s+[\"']?(napari-hmrf\[|imageio-ffmpeg|distributed|monai|simpleitk)",
+            path.read_text(encoding="utf-8"),
+            re.IGNORECASE,
+        )
+    ]
+    assert named == []
