@@ -90,6 +90,8 @@ class Solution:
         only. The solver neither reads nor writes it.
     loads : Loads, optional
         What pulled at it, for solves that begin with it. Files keep its digest only.
+    notes : tuple of str
+        Clauses for people: input without effect, and guesses. Files do not keep them.
     """
 
     displacement: npt.NDArray[np.floating]
@@ -102,6 +104,7 @@ class Solution:
     frame: Mapping[str, Any] | None = None
     loads: Loads | None = None
     reach: Reach | None = None
+    notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         farthest = float(np.linalg.norm(self.displacement, axis=-1).max(initial=0.0))
