@@ -38,8 +38,8 @@ SUFFIX = ".study"
 LABEL_TYPES = ("|u1", "<u2", "<u4", "<u8", "|i1", "<i2", "<i4", "<i8")
 _NUMBERS = ("|b1", *LABEL_TYPES, "<f2", "<f4", "<f8")
 _OF_SOLUTION = "solution_"
-#: Penalties of an elastic prior that files write as words. "inf" has stood for holding by confidence
-#: since the first version of the file.
+#: Penalties of an elastic prior that files write as words. "inf" has stood for holding by
+#: confidence since the first version of the file.
 _PENALTIES = {None: "inf", math.inf: "exact"}
 #: Check the types of what a file holds.
 _MATERIALS = TypeAdapter(tuple[Material, ...])

@@ -110,7 +110,8 @@ class Motion:
     observed : ndarray, shape ([D,] H, W, n), optional
         A displacement, in the order of the axes and the grid's unit, such as a registration's.
     confidence : ndarray, shape ([D,] H, W) or ([D,] H, W, n), optional
-        How sure what is observed is, 0 (not at all) to 1. Needed beside `observed`.
+        Confidence in what is observed, 0 (none) to 1 (certain), as of a `Problem`. Needed beside
+        `observed`.
     drawing : Drawing
         What was drawn with a pointer: pulls, landmarks, and strokes of a brush.
     weight : tuple of float

@@ -40,8 +40,8 @@ from napari_hmrf.solver.rigid_modes import check_held
 
 Plane = Literal["stress", "strain"]
 
-#: K of eq. 19 for doubted observations where no penalty is given: a force of 1 strains a pixel of the
-#: stiffest tissue by 1.
+#: K of eq. 19 for doubted observations where no penalty is given: a force of 1 strains a pixel of
+#: the stiffest tissue by 1.
 DOUBTED_PENALTY = 1.0
 #: Poisson's ratios beyond which the energy is not that of a stable, compressible tissue.
 POISSON_RANGE = (0.0, 0.499)
