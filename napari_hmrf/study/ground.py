@@ -297,7 +297,7 @@ def solve_study(
         )
     return replace(
         solution,
-        frame=study.grid.place and study.grid.place.as_dict(),
+        frame=None if study.grid.place is None else study.grid.place.as_dict(),
         notes=notes or solution.notes,
     )
 

@@ -6,15 +6,17 @@ the one before what is the same in both. So parts are compared by identity, and 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import InitVar, dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError, naming
 from napari_hmrf.field.brightness import luminance
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
@@ -25,6 +27,25 @@ from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
 Array = npt.NDArray[Any]
+
+
+class SimpleItkImage(Protocol):
+    """The part of a SimpleITK image that tells its place."""
+
+    def GetSize(self) -> Sequence[int]: ...  # noqa: D102
+    def GetSpacing(self) -> Sequence[float]: ...  # noqa: D102
+    def GetOrigin(self) -> Sequence[float]: ...  # noqa: D102
+    def GetDirection(self) -> Sequence[float]: ...  # noqa: D102
+    def GetDimension(self) -> int: ...  # noqa: D102
+
+
+class NibabelImage(Protocol):
+    """The part of a nibabel image that tells its place."""
+
+    @property
+    def affine(self) -> Any: ...  # noqa: D102
+    @property
+    def dataobj(self) -> Any: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
@@ -40,14 +61,71 @@ class Grid:
     unit : str
         Of all lengths: displacements, radii.
     place : Frame, optional
-        Where the pixels lie in the world, and which slice they are. The field does not depend on
-        it.
+        The place of the pixels in the world, and the slice that they are; see `from_image`. Files
+        for other tools need it; the field does not depend on it.
     """
 
     shape: tuple[int, ...]
     spacing: tuple[float, ...]
     unit: str = "pixel"
-    place: Any = None
+    place: Frame | None = None
+
+    def __post_init__(self) -> None:
+        place = self.place
+        if place is None:
+            return
+        if not isinstance(place, Frame):
+            raise ProblemError(
+                "grid",
+                f"has a place of type {type(place).__name__}. Give a Frame, as of Grid.from_image.",
+            )
+        if len(place.plane) != len(self.shape):
+            raise ProblemError(
+                "grid",
+                f"has {len(self.shape)} axes, but its place has {len(place.plane)}. Give the place "
+                "of the same slice or volume.",
+            )
+
+    @property
+    def known_place(self) -> Frame:
+        """Place of a grid that has one, as every grid that was read from layers."""
+        assert self.place is not None
+        return self.place
+
+    @classmethod
+    def from_image(
+        cls,
+        image: str | os.PathLike[str] | SimpleItkImage | NibabelImage,
+        *,
+        slice: int | None = None,  # noqa: A002
+        axis: int = 0,
+    ) -> Grid:
+        """Return the grid of an image, or of one slice of a volume, with its place.
+
+        Parameters
+        ----------
+        image : path-like, SimpleITK image or nibabel image
+            A path is read as images are: NIfTI, MetaImage, NRRD, a folder of DICOM or a picture.
+            The axes are those of its array: [z,] y, x of a file or of SimpleITK's
+            ``GetArrayFromImage``, and x, y, z of nibabel's ``dataobj``.
+        slice : int, optional
+            Number of a slice of a volume; by default the grid is that of the whole image.
+        axis : int
+            The axis of the array that the slice lies across.
+
+        Raises
+        ------
+        ArgumentError
+            If it is no such image, or has no such slice.
+        ProblemError
+            If the image's axes are not at right angles.
+        FileFormatError, HmrfError, OSError
+            If a file cannot be read.
+        """
+        # Reading files is the work of `io`, which is built on studies.
+        from napari_hmrf.io.image_grid import grid_of_image
+
+        return grid_of_image(image, slice=slice, axis=axis)
 
 
 @dataclass(frozen=True, eq=False)
