@@ -103,7 +103,7 @@ def test_simpleitk_moves_a_volume_as_warp_does(kind, tmp_path):
     image = scan()
     given, pixels = made(kind, image, tmp_path)
     grid = Grid.from_image(given)
-    assert grid.shape == pixels.shape and grid.unit == "millimeter"
+    assert (grid.shape, grid.unit) == (pixels.shape, "millimeter")
     np.testing.assert_allclose(sorted(grid.spacing), sorted(SPACING), rtol=1e-6)
     solution = solved(grid)
     path = tmp_path / "field.mha"
@@ -157,10 +157,9 @@ def test_a_slice_of_unknown_place_moves_no_volume(tmp_path, capsys):
     told = ["apply", str(tmp_path / "a.study"), str(tmp_path / "scan.nii.gz")]
     assert main([*told, "--out", str(tmp_path / "out")]) == 1
     said = capsys.readouterr().err
-    assert "scan.nii.gz: is a volume of 9 slices" in said.replace(
-        "scan.nii.gz is", "scan.nii.gz: is"
-    )
-    assert "does not say which" in said and "--slice" in said
+    assert "is a volume of 9 slices" in said
+    assert "does not say which" in said
+    assert "--slice" in said
     assert not (tmp_path / "out" / "scan.nii.gz").exists()
 
 
@@ -178,7 +177,7 @@ def test_a_field_without_a_place_is_not_exported_unless_that_is_asked_for(tmp_pa
     export_field(path, of_problem, grid=Grid.from_image(scan()))
     np.testing.assert_allclose(sitk.ReadImage(str(path)).GetOrigin(), ORIGIN)
     np.testing.assert_allclose(sitk.ReadImage(str(path)).GetDirection(), oblique().ravel())
-    with pytest.raises(ProblemError, match="has pixels of 2 x 1 x 1.5"):
+    with pytest.raises(ProblemError, match=r"has pixels of 2 x 1 x 1\.5"):
         export_field(path, solved(Grid(SHAPE, (1, 1, 1))), grid=Grid.from_image(scan()))
     with pytest.raises(ProblemError, match="Give the grid of its image"):
         export_field(path, solution, grid=Grid.from_image(scan(), slice=2))

@@ -30,6 +30,7 @@ from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.ground import Ground, solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
+from napari_hmrf.study.without_effect import asks_motion
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.material_presets import Preset
@@ -201,6 +202,13 @@ def solve_case(
     folder.mkdir(parents=True, exist_ok=True)  # before the work, so that it is not done in vain
     ground = Ground.of(study)
     stated = ground.statement()
+    idle = ground.unused(stated)
+    if not asks_motion(stated.problem):
+        why = "".join(f"; {note}" for note in (*idle, *ground.idle_marks(stated)))
+        raise HmrfError(
+            f"nothing is asked to move{why}. Give --boundary with what moves: landmarks, a field, "
+            "or labels with --rules that move or expand; or --materials with growth."
+        )
     solution = solve_study(study, stated=stated, backend=backend)
     name = case.image.name.partition(".")[0]
     image = study.pictures.image
@@ -211,7 +219,8 @@ def solve_case(
         save_image(folder / f"{name} deformed{'.nrrd' if where else '.tif'}", written)
     save_study(folder / f"{name}.study", study, solution)
     folds = count_folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
-    notes = (*_shortcomings(solution, folds, study.grid.unit), *ground.notes_on(stated))
+    short = _shortcomings(solution, folds, study.grid.unit)
+    notes = (*short, *idle, *ground.notes_on(stated))
     return SolvedCase(study, solution, folds, notes)
 
 

@@ -25,7 +25,7 @@ from napari_hmrf.field.frame import Frame
 from napari_hmrf.solver.parameters import optimizer_from_dict, prior_from_dict
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.solution import SOLUTION_FORMAT, Solution
-from napari_hmrf.study.ground import solve_study
+from napari_hmrf.study.ground import solve_study, statement_of
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
@@ -192,7 +192,7 @@ def replay(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = Non
             "the file. Give the image."
         )
     backend = "auto" if solution is None else solution.provenance.backend
-    return solve_study(study, backend=backend)
+    return solve_study(study, stated=statement_of(study), backend=backend)
 
 
 class _Content(NamedTuple):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.errors import LayerError
+from napari_hmrf.errors import LayerError, ProblemError
 from napari_hmrf.solver.body_forces import weight
 from napari_hmrf.solver.caveats import caveats, lack
 from napari_hmrf.solver.loads import Loads
@@ -24,6 +24,11 @@ from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.study.study import Study
+from napari_hmrf.study.without_effect import (
+    asks_motion,
+    marks_without_effect,
+    rows_without_effect,
+)
 from napari_hmrf.tissue.boundary_rules import (
     boundary_images,
     default_material,
@@ -184,10 +189,26 @@ class Ground:
         known = [part for part in parts if part is not None]
         return reduce(add, known) if known else None
 
+    def idle_marks(self, statement: Statement) -> tuple[str, ...]:
+        """Return clauses on marks of the drawing that have no effect."""
+        drawing, tissue = self.study.motion.drawing, statement.problem.tissue | statement.at_rest
+        return tuple(marks_without_effect(drawing, tissue, self.study.grid.spacing))
+
+    def unused(self, statement: Statement) -> tuple[str, ...]:
+        """Return clauses on rules and growth that have no effect.
+
+        A window does not say them: its tables are those of all slices.
+        """
+        labels = statement.labels
+        if labels is None and self.study.tissue.labels is not None:
+            labels = self.base.labels
+        return tuple(rows_without_effect(self.study, labels))
+
     def notes_on(self, statement: Statement) -> tuple[str, ...]:
         """What people should know of a problem as it was understood, as clauses."""
         motion, problem = self.study.motion, statement.problem
         notes = [*self.notes]
+        notes += self.idle_marks(statement)
         if statement.at_rest.any():
             notes.append(left_at_rest(statement.at_rest))
         if motion.labels is not None:
@@ -277,7 +298,7 @@ def solve_study(
     Raises
     ------
     ProblemError
-        Naming the part, what is wrong with it and what to do.
+        Naming the part, what is wrong with it and what to do; also if nothing is asked to move.
     Cancelled, ConvergenceError, BackendError
         As for `solve`.
     """
@@ -285,7 +306,16 @@ def solve_study(
     if stated is None:
         ground = Ground.of(study)
         stated = ground.statement()
-        notes = ground.notes_on(stated)
+        idle = ground.unused(stated)
+        notes = (*idle, *ground.notes_on(stated))
+        if not asks_motion(stated.problem):
+            why = "".join(f"; {note}" for note in (*idle, *ground.idle_marks(stated)))
+            raise ProblemError(
+                "motion",
+                f"asks nothing to move{why}. Give it something on tissue that moves: an arrow or a "
+                "landmark, labels with a rule that moves or expands, an observed displacement, "
+                "growth, or a force.",
+            )
     with study.naming():
         solution = solve(
             stated.problem,
