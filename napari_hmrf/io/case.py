@@ -32,8 +32,9 @@ from napari_hmrf.study.ground import Ground, solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.study.without_effect import asks_motion
 from napari_hmrf.tissue.boundary_rules import Material
-from napari_hmrf.tissue.drawing import Drawing, Landmark
+from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
+from napari_hmrf.tissue.tissue_maps import most_likely
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
 
@@ -110,7 +111,7 @@ def read_case(case: Case) -> Study:
     grid = _grid(image, whole, case)
     labels = None if case.labels is None else _pixels(case, case.labels, whole, labels=True)
     if case.maps:
-        labels = _most_likely([_pixels(case, each, whole) for each in case.maps])
+        labels = most_likely([_pixels(case, each, whole) for each in case.maps])
     materials, unit, notes = _materials(case.materials, labels)
     motion = replace(_motion(case, grid, place, whole), hold_edge=case.hold_edge)
     return Study(
@@ -389,16 +390,6 @@ def _as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
     return pixels
 
 
-def _most_likely(maps: Sequence[npt.NDArray[Any]]) -> npt.NDArray[np.uint8]:
-    """The label of the likeliest tissue; 0 where that is likelier to be none of them."""
-    likely = np.nan_to_num(np.stack(maps).astype(float))  # NaN where a tool says nothing
-    sure = max(1.0, float(likely.max()))  # 1, 100 or 255, as tools have it
-    none = sure - likely.sum(axis=0)
-    there = likely.max(axis=0) > np.maximum(none, 0.0)
-    found = np.where(there, 1 + likely.argmax(axis=0), 0)
-    return found.astype(np.uint8)
-
-
 def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Motion:
     path = case.boundary
     if path is None:
@@ -473,5 +464,4 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
             f"them in its {'pixels' if place is None else 'mm'}, and remove what lies beside it.",
         )
     radius = usual_radius(grid.shape, grid.spacing)
-    pairs = zip(*(each[:, -n:].tolist() for each in ends), strict=True)
-    return Drawing(tuple(Landmark(tuple(at), tuple(to), radius) for at, to in pairs))
+    return Drawing.from_landmarks(*(each[:, -n:] for each in ends), radius=radius)

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import InitVar, dataclass, field, replace
 from typing import Any, Protocol
 
+import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError, naming
@@ -25,8 +26,11 @@ from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
+from napari_hmrf.tissue.tissue_maps import materials_of_maps, most_likely
 
 Array = npt.NDArray[Any]
+#: Distance from the middle of a slice, in slices, up to which a point is in it.
+_IN_SLICE = 0.5 + 1e-3
 
 
 class SimpleItkImage(Protocol):
@@ -91,6 +95,41 @@ class Grid:
         """Place of a grid that has one, as every grid that was read from layers."""
         assert self.place is not None
         return self.place
+
+    def to_pixels(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Return points of the patient in pixels of this grid.
+
+        Parameters
+        ----------
+        points : array_like, shape (N, 3) or (N, 2)
+            In mm, as `load_points` gives them: z, y, x of a volume or of a slice of one, towards
+            superior, posterior and left; y, x of an image of 2 axes.
+
+        Returns
+        -------
+        ndarray, shape (N, n)
+
+        Raises
+        ------
+        ProblemError
+            If the grid has no place, or points lie on another slice or have too few axes.
+        """
+        if self.place is None:
+            raise ProblemError("grid", "has no place. Take Grid.from_image(image).")
+        matrix, given = np.array(self.place.matrix), np.asarray(points, dtype=np.float64)
+        if given.ndim != 2 or given.shape[1] != len(matrix) - 1:
+            raise ProblemError(
+                "points", f"have shape {given.shape}. Give (N, {len(matrix) - 1}) numbers in mm."
+            )
+        inside = (given - matrix[:-1, -1]) @ np.linalg.inv(matrix[:-1, :-1]).T
+        others = list(self.place.others)
+        apart = np.abs(inside[:, others] - np.array(self.place.index)[others]).max(initial=0.0)
+        if apart > _IN_SLICE:
+            raise ProblemError(
+                "points", f"lie up to {apart:.3g} slices away from the slice of the grid."
+            )
+        found: npt.NDArray[np.float64] = inside[:, list(self.place.plane)]
+        return found
 
     @classmethod
     def from_image(
@@ -162,6 +201,49 @@ class Tissue:
     unit: str = ""
     record: Mapping[str, Any] = field(default_factory=dict)
     without_border: bool = False
+
+    @classmethod
+    def from_maps(
+        cls,
+        maps: Mapping[str, npt.ArrayLike],
+        materials: Mapping[str, Material | float] | Sequence[Material] | None = None,
+        *,
+        unit: str = "",
+    ) -> Tissue:
+        """Return the tissue of maps of likelihood, such as those of a segmentation.
+
+        Each pixel gets the most likely tissue, and label 0 where "none" is more likely, as by
+        ``--maps`` in the shell.
+
+        Parameters
+        ----------
+        maps : mapping of str to array_like, shape ([D,] H, W)
+            Likelihood of each tissue, by name, from 0 to 1, 100 or 255.
+        materials : mapping of str to Material or float, or sequence of Material, optional
+            By the names of the maps; a number is a stiffness. "none" is the material of pixels
+            without a likely tissue, which else are as stiff as the first tissue. By default the
+            published values of tissues of these names, as of `materials_by_name`.
+        unit : str
+            Of stiffness.
+
+        Raises
+        ------
+        ProblemError
+            If maps differ in shape, or a tissue has no material.
+        """
+        labels = most_likely([*maps.values()])
+        if materials is not None:
+            return cls(labels=labels, materials=materials_of_maps([*maps], materials), unit=unit)
+        # Published values are in the tables of `io`, which is built on studies.
+        from napari_hmrf.io.tissue_names import materials_by_name
+
+        found = materials_by_name(dict(enumerate(maps, 1)))
+        if found.unknown:
+            names = ", ".join(f"'{name}'" for name in found.unknown.values())
+            raise ProblemError(
+                "tissue", f"has no published stiffness for {names}. Give materials of these names."
+            )
+        return cls(labels=labels, materials=found.materials, unit=found.unit)
 
     def __post_init__(self) -> None:
         given = [
