@@ -28,6 +28,7 @@ from napari_hmrf.field.deformation import (
     jacobian_determinant,
     magnitude,
 )
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.measurement import Measurement, measure
 from napari_hmrf.field.resample import resample
@@ -105,6 +106,7 @@ __all__ = [
     "ElasticPrior",
     "Field",
     "FileFormatError",
+    "Frame",
     "Grid",
     "HeadPhantom",
     "HmrfError",

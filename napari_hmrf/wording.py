@@ -30,7 +30,9 @@ class Term(NamedTuple):
 TERMS: dict[str, Term] = {
     "hold_edge=True": Term("--hold-edge", ""),
     "model='elastic'": Term("--model elastic", ""),
-    "penalty=inf": Term("without --penalty", "'holding force' under 'Advanced' at 'held exactly'"),
+    "penalty=None": Term(
+        "without --penalty", "'holding force' under 'Advanced' at 'by confidence'"
+    ),
     "action='move'": Term("the action move in --rules", "'moves by'"),
     "overwrite=True": Term("--force", ""),
     "forward=True": Term("--forward", ""),

@@ -5,7 +5,6 @@ Another reader is tried by changing `read`; nothing else of those tests has to c
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -94,7 +93,7 @@ def _model(
     schedule: str = "paper",
     poisson: float = 0.45,
     plane: str = "stress",
-    grip: float = math.inf,
+    grip: float | None = None,
     penalty: float | None = None,
 ) -> tuple[Any, Any]:
     if energy == "elastic":

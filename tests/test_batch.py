@@ -198,7 +198,10 @@ def test_a_sweep_over_what_is_not_there_is_refused(change, sentence):
 
 
 def test_one_case_that_fails_stops_no_other_and_is_named(files, capsys):
-    save_study("own.study", study())
+    own = study()
+    labels = own.motion.labels.copy()
+    labels[-1] = 2
+    save_study("own.study", replace(own, motion=replace(own.motion, labels=labels)))
     table = write_table(files, "a,image.tif,4;5", "broken,gone.tif,4", more=",amount:rim")
     with open(table, "a") as file:
         file.write("\nstudy,own.study,,,,,3\n")

@@ -177,7 +177,10 @@ def test_a_slice_knows_its_number_and_is_exported_where_it_lies_in_the_volume(fi
 def test_a_slice_of_a_stack_that_lies_nowhere_knows_its_number_too(tmp_path):
     stack = np.random.default_rng(0).integers(1, 200, (4, *SHAPE), dtype=np.uint8)
     save_image(tmp_path / "stack.tif", ImageFile(stack))
-    given = Case(tmp_path / "stack.tif", slice=2, hold_edge=True)
+    save_image(tmp_path / "pulled.tif", ImageFile((np.indices(SHAPE)[0] == 9).astype(np.uint8)))
+    (tmp_path / "r.csv").write_text("label,action,row,col\n1,move,0.5,0\n")
+    how = {"boundary": tmp_path / "pulled.tif", "rules": tmp_path / "r.csv"}
+    given = Case(tmp_path / "stack.tif", slice=2, hold_edge=True, **how)
     assert read_case(given).grid.place.index == (2, 0, 0)
     saved = solve_case(given, tmp_path / "out", backend="cpu")
     assert place_of(saved.solution).origin == (0, 0, 2)
@@ -262,6 +265,7 @@ def test_a_study_says_itself_what_to_compute_and_what_was_guessed_is_said(files,
     command = ["solve", folder / "rim.png", "--labels", folder / "rim.png", "--hold-edge"]
     (folder / "part.csv").write_text("label,stiffness\n0,3\n1,3\n")
     command += ["--materials", folder / "part.csv", "-o", folder / "out"]
+    command += ["--boundary", folder / "rim.png", "--rules", folder / "r.csv"]
     assert main([str(each) for each in command]) == 0
     said = capsys.readouterr().out
     assert "note: label 2 of 'rim.png' is not in the table and got stiffness 3" in said
@@ -448,7 +452,8 @@ def test_an_image_of_another_place_is_refused_though_it_is_as_large(files, capsy
     write_field(folder / "f.mha", np.zeros((*scan.shape, 3)), **PLACE._asdict())
     assert main(["apply", *(str(folder / each) for each in ("f.mha", "far.nii.gz"))]) == 1
     assert "far.nii.gz: lies elsewhere than the field" in capsys.readouterr().err
-    saved = solve_case(case(folder, hold_edge=True), folder / "out", backend="cpu")
+    how = {"boundary": folder / "rim.png", "rules": folder / "r.csv"}
+    saved = solve_case(case(folder, hold_edge=True, **how), folder / "out", backend="cpu")
     assert saved.study.grid.unit == "millimeter"
     labels = ImageFile(np.ones(SHAPE, np.uint8)[np.newaxis], far)
     save_image(folder / "flat.nrrd", labels)

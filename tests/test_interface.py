@@ -121,7 +121,7 @@ def test_all_but_what_a_call_is_about_has_to_be_named(name, count):
 def test_whatever_has_a_choice_is_in_that_list():
     """But for `phantom(name, size)`, and records: rows of tables, marks, studies and results."""
     records = {"Material", "Monitor", "Phantom", "Provenance", "Solution", "phantom"}
-    records |= {"Study", "Grid", "Tissue", "Motion", "Pictures"}
+    records |= {"Study", "Grid", "Frame", "Tissue", "Motion", "Pictures"}
     records |= {"Field", "LandmarkFile", "Measurement", "NamedMaterials"}
     records |= {"BatchProgress", "Case", "CaseOutcome", "NamedCase"}
     records |= {"Drawing", "Arrow", "Landmark", "Stroke"}

@@ -272,7 +272,7 @@ def test_the_paper_s_model_refuses_rigid_tissue_and_says_what_to_do(made, said):
     error = refusal(with_bone(made()))
     assert str(error) == (
         f"{said} the paper's model cannot have, nor any in which what is held may slip. Take the "
-        "elastic model that holds exactly (`penalty=inf`), or give it a number."
+        "elastic model that holds by confidence (`penalty=None`), or give it a number."
     )
 
 
@@ -281,7 +281,7 @@ def test_a_rigid_row_that_is_painted_nowhere_does_not_stop_the_paper_s_model():
 
 
 def test_beside_rigid_tissue_nothing_may_slip():
-    with pytest.raises(ProblemError, match=r"that holds exactly \(`penalty=inf`\)"):
+    with pytest.raises(ProblemError, match=r"that holds by confidence \(`penalty=None`\)"):
         read_layers(with_bone(), ElasticPrior(penalty=1.0))
 
 

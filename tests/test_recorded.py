@@ -17,6 +17,7 @@ from studies import STUDIES, growing_tumour_in_oblong_pixels_turned, tissue_by_b
 from study_reader import read
 
 from napari_hmrf import solve
+from napari_hmrf.solver.priors import Elastic
 
 RECORDED = Path(__file__).resolve().parent / "recorded"
 #: Fields are kept to so many pixels.
@@ -39,8 +40,10 @@ def problem_arrays(problem, prior):
     }
 
 
-def model(prior, optimizer):
-    """What tissue is taken to be, in words; Poisson's ratios are an array."""
+def model(problem, prior, optimizer):
+    """Return the parameters of the model as JSON; Poisson's ratios are an array."""
+    if isinstance(prior, Elastic):
+        prior = prior.in_force(problem)
     parts = [{**each.parameters} for each in (prior, optimizer)]
     parts[0].pop("poisson", None)
     return json.dumps(parts, sort_keys=True)
@@ -60,7 +63,7 @@ def record(make):
     RECORDED.mkdir(exist_ok=True)
     np.savez_compressed(
         RECORDED / f"{make.__name__}.npz",
-        model=model(asked.prior, asked.optimizer),
+        model=model(asked.problem, asked.prior, asked.optimizer),
         field=np.rint(pixels(solution) / STEP).astype(np.int32),
         error=error_of(solution),
         **problem_arrays(asked.problem, asked.prior),
@@ -72,7 +75,7 @@ def test_layers_are_the_problem_they_were_and_tissue_moves_as_it_did(make):
     with np.load(RECORDED / f"{make.__name__}.npz", allow_pickle=False) as file:
         known = dict(file)
     asked = read(make())
-    assert model(asked.prior, asked.optimizer) == str(known["model"])
+    assert model(asked.problem, asked.prior, asked.optimizer) == str(known["model"])
     for name, found in problem_arrays(asked.problem, asked.prior).items():
         np.testing.assert_allclose(found, known[name], rtol=1e-6, atol=1e-7, err_msg=name)
     solution = solve(asked.problem, asked.prior, optimizer=asked.optimizer, backend="cpu")

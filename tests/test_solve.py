@@ -238,7 +238,13 @@ for spacing in ((1.0, 1.0), (1.0, 2.0)):
     for prior in (SeilerPrior(), ElasticPrior(), ElasticPrior(penalty=0.02), ElasticPrior(0.4 * m)):
         optimizer = ICM(iterations=2) if isinstance(prior, SeilerPrior) else Multigrid()
         compute_thread.submit(
-            lambda: prepare(cpu.CpuBackend(lambda: None), prior, optimizer, spacing, lambda _: None)
+            lambda: prepare(
+                cpu.CpuBackend(lambda: None),
+                prior.resolved(problem),
+                optimizer,
+                spacing,
+                lambda _: None,
+            )
         ).result()
         before = made()
         found = solve(problem, prior, optimizer=optimizer, backend="cpu")

@@ -180,7 +180,12 @@ def test_a_rule_may_lead_across_the_planes_of_a_volume(tmp_path):
 def test_a_stack_that_lies_nowhere_is_a_volume_in_voxels(tmp_path):
     stack = np.random.default_rng(0).integers(100, 200, (6, 8, 9), dtype=np.uint8)
     save_image(tmp_path / "stack.tif", ImageFile(stack))
-    study, solution = solved(tmp_path, tmp_path / "out", "--hold-edge", image="stack.tif")
+    seen = np.zeros(stack.shape, np.uint8)
+    seen[2:4, 3:5, 3:5] = 1
+    save_image(tmp_path / "seen.tif", ImageFile(seen))
+    (tmp_path / "r.csv").write_text("label,action,row,col\n1,move,0.2,0\n")
+    how = ["--boundary", tmp_path / "seen.tif", "--rules", tmp_path / "r.csv", "--hold-edge"]
+    study, solution = solved(tmp_path, tmp_path / "out", *how, image="stack.tif")
     assert study.grid.unit == "pixel"
     assert solution.displacement.shape == (6, 8, 9, 3)
     assert load_image(tmp_path / "out" / "stack deformed.tif").pixels.shape == (6, 8, 9)

@@ -38,8 +38,10 @@ def test_a_setting_is_named_as_the_interface_has_it():
     assert in_words_of("shell", said) == "hold its edge (--hold-edge), or paint what stays there"
     assert in_words_of("window", said) == "hold its edge, or paint what stays there"
     assert in_words_of("shell", "see (`unknown`)") == "see (`unknown`)"
-    error = ProblemError("tissue", "take the elastic model that holds exactly (`penalty=inf`)")
-    assert "('holding force' under 'Advanced' at 'held exactly')" in in_short(error)
+    error = ProblemError(
+        "tissue", "take the elastic model that holds by confidence (`penalty=None`)"
+    )
+    assert "('holding force' under 'Advanced' at 'by confidence')" in in_short(error)
 
 
 def test_every_setting_in_a_message_has_words_in_the_shell_and_in_the_window():

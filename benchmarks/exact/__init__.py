@@ -88,13 +88,14 @@ def exact_field(
     )
     rest = np.where(observed, y, 0.0)
     loose = moving & ~observed
-    slips = not (isinstance(prior, ElasticPrior) and prior.penalty == math.inf)
+    limits = prior.limit(problem)
+    slips = limits is not None
     found = None
-    if slips:
-        at = np.flatnonzero(moving & observed)
-        penalty = prior.penalty if isinstance(prior, ElasticPrior) else prior.penalty_for(problem)
-        limit = (strength * (penalty * problem.confidence.astype(np.float64))).ravel()[at]
-        found = balance(matrix, moving, Marks(at, y[at], limit), rest)
+    if limits is not None:
+        fixed = observed & np.isinf(limits).ravel()
+        at = np.flatnonzero(moving & observed & ~fixed)
+        limit = np.broadcast_to(strength * limits, limits.shape).ravel()[at]
+        found = balance(matrix, moving & ~fixed, Marks(at, y[at], limit), rest)
     if found is not None:
         d, motions, last = found.displacement, found.motions, found.last_step
     else:

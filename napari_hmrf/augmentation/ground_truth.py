@@ -118,7 +118,8 @@ def write_truth(
     written = []
     for number in range(count):
         sample = random.sample((seed, number))
-        solution = replace(sample.solution, frame=study.grid.place and study.grid.place.as_dict())
+        frame = None if study.grid.place is None else study.grid.place.as_dict()
+        solution = replace(sample.solution, frame=frame)
         place = place_of(solution)
         if not number:
             save_image(folder / "image.mha", ImageFile(image, place, colours))

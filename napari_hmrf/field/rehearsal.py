@@ -54,9 +54,9 @@ def rehearse(
     if more:
         kinds = (np.uint8, np.float32)
         pictures = [Picture(np.zeros(shape, kind), order=0) for kind in kinds]
-        slips = n == 2  # in volumes nothing does
-        if slips and isinstance(prior, Elastic) and prior.penalty == math.inf:
-            prior = replace(prior, penalty=1.0)
+    if isinstance(prior, Elastic) and prior.penalty in (None, math.inf):
+        slips = more and n == 2  # in volumes nothing does
+        prior = replace(prior, penalty=1.0 if slips else math.inf)
     y, c = np.zeros((2, *shape, n))
     c[0] = c[-1] = 1
     y[-1] = min(spacing)

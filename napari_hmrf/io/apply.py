@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,6 +36,11 @@ Pixels = npt.NDArray[Any]
 
 #: What files make of 0, in mm.
 _ROUNDING = 1e-4
+#: A sentence on a field without a place.
+_NOWHERE = (
+    " Its image lies nowhere, so the field begins at the origin, with pixels of as many mm as its "
+    "spacing."
+)
 #: How far from its middle, in slices, a point is in a slice.
 _IN_SLICE = 0.5 + 1e-3
 
@@ -59,13 +65,16 @@ class FieldFile:
     tissue : ndarray of bool or None
         What moves; None if the file does not say: everything.
     unit : {"millimeter", "pixel"}
-        Of the place: pixels if nobody has said how large they are.
+        Of the place: pixels if their size is unknown.
+    is_placed : bool
+        False if the place is a guess: the origin, along the axes.
     """
 
     field: DisplacementField
     place: Place
     tissue: npt.NDArray[np.bool_] | None = None
     unit: str = "millimeter"
+    is_placed: bool = True
 
     @classmethod
     def of(cls, solution: Solution) -> FieldFile:
@@ -73,7 +82,8 @@ class FieldFile:
         d, place = placed(solution)
         sizes = place.spacing[-solution.tissue.ndim :]
         unit = "pixel" if Frame.of_solution(solution).unit == "pixel" else "millimeter"
-        return cls(DisplacementField(d, sizes), place, solution.tissue, unit)
+        field = DisplacementField(d, sizes)
+        return cls(field, place, solution.tissue, unit, bool(solution.frame))
 
     @property
     def in_patient(self) -> Place | None:
@@ -147,13 +157,16 @@ def save_field(path: str | os.PathLike[str], field: FieldFile, *, forward: bool 
     name, d = Path(path).name, field.displacement
     residual = write_field(path, d, **field.place._asdict(), tissue=field.tissue, forward=forward)
     if forward:
-        return f"Saved {name}: it says where tissue goes, which moves points."
+        nowhere = "" if field.is_placed else _NOWHERE
+        return f"Saved {name}: it says where tissue goes, which moves points.{nowhere}"
+    nowhere = "" if field.is_placed else _NOWHERE
     said = (
         f"Saved {name}: it moves images, and is an inverse to {residual:.2g} px in the middle of "
         "any pixel that tissue came to. Between these and at the rim of the tissue a round trip "
         "may miss by more."
     )
     folded = count_folds(d, spacing=field.spacing, tissue=field.tissue)
+    said += nowhere
     if not folded:
         return said
     sites = "voxels" if len(field.shape) == 3 else "pixels"
@@ -173,8 +186,9 @@ def apply_field(
     field : FieldFile
     path : str or path-like
         An image, or landmarks. Of a volume the slice in which the field lies is moved, and the
-        landmarks in it; if that is not known, all its slices are, as those of a film are. By a
-        field of a volume all of it is moved; its axes come in the order of the field's.
+        landmarks in it. A stack of pictures, such as the frames of a film in a .tif, lies nowhere:
+        all its slices are moved. By a field of a volume all of it is moved; its axes come in the
+        order of the field's.
     target : str or path-like
     labels : bool
         Whether an image's values are labels, between which there is nothing.
@@ -182,7 +196,8 @@ def apply_field(
     Raises
     ------
     ProblemError
-        If the image is of another size, or is what would be written over.
+        If the image is of another size, or would be written over; or if it is a volume and the
+        field does not say which slice it is of.
     FileFormatError, HmrfError, OSError
         As of `load_image`, `save_image`, `load_points` and `save_points`.
     """
@@ -192,6 +207,9 @@ def apply_field(
     if name.lower().endswith(POINT_SUFFIXES):
         return _move_landmarks(field, path, target)
     image, n = load_image(path), len(field.shape)
+    order = 0 if labels else 1
+    if n == 2 and image.ndim == 3 and image.place is not None:
+        return Applied(save_image(target, _slice_moved(field, image, name, order)))
     if n == 3:
         image = image.laid_as(field.in_patient)
     pixels = image.pixels
@@ -204,17 +222,19 @@ def apply_field(
         )
     if n == image.ndim:
         image.refuse_elsewhere(field.in_patient, name, "the field")
-    order = 0 if labels else 1
+    note = ""
     if n == 3 and field.field.back:
         moved = _looked_back(field, pixels, order)
     elif n == image.ndim:
         moved = _moved(field, pixels, order)
     else:
         moved = pixels.copy()
-        for number in _slices(field, image, name):
+        for number in range(len(pixels)):
             moved[number] = _moved(field, pixels[number], order)
-    note = unknown_values(pixels, image.ndim, name)
-    return Applied(save_image(target, image._replace(pixels=moved)), note)
+        if len(pixels) > 1:
+            note = f"{name} lies nowhere, so all its {len(pixels)} slices were moved alike"
+    notes = filter(None, (note, unknown_values(pixels, image.ndim, name)))
+    return Applied(save_image(target, image._replace(pixels=moved)), "; ".join(notes))
 
 
 def _moved(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
@@ -245,20 +265,45 @@ def _looked_up(pixels: Pixels, origins: Pixels, order: int) -> Pixels:
     return found.astype(pixels.dtype)
 
 
-def _slices(field: FieldFile, image: ImageFile, name: str) -> list[int]:
-    """Which slices of a volume the field is of: the one in which it lies, else all."""
-    place, own = image.place, field.in_patient
-    if place is None or own is None or len(own.spacing) < 3:
-        return list(range(len(image.pixels)))
+def _slice_moved(field: FieldFile, image: ImageFile, name: str, order: int) -> ImageFile:
+    """Return a volume in which the slice of the field is moved; its axes stay as they are.
+
+    Raises
+    ------
+    ProblemError
+        If the field does not say which slice it is of, or lies elsewhere.
+    """
+    own = field.in_patient
+    if own is None or len(own.spacing) < 3:
+        raise ProblemError(
+            name,
+            f"is a volume of {len(image.pixels)} slices, but the field is of one slice and does "
+            "not say which. Solve that slice of the volume (--slice, or Grid.from_image(volume, "
+            "slice=...) in Python), or give the image of that slice alone.",
+        )
+    pixels = image.pixels.copy()
+    for axes in permutations(range(3)):
+        laid = image._replace(pixels=pixels).reordered(axes)
+        number = _slice_number(own, laid)
+        if number is not None and laid.pixels.shape[1:3] == field.shape:
+            laid.pixels[number] = _moved(field, laid.pixels[number], order)
+            return image._replace(pixels=pixels)
+    raise ProblemError(
+        name,
+        f"lies elsewhere than the field of a slice of {grid_in_words(field.shape)} pixels. Give an "
+        "image of the same patient and pixels.",
+    )
+
+
+def _slice_number(own: Place, image: ImageFile) -> int | None:
+    """Return the number of the slice across the first axis that a place is of, or None."""
+    place = image.place
+    assert place is not None
     corners = np.diag([0.0, 1.0, 1.0])
     found = place.to_pixels(own.to_space(corners))
     number = round(float(found[0, 0]))
     apart = np.abs(found - corners - [number, 0, 0]).max()
-    if apart > SAME or not 0 <= number < len(image.pixels):
-        raise ProblemError(
-            name, "lies elsewhere than the field. Give an image of the same patient and pixels."
-        )
-    return [number]
+    return number if apart <= SAME and 0 <= number < len(image.pixels) else None
 
 
 def _move_landmarks(

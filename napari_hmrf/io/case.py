@@ -29,13 +29,15 @@ from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.ground import Ground, solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
+from napari_hmrf.study.without_effect import asks_motion
 from napari_hmrf.tissue.boundary_rules import (
     BoundaryRule,
     Material,
     unlisted,
 )
-from napari_hmrf.tissue.drawing import Drawing, Landmark
+from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
+from napari_hmrf.tissue.tissue_maps import most_likely
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
 #: Labels that are listed in a sentence.
@@ -65,7 +67,7 @@ def read_case(case: Case) -> Study:
     grid = _grid(image, whole, case)
     labels = None if case.labels is None else _pixels(case, case.labels, whole, labels=True)
     if case.maps:
-        labels = _most_likely([_pixels(case, each, whole) for each in case.maps])
+        labels = most_likely([_pixels(case, each, whole) for each in case.maps])
     materials, unit, notes = _materials(case.materials, labels)
     motion = replace(
         _motion(case, grid, place, whole), hold_edge=case.hold_edge, weight=weight_of(case, grid)
@@ -181,6 +183,13 @@ def solve_case(
     folder.mkdir(parents=True, exist_ok=True)  # before the work, so that it is not done in vain
     ground = Ground.of(study)
     stated = ground.statement()
+    idle = ground.unused(stated)
+    if not asks_motion(stated.problem):
+        why = "".join(f"; {note}" for note in (*idle, *ground.idle_marks(stated)))
+        raise HmrfError(
+            f"nothing is asked to move{why}. Give --boundary with what moves: landmarks, a field, "
+            "or labels with --rules that move or expand; or --materials with growth."
+        )
     solution = solve_study(study, stated=stated, backend=backend)
     name = case.image.name.partition(".")[0]
     image = study.pictures.image
@@ -191,9 +200,8 @@ def solve_case(
         save_image(folder / f"{name} deformed{'.nrrd' if where else '.tif'}", written)
     save_study(folder / f"{name}.study", study, solution)
     folds = solution.count_folds()
-    notes = (*_shortcomings(solution, folds, study.grid.unit), *ground.notes_on(stated))
-    if not solution.displacement.any() and not any("nothing moves" in note for note in notes):
-        notes = (*notes, "nothing moves: nothing is drawn, painted, pressed or grown that would")
+    short = _shortcomings(solution, folds, study.grid.unit)
+    notes = (*short, *idle, *ground.notes_on(stated))
     return SolvedCase(study, solution, folds, notes)
 
 
@@ -281,16 +289,6 @@ def as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
     if pixels.dtype.kind not in "iu":
         raise ProblemError(path.name, f"holds {pixels.dtype} values. Give labels: whole numbers.")
     return pixels
-
-
-def _most_likely(maps: Sequence[npt.NDArray[Any]]) -> npt.NDArray[np.uint8]:
-    """The label of the likeliest tissue; 0 where that is likelier to be none of them."""
-    likely = np.nan_to_num(np.stack(maps).astype(float))  # NaN where a tool says nothing
-    sure = max(1.0, float(likely.max()))  # 1, 100 or 255, as tools have it
-    none = sure - likely.sum(axis=0)
-    there = likely.max(axis=0) > np.maximum(none, 0.0)
-    found = np.where(there, 1 + likely.argmax(axis=0), 0)
-    return found.astype(np.uint8)
 
 
 def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Motion:
@@ -383,5 +381,4 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
             f"them in its {'pixels' if place is None else 'mm'}, and remove what lies beside it.",
         )
     radius = usual_radius(grid.shape, grid.spacing)
-    pairs = zip(*(each[:, -n:].tolist() for each in ends), strict=True)
-    return Drawing(tuple(Landmark(tuple(at), tuple(to), radius) for at, to in pairs))
+    return Drawing.from_landmarks(*(each[:, -n:] for each in ends), radius=radius)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,8 +35,9 @@ from napari_hmrf.io.itk_files import (
     read_vectors,
     require_simpleitk,
 )
-from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.solver.problem import as_numbers, grid_in_words
 from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.study import Grid
 
 #: What a field can be written as.
 FIELD_SUFFIXES = (".nii.gz", ".nii", ".mha", ".nrrd", ".h5")
@@ -47,6 +48,8 @@ _NOTES, _DESCRIPTION = "ITK_FileNotes", "descrip"
 _NIFTI = (".nii", ".nii.gz")
 #: ITK's transforms have neither: of them all take for granted that they lead back.
 _MUTE = ".h5"
+#: Spacings that agree to this part are the same.
+_SAME_SPACING = 1e-4
 #: How far a direction may be from a rotation.
 _ROUNDING = 1e-5
 
@@ -174,7 +177,7 @@ def write_field(
     if len(size) > n:  # a slice in a volume, along whose third axis nothing moves
         back = np.concatenate([np.zeros((*back.shape[:-1], 1)), back], axis=-1)[np.newaxis]
     start = np.zeros(len(size)) if origin is None else _lengths("origin", origin, (len(size),))
-    turn = np.eye(len(size)) if direction is None else _rotation(direction, len(size))
+    turn = np.eye(len(size)) if direction is None else check_rotation(direction, len(size))
     if suffix in _NIFTI and len(back) == 1 and len(size) == 3:
         back = np.repeat(back, 3, axis=0)
         start = start - turn[:, 2] * size[0]
@@ -320,7 +323,9 @@ def place_of(solution: Solution) -> Place:
     first = (matrix @ [*frame["index"], 1.0])[world] * sizes[world]
     spacing = np.linalg.norm(steps, axis=0)
     turn = (steps / spacing)[::-1, ::-1]
-    return Place(tuple(spacing.tolist()), tuple(first[::-1].tolist()), _rotation(turn, len(axes)))
+    return Place(
+        tuple(spacing.tolist()), tuple(first[::-1].tolist()), check_rotation(turn, len(axes))
+    )
 
 
 def placed(solution: Solution) -> tuple[npt.NDArray[np.floating], Place]:
@@ -330,15 +335,26 @@ def placed(solution: Solution) -> tuple[npt.NDArray[np.floating], Place]:
 
 
 def export_field(
-    path: str | os.PathLike[str], solution: Solution, *, forward: bool = False
+    path: str | os.PathLike[str],
+    solution: Solution,
+    *,
+    forward: bool = False,
+    grid: Grid | None = None,
+    placed: bool = True,
 ) -> float:
-    """Write a solution's field for other tools, where its image lies.
+    """Write a solution's field for other tools, at the place of its image.
 
     Parameters
     ----------
     path, forward
         As of `write_field`.
     solution : Solution
+    grid : Grid, optional
+        The grid of the image, as of `Grid.from_image`; needed where the solution has no place: one
+        of a `Problem`, or of a study whose grid has none.
+    placed : bool
+        False writes a solution without a place at the origin, along the axes, with a unit of its
+        spacing as 1 mm: the place of a picture (.png, .tif) in other tools.
 
     Returns
     -------
@@ -347,10 +363,12 @@ def export_field(
 
     Raises
     ------
+    ProblemError
+        If no place is known; or if the file's format cannot hold the place.
     HmrfError, OSError
-        As of `write_field`; or if its image lies where no such file can say.
+        As of `write_field`.
     """
-    displacement, place = placed(solution)
+    displacement, place = _placed_as(solution, grid, placed)
     return write_field(
         path,
         displacement,
@@ -364,6 +382,35 @@ def _not_a_field(source: Path, error: Unreadable) -> str:
     """Say that a file gives no field, and why if that is known."""
     why = f": {error}" if str(error) else ""
     return f"{source.name}: not a displacement field that can be read{why}."
+
+
+def _placed_as(
+    solution: Solution, grid: Grid | None, placed_only: bool
+) -> tuple[npt.NDArray[np.floating], Place]:
+    """Return the displacement and place of a solution, placed by a grid if it has no place."""
+    if grid is not None:
+        if grid.shape != solution.tissue.shape:
+            raise ProblemError(
+                "grid",
+                f"is {grid_in_words(grid.shape)}, but the field "
+                f"{grid_in_words(solution.tissue.shape)}. Give the grid of its image.",
+            )
+        if not np.allclose(np.array(grid.spacing) / solution.spacing, 1, rtol=_SAME_SPACING):
+            raise ProblemError(
+                "grid",
+                f"has pixels of {grid_in_words(grid.spacing)}, but the field of "
+                f"{grid_in_words(solution.spacing)}. Solve on the grid of the image.",
+            )
+        if grid.place is not None:
+            solution = replace(solution, frame=grid.place.as_dict())
+    if placed_only and not solution.frame:
+        raise ProblemError(
+            "displacement",
+            "has no place: nothing says where its image lies. Make the study with grid = "
+            "Grid.from_image(image), or give export_field that grid; with placed=False the field "
+            "begins at the origin, as that of a picture does.",
+        )
+    return placed(solution)
 
 
 def _leads(told: Mapping[str, str]) -> str:
@@ -396,7 +443,8 @@ def _lengths(name: str, values: Sequence[float], counts: tuple[int, ...]) -> npt
     return given
 
 
-def _rotation(direction: npt.ArrayLike, n: int) -> npt.NDArray[np.float64]:
+def check_rotation(direction: npt.ArrayLike, n: int) -> npt.NDArray[np.float64]:
+    """Return the directions of n axes as a matrix, or refuse them if they are no rotation."""
     turn = as_numbers("direction", direction).astype(np.float64)
     turn = turn.reshape(n, n) if turn.size == n * n else turn
     if turn.shape != (n, n) or not np.allclose(turn @ turn.T, np.eye(n), atol=_ROUNDING):

@@ -65,7 +65,13 @@ class ImageFile(NamedTuple):
         def nearness(order: tuple[int, ...]) -> float:
             return sum(abs(float(turn[world, axis])) for world, axis in enumerate(order))
 
-        order = max(permutations(range(3)), key=nearness)
+        return self.reordered(max(permutations(range(3)), key=nearness))
+
+    def reordered(self, order: tuple[int, ...]) -> ImageFile:
+        """Return a volume that has a place with its axes in this order; nothing is copied."""
+        place = self.place
+        assert place is not None
+        turn = place.direction[::-1, ::-1]
         return ImageFile(
             self.pixels_in_place.transpose(*order, *range(3, 3 + self.colours)),
             Place(
@@ -77,11 +83,11 @@ class ImageFile(NamedTuple):
         )
 
     def laid_as(self, place: Place | None) -> ImageFile:
-        """The image with its axes in the order of another's, if that is `upright` and it is not."""
-        if apart(self.place, place) <= SAME:
+        """Return the image with its axes in the order of another's, if it lies there at all."""
+        if self.place is None or len(self.place.spacing) != 3 or apart(self.place, place) <= SAME:
             return self
-        upright = self.upright
-        return upright if apart(upright.place, place) <= SAME else self
+        laid = map(self.reordered, permutations(range(3)))
+        return next((each for each in laid if apart(each.place, place) <= SAME), self)
 
     def refuse_elsewhere(self, place: Place | None, name: str, what: str) -> None:
         """Refuse an image of the same pixels as something else that lies where that does not.

@@ -7,6 +7,7 @@ code, and it is written whole or not at all.
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, replace
@@ -22,9 +23,9 @@ from napari_hmrf.array_file import Invalid, Kind
 from napari_hmrf.errors import FileFormatError, HmrfError
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.solver.parameters import optimizer_from_dict, prior_from_dict
-from napari_hmrf.solver.priors import Elastic
+from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.solution import SOLUTION_FORMAT, Solution
-from napari_hmrf.study.ground import solve_study
+from napari_hmrf.study.ground import solve_study, statement_of
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
@@ -37,6 +38,9 @@ SUFFIX = ".study"
 LABEL_TYPES = ("|u1", "<u2", "<u4", "<u8", "|i1", "<i2", "<i4", "<i8")
 _NUMBERS = ("|b1", *LABEL_TYPES, "<f2", "<f4", "<f8")
 _OF_SOLUTION = "solution_"
+#: Penalties of an elastic prior that files write as words. "inf" has stood for holding by
+#: confidence since the first version of the file.
+_PENALTIES = {None: "inf", math.inf: "exact"}
 #: Check the types of what a file holds.
 _MATERIALS = TypeAdapter(tuple[Material, ...])
 _RULES = TypeAdapter(tuple[BoundaryRule, ...])
@@ -188,7 +192,7 @@ def replay(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = Non
             "the file. Give the image."
         )
     backend = "auto" if solution is None else solution.provenance.backend
-    return solve_study(study, backend=backend)
+    return solve_study(study, stated=statement_of(study), backend=backend)
 
 
 class _Content(NamedTuple):
@@ -234,7 +238,7 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
             "drawing": motion.drawing.as_dict(),
             "weight": list(motion.weight),
         },
-        "prior": study.prior.parameters,
+        "prior": _prior_as_dict(study.prior),
         "optimizer": study.optimizer.parameters,
         "pictures": {
             "name": pictures.name,
@@ -292,7 +296,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
                 drawing=Drawing.from_dict(motion["drawing"]),
                 weight=_WEIGHT.validate_python(motion.get("weight", ())),
             ),
-            prior=prior_from_dict(header["prior"], arrays.get("poisson")),
+            prior=_prior_from_dict(header["prior"], arrays.get("poisson")),
             optimizer=optimizer_from_dict(header["optimizer"]),
             pictures=Pictures(
                 image=arrays.get("image"),
@@ -318,6 +322,21 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
         if solution.tissue.shape != study.grid.shape:
             raise Invalid("its study and its field are of different size")
     return _Content(study, solution, "image" in arrays, str(pictures["digest"]))
+
+
+def _prior_as_dict(prior: Prior) -> dict[str, Any]:
+    parameters = prior.parameters
+    if isinstance(prior, Elastic) and prior.penalty in _PENALTIES:
+        parameters["penalty"] = _PENALTIES[prior.penalty]
+    return parameters
+
+
+def _prior_from_dict(values: Mapping[str, Any], poisson: Any) -> Prior:
+    words = {word: penalty for penalty, word in _PENALTIES.items()}
+    penalty = values.get("penalty")
+    if isinstance(penalty, str) and penalty in words:
+        values = {**values, "penalty": words[penalty]}
+    return prior_from_dict(values, poisson)
 
 
 def _name_in(kept: Any) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import scipy
 
@@ -32,7 +30,7 @@ def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> tuple[str, 
     optimizer : ICM or Multigrid
     """
     if isinstance(prior, Elastic):
-        notes = [_held_exactly(problem) if prior.penalty == math.inf else ""]
+        notes = [rigid_caveat(problem, prior)]
     else:
         thin = "" if converged(optimizer.parameters) else _thin_boundary(problem)
         notes = [thin, _loose_pieces(problem)]
@@ -92,8 +90,17 @@ def lack(problem: Problem) -> str:
     return f"{LOOSE}, so that all of it {how}: {held}"
 
 
-def _held_exactly(problem: Problem) -> str:
-    """Say so where a doubt about the boundary does not count."""
+def rigid_caveat(problem: Problem, prior: Prior) -> str:
+    """Say that doubted observations are held exactly beside rigid tissue; "" if none are.
+
+    Parameters
+    ----------
+    problem : Problem
+    prior : Prior
+        As it was given, not as `resolved` returns it.
+    """
+    if not isinstance(prior, Elastic) or prior.penalty is not None or not problem.rigid.any():
+        return ""
     doubted = problem.known & (problem.confidence < 1)
     count = int(doubted.any(axis=-1).sum())
     if not count:

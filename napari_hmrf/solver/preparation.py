@@ -25,14 +25,23 @@ _prepared: set[tuple[str | bool, ...]] = set()
 
 
 def job_of(prior: Prior, optimizer: Optimizer, spacing: tuple[float, ...]) -> str:
-    """Which job of `napari_hmrf.compiling` brings the loops of a solve, or most of them."""
+    """Return the job of `napari_hmrf.compiling` that brings most loops of a solve.
+
+    Parameters
+    ----------
+    prior : Prior
+        As `resolved` returns it.
+    optimizer : Optimizer
+    spacing : tuple of float
+    """
     volume = len(spacing) == 3
     if isinstance(prior, NeoHookeanPrior):
         return "large-motion"
     if isinstance(prior, ElasticPrior):
         if volume:
             return "volume"
-        return "elastic" if prior.kernels == ElasticPrior().kernels else "slipping"
+        exact = ElasticPrior(penalty=math.inf).kernels
+        return "elastic" if prior.kernels == exact else "slipping"
     name = "schedule" if isinstance(optimizer, ICM) else "converged"
     if volume:
         return f"volume-{name}"

@@ -41,8 +41,9 @@ class Problem:
         volume (plane, row, col), in the unit of `spacing`. Material displacement: the tissue at X
         was seen to move to X + y(X). Ignored, and stored as zero, where `confidence` is zero.
     confidence : array_like, shape (H, W, 2) or (D, H, W, 3)
-        Confidence in each component of `observed`, c in the equations: from 0 (none) to 1
-        (complete).
+        Confidence in each component of `observed`, c in the equations: 1 is certain and held
+        exactly, 0 says nothing. What lies between is doubted: it holds with a force of at most c,
+        where a force of 1 strains a pixel of the stiffest tissue by 1, and gives way beyond that.
     stiffness : array_like, shape (H, W) or (D, H, W)
         Young's modulus, m in the equations, in any unit: only ratios matter, unless a force pulls
         (see `loads`). ``0`` means no tissue (void): no clique touches such a site and it has no

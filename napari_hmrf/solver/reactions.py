@@ -45,7 +45,7 @@ def reactions(
     prior = ElasticPrior() if prior is None else prior
     if not isinstance(prior, Elastic):
         raise ArgumentError("reactions are known of elastic tissue only: the paper's has no forces")
-    given = dict(prior.parameters)
+    given = dict(prior.in_force(problem).parameters)
     if problem.is_volume:
         given.pop("plane", None)
     used = solution.provenance.parameters.get("prior", given)

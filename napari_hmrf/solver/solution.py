@@ -99,6 +99,8 @@ class Solution:
     elasticity : Elasticity, optional
         Poisson's ratios and growth of elastic tissue, from which `strain` and `measure` get elastic
         strain. None for the paper's model.
+    notes : tuple of str
+        Clauses for people: input without effect, and guesses. Files do not keep them.
     """
 
     displacement: npt.NDArray[np.floating]
@@ -112,6 +114,7 @@ class Solution:
     loads: Loads | None = None
     reach: Reach | None = None
     elasticity: Elasticity | None = None
+    notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         farthest = float(np.linalg.norm(self.displacement, axis=-1).max(initial=0.0))

@@ -29,6 +29,7 @@ from napari_hmrf.solver.backends import (
 )
 from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
 from napari_hmrf.solver.backends.watch import HARDER
+from napari_hmrf.solver.caveats import rigid_caveat
 from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
 from napari_hmrf.solver.preparation import job_of, loop_watch, prepare, provide_loops
@@ -245,7 +246,8 @@ def _solution_of(
     """Get all ready, run the schedule, and say how it was done."""
     begun = time.perf_counter()
     check_memory(problem)
-    prior = (prior or ElasticPrior()).resolved(problem)
+    given = prior or ElasticPrior()
+    prior = given.resolved(problem)
     optimizer = optimizer or (ICM() if isinstance(prior, SeilerPrior) else Multigrid())
     begin = beginning(initial, problem) if initial else None
     resolving = time.perf_counter() - begun
@@ -313,6 +315,7 @@ def _solution_of(
         elasticity=Elasticity.of_problem(problem, prior, grown)
         if isinstance(prior, ElasticPrior | NeoHookeanPrior)
         else None,
+        notes=tuple(filter(None, (rigid_caveat(problem, given),))),
     )
 
 

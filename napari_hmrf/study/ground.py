@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.errors import LayerError
+from napari_hmrf.errors import LayerError, ProblemError
 from napari_hmrf.field.resample import unknown_values
 from napari_hmrf.solver.body_forces import weight
 from napari_hmrf.solver.caveats import caveats, lack
@@ -26,6 +26,11 @@ from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.study.study import Study
+from napari_hmrf.study.without_effect import (
+    asks_motion,
+    marks_without_effect,
+    rows_without_effect,
+)
 from napari_hmrf.tissue.boundary_rules import (
     boundary_images,
     default_material,
@@ -42,11 +47,6 @@ from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
 #: Stiffness of what is in the picture and of its dark surroundings, where nothing is painted: soft
 #: enough to hinder nothing, and still tissue, so that there always is something that holds.
 _TISSUE, _SURROUNDINGS = 1.0, 0.01
-#: K of eq. 19 where some confidence is below 1: what is held with confidence c slips where it would
-#: take more than what strains the stiffest tissue by c.
-_PENALTY = 1.0
-#: K of what is certain beside it: no tissue takes as much, so that it is held exactly.
-_FIRM = 1e4
 
 _OVER = (
     "what is drawn moves tissue that is painted as held: where they overlap, what is drawn counts; "
@@ -67,7 +67,7 @@ class Statement:
     ----------
     problem : Problem
     prior : ElasticPrior, NeoHookeanPrior or SeilerPrior
-        With the tissues' own Poisson's ratios, and a penalty where something may slip.
+        With the tissues' own Poisson's ratios.
     optimizer : ICM or Multigrid
     at_rest : ndarray of bool, shape ([D,] H, W)
         Tissue that too little holds: it takes no part, and stays where it is.
@@ -155,8 +155,7 @@ class Ground:
     def statement(self, drawn: Canvas | None = None) -> Statement:
         """State the problem of a drawing on this ground.
 
-        Tissue that too little holds stays out of it, and where it is. What is certain is held
-        exactly; of elastic tissue what is less sure may slip.
+        Tissue that too little holds is left out of the problem and stays where it is.
 
         Parameters
         ----------
@@ -177,10 +176,9 @@ class Ground:
             at_rest = scraps(m > 0, canvas.confidence > 0)
             if at_rest.any():
                 m = np.where(at_rest, np.float32(0), m)
-        prior, c = _with_doubt(prior, canvas.confidence, m)
         with self.study.naming():
             loads, spacing = self._loads(canvas.labels, m), self.study.grid.spacing
-            problem = Problem(canvas.observed, c, m, spacing=spacing, loads=loads)
+            problem = Problem(canvas.observed, canvas.confidence, m, spacing=spacing, loads=loads)
         return Statement(problem, prior, self.study.optimizer, at_rest, labels)
 
     def _loads(self, labels: npt.NDArray[Any], m: FloatArray) -> Loads | None:
@@ -194,10 +192,26 @@ class Ground:
         known = [part for part in parts if part is not None]
         return reduce(add, known) if known else None
 
+    def idle_marks(self, statement: Statement) -> tuple[str, ...]:
+        """Return clauses on marks of the drawing that have no effect."""
+        drawing, tissue = self.study.motion.drawing, statement.problem.tissue | statement.at_rest
+        return tuple(marks_without_effect(drawing, tissue, self.study.grid.spacing))
+
+    def unused(self, statement: Statement) -> tuple[str, ...]:
+        """Return clauses on rules and growth that have no effect.
+
+        A window does not say them: its tables are those of all slices.
+        """
+        labels = statement.labels
+        if labels is None and self.study.tissue.labels is not None:
+            labels = self.base.labels
+        return tuple(rows_without_effect(self.study, labels))
+
     def notes_on(self, statement: Statement) -> tuple[str, ...]:
         """What people should know of a problem as it was understood, as clauses."""
         motion, problem = self.study.motion, statement.problem
         notes = [*self.notes]
+        notes += self.idle_marks(statement)
         if statement.at_rest.any():
             notes.append(left_at_rest(statement.at_rest))
         if motion.labels is not None:
@@ -229,7 +243,7 @@ def refuse_unknown(study: Study) -> None:
             "is to grow, or forces pull at it, of which the paper's model knows nothing. Take the "
             "elastic model (`model='elastic'`), or a boundary that expands.",
         )
-    if isinstance(prior, Elastic) and prior.penalty == math.inf:
+    if isinstance(prior, Elastic) and prior.penalty in (None, math.inf):
         return
     labels, rigid = tissue.labels, [row for row in tissue.materials if row.is_rigid]
     painted = [row for row in rigid if labels is not None and row.label in labels]
@@ -240,8 +254,8 @@ def refuse_unknown(study: Study) -> None:
         raise LayerError(
             study.named("tissue", "image"),
             f"has rigid tissue ({' and '.join(which)}), which the paper's model cannot have, nor "
-            "any in which what is held may slip. Take the elastic model that holds exactly "
-            "(`penalty=inf`), or give it a number.",
+            "any in which what is held may slip. Take the elastic model that holds by confidence "
+            "(`penalty=None`), or give it a number.",
         )
 
 
@@ -268,7 +282,7 @@ def solve_study(
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
 ) -> Solution:
-    """Solve a study from nothing, as a window does when it is asked to.
+    """Solve a study by a cold start.
 
     Parameters
     ----------
@@ -281,16 +295,30 @@ def solve_study(
     Returns
     -------
     Solution
-        Placed as the study is.
+        Placed as the study is. Its notes say what had no effect and what was guessed, unless the
+        problem was stated by the caller.
 
     Raises
     ------
     ProblemError
-        Naming the part, what is wrong with it and what to do.
+        Naming the part, what is wrong with it and what to do; also if nothing is asked to move.
     Cancelled, ConvergenceError, BackendError
         As for `solve`.
     """
-    stated = stated or statement_of(study)
+    notes: tuple[str, ...] = ()
+    if stated is None:
+        ground = Ground.of(study)
+        stated = ground.statement()
+        idle = ground.unused(stated)
+        notes = (*idle, *ground.notes_on(stated))
+        if not asks_motion(stated.problem):
+            why = "".join(f"; {note}" for note in (*idle, *ground.idle_marks(stated)))
+            raise ProblemError(
+                "motion",
+                f"asks nothing to move{why}. Give it something on tissue that moves: an arrow or a "
+                "landmark, labels with a rule that moves or expands, an observed displacement, "
+                "growth, or a force.",
+            )
     with study.naming():
         solution = solve(
             stated.problem,
@@ -300,7 +328,11 @@ def solve_study(
             progress=progress,
             cancel=cancel,
         )
-    return replace(solution, frame=study.grid.place and study.grid.place.as_dict())
+    return replace(
+        solution,
+        frame=None if study.grid.place is None else study.grid.place.as_dict(),
+        notes=notes or solution.notes,
+    )
 
 
 def _tissue_of(study: Study) -> Ground:
@@ -376,14 +408,3 @@ def _observe(study: Study, base: Canvas) -> list[str]:
     with study.naming(drawn=False):
         check_reach(base.observed, base.spacing)
     return notes
-
-
-def _with_doubt(prior: Prior, c: FloatArray, m: FloatArray) -> tuple[Prior, FloatArray]:
-    """Have what is less than certain slip where it would take too much, and nothing else."""
-    # Beside rigid tissue nothing may slip, and all is held exactly.
-    if not (isinstance(prior, Elastic) and prior.penalty == math.inf):
-        return prior, c
-    doubted = c < 1
-    if not (doubted & (c > 0)).any() or np.isinf(m).any():
-        return prior, c
-    return replace(prior, penalty=_FIRM), np.where(doubted, np.float32(_PENALTY / _FIRM) * c, c)

@@ -14,6 +14,9 @@ from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.priors.seiler import Conditional
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
+#: The holding force in the form from which on all observations are held exactly, doubted or not.
+HOLD_ALL = 1e6
+
 
 def _form_field(usual: Any, label: str, tooltip: str, **options: Any) -> Any:
     """A field with what a form says of it, and what that lets people choose."""
@@ -34,8 +37,10 @@ class SolverDetails:
     sweeps : int
     energy_change : float
         0: a level is never left early.
-    penalty, grip : float
-        K of eq. 19, of the paper's and of the elastic model; 0: large enough to hold.
+    penalty : float
+        K of eq. 19 of the paper's model; 0: large enough to hold.
+    grip : float
+        K of eq. 19 of the elastic models; 0: held as confidence says; `HOLD_ALL`: all exactly.
     accuracy : float
         In pixels.
     device : str
@@ -81,9 +86,11 @@ class SolverDetails:
     grip: float = _form_field(
         0.0,
         "holding force",
-        "The greatest force that holds a boundary pixel: 1 strains the stiffest tissue by 1. "
-        "Where tissue pulls harder, it slips",
-        max=1e6,
+        "The greatest force that holds a boundary pixel, times its confidence: 1 strains the "
+        "stiffest tissue by 1. Where tissue pulls harder, the pixel slips.\n"
+        "By confidence: pixels of confidence 1 are held exactly, the others with a force of their "
+        "confidence.\n1,000,000: all are held exactly, whatever their confidence",
+        max=HOLD_ALL,
         step=0.01,
     )
     accuracy: float = _form_field(
@@ -127,7 +134,8 @@ def prior_of(
     """The energy of a model; of tissue by labels their table has Poisson's ratios."""
     if model in ELASTIC:
         kind = ElasticPrior if model == "elastic" else NeoHookeanPrior
-        return kind(poisson, plane=plane, penalty=details.grip or math.inf)
+        penalty = math.inf if details.grip >= HOLD_ALL else details.grip or None
+        return kind(poisson, plane=plane, penalty=penalty)
     return SeilerPrior(penalty=details.penalty or None, conditional=details.reading)
 
 
@@ -164,8 +172,8 @@ def details_of(prior: Prior, optimizer: Optimizer) -> SolverDetails:
     details = _USUAL
     if isinstance(prior, SeilerPrior):
         details = replace(details, reading=prior.conditional, penalty=prior.penalty or 0.0)
-    elif prior.penalty < math.inf:
-        details = replace(details, grip=prior.penalty)
+    elif prior.penalty is not None:
+        details = replace(details, grip=min(prior.penalty, HOLD_ALL))
     if isinstance(optimizer, ICM):
         method, change = "steps" if optimizer.steps else "closed form", optimizer.energy_change
         return replace(

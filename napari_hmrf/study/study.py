@@ -6,15 +6,18 @@ the one before what is the same in both. So parts are compared by identity, and 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import InitVar, dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
+import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError, naming
 from napari_hmrf.field.brightness import luminance
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
@@ -24,8 +27,30 @@ from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
+from napari_hmrf.tissue.tissue_maps import materials_of_maps, most_likely
 
 Array = npt.NDArray[Any]
+#: Distance from the middle of a slice, in slices, up to which a point is in it.
+_IN_SLICE = 0.5 + 1e-3
+
+
+class SimpleItkImage(Protocol):
+    """The part of a SimpleITK image that tells its place."""
+
+    def GetSize(self) -> Sequence[int]: ...  # noqa: D102
+    def GetSpacing(self) -> Sequence[float]: ...  # noqa: D102
+    def GetOrigin(self) -> Sequence[float]: ...  # noqa: D102
+    def GetDirection(self) -> Sequence[float]: ...  # noqa: D102
+    def GetDimension(self) -> int: ...  # noqa: D102
+
+
+class NibabelImage(Protocol):
+    """The part of a nibabel image that tells its place."""
+
+    @property
+    def affine(self) -> Any: ...  # noqa: D102
+    @property
+    def dataobj(self) -> Any: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
@@ -41,14 +66,106 @@ class Grid:
     unit : str
         Of all lengths: displacements, radii.
     place : Frame, optional
-        Where the pixels lie in the world, and which slice they are. The field does not depend on
-        it.
+        The place of the pixels in the world, and the slice that they are; see `from_image`. Files
+        for other tools need it; the field does not depend on it.
     """
 
     shape: tuple[int, ...]
     spacing: tuple[float, ...]
     unit: str = "pixel"
-    place: Any = None
+    place: Frame | None = None
+
+    def __post_init__(self) -> None:
+        place = self.place
+        if place is None:
+            return
+        if not isinstance(place, Frame):
+            raise ProblemError(
+                "grid",
+                f"has a place of type {type(place).__name__}. Give a Frame, as of Grid.from_image.",
+            )
+        if len(place.plane) != len(self.shape):
+            raise ProblemError(
+                "grid",
+                f"has {len(self.shape)} axes, but its place has {len(place.plane)}. Give the place "
+                "of the same slice or volume.",
+            )
+
+    @property
+    def known_place(self) -> Frame:
+        """Place of a grid that has one, as every grid that was read from layers."""
+        assert self.place is not None
+        return self.place
+
+    def to_pixels(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Return points of the patient in pixels of this grid.
+
+        Parameters
+        ----------
+        points : array_like, shape (N, 3) or (N, 2)
+            In mm, as `load_points` gives them: z, y, x of a volume or of a slice of one, towards
+            superior, posterior and left; y, x of an image of 2 axes.
+
+        Returns
+        -------
+        ndarray, shape (N, n)
+
+        Raises
+        ------
+        ProblemError
+            If the grid has no place, or points lie on another slice or have too few axes.
+        """
+        if self.place is None:
+            raise ProblemError("grid", "has no place. Take Grid.from_image(image).")
+        matrix, given = np.array(self.place.matrix), np.asarray(points, dtype=np.float64)
+        if given.ndim != 2 or given.shape[1] != len(matrix) - 1:
+            raise ProblemError(
+                "points", f"have shape {given.shape}. Give (N, {len(matrix) - 1}) numbers in mm."
+            )
+        inside = (given - matrix[:-1, -1]) @ np.linalg.inv(matrix[:-1, :-1]).T
+        others = list(self.place.others)
+        apart = np.abs(inside[:, others] - np.array(self.place.index)[others]).max(initial=0.0)
+        if apart > _IN_SLICE:
+            raise ProblemError(
+                "points", f"lie up to {apart:.3g} slices away from the slice of the grid."
+            )
+        found: npt.NDArray[np.float64] = inside[:, list(self.place.plane)]
+        return found
+
+    @classmethod
+    def from_image(
+        cls,
+        image: str | os.PathLike[str] | SimpleItkImage | NibabelImage,
+        *,
+        slice: int | None = None,  # noqa: A002
+        axis: int = 0,
+    ) -> Grid:
+        """Return the grid of an image, or of one slice of a volume, with its place.
+
+        Parameters
+        ----------
+        image : path-like, SimpleITK image or nibabel image
+            A path is read as images are: NIfTI, MetaImage, NRRD, a folder of DICOM or a picture.
+            The axes are those of its array: [z,] y, x of a file or of SimpleITK's
+            ``GetArrayFromImage``, and x, y, z of nibabel's ``dataobj``.
+        slice : int, optional
+            Number of a slice of a volume; by default the grid is that of the whole image.
+        axis : int
+            The axis of the array that the slice lies across.
+
+        Raises
+        ------
+        ArgumentError
+            If it is no such image, or has no such slice.
+        ProblemError
+            If the image's axes are not at right angles.
+        FileFormatError, HmrfError, OSError
+            If a file cannot be read.
+        """
+        # Reading files is the work of `io`, which is built on studies.
+        from napari_hmrf.io.image_grid import grid_of_image
+
+        return grid_of_image(image, slice=slice, axis=axis)
 
     def __repr__(self) -> str:
         place = "" if self.place is None else ", placed"
@@ -91,6 +208,49 @@ class Tissue:
     record: Mapping[str, Any] = field(default_factory=dict)
     without_border: bool = False
 
+    @classmethod
+    def from_maps(
+        cls,
+        maps: Mapping[str, npt.ArrayLike],
+        materials: Mapping[str, Material | float] | Sequence[Material] | None = None,
+        *,
+        unit: str = "",
+    ) -> Tissue:
+        """Return the tissue of maps of likelihood, such as those of a segmentation.
+
+        Each pixel gets the most likely tissue, and label 0 where "none" is more likely, as by
+        ``--maps`` in the shell.
+
+        Parameters
+        ----------
+        maps : mapping of str to array_like, shape ([D,] H, W)
+            Likelihood of each tissue, by name, from 0 to 1, 100 or 255.
+        materials : mapping of str to Material or float, or sequence of Material, optional
+            By the names of the maps; a number is a stiffness. "none" is the material of pixels
+            without a likely tissue, which else are as stiff as the first tissue. By default the
+            published values of tissues of these names, as of `materials_by_name`.
+        unit : str
+            Of stiffness.
+
+        Raises
+        ------
+        ProblemError
+            If maps differ in shape, or a tissue has no material.
+        """
+        labels = most_likely([*maps.values()])
+        if materials is not None:
+            return cls(labels=labels, materials=materials_of_maps([*maps], materials), unit=unit)
+        # Published values are in the tables of `io`, which is built on studies.
+        from napari_hmrf.io.tissue_names import materials_by_name
+
+        found = materials_by_name(dict(enumerate(maps, 1)))
+        if found.unknown:
+            names = ", ".join(f"'{name}'" for name in found.unknown.values())
+            raise ProblemError(
+                "tissue", f"has no published stiffness for {names}. Give materials of these names."
+            )
+        return cls(labels=labels, materials=found.materials, unit=found.unit)
+
     def __post_init__(self) -> None:
         given = [
             each for each in ("labels", "stiffness", "curve") if getattr(self, each) is not None
@@ -127,7 +287,8 @@ class Motion:
     observed : ndarray, shape ([D,] H, W, n), optional
         A displacement, in the order of the axes and the grid's unit, such as a registration's.
     confidence : ndarray, shape ([D,] H, W) or ([D,] H, W, n), optional
-        How sure what is observed is, 0 (not at all) to 1. Needed beside `observed`.
+        Confidence in what is observed, 0 (none) to 1 (certain), as of a `Problem`. Needed beside
+        `observed`.
     drawing : Drawing
         What was drawn with a pointer: pulls, landmarks, and strokes of a brush.
     weight : tuple of float

@@ -299,7 +299,7 @@ class LiveStudy:
             self.form.footer.live.judge(math.prod(study.grid.shape[-2:]))
             self._follower.rehearse(study)
             self.moved_on.emit(study)
-        ways = ways_of(place.place, self._viewer)
+        ways = ways_of(place.known_place, self._viewer)
         self.curve_layer.show(study, source)
         self.form.show_place(unit_symbol(place.unit), ways, study.tissue.unit)
         return self._with_drawing(study)
@@ -334,7 +334,7 @@ class LiveStudy:
         quick = study.model_name != "large motion" or math.prod(shape) <= _FOLLOWED * GLANCED
         if not self.pointer.hand.holding or (len(shape) == 2 and quick):
             return None
-        seen = () if len(shape) == 2 else plane_shown(study.grid.place, self.form.view())
+        seen = () if len(shape) == 2 else plane_shown(study.grid.known_place, self.form.view())
         return Glance(CoarseGrid.of_at_most(GLANCED, shape), *seen)
 
     def _as_followed(self, study: Study) -> Study:

@@ -68,7 +68,7 @@ HANDFUL = 5
 
 def report(done: Done) -> str:
     """What came out, in a sentence."""
-    place, solution = done.moved.study.grid.place, done.outputs.solution
+    place, solution = done.moved.study.grid.known_place, done.outputs.solution
     far = as_seen(float(magnitude(solution.displacement).max()), solution.spacing)
     if not far:
         return STILL

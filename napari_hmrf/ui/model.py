@@ -40,7 +40,7 @@ class DetailsForm(Container):
         )
         align_labels(self)
         self["penalty"].native.setSpecialValueText("automatic")
-        self["grip"].native.setSpecialValueText("held exactly")
+        self["grip"].native.setSpecialValueText("by confidence")
         self["grip"].native.setDecimals(4)
 
     @property

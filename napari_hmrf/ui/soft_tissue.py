@@ -364,7 +364,9 @@ class SoftTissue(Dock):
             raise HmrfError(messages.WELCOME if self.image is None else self.status)
         grid, view = self.study.grid, self._form.view()
         others = [mark for mark in self.drawing.marks if mark not in self._taken]
-        self._taken = marks = read_landmarks(where, should, grid.place, grid.shape, view, **how)
+        self._taken = marks = read_landmarks(
+            where, should, grid.known_place, grid.shape, view, **how
+        )
         self._pointer.set_drawing(Drawing((*marks, *others)), f"took landmarks from '{where.name}'")
         self.start()
 

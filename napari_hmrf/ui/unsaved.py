@@ -111,7 +111,7 @@ class Unsaved(QObject):
         if where is None:
             return ""
         try:
-            chosen = read_landmarks(where, should, grid.place, grid.shape, form.view())
+            chosen = read_landmarks(where, should, grid.known_place, grid.shape, form.view())
         except HmrfError:  # it is said when they are taken
             return ""
         return where.name if any((mark.target, mark.source) not in taken for mark in chosen) else ""

@@ -67,7 +67,11 @@ class WarningChip:
 
     def _go_to_most(self, latest: Done, mark: Mark) -> str:
         """Show the slice of a volume in which most sites are marked, and say which that is."""
-        dims, place, view = self._viewer.dims, latest.moved.study.grid.place, self._form.view()
+        dims, place, view = (
+            self._viewer.dims,
+            latest.moved.study.grid.known_place,
+            self._form.view(),
+        )
         if len(place.plane) == 2 or dims.ndisplay == 3:
             return ""
         across, _ = plane_shown(place, view)

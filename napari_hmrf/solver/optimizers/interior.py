@@ -53,7 +53,8 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> N
         If the gap cannot be closed.
     """
     steep = model.steepness
-    moves = steep > 0
+    states.place_fixed(d)
+    moves = (steep > 0) & ~states.fixed
     at, y, p = states.at, states.y, states.limit
     scale = max(_LEAST_SCALE, float(np.abs(y).max()))
     if states.given is not None:

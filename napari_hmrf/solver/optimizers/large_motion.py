@@ -64,8 +64,8 @@ def converge(
     model = backend.finite_model(material)
     observed, held = host.prescribed(problem)
     load, limit = given(problem, prior).pulls, prior.limit(problem)
-    # What may slip is not held.
-    stops = held if limit is None else np.zeros_like(held)
+    # Observations that may slip do not stop rigid bodies.
+    stops = held if limit is None else held & np.isinf(host.planes(limit))
     # Other sites of a rigid body that is held have no target of their own.
     poses, has_target = model.poses(stops), held.copy()
     poses.hold(observed, held)
@@ -76,8 +76,9 @@ def converge(
         settle = partial(newton.run, d, observed, held)
     else:
         most = np.where(held, host.planes(limit), 0.0)
-        at = np.flatnonzero(most)
-        check_balanced(problem, at, most.ravel()[at], load)
+        fixed = np.isinf(most)
+        at = np.flatnonzero((most > 0) & ~fixed)
+        check_balanced(problem, at, most.ravel()[at], load, host.field(fixed))
         settle = partial(LargeSlip(newton, observed, most, load).run, d, warm=start is not None)
     try:
         grown = _grow(settle, model, material, d, tolerance)

@@ -32,14 +32,17 @@ class LargeSlip:
     y : ndarray, planes
         What was observed, in pixels.
     limit : ndarray, planes
-        The greatest force of each component.
+        The greatest force of each component; infinite where it never slips.
     load : ndarray, planes, or None
-        What else pulls.
+        Other forces.
     """
 
     def __init__(self, newton: Newton, y: Planes, limit: Planes, load: Planes | None) -> None:
         self._newton, self._y, self._limit, self._load = newton, y, limit, load
         self._observed: HeldPlanes = limit > 0
+        self._fixed: HeldPlanes = np.isinf(limit)
+        #: The limits of observations that may slip; 0 elsewhere.
+        self._yielding = np.where(self._fixed, 0.0, limit)
 
     def run(self, d: Planes, tolerance: float, warm: bool = False) -> None:
         """Move `d` in place to the field of least energy.
@@ -63,19 +66,18 @@ class LargeSlip:
             if self._sharpen(d, np.where(slips, np.sign(needed), 0.0), tolerance):
                 return
             np.copyto(d, begun)
-        far = float(np.abs(np.where(self._observed, self._y - d, 0.0)).max())
+        far = float(np.abs(np.where(self._yielding > 0, self._y - d, 0.0)).max())
         last = _LAST * tolerance
         width = max(_BEGIN * far, last)
-        nothing = np.zeros_like(self._observed)
-        soft = SoftObservations(self._y, self._limit, self._load)
+        soft = SoftObservations(self._y, self._yielding, self._load)
         while True:
             soft.sharpen(d, width)
             newton.outside = soft
-            newton.run(d, d, nothing, max(tolerance, _BEGIN * width))
+            newton.run(d, self._y, self._fixed, max(tolerance, _BEGIN * width))
             if width == last:
                 break
             width = max(_LESS * width, last)
-        off = np.where(self._observed, self._y - d, 0.0)
+        off = np.where(self._yielding > 0, self._y - d, 0.0)
         sides = np.where(np.abs(off) > _SLIPS * width, np.sign(off), 0.0)
         found, known = d.copy(), newton.distance
         if not self._sharpen(d, sides, tolerance):
@@ -88,7 +90,7 @@ class LargeSlip:
         """Solve for what slips to one side or the other, in place; whether that is consistent."""
         newton = self._newton
         for _ in range(_EXCHANGES):
-            held, pulls = self._observed & (sides == 0), sides * self._limit
+            held, pulls = self._observed & (sides == 0), sides * self._yielding
             newton.outside = Outside(pulls if self._load is None else pulls + self._load)
             try:
                 newton.run(d, self._y, held, tolerance)
@@ -97,7 +99,7 @@ class LargeSlip:
             needed = self._needed(d, held)
             passed = sides * (d - self._y) > tolerance
             wrong = (np.abs(needed) > (1 + _MORE) * self._limit) | passed
-            missed = held & (np.abs(self._y - d) > tolerance)
+            missed = held & ~self._fixed & (np.abs(self._y - d) > tolerance)
             if not (wrong | missed).any():
                 return True
             sides = np.where(wrong, np.where(passed, 0.0, np.sign(needed)), sides)

@@ -93,7 +93,11 @@ def check_reach(d: Planes, problem: Problem) -> None:
 
 
 def check_balanced(
-    problem: Problem, at: npt.NDArray[np.intp], limit: npt.NDArray[np.float64], load: Planes | None
+    problem: Problem,
+    at: npt.NDArray[np.intp],
+    limit: npt.NDArray[np.float64],
+    load: Planes | None,
+    fixed: npt.NDArray[np.bool_],
 ) -> None:
     """Refuse loads that are more than observations that may slip can hold.
 
@@ -101,10 +105,12 @@ def check_balanced(
     ----------
     problem : Problem
     at : ndarray of int
-        Which components of flat planes are observed.
+        The components of flat planes that may slip.
     limit : ndarray
         The greatest force of each.
     load : ndarray, planes
+    fixed : ndarray of bool, shape (H, W, 2)
+        The components that are held exactly.
 
     Raises
     ------
@@ -113,7 +119,7 @@ def check_balanced(
     if load is None or problem.loads is None or problem.loads.force is None:
         return  # growth pulls as much one way as the other
     total = np.abs(load).sum()
-    for ways in free_motions(problem, np.zeros((*problem.shape, len(problem.shape)), bool)):
+    for ways in free_motions(problem, fixed):
         motions = [host.planes(way) for way in ways]
         asked = np.array([work_of(load, motion) for motion in motions])
         if np.abs(asked).max() <= _NOTHING * total:

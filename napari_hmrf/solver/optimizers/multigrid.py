@@ -125,7 +125,7 @@ class Multigrid:
                 if start is not None:
                     np.copyto(d, host.combined(start), where=moves)
                 states = ActiveSet(observed & moves, y, host.planes(limit), d, pulls, stored)
-                check_balanced(problem, states.at, states.limit, pulls)
+                check_balanced(problem, states.at, states.limit, pulls, host.field(states.fixed))
                 slip = Slip(problem, prior, model, states, refinement, report)
                 forces = slip.run(d, self.tolerance)
         except ConvergenceError:

@@ -44,21 +44,27 @@ class States:
     y : ndarray, planes
         What was observed, in pixels.
     limit : ndarray, planes
-        What pulls at those that slip, in units of the model's residuals.
+        What pulls at those that slip, in units of the model's residuals; infinite where a component
+        never slips.
     d : ndarray, planes
         Where the components are: those elsewhere than observed slip from the beginning.
 
     Attributes
     ----------
+    fixed : ndarray of bool, planes
+        Observed components that never slip.
     at : ndarray of int
-        Which components of flat planes are observed.
+        The other observed components, of flat planes.
     y, limit : ndarray
         Of these.
     """
 
     def __init__(self, observed: HeldPlanes, y: Planes, limit: Planes, d: Planes) -> None:
         self._grid = observed.shape
-        self.at = np.flatnonzero(observed)
+        self.fixed = observed & np.isinf(limit)
+        self._fixed_at = np.flatnonzero(self.fixed)
+        self._fixed_y = y.ravel()[self._fixed_at]
+        self.at = np.flatnonzero(observed & ~self.fixed)
         self.y, self.limit = y.ravel()[self.at], limit.ravel()[self.at]
         # The sign of the force of those that slip; 0 where held.
         self._slips: npt.NDArray[Any] = np.sign(self.y - d.ravel()[self.at])
@@ -67,8 +73,8 @@ class States:
 
     @property
     def held(self) -> HeldPlanes:
-        """Which components are held."""
-        made = np.zeros(self._grid, dtype=np.bool_)
+        """Components that are held."""
+        made: HeldPlanes = self.fixed.copy()
         made.ravel()[self.at[self._slips == 0]] = True
         return made
 
@@ -96,6 +102,11 @@ class States:
         """Move the held components to what was observed, in place."""
         here = self._slips == 0
         d.ravel()[self.at[here]] = self.y[here]
+        self.place_fixed(d)
+
+    def place_fixed(self, d: Planes) -> None:
+        """Move the components that never slip to what was observed, in place."""
+        d.ravel()[self._fixed_at] = self._fixed_y
 
 
 class ActiveSet(States):
@@ -206,8 +217,8 @@ class ActiveSet(States):
 
     @property
     def every(self) -> HeldPlanes:
-        """Which components are observed."""
-        made = np.zeros(self._grid, dtype=np.bool_)
+        """Components that are observed."""
+        made: HeldPlanes = self.fixed.copy()
         made.ravel()[self.at] = True
         return made
 
@@ -259,11 +270,11 @@ class ActiveSet(States):
         return np.asarray(np.where(self._slips == 0, excess, passed) > tolerance)
 
     def certain(self, pull: Planes, margin: float, noise: Planes | float = 0.0) -> HeldPlanes:
-        """Which components are held with less than their limit.
+        """Return the components that are held with less than their limit.
 
-        By this part of it, and by what forces are uncertain by.
+        Less by this part of the limit, and by the uncertainty of forces.
         """
-        made = np.zeros(self._grid, dtype=np.bool_)
+        made: HeldPlanes = self.fixed.copy()
         some = np.broadcast_to(noise, self._grid).ravel()[self.at]
         less = np.abs(pull.ravel()[self.at]) < (1 - margin) * self.limit - some
         made.ravel()[self.at] = (self._slips == 0) & less

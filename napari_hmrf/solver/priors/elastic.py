@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -40,6 +40,9 @@ from napari_hmrf.solver.rigid_modes import check_held
 
 Plane = Literal["stress", "strain"]
 
+#: K of eq. 19 for doubted observations where no penalty is given: a force of 1 strains a pixel of
+#: the stiffest tissue by 1.
+DOUBTED_PENALTY = 1.0
 #: Poisson's ratios beyond which the energy is not that of a stable, compressible tissue.
 POISSON_RANGE = (0.0, 0.499)
 #: Penalties beyond which products of forces leave double precision.
@@ -61,27 +64,30 @@ class ElasticPrior:
         between its neighbours. There the twist of an element is not counted as a change of
         volume (selective reduced integration); counted, it would lock nearly incompressible
         tissue. A volume has no plane: it is strained in all directions, whatever is said here.
-    penalty : float
-        K of eq. 19: the greatest force with which a site of complete confidence is held at what
-        was observed; where tissue needs more it slips. In the unit of the energy: 1 is what strains
-        a pixel of the stiffest tissue by 1. ``inf``: held exactly wherever confidence is
-        above 0.
+    penalty : float, optional
+        How firmly observations hold. By default by their confidence c: c = 1 is certain and held
+        exactly; 0 < c < 1 is doubted and holds with a force of at most c per component, where a
+        force of 1 strains a pixel of the stiffest tissue by 1. Where tissue pulls harder, the
+        observation slips. Beside rigid tissue nothing can slip: all observations are held exactly.
+        A number K is K of eq. 19 for every observation, certain ones included: each holds with at
+        most K c. ``inf`` holds every observation with c > 0 exactly.
     """
 
     poisson: float | npt.NDArray[np.float32] = 0.45
     _: KW_ONLY
     plane: Plane = "stress"
-    penalty: float = math.inf
+    penalty: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "poisson", _checked_poisson(self.poisson))
         known = is_one_of(self.plane, get_args(Plane))
         refuse_unless(known, "plane", self.plane, '"stress" or "strain"')
-        penalty, (low, high) = real(self.penalty), PENALTY_RANGE
-        right = low <= penalty <= high or penalty == math.inf
-        what = f"a number from {low:g} to {high:g}, or inf"
-        refuse_unless(right, "penalty", self.penalty, what)
-        object.__setattr__(self, "penalty", penalty)
+        if self.penalty is not None:
+            penalty, (low, high) = real(self.penalty), PENALTY_RANGE
+            right = low <= penalty <= high or penalty == math.inf
+            what = f"a number from {low:g} to {high:g}, inf or None"
+            refuse_unless(right, "penalty", self.penalty, what)
+            object.__setattr__(self, "penalty", penalty)
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -90,7 +96,7 @@ class ElasticPrior:
         if isinstance(nu, np.ndarray):
             digest = hashlib.sha256(nu.tobytes()).hexdigest()
             nu = {"shape": list(nu.shape), "sha256": digest}
-        penalty = "inf" if self.penalty == math.inf else self.penalty
+        penalty: Any = "inf" if self.penalty == math.inf else self.penalty
         return {
             "name": "ElasticPrior",
             "poisson": nu,
@@ -106,18 +112,23 @@ class ElasticPrior:
 
     @property
     def kernels(self) -> str:
-        """Which kernels it takes: a map of Poisson's ratio and a penalty have some of their own."""
-        mapped, slips = isinstance(self.poisson, np.ndarray), self.penalty < math.inf
+        """The kernels of this prior once it is `resolved`, as a key.
+
+        A map of Poisson's ratio and observations that may slip have kernels of their own.
+        """
+        mapped, slips = isinstance(self.poisson, np.ndarray), self.penalty != math.inf
         return f"elastic{', mapped' * mapped}{', slipping' * slips}"
 
     def rehearsal(self, shape: tuple[int, ...]) -> ElasticPrior:
         """Return a prior that takes the same kernels, for a small problem of this shape."""
-        mapped, slips = isinstance(self.poisson, np.ndarray), self.penalty < math.inf
+        mapped, slips = isinstance(self.poisson, np.ndarray), self.penalty != math.inf
         poisson = np.full(shape, 0.45, np.float32) if mapped else 0.45
         return ElasticPrior(poisson, plane=self.plane, penalty=1.0 if slips else math.inf)
 
     def resolved(self, problem: Problem) -> ElasticPrior:
-        """Return this prior, once it is sure that the problem has one answer.
+        """Check that the problem has one answer, and return the prior in force.
+
+        Without a penalty it gets ``inf`` where no observation of this problem may slip.
 
         Raises
         ------
@@ -127,20 +138,37 @@ class ElasticPrior:
         """
         if isinstance(self.poisson, np.ndarray):
             _check_poisson_map(self.poisson, problem)
-        if self.penalty < math.inf and problem.rigid.any():
+        if self.penalty is not None and self.penalty < math.inf and problem.rigid.any():
             raise ProblemError(
                 "stiffness",
                 "is infinite (rigid) somewhere, where nothing that is observed may slip. Leave the "
-                "prior's penalty at inf, or give that tissue a number.",
+                "prior's penalty out, or give that tissue a number.",
             )
         check_held(problem)
-        return self
+        return self.in_force(problem)
+
+    def in_force(self, problem: Problem) -> ElasticPrior:
+        """Return the prior with an infinite penalty if no observation of the problem may slip."""
+        return self if self.can_slip(problem) else replace(self, penalty=math.inf)
+
+    def can_slip(self, problem: Problem) -> bool:
+        """Return whether any observation of the problem may slip."""
+        if self.penalty is not None:
+            return self.penalty < math.inf
+        doubted = problem.known & (problem.confidence < 1)
+        return bool(doubted.any()) and not problem.rigid.any()
 
     def limit(self, problem: Problem) -> Float64Array | None:
-        """P = K c of every component (H, W, 2); None where all is held exactly."""
-        if self.penalty == math.inf:
+        """Return the greatest force P of every component (H, W, 2), or None if none may slip.
+
+        Infinite where the component is held exactly.
+        """
+        if not self.can_slip(problem):
             return None
-        limit: Float64Array = self.penalty * problem.confidence.astype(np.float64)
+        c = problem.confidence.astype(np.float64)
+        if self.penalty is None:
+            return np.where(c < 1, DOUBTED_PENALTY * c, math.inf)
+        limit: Float64Array = self.penalty * c
         return limit
 
     def material(self, problem: Problem) -> ElasticMaterial:

@@ -6,8 +6,7 @@ stretch as far as it likes: `finite_strain` has its energy.
 
 from __future__ import annotations
 
-import math
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -40,14 +39,14 @@ class NeoHookeanPrior:
         Poisson's ratio of tissue that is hardly strained, 0 to 0.499, of all or of each site.
     plane : {"stress", "strain"}
         As of `ElasticPrior`.
-    penalty : float
+    penalty : float, optional
         As of `ElasticPrior`.
     """
 
     poisson: float | npt.NDArray[np.float32] = 0.45
     _: KW_ONLY
     plane: Plane = "stress"
-    penalty: float = math.inf
+    penalty: float | None = None
 
     def __post_init__(self) -> None:
         same = ElasticPrior(self.poisson, plane=self.plane, penalty=self.penalty)
@@ -80,7 +79,7 @@ class NeoHookeanPrior:
         return NeoHookeanPrior(0.3, plane=self.plane)
 
     def resolved(self, problem: Problem) -> NeoHookeanPrior:
-        """Return this prior, once it is sure that the problem is one for it.
+        """Check that the problem has one answer, and return the prior in force.
 
         Raises
         ------
@@ -95,7 +94,15 @@ class NeoHookeanPrior:
             )
         _check_growth(problem)
         self.at_rest.resolved(problem)
-        return self
+        return self.in_force(problem)
+
+    def in_force(self, problem: Problem) -> NeoHookeanPrior:
+        """Return the prior with an infinite penalty if no observation of the problem may slip."""
+        return replace(self, penalty=self.at_rest.in_force(problem).penalty)
+
+    def can_slip(self, problem: Problem) -> bool:
+        """Return whether any observation of the problem may slip."""
+        return self.at_rest.can_slip(problem)
 
     def material(self, problem: Problem) -> FiniteMaterial:
         """What the kernels need to know of a problem's tissue."""
@@ -108,7 +115,7 @@ class NeoHookeanPrior:
         return self.material(problem).moduli()
 
     def limit(self, problem: Problem) -> Float64Array | None:
-        """As of `ElasticPrior`."""
+        """Return the limits of `ElasticPrior.limit`."""
         return self.at_rest.limit(problem)
 
     def force_unit(self, problem: Problem) -> float:

@@ -60,7 +60,7 @@ class SeilerPrior:
     Parameters
     ----------
     penalty : float, optional
-        K of eq. 19: the greatest force with which a site of complete confidence is held at what
+        K of eq. 19: the greatest force with which a site of confidence 1 is held at what
         was observed; where tissue needs more it slips. In the unit of the energy: what a pixel of
         deviation costs. By default 10^4 in uniform tissue (3 x 10^4 in volumes, where three times
         as many cliques pull), and as much more as the energy is steeper at the observed site that

@@ -165,10 +165,10 @@ def refuse_open_line(stroke: Stroke, spacing: tuple[float, ...], shape: tuple[in
     _outward(stroke, spacing, shape)
 
 
-def covered(stroke: Stroke, spacing: Sequence[float], box: Box) -> npt.NDArray[np.bool_]:
-    """Which pixels of a box a stroke covers."""
-    reach = brush_reach(stroke.radius, spacing)
-    return distance_to(stroke.lines, stroke.radius, spacing, box) <= reach
+def covered(mark: Mark, spacing: Sequence[float], box: Box) -> npt.NDArray[np.bool_]:
+    """Return the pixels of a box that a mark covers."""
+    reach = brush_reach(mark.radius, spacing)
+    return distance_to(mark.lines, mark.radius, spacing, box) <= reach
 
 
 def covers(stroke: Stroke, point: Point, spacing: Sequence[float]) -> bool:

@@ -9,7 +9,12 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 from napari_hmrf.arguments import refuse_unless
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.problem import as_numbers
 from napari_hmrf.tissue.drawing.canvas import Box, Canvas, box_of, covers, is_empty, paint
 from napari_hmrf.tissue.drawing.marks import (
     Arrow,
@@ -59,6 +64,69 @@ class Drawing:
     def __repr__(self) -> str:
         kinds = Counter(type(mark).__name__ for mark in self.marks)
         return f"Drawing({', '.join(f'{n} {kind}' for kind, n in kinds.items()) or 'empty'})"
+
+    @classmethod
+    def from_landmarks(
+        cls,
+        source: npt.ArrayLike,
+        target: npt.ArrayLike,
+        *,
+        radius: float,
+        confidence: float = 1.0,
+        shape: Sequence[int] | None = None,
+    ) -> Drawing:
+        """Return a drawing of pairs of landmarks.
+
+        Parameters
+        ----------
+        source, target : array_like, shape (N, 2) or (N, 3)
+            The places of tissue before and after the motion, (row, col) or (plane, row, col) in
+            pixels; `Grid.to_pixels` converts the mm of landmark files.
+        radius : float
+            Of the patch that moves with each landmark, in the unit of the pixel spacing.
+        confidence : float
+            Confidence in each pair, from above 0 to 1 (certain).
+        shape : sequence of int, optional
+            Of the image: with it, sources outside are refused. Without it, `solve_study` notes
+            them.
+
+        Raises
+        ------
+        ProblemError
+            If there are no pairs or not as many targets as sources, if a value is no number, if two
+            sources lie in one pixel, or if one lies outside the image.
+        """
+        sources, targets = _points("source", source), _points("target", target)
+        if sources.shape != targets.shape:
+            raise ProblemError(
+                "landmarks",
+                f"have sources of shape {sources.shape} and targets of shape {targets.shape}. Give "
+                "a target for each source.",
+            )
+        pixels, counts = np.unique(np.rint(sources), axis=0, return_counts=True)
+        if counts.max() > 1:
+            twice = tuple(pixels[counts.argmax()].astype(int).tolist())
+            raise ProblemError(
+                "landmarks", f"have two sources in the pixel {twice}. Keep one for each pixel."
+            )
+        if shape is not None:
+            if len(shape) != sources.shape[1]:
+                raise ProblemError(
+                    "landmarks",
+                    f"have {sources.shape[1]} coordinates each, but the image {len(shape)} axes.",
+                )
+            last = np.array(shape) - 0.5
+            outside = ((sources < -0.5) | (sources > last)).any(axis=1)
+            if outside.any():
+                first = int(np.flatnonzero(outside)[0])
+                raise ProblemError(
+                    "landmarks",
+                    f"have {int(outside.sum())} of {len(sources)} sources outside the image, the "
+                    f"first being number {first} at {tuple(sources[first].tolist())}. Give them in "
+                    "pixels, (row, col) or (plane, row, col), and remove those outside.",
+                )
+        pairs = zip(sources.tolist(), targets.tolist(), strict=True)
+        return cls(tuple(Landmark(tuple(at), tuple(to), radius, confidence) for at, to in pairs))
 
     def with_mark(self, mark: Mark) -> Drawing:
         """The drawing with a mark on top."""
@@ -247,6 +315,19 @@ class Rendering:
             slice(min(side.start for side in sides), max(side.stop for side in sides))
             for sides in zip(*boxes, strict=True)
         )
+
+
+def _points(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Return points (N, 2) or (N, 3), or refuse them."""
+    points = as_numbers("landmarks", values).astype(np.float64)
+    if points.ndim != 2 or points.shape[1] not in (2, 3) or not len(points):
+        raise ProblemError(
+            "landmarks",
+            f"have a {name} of shape {points.shape}. Give (N, 2) or (N, 3).",
+        )
+    if not np.isfinite(points).all():
+        raise ProblemError("landmarks", f"have a {name} that is NaN or infinite. Remove that pair.")
+    return points
 
 
 def ends_of(mark: Mark, spacing: Sequence[float]) -> tuple[Point, ...]:

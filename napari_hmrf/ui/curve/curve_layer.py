@@ -52,7 +52,7 @@ class CurveLayer:
             self._editor.plot.show_intensities(intensities)
         elif before.tissue.curve == curve and before.grid == study.grid:
             return
-        place, (softest, stiffest) = study.grid.place, curve.range
+        place, (softest, stiffest) = study.grid.known_place, curve.range
         known = {"kind": "curve", "role": TISSUE, "unit": curve.unit}
         name = f"{image.name} stiffness ({curve.unit or 'relative'})"
         look = {"colormap": stiffness_colours(), "opacity": 0.5}

@@ -79,7 +79,7 @@ class Display:
         moved = self.moved
         if moved is None or self._image is None:
             return None
-        return self._results.at(self._image, moved.study.grid.place.slice_name)
+        return self._results.at(self._image, moved.study.grid.known_place.slice_name)
 
     def stand_on(self, study: Study | None, image: Any, drawn: bool) -> None:
         """Go over to another slice, of which nothing has moved yet; or to none."""
@@ -95,8 +95,8 @@ class Display:
                     before.remove()  # its picture is shown although nothing has moved
             if study is not None:
                 self.seen = Seen(Deformation(study, image=study.pictures.image))
-                self.arrows.place(study.grid.place, study.grid.shape, drawn)
-                self._results.stand_on(image, study.grid.place)
+                self.arrows.place(study.grid.known_place, study.grid.shape, drawn)
+                self._results.stand_on(image, study.grid.known_place)
 
     @property
     def covering(self) -> Any:
@@ -118,7 +118,7 @@ class Display:
             if picture is not None and (moved.moves or self.arrows.active):
                 study = moved.study
                 run = {"prior": study.prior.parameters, "optimizer": study.optimizer.parameters}
-                made = picture_layer(study.grid.place, study.pictures, picture, run)
+                made = picture_layer(study.grid.known_place, study.pictures, picture, run)
                 self._show_result({"image": made}, moving=moved.solution is not None)
             elif not moved.moves and result is not None:
                 # Hidden, not removed: where no lines are left napari 0.7 can end the program.
@@ -153,7 +153,7 @@ class Display:
         """Show layers of the result, with what was painted."""
         seen, result = self.seen, self.result
         assert seen is not None
-        place, shown = seen.moved.study.grid.place, dict[Any, LayerData](layers)
+        place, shown = seen.moved.study.grid.known_place, dict[Any, LayerData](layers)
         if seen.confidence is not None:
             shown[CONFIDENCE] = confidence_layer(place, seen.confidence)
         if (picture := self._picture()) is not None:
@@ -195,7 +195,7 @@ class Display:
         if picture is None:
             result.drop(PAINTED)
         else:
-            place = moved.study.grid.place
+            place = moved.study.grid.known_place
             result.put(PAINTED, painted_layer(place, picture, self.tissues), show=False)
 
     def touch(self, hand: Hand, first: bool) -> None:

@@ -132,7 +132,7 @@ class Pointer:
         if study is None:
             self.history = History()
         else:
-            slot = Slot(DRAWING, image, SlicePlace.of(study.grid.place))
+            slot = Slot(DRAWING, image, SlicePlace.of(study.grid.known_place))
             self.history = History(edits=self._steps.edits, slot=slot)
         self.display.stand_on(study, image, bool(self.drawing.marks))
         self._open_hand()
@@ -168,7 +168,7 @@ class Pointer:
         moved, radius = seen.moved, self._fields.radius.value
         grid = moved.study.grid
         with self.display.own_doing():
-            self.display.arrows.take(grid.place, grid.shape, radius)
+            self.display.arrows.take(grid.known_place, grid.shape, radius)
         if moved.ground is not None and not moved.moves:
             self.display.show(seen, self.hand)
         self.draw()

@@ -1,0 +1,124 @@
+"""Grids of images: shape, spacing and place of an image that a study is made of."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.arguments import is_whole, shown
+from napari_hmrf.errors import ArgumentError, ProblemError
+from napari_hmrf.field.frame import Frame
+from napari_hmrf.io.fields import Place, check_rotation
+from napari_hmrf.io.images import load_image
+from napari_hmrf.study.study import Grid
+
+#: From right, anterior, superior, as nibabel has them, to left, posterior, superior.
+_TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
+
+
+def grid_of_image(
+    image: Any,
+    *,
+    slice: int | None = None,  # noqa: A002
+    axis: int = 0,
+) -> Grid:
+    """Return the grid of an image, or of one slice of a volume.
+
+    Parameters
+    ----------
+    image : path-like, SimpleITK image or nibabel image
+    slice : int, optional
+        Number of a slice of a volume; by default the grid is that of the whole image.
+    axis : int
+        The axis of the volume's array that the slice lies across.
+
+    Raises
+    ------
+    ArgumentError
+        If it is no such image, or has no such slice.
+    ProblemError
+        If the image's axes are not at right angles.
+    HmrfError, OSError
+        As of `load_image`, of a path.
+    """
+    if isinstance(image, str | os.PathLike):
+        shape, place = _of_file(image)
+    elif hasattr(image, "GetDirection"):
+        shape, place = _of_simpleitk(image)
+    elif hasattr(image, "affine") and hasattr(image, "dataobj"):
+        shape, place = _of_nibabel(image)
+    else:
+        raise ArgumentError(
+            f"image is {shown(image)}, of type {type(image).__name__}. Give a path, a SimpleITK "
+            "image or a nibabel image; of an array alone no place is known: Grid(shape, spacing)."
+        )
+    n = len(shape)
+    if place is None:
+        unit, frame = "pixel", Frame.at((1.0,) * n, ("pixel",) * n, volume=n == 3)
+    else:
+        check_rotation(place.direction, len(place.spacing))
+        unit, frame = "millimeter", place.frame(volume=n == 3)
+    spacing = frame.spacing
+    grid = Grid(shape, spacing, unit, None if place is None else frame)
+    if slice is None:
+        return grid
+    return _slice_of(grid, frame, slice, axis)
+
+
+def _slice_of(grid: Grid, frame: Frame, number: int, axis: int) -> Grid:
+    if len(grid.shape) != 3:
+        raise ArgumentError(f"slice is {number}, but the image has 2 axes. Leave slice out.")
+    if not (is_whole(axis) and -3 <= axis < 3):
+        raise ArgumentError(f"axis is {shown(axis)}. Give 0, 1 or 2: an axis of the volume.")
+    axis = int(axis) % 3
+    count = grid.shape[axis]
+    if not (is_whole(number) and 0 <= number < count):
+        raise ArgumentError(
+            f"slice is {shown(number)}, but the volume has {count} slices across axis {axis}. "
+            f"Give 0 to {count - 1}."
+        )
+    return replace(
+        grid,
+        shape=(*grid.shape[:axis], *grid.shape[axis + 1 :]),
+        spacing=(*grid.spacing[:axis], *grid.spacing[axis + 1 :]),
+        # A stack that lies nowhere still knows the number of its slice.
+        place=frame.plane_at(axis, int(number)),
+    )
+
+
+def _of_file(path: str | os.PathLike[str]) -> tuple[tuple[int, ...], Place | None]:
+    image = load_image(path)
+    return tuple(image.pixels_in_place.shape[: image.pixels_in_place.ndim - image.colours]), (
+        image.place
+    )
+
+
+def _of_simpleitk(image: Any) -> tuple[tuple[int, ...], Place]:
+    n = image.GetDimension()
+    if n not in (2, 3):
+        raise ArgumentError(f"image has {n} axes. Give an image of 2 axes, or a volume of 3.")
+    turn = np.array(image.GetDirection(), dtype=float).reshape(n, n)
+    spacing = tuple(float(size) for size in image.GetSpacing()[::-1])
+    origin = tuple(float(at) for at in image.GetOrigin())
+    return tuple(int(size) for size in image.GetSize()[::-1]), Place(spacing, origin, turn)
+
+
+def _of_nibabel(image: Any) -> tuple[tuple[int, ...], Place]:
+    """Shape and place with the axes in the order of `dataobj`, which is x, y, z."""
+    shape = tuple(int(size) for size in image.dataobj.shape)
+    affine = np.asarray(image.affine, dtype=float)
+    if len(shape) > 3 and set(shape[3:]) == {1}:
+        shape = shape[:3]
+    if len(shape) != 3 or affine.shape != (4, 4):
+        raise ArgumentError(f"image has shape {shape}. Give a volume of 3 axes.")
+    steps: npt.NDArray[np.float64] = _TO_LPS @ affine
+    spacing = np.linalg.norm(steps[:3, :3], axis=0)
+    if not (np.isfinite(steps).all() and (spacing > 0).all()):
+        raise ProblemError("image", "has an affine that flattens space. Give it another affine.")
+    # Places count axes from the last: columns in reversed order.
+    turn = (steps[:3, :3] / spacing)[:, ::-1]
+    return shape, Place(tuple(spacing.tolist()), tuple(steps[:3, 3].tolist()), turn)

@@ -1,0 +1,110 @@
+"""Input without effect: marks off tissue, rules and growth of labels that are nowhere."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.study.study import Study
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
+from napari_hmrf.tissue.drawing.canvas import Box, box_of, covered, is_empty
+from napari_hmrf.tissue.drawing.marks import Mark, Point
+
+#: Strokes that hold or move tissue, and so need some; the others change what lies beneath.
+_HOLD_OR_MOVE = ("pin", "move", "expand")
+
+
+def asks_motion(problem: Problem) -> bool:
+    """Return whether any tissue is observed to move, grows or is pulled by a force."""
+    loads = problem.loads
+    given = () if loads is None else (loads.growth, loads.force)
+    moved = problem.known & (problem.observed != 0)
+    return bool(moved.any()) or any(part is not None and part.any() for part in given)
+
+
+def marks_without_effect(
+    drawing: Drawing, tissue: npt.NDArray[np.bool_], spacing: Sequence[float]
+) -> Iterator[str]:
+    """Yield a clause for each kind of marks that lie outside the image or off tissue.
+
+    Parameters
+    ----------
+    drawing : Drawing
+    tissue : ndarray of bool, shape ([D,] H, W)
+    spacing : sequence of float
+        Size of a pixel along each axis.
+    """
+    idle: dict[tuple[str, str], list[Point]] = defaultdict(list)
+    whole: Box = tuple(slice(0, size) for size in tissue.shape)
+    for mark in drawing.marks:
+        kind, place = _named(mark)
+        box = box_of(mark, spacing, whole)
+        if is_empty(box):
+            idle[kind, "outside the image"].append(place)
+        elif _needs_tissue(mark) and not (covered(mark, spacing, box) & tissue[box]).any():
+            idle[kind, "off tissue"].append(place)
+    for (kind, where), places in idle.items():
+        first = "(" + ", ".join(f"{at:.4g}" for at in places[0]) + ")"
+        if len(places) == 1:
+            yield f"the {kind} at {first} lies {where} and has no effect"
+        else:
+            yield f"{len(places)} {kind}s lie {where} and have no effect, the first at {first}"
+
+
+def rows_without_effect(study: Study, labels: npt.NDArray[Any] | None) -> Iterator[str]:
+    """Yield clauses on rules and growth of labels that are nowhere in their images.
+
+    Parameters
+    ----------
+    study : Study
+    labels : ndarray of int, optional
+        The tissues as they are solved, strokes of tissue included.
+    """
+    motion = study.motion
+    rules = _absent(motion.rules, motion.labels)
+    if rules:
+        where = "there are no painted labels"
+        if motion.labels is not None:
+            where = f"'{study.named('boundary')}' has no such label"
+        yield f"{_rows('rule', rules)} no effect: {where}"
+    growing = _absent([row for row in study.tissue.materials if row.grows], labels)
+    if growing:
+        where = "there are no tissue labels"
+        if labels is not None:
+            where = f"'{study.named('tissue', 'image')}' has no such label"
+        yield f"{_rows('growth', growing)} no effect: {where}"
+
+
+def _needs_tissue(mark: Mark) -> bool:
+    return not isinstance(mark, Stroke) or mark.action in _HOLD_OR_MOVE
+
+
+def _absent(
+    rows: Iterable[BoundaryRule | Material], labels: npt.NDArray[Any] | None
+) -> list[BoundaryRule | Material]:
+    there = set() if labels is None else set(np.unique(labels).tolist())
+    return [row for row in rows if row.label not in there and row.label != 0]
+
+
+def _rows(what: str, rows: Sequence[BoundaryRule | Material]) -> str:
+    names = ", ".join(
+        f"{row.label} ('{row.name}')" if getattr(row, "name", "") else f"{row.label}"
+        for row in rows
+    )
+    if len(rows) == 1:
+        return f"the {what} of label {names} has"
+    return f"the {what}{'' if what == 'growth' else 's'} of labels {names} have"
+
+
+def _named(mark: Mark) -> tuple[str, Point]:
+    if isinstance(mark, Arrow):
+        return "arrow", mark.at
+    if isinstance(mark, Landmark):
+        return "landmark", mark.source
+    return "stroke", mark.lines[0][0]

@@ -1,0 +1,220 @@
+"""Studies made in Python lie where their images do, and so do their fields in files."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from napari_hmrf import (
+    ArgumentError,
+    Frame,
+    Grid,
+    HmrfError,
+    Motion,
+    Problem,
+    ProblemError,
+    Study,
+    Tissue,
+    export_field,
+    load_study,
+    save_study,
+    solve,
+    solve_study,
+    warp,
+)
+from napari_hmrf.cli import main
+from napari_hmrf.io.images import load_image
+
+sitk = pytest.importorskip("SimpleITK")
+
+SHAPE = 9, 12, 10
+SPACING = 2.0, 1.0, 1.5  # z, y, x
+#: How much the image changes from one pixel to the next, at most.
+STEEPEST = 20.0
+ORIGIN = -20.0, 35.0, 12.0  # x, y, z
+
+
+def oblique():
+    """Directions as of a volume that was tilted twice, and whose first axis runs backwards."""
+    one, two = np.radians(25), np.radians(-15)
+    first = [[np.cos(one), -np.sin(one), 0], [np.sin(one), np.cos(one), 0], [0, 0, 1]]
+    second = [[1, 0, 0], [0, np.cos(two), -np.sin(two)], [0, np.sin(two), np.cos(two)]]
+    return np.array(first) @ np.array(second) @ np.diag([-1.0, 1.0, 1.0])
+
+
+def scan():
+    z, y, x = np.indices(SHAPE)
+    image = sitk.GetImageFromArray(50 + 20 * np.sin(0.7 * z + 0.3) * np.cos(0.5 * y) + 3.0 * x)
+    image.SetSpacing(SPACING[::-1])
+    image.SetOrigin(ORIGIN)
+    image.SetDirection(oblique().ravel().tolist())
+    return image
+
+
+def nibabel_of(image):
+    """The same image as nibabel has it: x, y, z, in millimetres towards right, anterior, superior.
+
+    nibabel is not installed for tests, so this has what of its images is used.
+    """
+    n = 3
+    affine = np.eye(4)
+    affine[:n, :n] = np.array(image.GetDirection()).reshape(n, n) * np.array(image.GetSpacing())
+    affine[:n, n] = image.GetOrigin()
+    return SimpleNamespace(
+        affine=np.diag([-1.0, -1.0, 1.0, 1.0]) @ affine,
+        dataobj=sitk.GetArrayFromImage(image).transpose(2, 1, 0),
+        header=SimpleNamespace(get_zooms=image.GetSpacing),
+    )
+
+
+def solved(grid, far=0.8):
+    """The middle moves by some of a pixel along each axis, smoothly, and the edge stays."""
+    n = len(grid.shape)
+    bumps = [np.sin(np.pi * np.linspace(0, 1, size)) ** 2 for size in grid.shape]
+    bump = np.prod(np.meshgrid(*bumps, indexing="ij"), axis=0)
+    y = bump[..., None] * far * np.array(grid.spacing) * (1, -0.5, 0.7)[:n]
+    tissue = Tissue(stiffness=np.ones(grid.shape))
+    motion = Motion(observed=y, confidence=np.ones(grid.shape))
+    return solve_study(Study(grid, tissue, motion), backend="cpu")
+
+
+def resampled(image, path):
+    """What SimpleITK makes of an image by the field of a file."""
+    field = sitk.ReadImage(str(path), sitk.sitkVectorFloat64)
+    transform = sitk.DisplacementFieldTransform(field)
+    moved = sitk.Resample(image, image, transform, sitk.sitkLinear, 0.0)
+    return sitk.GetArrayFromImage(moved)
+
+
+def made(kind, image, tmp_path):
+    """The image as each of the kinds that `Grid.from_image` takes, and its array."""
+    if kind == "nibabel":
+        given = nibabel_of(image)
+        return given, np.asarray(given.dataobj)
+    if kind == "simpleitk":
+        return image, sitk.GetArrayFromImage(image)
+    path = tmp_path / f"scan{kind}"
+    sitk.WriteImage(image, str(path))
+    return path, sitk.GetArrayFromImage(image)
+
+
+@pytest.mark.parametrize("kind", ["simpleitk", "nibabel", ".mha", ".nrrd", ".nii.gz"])
+def test_simpleitk_moves_a_volume_as_warp_does(kind, tmp_path):
+    image = scan()
+    given, pixels = made(kind, image, tmp_path)
+    grid = Grid.from_image(given)
+    assert (grid.shape, grid.unit) == (pixels.shape, "millimeter")
+    np.testing.assert_allclose(sorted(grid.spacing), sorted(SPACING), rtol=1e-6)
+    solution = solved(grid)
+    path = tmp_path / "field.mha"
+    residual = export_field(path, solution)
+    by_us = warp(pixels, solution.displacement, spacing=grid.spacing)
+    if kind == "nibabel":
+        by_us = by_us.transpose(2, 1, 0)
+    by_them = resampled(image, path)
+    inner = (slice(1, -1),) * 3  # outside of its grid ITK moves nothing
+    np.testing.assert_allclose(by_them[inner], by_us[inner], atol=0.015 * STEEPEST)
+    assert residual < 0.01
+    still = sitk.GetArrayFromImage(image)
+    assert np.abs(by_us - still).max() > 2
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("kind", ["simpleitk", "nibabel"])
+def test_the_field_of_a_slice_moves_that_slice_alone(kind, axis, tmp_path, capsys):
+    image = scan()
+    given, pixels = made(kind, image, tmp_path)
+    grid, seen = Grid.from_image(given, slice=3, axis=axis), pixels.take(3, axis)
+    assert grid.shape == seen.shape
+    solution = solved(grid)
+    by_us = warp(seen, solution.displacement, spacing=grid.spacing)
+
+    export_field(tmp_path / "field.mha", solution)
+    by_them = resampled(image, tmp_path / "field.mha")
+    if kind == "nibabel":
+        by_them = by_them.transpose(2, 1, 0)
+    np.testing.assert_allclose(
+        by_them.take(3, axis)[1:-1, 1:-1], by_us[1:-1, 1:-1], atol=0.05, err_msg="by SimpleITK"
+    )
+
+    sitk.WriteImage(image, str(tmp_path / "scan.nrrd"))
+    save_study(tmp_path / "a.study", Study(grid, Tissue(stiffness=np.ones(grid.shape))), solution)
+    assert load_study(tmp_path / "a.study").study.grid == grid
+    told = ["apply", str(tmp_path / "a.study"), str(tmp_path / "scan.nrrd")]
+    assert main([*told, "--out", str(tmp_path / "out")]) == 0, capsys.readouterr().err
+    moved = load_image(tmp_path / "out" / "scan.nrrd").pixels
+    if kind == "nibabel":
+        moved = moved.transpose(2, 1, 0)
+    np.testing.assert_allclose(moved.take(3, axis), by_us, atol=1e-3)
+    np.testing.assert_array_equal(np.delete(moved, 3, axis), np.delete(pixels, 3, axis))
+
+
+def test_a_slice_of_unknown_place_moves_no_volume(tmp_path, capsys):
+    sitk.WriteImage(scan(), str(tmp_path / "scan.nii.gz"))
+    grid = Grid(SHAPE[1:], SPACING[1:])
+    study = Study(grid, Tissue(stiffness=np.ones(grid.shape)))
+    save_study(tmp_path / "a.study", study, solved(grid))
+    told = ["apply", str(tmp_path / "a.study"), str(tmp_path / "scan.nii.gz")]
+    assert main([*told, "--out", str(tmp_path / "out")]) == 1
+    said = capsys.readouterr().err
+    assert "is a volume of 9 slices" in said
+    assert "does not say which" in said
+    assert "--slice" in said
+    assert not (tmp_path / "out" / "scan.nii.gz").exists()
+
+
+def test_a_field_without_a_place_is_not_exported_unless_that_is_asked_for(tmp_path):
+    grid, path = Grid(SHAPE, SPACING), tmp_path / "field.mha"
+    solution = solved(grid)
+    with pytest.raises(ProblemError, match=r"has no place.*Grid\.from_image.*placed=False"):
+        export_field(path, solution)
+    assert not path.exists()
+    export_field(path, solution, placed=False)
+    assert sitk.ReadImage(str(path)).GetOrigin() == (0, 0, 0)
+    # Of a Problem, the grid of its image says where.
+    problem = Problem(np.zeros((*SHAPE, 3)), np.ones((*SHAPE, 3)), np.ones(SHAPE), spacing=SPACING)
+    of_problem = solve(problem, backend="cpu")
+    export_field(path, of_problem, grid=Grid.from_image(scan()))
+    np.testing.assert_allclose(sitk.ReadImage(str(path)).GetOrigin(), ORIGIN)
+    np.testing.assert_allclose(sitk.ReadImage(str(path)).GetDirection(), oblique().ravel())
+    with pytest.raises(ProblemError, match=r"has pixels of 2 x 1 x 1\.5"):
+        export_field(path, solved(Grid(SHAPE, (1, 1, 1))), grid=Grid.from_image(scan()))
+    with pytest.raises(ProblemError, match="Give the grid of its image"):
+        export_field(path, solution, grid=Grid.from_image(scan(), slice=2))
+
+
+def test_pictures_have_pixels_and_no_place(tmp_path):
+    from skimage.io import imsave
+
+    imsave(tmp_path / "photo.png", np.zeros((5, 6, 3), np.uint8), check_contrast=False)
+    assert Grid.from_image(tmp_path / "photo.png") == Grid((5, 6), (1.0, 1.0))
+
+
+def test_what_is_no_image_or_has_no_such_slice_is_refused():
+    image = scan()
+    for wrong, said in (
+        (np.zeros((3, 4)), r"of an array alone no place is known"),
+        (SimpleNamespace(affine=np.eye(4), dataobj=np.zeros((2, 3, 4, 5))), "has shape"),
+    ):
+        with pytest.raises(ArgumentError, match=said):
+            Grid.from_image(wrong)
+    with pytest.raises(ArgumentError, match=r"has 12 slices across axis 1. Give 0 to 11"):
+        Grid.from_image(image, slice=12, axis=1)
+    with pytest.raises(ArgumentError, match="axis is 3"):
+        Grid.from_image(image, slice=0, axis=3)
+    with pytest.raises(ArgumentError, match="Leave slice out"):
+        Grid.from_image(sitk.Image([5, 6], sitk.sitkFloat32), slice=0)
+    sheared = nibabel_of(image)
+    sheared.affine[0, 1] += 0.5
+    with pytest.raises(ProblemError, match="right angles"):
+        Grid.from_image(sheared)
+    with pytest.raises((OSError, HmrfError)):
+        Grid.from_image("no such file.nii")
+
+
+def test_a_place_is_one_of_its_grid():
+    flat = Frame.at((1.0, 1.0), ("mm", "mm"))
+    with pytest.raises(ProblemError, match="has 3 axes, but its place has 2"):
+        Grid((3, 4, 5), (1.0, 1.0, 1.0), place=flat)
+    with pytest.raises(ProblemError, match="of type str"):
+        Grid((3, 4), (1.0, 1.0), place="here")

@@ -1,0 +1,145 @@
+"""Landmarks and maps of tissue in Python: drawings and tissue made of plain arrays."""
+
+import numpy as np
+import pytest
+
+from napari_hmrf import (
+    BoundaryRule,
+    Drawing,
+    Grid,
+    Landmark,
+    Material,
+    Motion,
+    ProblemError,
+    Study,
+    Tissue,
+    solve_study,
+)
+from napari_hmrf.field.frame import Frame
+from napari_hmrf.io.case import Case, read_case
+from napari_hmrf.io.images import ImageFile, save_image
+
+SHAPE = 20, 24
+
+
+def test_landmarks_move_tissue_from_source_to_target():
+    source, target = np.array([[10, 12], [5, 6]]), np.array([[10, 14.5], [6, 6]])
+    drawing = Drawing.from_landmarks(source, target, radius=1.5, confidence=0.9, shape=SHAPE)
+    assert drawing.marks == (
+        Landmark((10.0, 12.0), (10.0, 14.5), 1.5, 0.9),
+        Landmark((5.0, 6.0), (6.0, 6.0), 1.5, 0.9),
+    )
+    certain = Drawing.from_landmarks(source, target, radius=1.5)
+    tissue, motion = Tissue(stiffness=np.ones(SHAPE)), Motion(hold_edge=True, drawing=certain)
+    solution = solve_study(Study(Grid(SHAPE, (0.5, 2.0), "mm"), tissue, motion), backend="cpu")
+    np.testing.assert_allclose(solution.displacement[10, 12], (0, 5.0), atol=2e-3)
+    np.testing.assert_allclose(solution.displacement[5, 6], (0.5, 0), atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "said"),
+    [
+        ([[1, 2], [3, 4]], [[1, 2]], r"sources of shape \(2, 2\) and targets of shape \(1, 2\)"),
+        ([[1, 2]], [[1, 2, 3]], r"sources of shape \(1, 2\) and targets of shape \(1, 3\)"),
+        ([1, 2], [3, 4], r"a source of shape \(2,\)"),
+        (np.zeros((0, 2)), np.zeros((0, 2)), r"a source of shape \(0, 2\)"),
+        ([[1, np.nan]], [[1, 2]], "a source that is NaN"),
+        ([[1, 2], [1.2, 2.3]], [[1, 2], [3, 4]], r"two sources in the pixel \(1, 2\)"),
+        ([[1, 2], [3, 24]], [[1, 2], [3, 4]], r"1 of 2 sources outside .* number 1 at \(3.0, 24"),
+        ([[1, 2, 3]], [[1, 2, 4]], "3 coordinates each, but the image 2 axes"),
+    ],
+)
+def test_landmarks_that_are_none_are_refused(source, target, said):
+    with pytest.raises(ProblemError, match=said):
+        Drawing.from_landmarks(source, target, radius=1, shape=SHAPE)
+
+
+def test_a_grid_takes_points_of_the_patient_to_its_pixels():
+    turn = np.eye(4)
+    turn[:3, :3] = [[0, 0, 1], [1, 0, 0], [0, -1, 0]]
+    turn[:3, 3] = 3, -4, 5
+    frame = Frame.at((2.0, 1.0, 0.5), ("millimeter",) * 3, affine=turn, volume=True)
+    grid = Grid((6, 7, 8), (2.0, 1.0, 0.5), "millimeter", frame)
+    pixels = np.array([[1.0, 2.0, 3.0], [4.0, 6.0, 0.0]])
+    points = (pixels * grid.spacing) @ turn[:3, :3].T + turn[:3, 3]
+    np.testing.assert_allclose(grid.to_pixels(points), pixels, atol=1e-12)
+    plane = Grid((6, 8), (2.0, 0.5), "millimeter", frame.plane_at(1, 2))
+    np.testing.assert_allclose(plane.to_pixels(points[:1]), [[1.0, 3.0]], atol=1e-12)
+    with pytest.raises(ProblemError, match="up to 4 slices away from the slice"):
+        plane.to_pixels(points)
+    with pytest.raises(ProblemError, match=r"Give \(N, 3\) numbers"):
+        grid.to_pixels([[1, 2]])
+    with pytest.raises(ProblemError, match=r"has no place. Take Grid\.from_image"):
+        Grid(SHAPE, (1.0, 1.0)).to_pixels([[1, 2]])
+
+
+def maps(high=1.0):
+    grey, white = np.zeros((2, *SHAPE))
+    grey[:, :10], white[:, 8:20] = 0.9 * high, 0.95 * high
+    grey[:, :3] = 0.4 * high  # "none" has more
+    white[0, 0] = np.nan
+    if high != 1:
+        white[1, 12] = high  # so that it is seen what is certain
+    return {"grey matter": grey, "white matter": white}
+
+
+@pytest.mark.parametrize("high", [1.0, 255.0])
+def test_the_most_likely_tissue_counts(high):
+    tissue = Tissue.from_maps(maps(high), {"white matter": 2.0, "grey matter": 1.5, "none": 0.0})
+    expected = np.zeros(SHAPE, int)
+    expected[:, 3:8], expected[:, 8:20] = 1, 2
+    np.testing.assert_array_equal(tissue.labels, expected)
+    assert tissue.materials == (
+        Material(0, "none", 0.0),
+        Material(1, "grey matter", 1.5),
+        Material(2, "white matter", 2.0),
+    )
+
+
+def test_python_and_the_shell_read_the_same_tissue_from_maps(tmp_path):
+    names = []
+    for name, values in maps().items():
+        names.append(tmp_path / f"{name}.tif")
+        save_image(names[-1], ImageFile(np.nan_to_num(values).astype(np.float32)))
+    save_image(tmp_path / "a.tif", ImageFile(np.ones(SHAPE, np.uint8)))
+    of_shell = read_case(Case(tmp_path / "a.tif", maps=names, hold_edge=True))
+    tissue = Tissue.from_maps(
+        maps(), [Material(7, "white matter", 2), Material(9, "grey matter", 3)]
+    )
+    np.testing.assert_array_equal(tissue.labels, of_shell.tissue.labels)
+    assert [(row.label, row.name) for row in tissue.materials] == [
+        (1, "grey matter"),
+        (2, "white matter"),
+    ]
+
+
+def test_published_values_are_taken_by_name_and_unknown_names_refused():
+    tissue = Tissue.from_maps(maps())
+    assert [row.label for row in tissue.materials] == [1, 2]
+    assert tissue.unit == "kPa"
+    pull = np.zeros(SHAPE, int)
+    pull[9:12, 10:13] = 1
+    motion = Motion(hold_edge=True, labels=pull, rules=(BoundaryRule(1, "move", vector=(0, 1)),))
+    solved = solve_study(Study(Grid(SHAPE, (1.0, 1.0)), tissue, motion), backend="cpu")
+    assert solved.displacement[10, 11, 1] == pytest.approx(1)
+    with pytest.raises(ProblemError, match=r"no published stiffness for 'xyz'\. Give"):
+        Tissue.from_maps({"xyz": np.ones(SHAPE)})
+
+
+@pytest.mark.parametrize(
+    ("given", "materials", "said"),
+    [
+        ({}, None, "has no maps"),
+        ({"a": np.ones((2, 3)), "b": np.ones((3, 2))}, {"a": 1, "b": 1}, r"map 2 has shape \(3, 2"),
+        ({"a": -np.ones((2, 3))}, {"a": 1}, "negative likelihoods in map 1"),
+        (
+            {"a": np.ones((2, 3))},
+            {"b": 1},
+            "no material for 'a' and has no map for the material 'b'",
+        ),
+        ({"a": np.ones((2, 3))}, {"a": "soft"}, "Give a Material, or a stiffness"),
+    ],
+)
+def test_maps_and_materials_that_do_not_go_together_are_refused(given, materials, said):
+    with pytest.raises(ProblemError, match=said):
+        Tissue.from_maps(given, materials)

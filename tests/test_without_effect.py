@@ -1,0 +1,120 @@
+"""Input that moves nothing is reported, and a study in which nothing is asked to move refused."""
+
+import numpy as np
+import pytest
+
+from napari_hmrf import (
+    Arrow,
+    BoundaryRule,
+    Drawing,
+    Grid,
+    Landmark,
+    Material,
+    Motion,
+    ProblemError,
+    Stroke,
+    Study,
+    Tissue,
+    load_study,
+    replay,
+    save_study,
+    solve_study,
+)
+from napari_hmrf.cli import main
+from napari_hmrf.io.images import ImageFile, save_image
+
+SHAPE = 20, 24
+PULL = Arrow(at=(10, 12), by=(0, 2), radius=2)
+
+
+def a_study(*marks, labels=None, rules=(), materials=None, hold_edge=True):
+    m = np.ones(SHAPE)
+    m[:, :4] = 0
+    if materials is None:
+        tissue = Tissue(stiffness=m)
+    else:
+        tissue = Tissue(labels=(m > 0).astype(int), materials=materials)
+    motion = Motion(hold_edge=hold_edge, labels=labels, rules=rules, drawing=Drawing(marks))
+    return Study(Grid(SHAPE, (1.0, 1.0)), tissue, motion)
+
+
+def notes(study):
+    return solve_study(study, backend="cpu").notes
+
+
+@pytest.mark.parametrize(
+    ("mark", "said"),
+    [
+        (Arrow((50, 5), (0, 2), 2.0), "the arrow at (50, 5) lies outside the image and has no"),
+        (Arrow((10, 0), (0, 2), 1.0), "the arrow at (10, 0) lies off tissue and has no effect"),
+        (Landmark((10, 1), (10, 3), 1.0), "the landmark at (10, 1) lies off tissue"),
+        (Landmark((-9, 3), (10, 9), 1.0), "the landmark at (-9, 3) lies outside the image"),
+        (Stroke("pin", (((40.0, 9.0), (44.0, 9.0)),), 1.0), "the stroke at (40, 9) lies outside"),
+        (Stroke("pin", (((5.0, 1.0), (9.0, 1.0)),), 1.0), "the stroke at (5, 1) lies off tissue"),
+        (Stroke("free", (((99.0, 1.0),),), 1.0), "the stroke at (99, 1) lies outside the image"),
+    ],
+)
+def test_a_mark_without_effect_is_named(mark, said):
+    assert any(note.startswith(said) for note in notes(a_study(mark, PULL))), said
+    with pytest.raises(ProblemError, match="asks nothing to move") as caught:
+        solve_study(a_study(mark))
+    assert said in str(caught.value)
+
+
+def test_marks_with_an_effect_are_not_named():
+    free = Stroke("free", (((5.0, 1.0), (9.0, 1.0)),), 1.0)  # takes away what is beneath
+    across = Stroke("pin", (((5.0, -9.0), (5.0, 9.0)),), 1.0)
+    assert not [note for note in notes(a_study(PULL, free, across)) if "no effect" in note]
+
+
+def test_many_marks_are_one_note():
+    away = [Landmark((40.0 + n, 5.0), (41.0 + n, 5.0), 1.0) for n in range(3)]
+    said = "3 landmarks lie outside the image and have no effect, the first at (40, 5)"
+    assert said in notes(a_study(*away, PULL))
+
+
+def test_rules_and_growth_of_labels_that_are_nowhere_are_named():
+    labels = np.zeros(SHAPE, int)
+    labels[9:12, 12:15] = 2
+    rules = BoundaryRule(2, "move", vector=(0, 1)), BoundaryRule(7, "move", vector=(0, 1))
+    said = notes(a_study(labels=labels, rules=rules))
+    assert "the rule of label 7 has no effect: 'boundary' has no such label" in said
+    materials = Material(1, "brain", 3.0), Material(9, "tumour", 8.0, growth=0.2)
+    said = notes(a_study(PULL, materials=materials))
+    assert "the growth of label 9 ('tumour') has no effect: 'tissue' has no such label" in said
+    with pytest.raises(ProblemError, match=r"nothing to move; the growth of label 9 \('tumour'\)"):
+        solve_study(a_study(materials=materials))
+
+
+def test_hold_edge_alone_and_rules_for_nothing_are_refused():
+    with pytest.raises(ProblemError, match=r"asks nothing to move\. Give it something on tissue"):
+        solve_study(a_study())
+    rules = (BoundaryRule(7, "move", vector=(0, 1)),)
+    with pytest.raises(ProblemError, match="asks nothing to move; the rule of label 7 has no"):
+        solve_study(a_study(rules=rules))
+
+
+def test_a_file_with_nothing_that_moves_is_replayed_as_it_was(tmp_path):
+    path = save_study(tmp_path / "still.study", a_study())
+    assert load_study(path).study.motion.hold_edge
+    assert not replay(path).displacement.any()
+
+
+def test_the_shell_refuses_what_asks_nothing_to_move(tmp_path, capsys):
+    save_image(tmp_path / "a.tif", ImageFile(np.full(SHAPE, 90, np.uint8)))
+    told = ["solve", str(tmp_path / "a.tif"), "--out", str(tmp_path / "out")]
+    assert main([*told, "--hold-edge"]) == 1
+    said = capsys.readouterr().err
+    assert "nothing is asked to move. Give --boundary with what moves" in said
+
+    labels = np.zeros(SHAPE, np.uint8)
+    labels[8:12, 8:12] = 2
+    save_image(tmp_path / "b.tif", ImageFile(labels))
+    rules = tmp_path / "rules.csv"
+    for action, code in (("fixed", 1), ("move", 0)):
+        rules.write_text(f"label,action,row,col\n2,{action},0,1\n7,move,0,1\n")
+        more = ["--boundary", str(tmp_path / "b.tif"), "--rules", str(rules), "--hold-edge"]
+        assert main([*told, *more]) == code
+        out, err = capsys.readouterr()
+        idle = "the rule of label 7 has no effect: 'b.tif' has no such label"
+        assert idle in (err if code else out)
