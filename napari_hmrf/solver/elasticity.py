@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf import array_file
 from napari_hmrf.solver.priors import Elastic, NeoHookeanPrior
-from napari_hmrf.solver.priors.elastic import Plane
+from napari_hmrf.solver.priors.elastic import POISSON_RANGE, Plane
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.real_arrays import FloatArray
 
@@ -55,3 +56,52 @@ class Elasticity:
         growth = None if self.growth is None else change(self.growth)
         rigid = None if self.rigid is None else change(self.rigid)
         return replace(self, poisson=poisson, growth=growth, rigid=rigid)
+
+
+def read_elasticity(header: array_file.Header, arrays: array_file.Arrays) -> Elasticity | None:
+    """Read elastic properties from a file; of an earlier one as far as its parameters tell them.
+
+    Raises
+    ------
+    Invalid
+        If they are not those of tissue on the file's grid.
+    """
+    grid, poisson, growth = arrays["tissue"].shape, arrays.get("poisson"), arrays.get("growth")
+    given, rigid = header.get("elasticity"), arrays.get("rigid")
+    if given is None:
+        if any(each is not None for each in (poisson, growth, rigid)):
+            raise array_file.Invalid("it has arrays of elastic tissue, but no elastic model")
+        given = _elasticity_in_parameters(header["provenance"])
+        if given is None:
+            return None
+    nu, plane, finite = given["poisson"], given["plane"], given["finite"]
+    if poisson is None:
+        if not (isinstance(nu, float | int) and POISSON_RANGE[0] <= nu <= POISSON_RANGE[1]):
+            raise array_file.Invalid(f"its Poisson's ratio is {nu!r}"[:200])
+    elif nu is not None or poisson.shape != grid:
+        raise array_file.Invalid(f"its Poisson's ratios {poisson.shape} and tissue disagree")
+    elif not (np.isfinite(poisson) & (np.abs(poisson) < 1)).all():
+        raise array_file.Invalid("its Poisson's ratios are out of range")
+    if plane not in get_args(Plane) or not isinstance(finite, bool):
+        raise array_file.Invalid("its elastic model is none")
+    if growth is not None:
+        sizes = {len(grid), 3}
+        if growth.shape not in [grid, *((*grid, size, size) for size in sizes)]:
+            raise array_file.Invalid(f"its growth {growth.shape} and tissue disagree")
+        if not np.isfinite(growth).all():
+            raise array_file.Invalid("its growth holds values that are not numbers")
+    if rigid is not None and rigid.shape != grid:
+        raise array_file.Invalid(f"its rigid tissue {rigid.shape} and tissue disagree")
+    return Elasticity(float(nu) if poisson is None else poisson, plane, finite, growth, rigid)
+
+
+def _elasticity_in_parameters(provenance: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Find elastic properties of a result without growth and with one Poisson's ratio."""
+    prior = provenance.get("parameters", {}).get("prior")
+    finite = {"ElasticPrior": False, "NeoHookeanPrior": True}
+    if not isinstance(prior, dict) or prior.get("name") not in finite:
+        return None
+    if "growth" in provenance.get("inputs", {}) or not isinstance(prior.get("poisson"), float):
+        return None
+    name, plane = prior["name"], prior.get("plane", "stress")
+    return {"poisson": prior["poisson"], "plane": plane, "finite": finite[name]}

@@ -6,18 +6,17 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf import array_file
 from napari_hmrf.arguments import is_one_of, refuse_unless
-from napari_hmrf.solver.elasticity import Elasticity
+from napari_hmrf.solver.elasticity import Elasticity, read_elasticity
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Reach
-from napari_hmrf.solver.priors.elastic import POISSON_RANGE, Plane
 from napari_hmrf.solver.problem import grid_in_words
 
 if TYPE_CHECKING:
@@ -428,7 +427,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
         ),
         frame=frame,
         reach=_reach(header.get("reach")),
-        elasticity=_elasticity(header, arrays),
+        elasticity=read_elasticity(header, arrays),
     )
 
 
@@ -447,49 +446,6 @@ def _reach(given: Mapping[str, Any] | None) -> Reach | None:
         float(given.get("unbalanced", 0.0)),
         None if furthest is None else tuple(int(index) for index in furthest),
     )
-
-
-def _elasticity(header: array_file.Header, arrays: array_file.Arrays) -> Elasticity | None:
-    """Read elastic properties; those of an earlier file as far as its parameters tell them."""
-    grid, poisson, growth = arrays["tissue"].shape, arrays.get("poisson"), arrays.get("growth")
-    given, rigid = header.get("elasticity"), arrays.get("rigid")
-    if given is None:
-        if any(each is not None for each in (poisson, growth, rigid)):
-            raise array_file.Invalid("it has arrays of elastic tissue, but no elastic model")
-        given = _elasticity_in_parameters(header["provenance"])
-        if given is None:
-            return None
-    nu, plane, finite = given["poisson"], given["plane"], given["finite"]
-    if poisson is None:
-        if not (isinstance(nu, float | int) and POISSON_RANGE[0] <= nu <= POISSON_RANGE[1]):
-            raise array_file.Invalid(f"its Poisson's ratio is {nu!r}"[:200])
-    elif nu is not None or poisson.shape != grid:
-        raise array_file.Invalid(f"its Poisson's ratios {poisson.shape} and tissue disagree")
-    elif not (np.isfinite(poisson) & (np.abs(poisson) < 1)).all():
-        raise array_file.Invalid("its Poisson's ratios are out of range")
-    if plane not in get_args(Plane) or not isinstance(finite, bool):
-        raise array_file.Invalid("its elastic model is none")
-    if growth is not None:
-        sizes = {len(grid), 3}
-        if growth.shape not in [grid, *((*grid, size, size) for size in sizes)]:
-            raise array_file.Invalid(f"its growth {growth.shape} and tissue disagree")
-        if not np.isfinite(growth).all():
-            raise array_file.Invalid("its growth holds values that are not numbers")
-    if rigid is not None and rigid.shape != grid:
-        raise array_file.Invalid(f"its rigid tissue {rigid.shape} and tissue disagree")
-    return Elasticity(float(nu) if poisson is None else poisson, plane, finite, growth, rigid)
-
-
-def _elasticity_in_parameters(provenance: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Find elastic properties of a result without growth and with one Poisson's ratio."""
-    prior = provenance.get("parameters", {}).get("prior")
-    finite = {"ElasticPrior": False, "NeoHookeanPrior": True}
-    if not isinstance(prior, dict) or prior.get("name") not in finite:
-        return None
-    if "growth" in provenance.get("inputs", {}) or not isinstance(prior.get("poisson"), float):
-        return None
-    name, plane = prior["name"], prior.get("plane", "stress")
-    return {"poisson": prior["poisson"], "plane": plane, "finite": finite[name]}
 
 
 #: The file that `Solution.save` writes.
