@@ -1,6 +1,6 @@
-"""Save a study over an earlier one and be killed, at each step of writing: what is left is whole.
+"""Save a study, or a field, over an earlier one and be killed: what is left is whole.
 
-    python benchmarks/killed.py [--packing 300] [--every 1] [--half 100] [--seed 0]
+    python benchmarks/killed.py [--of .mha] [--packing 300] [--every 1] [--half 100] [--seed 0]
 
 A child saves the second study and kills itself (SIGKILL) before or after the n-th call into the
 system or a library, for every n from where the file is written, and for some while it is packed.
@@ -12,6 +12,7 @@ Exits with 1 if it was anything else, or if more than a temporary file was left.
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
 import random
 import signal
@@ -36,11 +37,15 @@ from napari_hmrf import (
     Study,
     Tissue,
     load_study,
+    read_field,
     save_study,
     solve_study,
+    write_field,
 )
 
 Save = Callable[[], Any]
+#: What may be left.
+_KNOWN = ("first", "second", "large")
 
 
 def study(pull: float, size: int = 24) -> Study:
@@ -106,6 +111,20 @@ def killed_at_size(size: int, folder: Path, save: Save) -> bool:
     return False
 
 
+def _field(pull: float) -> np.ndarray:
+    return np.random.default_rng(int(pull)).normal(size=(12, 14, 2))
+
+
+def _vectors(path: Path) -> bytes:
+    """Read the vectors of a field, to be compared."""
+    return np.round(read_field(path, forward=True).field.vectors, 6).tobytes()
+
+
+def _study_of(path: Path) -> Any:
+    """Read a study, to be compared."""
+    return plain(load_study(path).study)
+
+
 def _sizes(folder: Path) -> Iterator[int]:
     for path in folder.glob("*.tmp"):
         try:
@@ -114,29 +133,63 @@ def _sizes(folder: Path) -> Iterator[int]:
             continue
 
 
-def left(path: Path, known: dict[str, Any]) -> str:
-    """Open what is left, tidy up, and tell which study it is."""
+def left(path: Path, known: dict[str, Any], read: Callable[[Path], Any] = _study_of) -> str:
+    """Open what is left, tidy up, and tell which study or field it is."""
     others = [each for each in path.parent.iterdir() if each != path]
     for each in others:
-        if each.suffix != ".tmp":
+        if ".tmp" not in each.suffixes:
             return f"beside it lies {each.name}"
         each.unlink()
     try:
-        found = plain(load_study(path).study)
+        found = read(path)
     except (HmrfError, OSError) as error:
         return f"broken: {error}"
-    return next((name for name, one in known.items() if one == found), "another study")
+    return next((name for name, one in known.items() if one == found), "another one")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Kill at all steps and print what was left."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--of", default="study", help="study, or the suffix of a field")
     parser.add_argument("--packing", type=int, default=300, help="kills before it is written")
     parser.add_argument("--every", type=int, default=1, help="one of so many steps of writing")
     parser.add_argument("--half", type=int, default=100, help="kills of a large file, half written")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
-    dice, outcomes = random.Random(options.seed), Counter[tuple[str, str]]()
+    dice = random.Random(options.seed)
+    studies = options.of == "study"
+    outcomes = _kill_studies(options, dice) if studies else _kill_fields(options)
+    for (when, what), number in sorted(outcomes.items()):
+        print(f"killed while {when:<26}{number:>6} times; the file: {what}")
+    return int(any(what not in _KNOWN for _, what in outcomes))
+
+
+def _kill_fields(options: argparse.Namespace) -> Counter[tuple[str, str]]:
+    """Kill at steps of writing a field."""
+    outcomes = Counter[tuple[str, str]]()
+    with tempfile.TemporaryDirectory() as folder:
+        path, known = Path(folder, f"field{options.of}"), {}
+        way = {"spacing": (1.0, 1.0), "forward": options.of != ".h5"}
+        for name, pull in (("second", 2.0), ("first", 1.0)):
+            write_field(path, _field(pull), **way)
+            known[name] = _vectors(path)
+
+        def save() -> None:
+            write_field(path, _field(2.0), **way)
+
+        # A child starts a decoder of its own, which takes more steps than are counted here.
+        for step in itertools.count(1, options.every):
+            write_field(path, _field(1.0), **way)
+            came = killed_at(step, save)
+            outcomes["writing" if came else "writing, not killed", left(path, known, _vectors)] += 1
+            if not came:
+                break
+    return outcomes
+
+
+def _kill_studies(options: argparse.Namespace, dice: random.Random) -> Counter[tuple[str, str]]:
+    """Kill at steps of saving a study, and while a large one is written."""
+    outcomes = Counter[tuple[str, str]]()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "case.study")
         first, second = study(1.0), study(2.0)
@@ -166,9 +219,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             save_study(path, first)
             came = killed_at_size(dice.randrange(size), path.parent, save_large)
             outcomes["half written" if came else "half written, not killed", left(path, known)] += 1
-    for (when, what), number in sorted(outcomes.items()):
-        print(f"killed while {when:<26}{number:>6} times; the file: {what}")
-    return int(any(what not in known for _, what in outcomes))
+    return outcomes
 
 
 if __name__ == "__main__":
