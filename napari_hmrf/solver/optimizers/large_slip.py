@@ -59,13 +59,31 @@ class LargeSlip:
         ------
         ConvergenceError
         """
-        newton, begun = self._newton, d.copy()
+        begun = d.copy()
         if warm:
-            needed = self._needed(d, self._observed)
-            slips = np.abs(needed) >= (1 - _MORE) * self._limit
-            if self._sharpen(d, np.where(slips, np.sign(needed), 0.0), tolerance):
+            if self._sharpen(d, self._slipping(d), tolerance):
                 return
             np.copyto(d, begun)
+        try:
+            self._soften(d, tolerance)
+        except ConvergenceError:
+            # Large forces may crush tissue on the way. Where all observations are met they are
+            # small, and grow as the tissue gives way.
+            np.copyto(d, begun)
+            self._newton.outside = Outside(self._load)
+            self._newton.run(d, self._y, self._observed, tolerance)
+            if not self._sharpen(d, self._slipping(d), tolerance):
+                raise
+
+    def _slipping(self, d: Planes) -> npt.NDArray[np.float64]:
+        """Return the side to which each component would slip by the forces there; 0 if held."""
+        needed = self._needed(d, self._observed)
+        slips = np.abs(needed) >= (1 - _MORE) * self._limit
+        return np.where(slips, np.sign(needed), 0.0)
+
+    def _soften(self, d: Planes, tolerance: float) -> None:
+        """Move `d` in place to the field of least energy, by kinks that are rounded ever less."""
+        newton = self._newton
         far = float(np.abs(np.where(self._yielding > 0, self._y - d, 0.0)).max())
         last = _LAST * tolerance
         width = max(_BEGIN * far, last)
