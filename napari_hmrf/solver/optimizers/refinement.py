@@ -58,6 +58,10 @@ _FALL = 0.25
 _ROUNDING, _STALLED = 1e-15, 1e-7
 
 
+class _TurnedOutSlow(Exception):
+    """Cycles have met a motion that they do not meet in mild tissue."""
+
+
 class Refinement:
     """An iteration in single precision, begun anew from each residual in double, or factors.
 
@@ -161,7 +165,8 @@ class Refinement:
         """Go to the tolerance by cycles; whether it can be said that they arrived."""
         found, before = self._model.found, math.inf
         self._mild = self._mild and not found.slow
-        first = d.copy() if self._mild and len(self._model.shape) == 2 else None
+        # An iteration that is given up leaves an image as it was, as its first run has not ended.
+        watch = self._mild and len(self._model.shape) == 2
         if not self._mild and self._factors_first and factors_fit(self._model):
             self._factors_tried = True
             return False
@@ -200,17 +205,20 @@ class Refinement:
         while True:
             step: Step | None = None
 
-            def enough(latest: Step, unit: float = balance.unit) -> bool:
+            def enough(latest: Step, unit: float = balance.unit, watch: bool = watch) -> bool:
                 nonlocal step
                 step = latest
                 self._gains.append(unit**2 * latest.gain)
                 error = doubt * unit * latest.error
                 self._say(error, tolerance)
-                slow = first is not None and self._is_slow
-                return error <= tolerance or self._too_long or slow
+                if watch and self._is_slow:
+                    raise _TurnedOutSlow
+                return error <= tolerance or self._too_long
 
             try:
                 self._iteration.run(balance, d, enough)
+            except _TurnedOutSlow:
+                return self._begin_again(d, load, tolerance)
             except FloatingPointError:
                 if not self._take_care():
                     return False
@@ -218,8 +226,7 @@ class Refinement:
                 continue
             if step is None:
                 return False
-            if first is not None and self._is_slow:
-                return self._begin_again(d, first, load, tolerance)
+            watch = False
             balance = self._model.balance(d, load, balance.most)
             self.residual = balance.norm
             self.estimate = doubt * step.reach * self.residual
@@ -240,9 +247,8 @@ class Refinement:
         mild = self._model.material.compressible
         return self._iteration.met < (_MILD_LEAST if mild else _MILD_LEAST_INCOMPRESSIBLE)
 
-    def _begin_again(self, d: Planes, first: Planes, load: Planes | None, tolerance: float) -> bool:
-        """Iterate once more from where it began, now that tissue has turned out not to be mild."""
-        np.copyto(d, first)
+    def _begin_again(self, d: Planes, load: Planes | None, tolerance: float) -> bool:
+        """Iterate anew, now that tissue has turned out not to be mild."""
         found = self._model.found
         found.slow, found.doubt, self._doubt = True, None, None
         self._iteration.least = 1.0
