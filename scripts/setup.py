@@ -229,7 +229,7 @@ def find_uv():
 
 
 def install_with_progress(command, check=False):
-    """Run pip or uv, saying how far it is; its output is shown only if it fails. Its exit status."""
+    """Run pip or uv, saying how far it is; output is shown on failure. Return the exit status."""
     line, output = Line(), []
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     named = CONSTRAINTS.read_text(encoding="utf-8") if CONSTRAINTS.exists() else ""
