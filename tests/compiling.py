@@ -4,7 +4,7 @@ Two that begin together would compile every loop twice, side by side. Here whoev
 waits for what the first keeps on disk; and before a long run they go through the loops from either
 end, so that they hardly wait.
 
-Machine code is made of what Python calls, and not of each piece that LLVM has taken into it already:
+Machine code is made of what Python calls, not of each piece that LLVM has taken into it already:
 that is a sixth of the time, and what Python calls is the same to the bit.
 """
 
