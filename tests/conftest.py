@@ -18,6 +18,7 @@ from hypothesis import settings
 from once import (
     check_callbacks_once,
     check_widgets_once,
+    collect_little_once,
     draw_letters_once,
     read_manifests_once,
 )
@@ -99,6 +100,7 @@ def pytest_runtest_setup(item):
         draw_letters_once()
         check_widgets_once()
         check_callbacks_once()
+        collect_little_once()
         gc.collect()
         gc.freeze()
 

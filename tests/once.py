@@ -1,7 +1,9 @@
 """What each window would work out anew, although it comes out the same: worked out once."""
 
+import gc
+import sys
 from functools import cache
-from types import FunctionType
+from types import FunctionType, SimpleNamespace
 
 import numpy as np
 
@@ -62,3 +64,15 @@ def check_callbacks_once():
         return known[key]
 
     EventEmitter._check_signature = staticmethod(check_signature)
+
+
+@cache
+def collect_little_once():
+    """Have napari look for garbage among the newest objects alone when a layer goes.
+
+    It looks through all there are, for the sake of drivers on Windows.
+    """
+    from napari._vispy import canvas
+
+    if sys.platform != "win32" and hasattr(canvas, "gc"):
+        canvas.gc = SimpleNamespace(collect=lambda: gc.collect(0))

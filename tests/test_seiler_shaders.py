@@ -35,8 +35,8 @@ CENTRED, BLANKET = SeilerPrior(), SeilerPrior(conditional="blanket")
 CASES = [
     ((31, 37), 4.0, SPACINGS[0], CENTRED),
     ((31, 37), 4.0, SPACINGS[1], BLANKET),
-    ((64, 48), 1e3, SPACINGS[0], BLANKET),
-    ((64, 48), 1e3, SPACINGS[1], CENTRED),
+    pytest.param((64, 48), 1e3, SPACINGS[0], BLANKET, marks=pytest.mark.campaign),
+    pytest.param((64, 48), 1e3, SPACINGS[1], CENTRED, marks=pytest.mark.campaign),
     ((2, 9), 4.0, SPACINGS[1], CENTRED),
     ((2, 9), 1e3, SPACINGS[0], BLANKET),
     ((4, 5), 1e3, SPACINGS[1], BLANKET),
