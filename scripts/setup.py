@@ -16,9 +16,11 @@ import glob
 import hashlib
 import os
 import platform
+import re
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -184,22 +186,50 @@ def provide_environment(newest):
         shutil.rmtree(VENV, ignore_errors=True)
         subprocess.check_call([sys.executable, "-m", "venv", str(VENV)])
     STAMP.unlink(missing_ok=True)
-    pip = [str(python_of_venv()), "-m", "pip", "--disable-pip-version-check"]
+    pip = pip_of_venv()
     extras = "dev,docs,report" if newest else "dev"
-    install = [*pip, "install", "--editable", f"{ROOT}[{extras}]"]
-    constrained = [*install, "--constraint", str(CONSTRAINTS)]
+    wanted = ["--editable", f"{ROOT}[{extras}]"]
+    constrained = [*wanted, "--constraint", str(CONSTRAINTS)]
     if newest or not CONSTRAINTS.exists():
-        install_with_progress(install, check=True)
-    elif install_with_progress(constrained):
+        install_with_progress([*pip, "install", *wanted], check=True)
+    elif install(constrained):
         say("The versions of constraints.txt cannot all be had here; taking the newest instead.")
-        install_with_progress(install, check=True)
+        install_with_progress([*pip, "install", *wanted], check=True)
     if newest:
         write_constraints(pip)
     STAMP.write_text(environment_key())
 
 
+def pip_of_venv():
+    """Return the command that runs the environment's own pip."""
+    return [str(python_of_venv()), "-m", "pip", "--disable-pip-version-check"]
+
+
+def install(wanted):
+    """Install with uv, which takes a quarter of pip's time, or else with pip; the exit status."""
+    uv, python = find_uv(), str(python_of_venv())
+    if uv and not install_with_progress([*uv, "pip", "install", "--python", python, *wanted]):
+        return 0
+    return install_with_progress([*pip_of_venv(), "install", *wanted])
+
+
+def find_uv():
+    """Install uv into the environment and return how to run it, or None if pip must do.
+
+    uv does not read pip's settings. Where these name an index of their own, it is not used.
+    """
+    pip = pip_of_venv()
+    settings = subprocess.run([*pip, "config", "list"], capture_output=True, text=True)
+    if settings.returncode or re.search(r"\.(index-url|no-index)=", settings.stdout):
+        return None
+    pinned = ["--constraint", str(CONSTRAINTS)] if CONSTRAINTS.exists() else []
+    if not quiet([*pip, "install", *pinned, "uv"]):
+        return None
+    return [str(python_of_venv()), "-m", "uv"]
+
+
 def install_with_progress(command, check=False):
-    """Run pip, saying how far it is; its output is shown only if it fails. Its exit status."""
+    """Run pip or uv, saying how far it is; output is shown on failure. Return the exit status."""
     line, output = Line(), []
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     named = CONSTRAINTS.read_text(encoding="utf-8") if CONSTRAINTS.exists() else ""
@@ -217,13 +247,13 @@ def install_with_progress(command, check=False):
 
 
 class Stages:
-    """What pip is doing, in words, from what it says; of about so many packages."""
+    """What pip or uv is doing, in words, from what it says; of about so many packages."""
 
     def __init__(self, expected):
         self.expected, self.found, self.words = expected, 0, "downloading ..."
 
     def after(self, said):
-        """The words after a line of pip's."""
+        """Return the words after a line of pip's or uv's."""
         first, *rest = said.split() or [""]
         if first == "Collecting" and rest:
             self.found += 1
@@ -231,7 +261,11 @@ class Stages:
             self.words = f"downloading package {self.found}{of} ({rest[0]})"
         elif said.startswith("Installing collected packages"):
             self.words = f"installing {said.count(',') + 1} packages (a minute or two)"
-        elif first == "Successfully":
+        elif first == "Resolved" and rest:
+            self.words = f"downloading {rest[0]} packages"
+        elif first == "Prepared" and rest:
+            self.words = f"installing {rest[0]} packages"
+        elif first in ("Successfully", "Installed"):
             self.words = "installed"
         return self.words
 
@@ -276,10 +310,8 @@ def provide_extra(extra, modules):
     python = str(python_of_venv())
     if quiet([python, "-c", f"import {modules}"]):
         return True
-    install = [python, "-m", "pip", "--disable-pip-version-check"]
-    install += ["install", "--editable", f"{ROOT}[{extra}]"]
-    constrained = [*install, "--constraint", str(CONSTRAINTS)]
-    return not (install_with_progress(constrained) and install_with_progress(install))
+    wanted = ["--editable", f"{ROOT}[{extra}]"]
+    return not (install([*wanted, "--constraint", str(CONSTRAINTS)]) and install(wanted))
 
 
 def venv_works():
@@ -295,15 +327,26 @@ def write_constraints(pip):
     CONSTRAINTS.write_text(head + frozen, encoding="utf-8")
 
 
+def provide_both(newest):
+    """Provide the system's packages and the environment, at once where neither needs the other."""
+    if not can_make_environments():  # the system's packages bring that
+        lacks = provide_system()
+        provide_environment(newest)
+        return lacks
+    with ThreadPoolExecutor(1) as beside:
+        system = beside.submit(provide_system)
+        provide_environment(newest)
+        return system.result()
+
+
 def main():
     """Set everything up."""
     if sys.version_info < OLDEST:
         say("Python {}.{} or later is needed; this is {}.".format(*OLDEST, VERSION))
         say("If there is another one, name it: make test PYTHON=python3.12")
         sys.exit(1)
-    lacks = provide_system()
     try:
-        provide_environment(newest="--newest" in sys.argv[1:])
+        lacks = provide_both(newest="--newest" in sys.argv[1:])
         if "--for-report" in sys.argv[1:]:
             provide_system(FOR_REPORT)
             provide_for_report()

@@ -13,9 +13,15 @@ from itertools import count
 import numpy as np
 import pytest
 from at_rest import AtRest
-from compiling import compile_most, compile_once
+from compiling import compile_most, compile_once, emit_late
 from hypothesis import settings
-from once import check_widgets_once, draw_letters_once, read_manifests_once
+from once import (
+    check_callbacks_once,
+    check_widgets_once,
+    collect_little_once,
+    draw_letters_once,
+    read_manifests_once,
+)
 from patience import LONG, LONG_MS
 from screen import Screen
 
@@ -77,6 +83,7 @@ def pytest_runtestloop(session):
     if worker is None:
         return
     compile_once()
+    emit_late()
     if len(session.items) > 1000:
         compile_most(backwards=worker["workerid"] != "gw0")
 
@@ -92,6 +99,8 @@ def pytest_runtest_setup(item):
         read_manifests_once()
         draw_letters_once()
         check_widgets_once()
+        check_callbacks_once()
+        collect_little_once()
         gc.collect()
         gc.freeze()
 
@@ -120,6 +129,7 @@ def widget(qtbot):
     from napari_hmrf.ui.soft_tissue import SoftTissue
 
     check_widgets_once()
+    check_callbacks_once()
     found = SoftTissue(ViewerModel())
     qtbot.addWidget(found.native)
     return quick(found)
@@ -288,6 +298,7 @@ def frame(qtbot):
     from beside import Frame
 
     check_widgets_once()
+    check_callbacks_once()
     return Frame(qtbot)
 
 
@@ -297,6 +308,7 @@ def open_beside(qtbot, chequered, at_rest):
     from beside import Frame, Touch
 
     check_widgets_once()
+    check_callbacks_once()
     frames = []  # which live as long as the test
 
     def opened(data=None, **place):

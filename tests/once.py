@@ -1,6 +1,9 @@
 """What each window would work out anew, although it comes out the same: worked out once."""
 
+import gc
+import sys
 from functools import cache
+from types import FunctionType, SimpleNamespace
 
 import numpy as np
 
@@ -39,3 +42,37 @@ def draw_letters_once():
         texture[offset[1] : offset[1] + rows, offset[0] : offset[0] + cols, :] = known[letter]
 
     SDFRendererCPU.render_to_texture = render_to_texture
+
+
+@cache
+def check_callbacks_once():
+    """Have napari look once at the parameters of a function that many objects connect."""
+    from napari.utils.events import EventEmitter
+
+    check = EventEmitter._check_signature
+    known = {}
+
+    def check_signature(callback):
+        function = getattr(callback, "__func__", callback)
+        if type(function) is not FunctionType or hasattr(function, "__wrapped__"):
+            return check(callback)
+        # The code only, as a function itself may keep a window alive.
+        defaults = len(function.__defaults__ or ())
+        key = function.__code__, function is callback, defaults
+        if key not in known:
+            known[key] = check(callback)
+        return known[key]
+
+    EventEmitter._check_signature = staticmethod(check_signature)
+
+
+@cache
+def collect_little_once():
+    """Have napari look for garbage among the newest objects alone when a layer goes.
+
+    It looks through all there are, for the sake of drivers on Windows.
+    """
+    from napari._vispy import canvas
+
+    if sys.platform != "win32" and hasattr(canvas, "gc"):
+        canvas.gc = SimpleNamespace(collect=lambda: gc.collect(0))

@@ -10,7 +10,7 @@ import pytest
 from patience import LONG_MS
 
 import napari_hmrf
-from napari_hmrf import SeilerPrior, Solution, cli, solve
+from napari_hmrf import SeilerPrior, Solution, cli, phantom, solve
 from napari_hmrf.field.frame import PATIENT_AXES
 from napari_hmrf.io import figures
 from napari_hmrf.io.study_file import load_study
@@ -162,8 +162,6 @@ def test_what_is_drawn_of_non_square_pixels_keeps_their_proportions():
 def test_arrows_in_pictures_point_where_the_tissue_goes():
     from matplotlib.quiver import Quiver
 
-    from napari_hmrf import phantom
-
     bar = phantom("bar", 48)
     solution = solve(bar.problem, SeilerPrior(), backend="cpu")
     figure = figures.displacement_picture(bar.image, solution)
@@ -282,7 +280,9 @@ def test_an_affine_motion_of_the_border_is_an_affine_motion_inside():
         assert np.allclose(np.diff(field, 2, axis=axis), 0)
 
 
-def test_the_self_test_passes_here_and_names_nobody(capsys):
+def test_the_self_test_passes_here_and_names_nobody(capsys, monkeypatch):
+    # Timed on an image that takes little time; the checks are those of the command.
+    monkeypatch.setattr(selftest, "phantom", lambda name: phantom(name, 24))
     home = os.path.expanduser("~")
     passed = cli.main(["selftest"]) == 0
     said = capsys.readouterr().out

@@ -236,6 +236,7 @@ def test_each_viewer_has_a_dock_of_its_own(unstyled, without_controls, make_napa
     assert dock(other) is not dock(one)
 
 
+@pytest.mark.campaign
 def test_each_command_runs_in_a_window(window, choose, qtbot):
     samples = {"sample_mass_effect": "mass-effect"}
     words = [

@@ -321,10 +321,24 @@ def test_an_image_beyond_the_limit_is_refused_before_anything_is_made(made, monk
 @pytest.mark.parametrize(
     ("file", "right", "wrong"),
     [
-        ("elements", "f01 += cols - rows - twist", "f01 += cols - rows + twist"),
-        ("elements", "shape[2] * lame.x * cols.y", "shape[2] * lame.y * cols.y"),
-        ("elements", "min(pair.x, pair.y) < 0", "pair.x < -1"),
-        ("forces", "force[1] += carried[1]", "force[1] -= carried[1]"),
+        pytest.param(
+            "elements",
+            "f01 += cols - rows - twist",
+            "f01 += cols - rows + twist",
+            marks=pytest.mark.campaign,
+        ),
+        pytest.param(
+            "elements",
+            "shape[2] * lame.x * cols.y",
+            "shape[2] * lame.y * cols.y",
+            marks=pytest.mark.campaign,
+        ),
+        pytest.param(
+            "elements", "min(pair.x, pair.y) < 0", "pair.x < -1", marks=pytest.mark.campaign
+        ),
+        pytest.param(
+            "forces", "force[1] += carried[1]", "force[1] -= carried[1]", marks=pytest.mark.campaign
+        ),
         (
             "smooth",
             "momentum * texelFetch(last, at, 0)",
@@ -333,7 +347,12 @@ def test_an_image_beyond_the_limit_is_refused_before_anything_is_made(made, monk
         ("interpolation", "row[0] = 0.25 * (before + on)", "row[0] = 0.25 * (before + after)"),
         ("interpolation", "odd ? first.xy : first.zw", "odd ? first.zw : first.xy"),
         ("restrict", "(first.zw + second.zw)", "(first.zw + second.xy)"),
-        ("restrict", "in_image(pair, size) ? rest : vec4(0.0)", "rest"),
+        pytest.param(
+            "restrict",
+            "in_image(pair, size) ? rest : vec4(0.0)",
+            "rest",
+            marks=pytest.mark.campaign,
+        ),
         ("restrict", "half_above = next", "half_above = middle"),
         ("apply", "share = dot(image,", "share = 1.01 * dot(image,"),
     ],

@@ -315,6 +315,7 @@ def test_void_cannot_be_taken_hold_of(open_beside, settle):
 
 
 @bare
+@pytest.mark.campaign  # test_live_mode.py has two viewers, too
 def test_two_viewers_pull_their_own_tissue(open_window, settle):
     one, mine = open_window()
     other, its = open_window()

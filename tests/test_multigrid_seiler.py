@@ -142,7 +142,7 @@ def test_it_is_where_the_papers_sweeps_would_end(reading):
 
 @pytest.mark.parametrize("reading", READINGS)
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (2.0, 1.0)])
-@pytest.mark.parametrize("penalty", [30.0, 3.0, 0.3])
+@pytest.mark.parametrize("penalty", [30.0, pytest.param(3.0, marks=pytest.mark.campaign), 0.3])
 def test_what_is_observed_gives_way_where_it_is_pulled_harder_than_its_confidence(
     reading, spacing, penalty
 ):

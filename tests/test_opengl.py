@@ -399,14 +399,21 @@ def test_a_shader_that_does_not_compile_is_shown_with_its_lines(stage, monkeypat
 @pytest.mark.parametrize(
     ("file", "right", "wrong"),
     [
-        ("cliques", "ratio.y * s + u", "ratio.y * s - u"),
-        ("cliques", "steep.y * first + steep.x * second", "steep.x * first + steep.y * second"),
+        pytest.param("cliques", "ratio.y * s + u", "ratio.y * s - u", marks=pytest.mark.campaign),
+        pytest.param(
+            "cliques",
+            "steep.y * first + steep.x * second",
+            "steep.x * first + steep.y * second",
+            marks=pytest.mark.campaign,
+        ),
         ("icm", "0.5 * share", "1.0 * share"),
         ("ratios", "exists ? m * inverse", "true ? m * inverse"),
         ("ratios", "in_image(site, size) ? inverse : 0.0", "inverse"),
-        ("common", "VERTICAL = ivec2(0, 1)", "VERTICAL = ivec2(1, 0)"),
-        ("common", "row[2] = both.zw", "row[2] = both.xy"),
-        ("cliques", "here = below", "here = above"),
+        pytest.param(
+            "common", "VERTICAL = ivec2(0, 1)", "VERTICAL = ivec2(1, 0)", marks=pytest.mark.campaign
+        ),
+        pytest.param("common", "row[2] = both.zw", "row[2] = both.xy", marks=pytest.mark.campaign),
+        pytest.param("cliques", "here = below", "here = above", marks=pytest.mark.campaign),
     ],
 )
 def test_a_wrong_sign_or_border_would_be_noticed(stage, monkeypatch, file, right, wrong):

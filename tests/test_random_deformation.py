@@ -374,6 +374,7 @@ def test_pictures_are_those_of_warp_wherever_the_tissue_lies():
             np.testing.assert_allclose(moved, expected, atol=1e-9)
 
 
+@pytest.mark.campaign
 def test_the_benchmark_runs_and_finds_no_fold(capsys):
     assert random_deformations.main(["--quick"]) == 0
     said = capsys.readouterr().out

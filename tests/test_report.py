@@ -149,6 +149,7 @@ def test_a_solver_in_a_process_of_its_own_is_measured(tmp_path):
     assert run.iterations == found.iterations
 
 
+@pytest.mark.campaign
 def test_the_quick_report_is_a_page_with_its_pictures(tmp_path):
     sections = ["levels", "analytic", "finite-elements", "metropolis"]
     assert validation.main(["--quick", "--out", str(tmp_path), "--only", *sections]) == 0

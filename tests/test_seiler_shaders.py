@@ -35,8 +35,8 @@ CENTRED, BLANKET = SeilerPrior(), SeilerPrior(conditional="blanket")
 CASES = [
     ((31, 37), 4.0, SPACINGS[0], CENTRED),
     ((31, 37), 4.0, SPACINGS[1], BLANKET),
-    ((64, 48), 1e3, SPACINGS[0], BLANKET),
-    ((64, 48), 1e3, SPACINGS[1], CENTRED),
+    pytest.param((64, 48), 1e3, SPACINGS[0], BLANKET, marks=pytest.mark.campaign),
+    pytest.param((64, 48), 1e3, SPACINGS[1], CENTRED, marks=pytest.mark.campaign),
     ((2, 9), 4.0, SPACINGS[1], CENTRED),
     ((2, 9), 1e3, SPACINGS[0], BLANKET),
     ((4, 5), 1e3, SPACINGS[1], BLANKET),
@@ -150,7 +150,9 @@ def test_a_whole_cycle_is_the_same_everywhere(stage, prior):
 
 
 @readings
-@pytest.mark.parametrize("spacing", SPACINGS)
+@pytest.mark.parametrize(
+    "spacing", [pytest.param(SPACINGS[0], marks=pytest.mark.campaign), SPACINGS[1]]
+)
 def test_torn_tissue_moves_alike_everywhere(by_cycles, stage, spacing, prior):
     problem = torn(20.0, (52, 70), spacing)
     loops = solve(problem, prior, optimizer=Multigrid(5e-4), backend="cpu")
@@ -166,7 +168,10 @@ def test_torn_tissue_moves_alike_everywhere(by_cycles, stage, spacing, prior):
 
 
 @readings
-@pytest.mark.parametrize(("name", "size"), [("expansion", 64), ("mass-effect", 96)])
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [("expansion", 64), pytest.param("mass-effect", 96, marks=pytest.mark.campaign)],
+)
 def test_a_phantom_moves_alike_everywhere(by_cycles, stage, name, size, prior):
     problem = phantom(name, size).problem
     loops = solve(problem, prior, optimizer=Multigrid(), backend="cpu")
@@ -296,7 +301,16 @@ def _undisturbed(stage: str, prior: SeilerPrior):
     return found, _batches(stage, prior)
 
 
-@pytest.mark.parametrize(("where", "prior"), [(0.0, BLANKET), (0.5, CENTRED), (0.999, BLANKET)])
+@pytest.mark.parametrize(
+    ("where", "prior"),
+    [
+        (0.0, CENTRED),
+        (0.5, CENTRED),
+        (0.999, CENTRED),
+        pytest.param(0.0, BLANKET, marks=pytest.mark.campaign),
+        pytest.param(0.999, BLANKET, marks=pytest.mark.campaign),
+    ],
+)
 def test_a_cancel_at_any_batch_leaves_nothing_and_the_same_solve_gives_the_same_bits(
     by_cycles, stage, made, where, prior, every_pass_a_batch, monkeypatch
 ):
@@ -330,16 +344,38 @@ def test_a_pass_cut_into_strips_changes_nothing(stage, monkeypatch):
 @pytest.mark.parametrize(
     ("file", "right", "wrong"),
     [
-        ("pulls", "force[1] = answer(site + HORIZONTAL, 2)", "force[1] = answer(site, 2)"),
-        ("cliques", "ratio.x * u + s", "ratio.y * u + s"),
-        ("ends", "ratio = end > 0 ? ratio : ratio.yx", "ratio = ratio.yx"),
-        ("ends", "middle + end * line", "middle - end * line"),
+        pytest.param(
+            "pulls",
+            "force[1] = answer(site + HORIZONTAL, 2)",
+            "force[1] = answer(site, 2)",
+            marks=pytest.mark.campaign,
+        ),
+        pytest.param("cliques", "ratio.x * u + s", "ratio.y * u + s", marks=pytest.mark.campaign),
+        pytest.param(
+            "ends",
+            "ratio = end > 0 ? ratio : ratio.yx",
+            "ratio = ratio.yx",
+            marks=pytest.mark.campaign,
+        ),
+        pytest.param(
+            "ends", "middle + end * line", "middle - end * line", marks=pytest.mark.campaign
+        ),
         ("begin", "taken = first_scale * inverses", "taken = first_scale"),
         ("begin", "greaterThan(inverses, vec4(0.0))", "bvec4(true)"),
-        ("residual", "texelFetch(load, at, 0) - pulls", "texelFetch(load, at, 0) + pulls"),
+        pytest.param(
+            "residual",
+            "texelFetch(load, at, 0) - pulls",
+            "texelFetch(load, at, 0) + pulls",
+            marks=pytest.mark.campaign,
+        ),
         ("gather", "(before + first.zw)", "(first.zw + first.zw)"),
         ("gather", "fine - VERTICAL", "fine"),
-        ("smooth", "pulls += texelFetch(springs", "pulls -= texelFetch(springs"),
+        pytest.param(
+            "smooth",
+            "pulls += texelFetch(springs",
+            "pulls -= texelFetch(springs",
+            marks=pytest.mark.campaign,
+        ),
         ("apply", "share = dot(image,", "share = 1.01 * dot(image,"),
     ],
 )

@@ -39,6 +39,53 @@ def test_it_says_what_is_downloaded_and_installed_and_of_how_many(setup):
     assert said[5] == "installed"
 
 
+def test_so_it_does_of_the_quicker_installer(setup):
+    stages = setup.Stages(152)
+    lines = ("Using Python 3.11", "Resolved 155 packages in 2s", "Prepared 154 packages in 9s")
+    said = [stages.after(line) for line in (*lines, "Installed 155 packages", " + numpy==2.4.0")]
+    assert said == [
+        "downloading ...",
+        "downloading 155 packages",
+        "installing 154 packages",
+        "installed",
+        "installed",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("settings", "is_used"),
+    [
+        ("global.find-links='/opt/wheels'", True),
+        ("global.extra-index-url='https://more'", True),
+        (":env:.index-url='https://mirror'", False),
+        ("global.no-index='true'", False),
+    ],
+)
+def test_the_quicker_installer_leaves_an_index_of_pips_own_to_pip(
+    setup, monkeypatch, settings, is_used
+):
+    pip = [sys.executable, "-c", f"print({settings!r})"]
+    monkeypatch.setattr(setup, "pip_of_venv", lambda: pip)
+    monkeypatch.setattr(setup, "quiet", lambda command: "uv" in command)
+    assert (setup.find_uv() is not None) == is_used
+
+
+def test_where_the_quicker_installer_fails_pip_installs(setup, monkeypatch):
+    commands = []
+
+    def install(command):
+        commands.append(command)
+        return int(command[0] == "uv")
+
+    monkeypatch.setattr(setup, "find_uv", lambda: ["uv"])
+    monkeypatch.setattr(setup, "install_with_progress", install)
+    assert setup.install(["numpy"]) == 0
+    assert [command[-3:] for command in commands] == [
+        ["--python", str(setup.python_of_venv()), "numpy"],
+        ["--disable-pip-version-check", "install", "numpy"],
+    ]
+
+
 def test_where_lines_stay_there_is_one_for_each_stage(setup, capsys):
     assert setup.install_with_progress([sys.executable, "-c", PIP]) == 0
     said = capsys.readouterr().err.split("\n")

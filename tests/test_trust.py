@@ -11,6 +11,8 @@ from random_problems import random_problem
 
 from napari_hmrf import ConvergenceError, ElasticPrior, Multigrid, ProblemError, solve
 
+campaign = pytest.mark.campaign
+
 
 def drawn(y=None, c=None, m=None, prior=None, **more):
     """A small block, its upper edge held and its lower edge pushed, unless something else is."""
@@ -181,8 +183,12 @@ def test_random_problems_are_answered_as_they_should_be():
     "number",
     [
         pytest.param(3423, id="fibres whose softest motion costs 4e-14 of their stiffest"),
-        pytest.param(4280, id="blobs, slipping, of a softest motion of 9e-12"),
-        pytest.param(1195, id="stiff fibres that one observation holds, and in one direction none"),
+        pytest.param(4280, id="blobs, slipping, of a softest motion of 9e-12", marks=campaign),
+        pytest.param(
+            1195,
+            id="stiff fibres that one observation holds, and in one direction none",
+            marks=campaign,
+        ),
         pytest.param(
             1079, id="soft blobs that slip at a force that rounding of stiff ones exceeds"
         ),
@@ -190,7 +196,9 @@ def test_random_problems_are_answered_as_they_should_be():
         pytest.param(1510, id="centred: one that slips or not moves the rest by half a pixel"),
         pytest.param(4194, id="centred: so do two rows of fibres"),
         pytest.param(2015, id="a checkerboard of four pixels by thirteen"),
-        pytest.param(2797, id="nearly incompressible layers that swing by 26 pixels"),
+        pytest.param(
+            2797, id="nearly incompressible layers that swing by 26 pixels", marks=campaign
+        ),
         pytest.param(3249, id="a strip three pixels wide that slips"),
     ],
 )

@@ -1,0 +1,73 @@
+"""Run the tests that are no part of the suite, and write what came of them to a page.
+
+    python scripts/campaigns.py                                    # run them
+    python scripts/campaigns.py --page docs/validation/campaigns.md  # and write the page
+
+They are marked with `pytest.mark.campaign`: each takes long and says of further cases what a test
+of the suite says of some.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+from collections import defaultdict
+from pathlib import Path
+from xml.etree import ElementTree
+
+ROOT = Path(__file__).resolve().parent.parent
+HEAD = """# Campaigns
+
+Tests that take long and say of further cases what a test of the suite says of some; written by
+`make campaigns`.
+
+| test | passed | skipped | failed |
+| --- | ---: | ---: | ---: |
+"""
+
+
+def run(report: Path) -> int:
+    """Run the campaigns and return the exit status of pytest."""
+    command = [sys.executable, "-m", "pytest", "-m", "campaign", f"--junitxml={report}"]
+    return subprocess.run(command, cwd=ROOT, env={**os.environ, "CI": ""}).returncode
+
+
+def count(report: Path) -> dict[str, list[int]]:
+    """Count the passed, skipped and failed cases of each test in a report of pytest's."""
+    counts: dict[str, list[int]] = defaultdict(lambda: [0, 0, 0])
+    for case in ElementTree.parse(report).iter("testcase"):
+        name = case.get("name", "").partition("[")[0]
+        outcomes = {child.tag for child in case}
+        which = 2 if outcomes & {"failure", "error"} else 1 if "skipped" in outcomes else 0
+        counts[f"{case.get('classname', '').rpartition('.')[2]}: {name}"][which] += 1
+    return dict(counts)
+
+
+def page_of(counts: dict[str, list[int]]) -> str:
+    """Return the page with a row for each test."""
+    rows = [
+        f"| `{name}` | {' | '.join(map(str, each))} |\n" for name, each in sorted(counts.items())
+    ]
+    return HEAD + "".join(rows)
+
+
+def main() -> int:
+    """Run the command; return 1 if a test failed."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--page", type=Path, help="where to write the page")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        report = Path(folder) / "report.xml"
+        status = run(report)
+        page = page_of(count(report))
+    print(page)
+    if options.page:
+        options.page.write_text(page, encoding="utf-8")
+    return int(status != 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
