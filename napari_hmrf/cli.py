@@ -200,14 +200,13 @@ def _solve(options: argparse.Namespace) -> int:
 
 
 def _batch(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.batch import SUMMARY, BatchProgress, solve_cases
+    from napari_hmrf.io.batch import SUMMARY, solve_cases
     from napari_hmrf.io.case_tables import read_cases
 
     line = _ProgressLine()
     cases = read_cases(options.cases)
-    line.write(
-        BatchProgress(0, 0, len(cases)).words
-    )  # as the first may wait for loops to be compiled
+    some = "1 case" if len(cases) == 1 else f"{len(cases)} cases"
+    line.write(some)  # as the first may wait for loops to be compiled
     outcomes = solve_cases(
         cases,
         options.out,

@@ -190,7 +190,9 @@ def test_an_open_line_is_refused_however_thick_the_brush(width, spacing):
     length = round(10 * width * spacing[1] / spacing[0])
     line = np.zeros((length + 2, width + 4), int)
     line[1:-1, 2:-2] = 1
-    with pytest.raises(ProblemError, match=r"open line.*Close.*ring.*moves by") as caught:
+    with pytest.raises(
+        ProblemError, match=r"open line.*Close.*ring.*\(`action='move'`\)"
+    ) as caught:
         boundary_images(line, [BoundaryRule(1, "expand", amount=1.0)], spacing=spacing)
     assert caught.value.field == "observed"
 
