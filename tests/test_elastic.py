@@ -284,8 +284,10 @@ def test_two_points_hold_a_piece():
 def test_tissue_one_pixel_wide_everywhere_is_refused():
     m = np.zeros((9, 9))
     m[4] = 1
+    c = np.ones((9, 9, 2))
+    c[4, 4] = 0
     with pytest.raises(ProblemError, match="two pixels wide"):
-        solve(Problem(np.zeros((9, 9, 2)), np.ones((9, 9, 2)), m), ElasticPrior())
+        solve(Problem(np.zeros((9, 9, 2)), c, m), ElasticPrior())
 
 
 def test_a_cancelled_solve_has_no_result():

@@ -28,15 +28,10 @@ _dropped: deque[Any] = deque()
 
 
 class _ThreadBound:
-    """SuperLU object that is freed on the thread that made it.
+    """SuperLU object that is freed on the thread that made it."""
 
-    SciPy keeps its allocations in a table of the thread: what another thread drops, such as the
-    garbage collector or the owner of an exception, is never given back.
-
-    Parameters
-    ----------
-    factors : scipy.sparse.linalg.SuperLU
-    """
+    # SciPy keeps its allocations in a table of the thread: what another thread drops, such as the
+    # garbage collector or the owner of an exception, is never given back.
 
     def __init__(self, factors: Any) -> None:
         self.factors, self._thread = factors, threading.get_ident()
