@@ -7,8 +7,8 @@ from napari_hmrf.solver.priors.elastic import Plane
 
 # The figures are those of the README, by `make benchmarks`: on two cores, without a GPU.
 _WHEN: dict[ModelName, str] = {
-    "elastic": "Tissue stretches and bulges as elastic material does. Boundaries of confidence 1 are held "
-    "exactly.",
+    "elastic": "Tissue stretches and bulges as elastic material does. Boundaries of confidence 1 "
+    "are held exactly.",
     "large motion": "Elastic tissue that may turn and stretch as far as it likes: no pixel of it "
     "folds. It takes 8 to 36 times as long; take it where elastic tissue folds, or turns by more "
     "than ten degrees. Bars stretched by 30 % are within 0.002 px of finite elements.",
