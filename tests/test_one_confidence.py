@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 import pytest
+from exact import exact_field
 
-from benchmarks.exact import exact_field
 from napari_hmrf import (
     Arrow,
     Drawing,
