@@ -13,7 +13,7 @@ from itertools import count
 import numpy as np
 import pytest
 from at_rest import AtRest
-from compiling import compile_most, compile_once, emit_late
+from compiling import compile_most, compile_once
 from hypothesis import settings
 from once import (
     check_callbacks_once,
@@ -83,7 +83,6 @@ def pytest_runtestloop(session):
     if worker is None:
         return
     compile_once()
-    emit_late()
     if len(session.items) > 1000:
         compile_most(backwards=worker["workerid"] != "gw0")
 
