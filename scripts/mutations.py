@@ -46,8 +46,12 @@ MUTATIONS = (
         "_TISSUE, _SURROUNDINGS = 1.0, 0.02",
         "test_pull.py",
     ),
-    Mutation("study/ground.py", "_PENALTY = 1.0", "_PENALTY = 2.0", "test_recorded.py"),
-    Mutation("study/ground.py", "_FIRM = 1e4", "_FIRM = 1e3", "test_recorded.py"),
+    Mutation(
+        "solver/priors/elastic.py",
+        "DOUBTED_PENALTY = 1.0",
+        "DOUBTED_PENALTY = 2.0",
+        "test_one_confidence.py",
+    ),
     Mutation(
         "study/ground.py",
         "rim = outer_rim(part) & free",

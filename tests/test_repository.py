@@ -158,11 +158,6 @@ def test_private_names_of_napari_vispy_and_qt_are_used_in_one_module_only(module
         assert private_names_of_others(module) == []
 
 
-#: Rooms that a module imports from inside its class methods: `Grid.from_image` reads a file, and
-#: `Tissue.from_maps` a table of published values.
-DEFERRED = {"study/study.py": {"io"}}
-
-
 @pytest.mark.parametrize("module", MODULES, ids=part)
 def test_a_room_imports_only_from_rooms_further_down(module):
     def height(room: str) -> int:
@@ -174,13 +169,6 @@ def test_a_room_imports_only_from_rooms_further_down(module):
     of_ours = {name.split(".")[1] for name in names if name.startswith("napari_hmrf.")}
     rooms = {name for name in of_ours if (PACKAGE / name).is_dir() or name in LEAVES}
     beside = LEAVES if here in LEAVES else {here}
-    deferred = DEFERRED.get(part(module), set())
-    top = ast.parse(module.read_text(encoding="utf-8")).body
-    at_once = {each.module for each in top if isinstance(each, ast.ImportFrom)}
-    assert not {f"napari_hmrf.{room}" for room in deferred} & {
-        ".".join(str(name).split(".")[:2]) for name in at_once
-    }, "a deferred import is made by the method that needs it"
-    rooms -= deferred
     assert here in ENTRIES or not {room for room in rooms - beside if height(room) <= height(here)}
 
 

@@ -266,13 +266,7 @@ def _looked_up(pixels: Pixels, origins: Pixels, order: int) -> Pixels:
 
 
 def _slice_moved(field: FieldFile, image: ImageFile, name: str, order: int) -> ImageFile:
-    """Return a volume in which the slice of the field is moved; its axes stay as they are.
-
-    Raises
-    ------
-    ProblemError
-        If the field does not say which slice it is of, or lies elsewhere.
-    """
+    """Return a volume in which the slice of the field is moved; its axes stay as they are."""
     own = field.in_patient
     if own is None or len(own.spacing) < 3:
         raise ProblemError(
