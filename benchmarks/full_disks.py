@@ -174,7 +174,7 @@ def _layer() -> dict[str, Any]:
 def writers() -> list[Writer]:
     """List all functions of the package that write files, with the formats of each."""
     points = np.random.default_rng(0).normal(size=(9, 2))
-    rows = [Measurement(*([1] * len(Measurement._fields)))]
+    rows = [Measurement(*([1] * (len(Measurement._fields) - 1)))]
     named = materials_by_name({1: "liver", 2: "something"}, name="names")
     made: dict[str, Callable[[Path], Any]] = {
         "solver.solution.Solution.save": lambda at: solution().save(at / "a.npz"),
@@ -186,7 +186,7 @@ def writers() -> list[Writer]:
             f"io.fields.write_field {suffix}": partial(_field, suffix=suffix)
             for suffix in (".nii", ".nii.gz", ".mha", ".nrrd", ".h5")
         },
-        "io.fields.export_field": lambda at: export_field(at / "a.mha", solution()),
+        "io.fields.export_field": lambda at: export_field(at / "a.mha", solution(), placed=False),
         "io.apply.save_field": lambda at: save_field(at / "a.nrrd", FieldFile.of(solution())),
         "io.apply.apply_field": _moved,
         **{

@@ -58,7 +58,12 @@ MUTATIONS = (
         "rim = outer_rim(part)",
         "test_study.py",
     ),
-    Mutation("study/ground.py", "doubted = c < 1", "doubted = c <= 1", "test_pull.py"),
+    Mutation(
+        "solver/priors/elastic.py",
+        "np.where(c < 1, DOUBTED_PENALTY * c, math.inf)",
+        "np.where(c <= 1, DOUBTED_PENALTY * c, math.inf)",
+        "test_one_confidence.py",
+    ),
     Mutation(
         "field/moved_pictures.py",
         "shown += over",

@@ -391,7 +391,7 @@ def test_a_header_that_lies_about_its_size_costs_no_memory(path, tmp_path, membe
         ({"header": None}, "another kind of file"),
         ({"extra": npy(np.ones(3))}, "holds 'extra.npy', which no napari-hmrf result does"),
         ({"../../evil": npy(np.ones(3))}, "no napari-hmrf result does"),
-        ({"displacement": npy(np.zeros((7, 11, 2)))}, "displacement is float64"),
+        ({"displacement": npy(np.zeros((7, 11, 2), "f2"))}, "displacement is float16"),
         ({"displacement": npy(np.zeros((7, 11, 2), ">f4"))}, "displacement is >f4"),
         ({"displacement": npy(np.zeros((7, 11), "f4"))}, r"of shape \(7, 11\)"),
         ({"displacement": npy(np.zeros((11, 7, 2), "f4"))}, "disagree"),

@@ -178,7 +178,7 @@ def test_who_asks_for_loops_waits_for_the_ones_it_needs_and_is_told_how_far_they
     somebody.is_told("starting to compile")
     assert cold == [[sys.executable, "-m", compiler.COMPILER]]
     job = compiler.wanted()
-    assert job == job_of(prior, optimizer, PROBLEM.spacing)
+    assert job == job_of(prior.resolved(PROBLEM), optimizer, PROBLEM.spacing)
     assert job in [each.name for each in compiling.jobs()]
     compiler.tell(compiler.Stage(job, 3, 10, 2.5))
     report = somebody.is_told("compiling")

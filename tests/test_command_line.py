@@ -201,14 +201,15 @@ def test_notes_of_the_shell_name_its_own_options(files, capsys):
     (files / "m.csv").write_text("label,stiffness\n1,3\n2,rigid\n")
     code, _, err = run(f"{SOLVE} -o out --model paper --force", capsys)
     assert code == 1
-    assert "that holds exactly (without --penalty)" in err
+    assert "that holds by confidence (without --penalty)" in err
     assert "Advanced" not in err
 
 
-def test_that_nothing_moves_is_said(files, capsys):
-    code, out, _ = run("solve image.png --hold-edge -o out", capsys)
-    assert code == 0
-    assert "note: nothing moves" in out
+def test_a_case_in_which_nothing_is_asked_to_move_is_refused(files, capsys):
+    code, _, err = run("solve image.png --hold-edge -o out", capsys)
+    assert code == 1
+    assert "nothing is asked to move" in err
+    assert "--boundary" in err
 
 
 def test_of_a_volume_the_middle_slice_is_played_and_said(tmp_path, capsys):

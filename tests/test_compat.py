@@ -3,6 +3,7 @@
 A test that finds a public way fails: then the function of `compat` takes that way, or goes.
 """
 
+import gc
 import tomllib
 from pathlib import Path
 
@@ -118,9 +119,11 @@ def test_the_window_does_not_offer_what_draws_a_layer(make_napari_viewer):
 def test_textures_of_a_layer_that_goes_are_deleted_where_they_are_drawn(
     make_napari_viewer, monkeypatch, at_rest
 ):
+    from napari._vispy import canvas as napari_canvas
     from qtpy.QtGui import QOpenGLContext
     from vispy.gloo.glir import GlirTexture2D
 
+    monkeypatch.setattr(napari_canvas, "gc", gc)  # all garbage, as for users
     viewer = make_napari_viewer(show=True)
     canvas = viewer.window._qt_viewer.canvas.native
     below, above = (viewer.add_image(np.eye(8) * number) for number in (1, 2))

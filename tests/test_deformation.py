@@ -87,8 +87,8 @@ def test_folds_are_those_at_corners_of_elements_that_are_all_tissue(shape):
                 ends = [(*corner[:axis], low + end, *corner[axis + 1 :]) for end in (0, 1)]
                 edges.append(place[ends[1]] - place[ends[0]])
             expected[corner] |= np.linalg.det(edges) <= 0
-    np.testing.assert_array_equal(folds(d, tissue=tissue), expected)
-    assert count_folds(d, tissue=tissue) == expected.sum()
+    np.testing.assert_array_equal(folds(d, spacing=1, tissue=tissue), expected)
+    assert count_folds(d, spacing=1, tissue=tissue) == expected.sum()
     assert expected.any() == (min(shape) > 1)
 
 
@@ -98,8 +98,8 @@ def test_what_turns_around_a_hole_folds_nothing():
     d = np.zeros((3, 3, 2))
     d[0, 1] = (1.5, -0.4)  # beside the hole, across the row below: no element has this corner
     tissue[0, 2] = False
-    assert count_folds(d, tissue=tissue) == 0
-    assert (jacobian_determinant(d, tissue=tissue)[tissue] <= 0).any()
+    assert count_folds(d, spacing=1, tissue=tissue) == 0
+    assert (jacobian_determinant(d, spacing=1, tissue=tissue)[tissue] <= 0).any()
 
 
 def test_a_site_that_jumps_over_its_neighbour_is_a_fold_though_central_differences_miss_it():

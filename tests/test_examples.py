@@ -102,7 +102,7 @@ def test_in_a_volume_a_tumour_grows_at_the_cost_of_what_is_around_it(said):
 
 def test_the_more_a_tumour_grows_and_the_stiffer_it_is_the_narrower_are_ventricles(said):
     found = re.findall(
-        r"growth tumour=([\d.]+), stiffness tumour=(\d+): ventricles (.*) %", said("sweep")
+        r"growth-tumour-([\d.]+)_stiffness-tumour-(\d+): ventricles (.*) %", said("sweep")
     )
     narrower = {(growth, stiffness): float(change) for growth, stiffness, change in found}
     assert len(narrower) == 6

@@ -341,7 +341,8 @@ def test_a_piece_of_tissue_that_hangs_on_nothing_is_mentioned():
 def test_a_picture_with_holes_is_taken_and_a_picture_of_nothing_refused():
     holes = picture()
     holes[0, :3] = np.nan
-    assert not read_layers(request(image=Image(holes, name="MR"))).notes
+    (note,) = read_layers(request(image=Image(holes, name="MR"))).notes
+    assert note.startswith("'MR' is NaN or infinite at 3 pixels")
     nothing = Image(np.full(SHAPE, np.nan), name="MR", contrast_limits=(0, 1))
     assert "'MR'" in str(refusal(request(image=nothing)))
 

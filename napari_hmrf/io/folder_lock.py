@@ -80,8 +80,7 @@ def exclusive(folder: Path) -> Iterator[None]:
     started = int(psutil.Process().create_time())
     name = f".batch-{os.getpid()}-{started}-{secrets.token_hex(4)}@{_machine()}.lock"
     own = folder / name
-    with open(own, "x"):
-        pass
+    own.touch(exist_ok=False)
     try:
         for mark in marks_in(folder):
             if mark.path == own:

@@ -21,6 +21,7 @@ from napari_hmrf.solver.problem import grid_in_words
 
 if TYPE_CHECKING:
     from napari_hmrf.field.measurement import Measurement
+    from napari_hmrf.study.study import Grid
 
 
 @dataclass(frozen=True)
@@ -287,12 +288,19 @@ class Solution:
 
         return measure(self, labels, names=names)
 
-    def export(self, path: str | os.PathLike[str], *, forward: bool = False) -> float:
+    def export(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        forward: bool = False,
+        grid: Grid | None = None,
+        placed: bool = True,
+    ) -> float:
         """Write the field for other tools, where its image lies.
 
         Parameters
         ----------
-        path, forward
+        path, forward, grid, placed
             As of `export_field`.
 
         Returns
@@ -308,7 +316,7 @@ class Solution:
         """
         from napari_hmrf.io.fields import export_field
 
-        return export_field(path, self, forward=forward)
+        return export_field(path, self, forward=forward, grid=grid, placed=placed)
 
     @property
     def _on_grid(self) -> dict[str, Any]:

@@ -10,7 +10,6 @@ import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import InitVar, dataclass, field, replace
-from importlib import import_module
 from typing import Any, Protocol
 
 import numpy as np
@@ -164,9 +163,9 @@ class Grid:
             If a file cannot be read.
         """
         # Reading files is the work of `io`, which is built on studies.
-        files = import_module("napari_hmrf.io.image_grid")
-        grid: Grid = files.grid_of_image(image, slice=slice, axis=axis)
-        return grid
+        from napari_hmrf.io.image_grid import grid_of_image
+
+        return grid_of_image(image, slice=slice, axis=axis)
 
     def __repr__(self) -> str:
         place = "" if self.place is None else ", placed"
@@ -242,8 +241,9 @@ class Tissue:
         if materials is not None:
             return cls(labels=labels, materials=materials_of_maps([*maps], materials), unit=unit)
         # Published values are in the tables of `io`, which is built on studies.
-        tables = import_module("napari_hmrf.io.tissue_names")
-        found = tables.materials_by_name(dict(enumerate(maps, 1)))
+        from napari_hmrf.io.tissue_names import materials_by_name
+
+        found = materials_by_name(dict(enumerate(maps, 1)))
         if found.unknown:
             names = ", ".join(f"'{name}'" for name in found.unknown.values())
             raise ProblemError(
