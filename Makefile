@@ -12,21 +12,28 @@ SHADERS ?= 500
 VOLUMES ?= 300
 SEED ?= 0
 
-.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test docs format lint types lines benchmarks live dragging trust volumes hard report mutations screenshots sample-data constraints clean
+.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test campaigns docs format lint types words lines benchmarks live dragging trust edits folds soak damaged disks volumes hard report mutations screenshots sample-data constraints clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo         deform the sample brain; pictures in demo-output/, napari where there is a display"
 	@echo "make test         run the tests"
+	@echo "make campaigns    run the tests that take long and repeat a claim of a shorter one"
 	@echo "make docs         build the site of the documentation: docs/_build/index.html"
 	@echo "make format       format the code"
 	@echo "make lint         look for mistakes in style"
 	@echo "make types        check the types"
+	@echo "make words        count the sentences that break the rules of wording; scripts/words.py lists them"
 	@echo "make benchmarks   print the tables of the paper, measured here"
 	@echo "make live         measure how fast tissue follows the mouse, without and with a window"
 	@echo "make lines        count the lines of code, folder by folder"
 	@echo "make dragging     time from the mouse to the picture: AGAINST=folder compares with another checkout"
 	@echo "make trust        compare thousands of random problems with exact solutions: LOOPS=200 SHADERS=20 is shorter"
+	@echo "make edits        compare thousands of live edits with cold solves"
+	@echo "make folds        solve thousands of random large motions, and check each corner for folds"
+	@echo "make soak         solve thousands of small volumes, and print how memory grows"
+	@echo "make damaged      read thousands of damaged files of each exchange format"
+	@echo "make disks        write each kind of file to a full disk (as root, on Linux)"
 	@echo "make volumes      time volumes beside PyAMG, and compare hundreds of random ones with direct solutions"
 	@echo "make report       write the validation report, docs/validation/README.md, anew: ten minutes"
 	@echo "make hard         write the table of hard tissue, docs/validation/hard.md, anew: an hour"
@@ -57,6 +64,9 @@ demo: setup
 test: setup-for-windows
 	@PYTHONDONTWRITEBYTECODE= PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(HEADLESS) $(RUN) -m pytest $(PLUGINS) -n 3 --dist worksteal
 
+campaigns: setup-for-windows
+	@$(HEADLESS) $(RUN) scripts/campaigns.py --page docs/validation/campaigns.md
+
 # Warnings are errors, and all of them are shown. Nothing is fetched.
 docs: setup-for-docs
 	@$(RUN) -m sphinx -W --keep-going -E -q docs docs/_build
@@ -73,6 +83,9 @@ lint: setup
 types: setup
 	@$(RUN) -m mypy
 
+words:
+	@$(PYTHON) scripts/words.py
+
 lines:
 	@$(PYTHON) scripts/lines.py
 
@@ -88,6 +101,21 @@ dragging: setup-for-windows
 
 trust: setup
 	@$(RUN) benchmarks/trust.py --loops $(LOOPS) --shaders $(SHADERS) --volumes $(VOLUMES) --seed $(SEED) $(if $(PAGE),--page $(PAGE))
+
+edits: setup
+	@NUMBA_NUM_THREADS=1 $(RUN) benchmarks/live_edits.py
+
+folds: setup
+	@NUMBA_NUM_THREADS=1 $(RUN) -m benchmarks.large_motion --random 3000
+
+soak: setup
+	@NUMBA_NUM_THREADS=1 $(RUN) benchmarks/volume_soak.py
+
+damaged: setup
+	@$(RUN) benchmarks/damaged_fields.py --page docs/validation/damaged.md
+
+disks: setup
+	@$(RUN) benchmarks/full_disks.py --commands --page docs/validation/full-disks.md
 
 volumes: setup-for-report
 	@$(RUN) benchmarks/volumes.py
