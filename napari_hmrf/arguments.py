@@ -1,4 +1,4 @@
-"""What a caller gave, where one value of some kind is needed."""
+"""Checks of single argument values."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _LONGEST = 80
 
 
 def shown(value: object) -> str:
-    """A value as it stands in a sentence: in one line, and short."""
+    """Format a value for use in a sentence: short, on one line."""
     line = " ".join(reprlib.repr(value).split())
     return line if len(line) <= _LONGEST else f"{line[: _LONGEST - 3]}..."
 
 
 def real(value: Any) -> float:
-    """A real number as a float; NaN for anything else, and where no float is so large."""
+    """Convert a real number to float; NaN for anything else or if too large for a float."""
     if not isinstance(value, Real):
         return math.nan
     try:
@@ -32,35 +32,35 @@ def real(value: Any) -> float:
 
 
 def reals(values: Any, count: int) -> tuple[float, ...]:
-    """So many real numbers as floats; NaN in the place of all if they are not that."""
+    """Convert `count` real numbers to floats; all NaN if there are not exactly `count` values."""
     given = tuple(values) if isinstance(values, Iterable) and isinstance(values, Sized) else ()
     return tuple(map(real, given)) if len(given) == count else (math.nan,) * count
 
 
 def is_whole(value: object) -> bool:
-    """Whether it is a whole number, of whatever type of numbers."""
+    """Return whether a value of any type is a whole number."""
     return real(value).is_integer()
 
 
 def is_one_of(value: object, choices: Iterable[str]) -> bool:
-    """Whether it is one of some words."""
+    """Return whether a value is one of the given words."""
     return isinstance(value, str) and value in choices
 
 
 def refuse_unless(right: bool, name: str, value: object, what: str) -> None:
-    """Refuse an argument that is not what it has to be.
+    """Refuse an argument that does not meet its requirement.
 
     Raises
     ------
     ArgumentError
-        Of one sentence.
+        With a one-sentence message.
     """
     if not right:
         raise ArgumentError(f"{name} must be {what}, not {shown(value)}")
 
 
 def checked_path(path: Any) -> str:
-    """The name of a file, or say that it is none."""
+    """Return a file name as str, or refuse anything that is not a path."""
     refuse_unless(isinstance(path, str | os.PathLike), "path", path, "the name of a file")
     return str(os.fsdecode(path))
 
@@ -75,12 +75,12 @@ def nearest_word(
     word : str
     known : iterable of str
     synonyms : mapping of str to str, optional
-        Known words by other words for the same.
+        Maps each synonym to the known word.
 
     Returns
     -------
     str or None
-        None if no known word is near.
+        None if no known word is close enough.
     """
     words = [*known]
     plain = " ".join(word.casefold().replace("_", " ").replace("-", " ").split())

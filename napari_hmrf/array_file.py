@@ -1,8 +1,9 @@
-"""A file of plain arrays and one text, written whole or not at all and read without trust.
+"""File of plain arrays and one text, written atomically and read without trust.
 
-It is a NumPy archive (.npz) with a header in JSON. Nothing in it can run code. Before any array is
-expanded the archive's own table, the header and the claims of all arrays are checked against what
-the format holds, so that a damaged, foreign or hostile file costs one clear error and no memory.
+The file is a NumPy archive (.npz) with a header in JSON. Nothing in it can run code. Before any
+array is expanded, the archive's table, the header and the claimed types and shapes of all arrays
+are checked against the format, so that a damaged, foreign or hostile file costs one clear error
+and no memory.
 """
 
 from __future__ import annotations
@@ -33,38 +34,39 @@ T = TypeVar("T")
 Header = Mapping[str, Any]
 Arrays = Mapping[str, npt.NDArray[Any]]
 
-#: No array may be larger, in bytes: two components on 16384 x 16384 sites.
+#: Largest size of an array, in bytes: two components on 16384 x 16384 sites.
 MAX_BYTES = 2 * 16384**2 * 4
-#: A field of one value packs 1000 to 1. Up to this size that is harmless, beyond it a trap.
+#: A constant field compresses 1000 to 1. That is harmless up to this size, in bytes; a larger
+#: array with a ratio above `_MAX_RATIO` is taken for a decompression bomb.
 _HARMLESS_BYTES = 256 * 2**20
 _MAX_RATIO = 100
-#: Bytes that are expanded at once.
+#: Number of bytes expanded at a time.
 _PIECE = 2**20
-#: Limit of deflate: no packed array holds more than so many times its own bytes, but few bytes.
+#: Upper bound of deflate's compression ratio; only arrays of few bytes come near it.
 _MOST_PACKED = 1100
-#: All arrays of a file may hold so many bytes together.
+#: Largest total size of all arrays of a file, in bytes.
 _MAX_TOTAL = 4 * MAX_BYTES
 
 
 def is_finite(array: npt.NDArray[Any]) -> bool:
-    """Return whether all values are numbers, in little memory."""
-    if array.size and not any(array.strides):  # one value in all places
+    """Return whether all values are finite, using little memory."""
+    if array.size and not any(array.strides):  # a broadcast scalar
         return bool(np.isfinite(array[(0,) * array.ndim]))
     return all(np.isfinite(part).all() for part in array)
 
 
 class Kind(NamedTuple):
-    """Which arrays may stand under a name.
+    """Requirements for the array under a name.
 
     Attributes
     ----------
     dtypes : tuple of str
-        As NumPy writes them, little-endian. An array that is saved becomes one of the only dtype;
-        where there are several, it keeps its own.
+        Allowed dtypes as NumPy writes them, little-endian. If there is only one, arrays are
+        converted to it when saved; otherwise an array keeps its own dtype.
     axes : tuple of int
-        How many it may have.
+        Allowed numbers of axes.
     optional : bool
-        Whether it may be missing.
+        Whether the array may be missing.
     """
 
     dtypes: tuple[str, ...]
@@ -73,7 +75,7 @@ class Kind(NamedTuple):
 
 
 _HEADER = "header"
-#: Of the header: one text, of at most a mebibyte.
+#: The header is a single text of at most `_HEADER_BYTES` bytes, one mebibyte.
 _TEXT = Kind(("U",), (0,))
 _HEADER_BYTES = 2**20
 _DEEPEST = 32
@@ -85,7 +87,7 @@ _NPY_HEADER = re.compile(
     rb"'shape': \(([\d, ]{0,99})\), \} *\n"
 )
 
-# What zipfile, zlib, NumPy and JSON raise on bytes that are not what they claim to be.
+# Errors that zipfile, zlib, NumPy and JSON raise on invalid bytes.
 _DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
@@ -105,30 +107,31 @@ _DAMAGE = (
 
 
 class Invalid(ValueError):
-    """The reason why a file is not of its format, in words for its user."""
+    """The reason why a file does not match its format, in words for the user."""
 
 
 @dataclass(frozen=True)
 class Format(Generic[T]):
-    """What a kind of file holds.
+    """Contents of a kind of file.
 
     Attributes
     ----------
     name : str
-        By which its files know themselves.
+        Identifier of the format, stored in each file.
     schema : int
-        Raised when a file could be misread by an older version; older files stay valid.
+        Version number, increased when an older version could misread the file; older files stay
+        valid.
     what : str
-        What it is to its user, for errors: "<file>: not a valid <what>: <reason>".
+        Name of the kind of file in error messages: "<file>: not a valid <what>: <reason>".
     arrays : mapping of str to Kind
-        No other may be there.
+        All arrays that a file may contain.
     describe : callable
-        Makes header, of JSON types, and arrays of the object.
+        Converts the object to a header of JSON types and arrays.
     parse : callable
-        Makes the object of header and arrays; raises `Invalid` for what cannot be one.
+        Makes the object from header and arrays; raises `Invalid` if they are inconsistent.
     foresee : callable, optional
-        Called with the header and arrays of zeros, of the claimed types and shapes and without
-        memory of their own, before any array is expanded; raises as `parse`, which it may be.
+        Called before any array is expanded, with the header and arrays of zeros that have the
+        claimed types and shapes and take no memory; raises like `parse`, and may be `parse`.
     """
 
     name: str
@@ -141,22 +144,23 @@ class Format(Generic[T]):
 
 
 def write(path: str | os.PathLike[str], form: Format[T], value: T) -> Path:
-    """Write a file that is complete or not there.
+    """Write a file atomically.
 
-    As by `write_whole`: a file that was there before survives until the new one is complete.
+    Like `write_whole`: an existing file survives until the new one is complete.
 
     Parameters
     ----------
     path : str or path-like
-        Taken as it is; ".npz" is added only if the name has no suffix, and is no FIFO or device.
+        Used unchanged; ".npz" is appended only if the name has no suffix and the path is not a
+        FIFO or device.
     form : Format
     value : object
-        Of the kind that the format holds.
+        Object of the type that the format holds.
 
     Returns
     -------
     Path
-        The file that was written.
+        The written file.
 
     Raises
     ------
@@ -164,8 +168,8 @@ def write(path: str | os.PathLike[str], form: Format[T], value: T) -> Path:
         If the folder is missing or the file cannot be written (`FileNotFoundError`,
         `PermissionError`...); the message names the file.
     TypeError, ValueError
-        If it could not be read back: the header holds something that is not of a JSON type, or
-        the format refuses it.
+        If the file could not be read back: the header has a value that is not of a JSON type, or
+        the format refuses the object.
     """
     target = Path(checked_path(path))
     if not is_stream(target):
@@ -182,9 +186,9 @@ def read(path: str | os.PathLike[str], form: Format[T]) -> T:
     Raises
     ------
     FileFormatError
-        If it is anything but a file of this format, or damaged.
+        If the file is damaged or not of this format.
     OSError
-        If it cannot be opened (`FileNotFoundError`, `PermissionError`).
+        If the file cannot be opened (`FileNotFoundError`, `PermissionError`).
     """
     path = checked_path(path)
 
@@ -204,21 +208,21 @@ def read(path: str | os.PathLike[str], form: Format[T]) -> T:
         except OSError as error:
             if error.errno != errno.EINVAL:
                 raise
-            # The archive's table points to before the beginning of the file.
+            # The archive's table points to a negative offset.
             raise refusal("it is damaged or incomplete") from None
 
 
 def claims_to_be(path: str | os.PathLike[str], form: Format[Any]) -> bool:
-    """Tell, by reading little of it, whether a file says that it is of a format.
+    """Return whether the header of a file names a format, reading only the header.
 
-    True too for one that is damaged elsewhere or written by a later version: `read` then says what
-    is wrong.
+    Also True for a file that is damaged elsewhere or was written by a later version: `read` then
+    reports the error.
     """
     return header_of(path).get("format") == form.name
 
 
 def header_of(path: str | os.PathLike[str]) -> Header:
-    """What a file says of itself, of whatever format; nothing if it cannot be read."""
+    """Return the header of a file of any format, or an empty one if it cannot be read."""
     path = checked_path(path)
     try:
         refuse_irregular(path)
@@ -239,7 +243,7 @@ def _packed(form: Format[T], value: T) -> bytes:
     content = file.getvalue()
     try:
         _unpacked(io.BytesIO(content), form)
-    except Invalid as error:  # what could not be read back must not replace what could
+    except Invalid as error:  # an unreadable file must not replace a readable one
         raise ValueError(f"this {form.what} cannot be saved: {error}") from None
     return content
 
@@ -278,13 +282,13 @@ def _unpacked(file: BinaryIO, form: Format[T]) -> T:
 
 
 def _header(archive: zipfile.ZipFile) -> Header:
-    """What the file says about itself: the one member that tells a foreign file from a damaged."""
+    """Read the header, the only member that distinguishes a foreign file from a damaged one."""
     if f"{_HEADER}.npy" not in archive.namelist():
         raise Invalid("it is another kind of file")
     header = json.loads(_claim(archive, _HEADER, _TEXT).read(archive).item())
     if not isinstance(header, dict) or "format" not in header:
         raise Invalid("it is another kind of file")
-    if _is_deep(header):  # it could not be copied or saved again
+    if _is_deep(header):  # too deep to be copied or saved again
         raise Invalid(f"its header is nested more than {_DEEPEST} times")
     return header
 
@@ -295,7 +299,7 @@ def _is_deep(value: Any, levels: int = _DEEPEST) -> bool:
 
 
 def _check_members(archive: zipfile.ZipFile, form: Format[Any]) -> None:
-    """No member may lack, be there twice, or be one that the format does not have."""
+    """Refuse an archive with missing, duplicate or unknown members."""
     names = archive.namelist()
     known = {f"{name}.npy": kind.optional for name, kind in form.arrays.items()}
     needed = {f"{_HEADER}.npy", *(name for name, optional in known.items() if not optional)}
@@ -307,7 +311,7 @@ def _check_members(archive: zipfile.ZipFile, form: Format[Any]) -> None:
 
 
 class _Claim(NamedTuple):
-    """An array as its own header and the archive's table describe it."""
+    """Description of an array by its own header and the archive's table."""
 
     info: zipfile.ZipInfo
     dtype: np.dtype[Any]
@@ -316,11 +320,11 @@ class _Claim(NamedTuple):
     offset: int
 
     def zeros(self) -> npt.NDArray[Any]:
-        """Return an array of the claimed type and shape that takes no memory."""
+        """Return an array of zeros of the claimed type and shape that takes no memory."""
         return np.broadcast_to(np.zeros((), self.dtype), self.shape)
 
     def read(self, archive: zipfile.ZipFile) -> npt.NDArray[Any]:
-        """Expand the array, and compare its checksum."""
+        """Expand the array and verify its checksum."""
         values = np.empty(self.shape, self.dtype, self.order)
         flat = values.ravel(order="K").view(np.uint8) if values.size else np.empty(0, np.uint8)
         with archive.open(self.info) as stream:
@@ -331,12 +335,12 @@ class _Claim(NamedTuple):
                 if not count:
                     raise EOFError
                 left = left[count:]
-            stream.read(1)  # at the end the checksum is compared
+            stream.read(1)  # zipfile verifies the checksum at the end of the stream
         return values
 
 
 def _claim(archive: zipfile.ZipFile, member: str, kind: Kind) -> _Claim:
-    """Return what an array claims to be, if the format holds such an array."""
+    """Return the claimed type, shape and order of an array, if the format allows them."""
     info = archive.getinfo(f"{member}.npy")
     cap = _HEADER_BYTES if kind is _TEXT else MAX_BYTES
     ratio = info.file_size / max(1, info.compress_size)
@@ -346,9 +350,9 @@ def _claim(archive: zipfile.ZipFile, member: str, kind: Kind) -> _Claim:
             "such a file may hold"
         )
     if info.header_offset + info.compress_size > archive.start_dir:
-        raise Invalid("it is damaged or incomplete")  # and memory would be taken for what it claims
+        raise Invalid("it is damaged or incomplete")  # its claimed size would be allocated
     if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        # Others take memory in proportion to what they claim, before a byte of it is there.
+        # Other methods allocate memory in proportion to the claimed size before reading a byte.
         raise Invalid(f"its {member} is packed in a way that only other programs do")
     if info.file_size > max(1, info.compress_size) * _MOST_PACKED:
         raise Invalid("it is damaged or incomplete")
@@ -365,9 +369,9 @@ def _claim(archive: zipfile.ZipFile, member: str, kind: Kind) -> _Claim:
 
 
 def _peek(stream: IO[bytes]) -> tuple[np.dtype[Any], Literal["C", "F"], tuple[int, ...], int]:
-    """What an array claims: its dtype, order and shape, and where its values begin."""
-    # NumPy's own reader has Python parse what the file says, which can fail in more ways than it
-    # tells, and warns. What NumPy writes of plain arrays is always of one form.
+    """Return the claimed dtype, order and shape of an array, and the offset of its values."""
+    # NumPy's own reader lets Python parse the header, which warns and can fail in undocumented
+    # ways. NumPy always writes the headers of plain arrays in the same form.
     start = stream.read(len(_NPY) + 4)
     version = tuple(start[len(_NPY) : -2])
     if start.startswith(_NPY) and version != (1, 0):

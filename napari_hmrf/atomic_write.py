@@ -1,4 +1,4 @@
-"""Writing a file so that it is complete or not there, whatever happens meanwhile."""
+"""Atomic writing of files: a file is complete or absent, even after a crash."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ _ABANDONED_AFTER = 3600.0
 
 
 def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write a file beside its destination, read it back, and only then give it its name.
+    """Write a file beside its destination, read it back, and only then rename it.
 
-    A file that was there before survives until that moment, and its permissions are the new one's.
+    An existing file survives until then, and the new file gets its permissions.
 
     Parameters
     ----------
     path : str or path-like
-        Of a link, the file it points to is replaced. A FIFO or device is written into.
+        If this is a link, the file it points to is replaced. A FIFO or device is written to
+        directly.
     content : bytes
 
     Raises
@@ -44,22 +45,22 @@ def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
 
 @contextmanager
 def temporary_beside(path: str | os.PathLike[str], suffix: str) -> Iterator[Path]:
-    """Give the name of a temporary file in the folder of a target, for libraries to write to.
+    """Yield the path of a temporary file in the folder of a target, for libraries to write to.
 
-    The folder for temporary files may be on another disk, which may be full. What is left of the
-    file at the end is removed.
+    The system's folder for temporary files may be on another disk, which may be full. The file is
+    removed at the end if it still exists.
 
     Parameters
     ----------
     path : str or path-like
-        Target, which is not touched.
+        Target, which is not modified.
     suffix : str
-        By which the library chooses a format.
+        Suffix that determines the library's file format.
 
     Raises
     ------
     OSError
-        If no file can be written there; the message names the target.
+        If the folder cannot be written to; the message names the target.
     """
     target = Path(os.path.realpath(path))
     file = target.with_name(f"{_TEMPORARY}{secrets.token_hex(8)}.tmp{suffix}")
@@ -75,9 +76,9 @@ def temporary_beside(path: str | os.PathLike[str], suffix: str) -> Iterator[Path
 
 
 def raise_for_space(path: str | os.PathLike[str], size: int) -> None:
-    """Raise the system's error if so many bytes cannot be written beside a target.
+    """Raise the system's error if `size` bytes cannot be written beside a target.
 
-    Libraries that write files do not tell why they failed.
+    Libraries that write files often do not report why they failed.
 
     Raises
     ------
@@ -94,7 +95,7 @@ def raise_for_space(path: str | os.PathLike[str], size: int) -> None:
 
 @contextmanager
 def _naming(target: Path) -> Iterator[None]:
-    """Let errors of the system name the file that was to be written."""
+    """Make system errors name the target file."""
     try:
         yield
     except OSError as error:
@@ -104,7 +105,7 @@ def _naming(target: Path) -> Iterator[None]:
 
 
 def is_stream(path: str | os.PathLike[str]) -> bool:
-    """Whether a path leads to a FIFO, a device or the like, which nothing may take the place of."""
+    """Return whether a path leads to a FIFO, device or the like, which must not be replaced."""
     try:
         mode = os.stat(path).st_mode
     except OSError:
@@ -116,7 +117,7 @@ def _replace(target: Path, content: bytes) -> None:
     if target.is_dir():
         raise IsADirectoryError(errno.EISDIR, "it is a folder")
     there = target.exists()
-    if there and not os.access(target, os.W_OK):  # its folder would let it be replaced all the same
+    if there and not os.access(target, os.W_OK):  # a writable folder would allow replacing it
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     temporary = target.with_name(f"{_TEMPORARY}{secrets.token_hex(8)}.tmp")
     try:
@@ -137,12 +138,12 @@ def _replace(target: Path, content: bytes) -> None:
 
 
 def _private(path: str, flags: int) -> int:
-    """Open a file that only its owner can read, as the one that it will replace may be."""
+    """Open a file readable only by its owner, as the replaced file may be private."""
     return os.open(path, flags, 0o600)
 
 
 def _rename(temporary: Path, target: Path) -> None:
-    """Replace in one step; on Windows whoever has the old file open makes that fail for a while."""
+    """Replace a file in one step; on Windows this fails while another process has it open."""
     for attempt in range(6):
         try:
             os.replace(temporary, target)
@@ -154,7 +155,7 @@ def _rename(temporary: Path, target: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Have the new name itself on disk, where the system knows how."""
+    """Flush the folder entry of the new file to disk, on POSIX systems."""
     if os.name != "posix":
         return
     with suppress(OSError):
@@ -166,7 +167,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 def _remove_abandoned(folder: Path) -> None:
-    """Remove what a process that was killed while saving left behind."""
+    """Remove temporary files left behind by a process that was killed while saving."""
     for path in folder.glob(f"{_TEMPORARY}*.tmp*"):
         with suppress(OSError):
             if time.time() - path.stat().st_mtime > _ABANDONED_AFTER:

@@ -1,4 +1,4 @@
-"""The commands of ``napari-hmrf``: what they do, and what they print."""
+"""Implementation and output of the commands of ``napari-hmrf``."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        What was typed after ``napari-hmrf``; by default what was typed.
+        Arguments after ``napari-hmrf``; by default those of the command line.
 
     Returns
     -------
     int
-        The exit code: 0 if all went well, 1 if not, 130 if it was interrupted.
+        The exit code: 0 on success, 1 on failure, 130 if interrupted.
     """
     options = parser_of_commands().parse_args(arguments)
     try:
@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _model(options: argparse.Namespace) -> tuple[Prior, Optimizer]:
-    """Return the energy of a demonstration, and how it is minimised."""
+    """Return the energy of a demonstration and its minimiser."""
     from napari_hmrf.io.case_options import Case, energy_of
 
     case = Case(Path(), model=options.model, poisson=options.poisson, plane=options.plane)
@@ -81,12 +81,12 @@ def _apply(options: argparse.Namespace) -> int:
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise HmrfError(
-            f"{twice} is the name of two files, of which one would be written over the other. "
+            f"{twice} is the name of two files, so that one result would overwrite the other. "
             "Move them one after the other, with another --out for each"
         )
     if options.out.is_dir():
         moved = [options.out / name for name in names]
-        # A file that would be written over itself is refused by its name.
+        # `apply_field` refuses to write a file over itself, with a more specific message.
         same = [
             each.samefile(at)
             for each, at in zip(options.files, moved, strict=True)
@@ -206,7 +206,7 @@ def _batch(options: argparse.Namespace) -> int:
     line = _ProgressLine()
     cases = read_cases(options.cases)
     some = "1 case" if len(cases) == 1 else f"{len(cases)} cases"
-    line.write(some)  # as the first may wait for loops to be compiled
+    line.write(some)  # the first case may take long: it may wait for loops to be compiled
     outcomes = solve_cases(
         cases,
         options.out,
@@ -227,7 +227,7 @@ def _batch(options: argparse.Namespace) -> int:
     done = f"{len(outcomes) - len(failed)} of {len(outcomes)} {are} solved"
     print(f"{done}; all of them are listed in {options.out / SUMMARY}")
     if noted := sum(bool(each.notes) for each in outcomes):
-        _note(f"the column notes has something to know of {noted} of them")
+        _note(f"the column notes of the summary has warnings for {noted} of them")
     return int(bool(failed))
 
 
@@ -244,7 +244,7 @@ def _replay(options: argparse.Namespace) -> int:
     if before is None:
         print("the study was saved without its field, so there is none to compare with")
         return 0
-    # What is no tissue of the study's has no field in its file, which keeps float32.
+    # The file stores float32, and a field only where the study has tissue.
     again = now.displacement.astype(before.displacement.dtype)
     far = abs(again - before.displacement)[before.tissue] / before.spacing
     apart, allowed = float(far.max(initial=0)), 0.0
@@ -255,8 +255,8 @@ def _replay(options: argparse.Namespace) -> int:
     elif apart <= allowed:
         said = (
             f"the same field within its tolerance: at most {apart:.2g} px apart, where "
-            f"{allowed:.2g} px may be (last digits are others of one that followed a "
-            "hand, or was found while loops were still being compiled)"
+            f"{allowed:.2g} px is allowed (the last digits differ if a field was updated live, "
+            "or was solved while loops were still being compiled)"
         )
     else:
         said = f"fields differ by at most {apart:.3g} px"
@@ -265,7 +265,7 @@ def _replay(options: argparse.Namespace) -> int:
 
 
 def _in_shell(solution: Solution) -> str:
-    """Return a solution in a line, with its model as it is typed."""
+    """Return a solution on one line, with the model's name as typed in the shell."""
     model = solution.provenance.model
     return repr(solution).replace(f", {model}, ", f", {as_word(model)}, ", 1)
 
@@ -276,7 +276,7 @@ def _truth(options: argparse.Namespace) -> int:
 
     def tell(truth: Truth) -> None:
         progress.end()
-        part = "" if truth.scale == 1 else f", of what was drawn {truth.scale:.0%}"
+        part = "" if truth.scale == 1 else f", scaled to {truth.scale:.0%}"
         print(f"written: {truth.folder} (moved up to {truth.farthest:.3g}{part})", flush=True)
 
     refuse_overwriting(truth_files(options.out, options.count), overwrite=options.force)
@@ -336,7 +336,7 @@ def _demo(options: argparse.Namespace) -> int:
 
 
 def _make_demo_folder(options: argparse.Namespace) -> None:
-    """Make the folder of a demonstration before the work; only its usual folder is written over."""
+    """Make the folder of a demonstration before the work; overwrite only the default folder."""
     usual = options.out is None
     options.out = Path("demo-output") if usual else options.out
     there = options.out.is_dir() and any(options.out.iterdir())
@@ -384,7 +384,7 @@ def _tell_written(options: argparse.Namespace, written: Sequence[Path]) -> None:
 def _show_in_napari(
     options: argparse.Namespace, layers: Sequence[LayerData], solution: Solution, prior: Prior
 ) -> None:
-    """Open napari, unless nobody wants it or may see it."""
+    """Open napari, unless it is switched off or there is no display."""
     if options.no_window:
         return
     if _has_display():
@@ -408,14 +408,14 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "truth": _truth,
 }
 
-# Seconds between two lines of progress where they stay.
+# Seconds between two lines of progress if stderr is no terminal.
 _SELDOM = 10.0
-# Of many cases so many that failed are said; all are in the summary.
+# Largest number of failed cases that are printed; the summary lists all.
 _MOST = 10
 
 
 class _ProgressLine:
-    """Progress on stderr: one line that changes on a terminal, now and then a line elsewhere."""
+    """Progress on stderr: one line that is rewritten on a terminal, occasional lines elsewhere."""
 
     def __init__(self) -> None:
         self._live = sys.stderr.isatty()
@@ -446,7 +446,7 @@ class _ProgressLine:
 
 
 def _note(clause: str) -> None:
-    """Print something to know of a result, in the words of the shell."""
+    """Print a note on a result, in the words of the shell."""
     print(f"note: {in_words_of('shell', clause)}", flush=True)
 
 
@@ -455,7 +455,7 @@ def _tell(message: str) -> None:
 
 
 def _has_display() -> bool:
-    """Whether somebody may be there to see a window."""
+    """Return whether a window could be seen."""
     if os.environ.get("CI"):
         return False
     if not sys.platform.startswith("linux"):
@@ -476,6 +476,6 @@ def _open_napari(layers: Sequence[LayerData], solution: Solution, prior: Prior) 
     if isinstance(prior, Elastic):
         widget.plane = prior.plane
         widget.materials = tuple(replace(row, poisson=prior.poisson) for row in widget.materials)
-    # Solved again, so that the layers of the result are the widget's own, which it will update.
+    # Solve again, so that the result layers belong to the widget, which updates them.
     widget.deform()
     napari.run()

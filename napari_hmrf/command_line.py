@@ -24,7 +24,7 @@ from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
 
 class Commands:
-    """Commands of a parser, each with a sentence that says what it does, and an example."""
+    """Commands of a parser, each with a one-sentence description and an example."""
 
     def __init__(self, parser: argparse.ArgumentParser) -> None:
         self._commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -38,11 +38,11 @@ class Commands:
         ----------
         name : str
         sentence : str
-            Sentence in the imperative, which the list of commands has without its period.
+            Sentence in the imperative; the list of commands shows it without the period.
         example : str
-            A line that can be typed.
+            A complete command line.
         more : str
-            Sentences that only the help of the command has.
+            Sentences that only the help of the command shows.
         """
         command: argparse.ArgumentParser = self._commands.add_parser(
             name,
@@ -55,17 +55,17 @@ class Commands:
 
 
 class _Formatter(argparse.HelpFormatter):
-    """Help whose example stays in one line, to be copied."""
+    """Help formatter that keeps the example on one line, to be copied."""
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         return text if text.startswith("example: ") else super()._fill_text(text, width, indent)
 
 
 def parser_of_commands() -> argparse.ArgumentParser:
-    """Return the parser of all commands; the name of the command is its `command`."""
+    """Return the parser of all commands; it stores the name of the command as `command`."""
     parser = argparse.ArgumentParser(
         prog="napari-hmrf",
-        description="How soft tissue moves, computed on the pixels of an image.",
+        description="Compute the motion of soft tissue on the pixels of an image.",
         epilog="napari-hmrf COMMAND --help explains a command and has an example.",
     )
     parser.add_argument(
@@ -93,9 +93,9 @@ def parser_of_commands() -> argparse.ArgumentParser:
         type=as_word,
         choices=MODELS,
         default="elastic",
-        help="what tissue is taken to be: elastic, elastic for large motion, the paper's Markov "
-        "random field by its schedule, or that field converged (default: %(default)s). What the "
-        "paper's schedule makes of it is printed beside it",
+        help="model of the tissue: elastic, elastic for large motion, the paper's Markov random "
+        "field by its schedule, or that field converged (default: %(default)s). The result of the "
+        "paper's schedule is printed beside it",
     )
     _add_material(demo)
     demo.add_argument(
@@ -103,7 +103,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
         type=size_option(SMALLEST),
         metavar="N",
         help=f"pixels along each side (default: {SAMPLE_SIZE}, the size with a finite-element "
-        f"field; of a volume from front to back: {VOLUME_SIZE}, voxels of 2 mm)",
+        f"field); for a volume, voxels from front to back (default: {VOLUME_SIZE}, of 2 mm)",
     )
     demo.add_argument(
         "--out",
@@ -144,7 +144,7 @@ def _add_result_commands(commands: Commands) -> None:
         "out",
         type=Path,
         metavar="OUT",
-        help="file that ends in .nii.gz, .mha, .nrrd, or, of a field for images, .h5",
+        help="file that ends in .nii.gz, .mha, .nrrd, or, for a field that moves images, .h5",
     )
     export.add_argument(
         "--forward",
@@ -172,7 +172,7 @@ def _add_result_commands(commands: Commands) -> None:
         help="image of the pixels of the field, or landmarks (.csv, .mrk.json, .fcsv)",
     )
     apply.add_argument(
-        "--labels", action="store_true", help="the images are labels, which are not mixed"
+        "--labels", action="store_true", help="the images are labels, not to be interpolated"
     )
     apply.add_argument(
         "-o",
@@ -215,7 +215,7 @@ def _add_result_commands(commands: Commands) -> None:
         "replay",
         "Solve a saved study again, and compare the fields.",
         "napari-hmrf replay out/scan.study",
-        "The exit code is 1 if they are further apart than they may be.",
+        "The exit code is 1 if they differ by more than the tolerance.",
     )
     replay.add_argument("study", type=Path, metavar="STUDY", help="study with its field")
     replay.add_argument(
@@ -262,8 +262,8 @@ def _add_solve(commands: Commands) -> None:
     solve.add_argument(
         "--confidence",
         metavar="IMAGE|edges",
-        help="how sure a field of --boundary is: an image from 0 to 1, a mask, or the edges of the "
-        "image",
+        help="confidence in the field of --boundary: an image from 0 to 1, a mask, or the edges of "
+        "the image",
     )
     _add_slice(solve)
     solve.add_argument(
@@ -284,8 +284,8 @@ def _add_solve(commands: Commands) -> None:
         "--penalty",
         type=energy_option("penalty"),
         metavar="K",
-        help="force with which what is held may slip (default: held exactly; in the paper's models "
-        "large enough to hold)",
+        help="holding force beyond which boundaries slip (default: they are held exactly; in the "
+        "paper's models large enough to hold)",
     )
     solve.add_argument(
         "--weight",
@@ -345,7 +345,7 @@ def _add_tissue(command: argparse.ArgumentParser) -> None:
         nargs="+",
         default=(),
         metavar="MAP",
-        help="instead of --labels: an image for each tissue 1, 2 ... with how likely it is",
+        help="instead of --labels: an image of the likelihood of each tissue 1, 2 ...",
     )
     command.add_argument(
         "--materials",
@@ -404,7 +404,7 @@ def _add_truth(commands: Commands) -> None:
         "--amplitude",
         type=lengths_option,
         metavar="A|LOW-HIGH",
-        help="largest pull of a pair, or its range, in mm, or in pixels of an image without a "
+        help="largest pull of a pair, or its range, in mm, or in pixels if the image has no pixel "
         "size (default: from 0 to a quarter of the distance between pulls, in a volume an eighth)",
     )
     truth.add_argument(
@@ -417,8 +417,8 @@ def _add_truth(commands: Commands) -> None:
         "--weight",
         type=float,
         metavar="W",
-        help="largest force at all tissue in a random direction, as its own weight, in the unit of "
-        "stiffness per mm, or per pixel (water in kPa: 0.00981; default: 0)",
+        help="largest body force in a random direction, like the tissue's own weight, in the unit "
+        "of stiffness per mm, or per pixel (water in kPa: 0.00981; default: 0)",
     )
     truth.add_argument(
         "--free-edge",
@@ -468,7 +468,7 @@ def _add_many_commands(commands: Commands) -> None:
         help=".csv with a line for each case and the columns name, image or study, and the options "
         "of solve; growth:TISSUE, stiffness:TISSUE, poisson:TISSUE, amount:BOUNDARY and poisson "
         "replace numbers of its files. Several values in a cell, with semicolons between them, are "
-        "a case each; a slice may be 3-7, or all",
+        "one case each; a slice may be 3-7, or all",
     )
     batch.add_argument(
         "out", type=Path, metavar="OUT", help="folder for summary.csv and a folder of each case"

@@ -1,8 +1,8 @@
-"""Compile all loops for the processor, and keep them: ``python -m napari_hmrf.compiling``.
+"""Compiler of all CPU loops, which numba caches on disk: ``python -m napari_hmrf.compiling``.
 
-Solves a small problem in every way there is, as only what is called is compiled; what somebody
-waits for comes next. What few need (`kept.APART`) is compiled only if somebody waits for it. Prints
-how many of them are done.
+Numba compiles only the loops that are called, so the program solves a small problem with each
+solver. The loops that a solve is waiting for are compiled next; rarely used loops (`kept.APART`)
+are compiled only when a solve waits for them. Prints its progress.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ _SIZE, _SLICES = 40, 12
 
 
 class _Overtaken(Exception):
-    """Somebody waits for other loops; those that are compiled are kept."""
+    """Raised when a solve waits for other loops; the loops compiled so far stay cached."""
 
 
 class Job(NamedTuple):
-    """Something that takes loops.
+    """Computation that makes numba compile a set of loops.
 
     Attributes
     ----------
     name : str
-        As `preparation.job_of` calls it.
+        Name that `preparation.job_of` gives the set.
     run : callable
     """
 
@@ -52,7 +52,7 @@ class Job(NamedTuple):
 
 
 def jobs() -> list[Job]:
-    """What brings the loops to disk, the ones that are asked for first at the beginning."""
+    """List the jobs that compile all loops, in the order in which they are usually needed."""
     square, oblong = (1.0, 1.0), (2.0, 0.5)
     mapped = np.full((_SIZE, _SIZE), 0.3)
     blanket = SeilerPrior(conditional="blanket")
@@ -106,12 +106,12 @@ def _pictures() -> None:
     for kind in (np.uint8, np.float32, np.float64):
         image = np.zeros((9, 9), kind)
         warp(image, still, spacing=1)
-        # As while tissue is pulled: labels by the nearest pixel.
+        # Labels use the nearest pixel, as in the live preview.
         Warper(Picture(image, order=0 if image.dtype.kind == "u" else 1), spacing=(1, 1))(still)
 
 
 def _kept() -> bool:
-    """Whether numba could keep what it has compiled."""
+    """Return whether numba could cache the compiled loops on disk."""
     from napari_hmrf.solver.backends.cpu import exact
 
     folder = exact.add.stats.cache_path
@@ -119,19 +119,19 @@ def _kept() -> bool:
 
 
 def run(job: Job, tell: Callable[[Stage], object]) -> None:
-    """Do a job on the compute thread itself, saying how far it is."""
+    """Run a job on the compute thread, reporting its progress."""
     with watched(job.name, tell):
         job.run()
 
 
 def _wanted(todo: list[Job]) -> list[Job]:
-    """What of it is to be done: all but what nobody waits for and few need."""
+    """Return the jobs to run: all except rarely used ones that no solve waits for."""
     wanted = compiler.wanted()
     return [job for job in todo if job.name not in kept.APART or job.name == wanted]
 
 
 def _next(todo: list[Job]) -> None:
-    """Do what is wanted, or else the first, and take it off the list."""
+    """Run the requested job, or else the first, and remove it from the list."""
     while True:
         wanted = compiler.wanted()
         job = next((each for each in todo if each.name == wanted), todo[0])
@@ -153,10 +153,10 @@ def _next(todo: list[Job]) -> None:
 
 
 def main() -> int:
-    """Compile; 0 if all of it is kept."""
+    """Compile all loops; return 0 if all are cached."""
     if not compiler.begin():
         return 1
-    os.environ[loops.HERE] = "here"  # it must not wait for itself
+    os.environ[loops.HERE] = "here"  # this process must not wait for itself
     compiled = False
     try:
         todo = [job for job in jobs() if job.name in kept.APART or not kept.mark().exists()]

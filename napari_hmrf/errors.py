@@ -1,7 +1,7 @@
-"""Every error this package raises on purpose.
+"""All errors that this package raises on purpose.
 
-Each says what is wrong, where, and what to do about it; none is raised after work has begun that
-would have to be undone.
+Each message states the problem, its place and a remedy. No error is raised after the start of work
+that would have to be undone.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-#: What the system says of a file that cannot be opened, and what to do.
+#: Reason and remedy by error number, for a file that cannot be opened.
 _OPENING = {
     errno.ENOENT: "there is no such file or folder. Check its name.",
     errno.EISDIR: "it is a folder. Name a file in it.",
@@ -25,14 +25,14 @@ _OPENING = {
     errno.EFBIG: "the system does not let a file grow so large. Take another disk or limit.",
     errno.ENAMETOOLONG: "its name is too long. Take a shorter one.",
 }
-#: The same of one that cannot be saved.
+#: The same for a file that cannot be saved.
 _SAVING = {
     **_OPENING,
     errno.ENOENT: "its folder is not there. Make that first, or choose another.",
     errno.EISDIR: "it is a folder. Give the name of a file.",
     errno.EACCES: "you have no permission to write there. Choose another folder or name.",
 }
-#: With what `atomic_write` begins when it is the file that is written which is at fault.
+#: Prefix of messages of `atomic_write` about the file being written.
 CANNOT_SAVE = "cannot save the file: "
 
 
@@ -48,9 +48,9 @@ class ProblemError(HmrfError, ValueError):
     field : str
         The input at fault: ``"observed"``, ``"confidence"``, ``"stiffness"``, ``"spacing"``,
         ``"poisson"``, ``"loads"``, ``"growth"`` or ``"force"``; the widget replaces it by the name
-        of the layer the input came from.
+        of the layer that the input came from.
     message : str
-        What is wrong and what to do, without the field's name.
+        The problem and its remedy, without the field's name.
     """
 
     def __init__(self, field: str, message: str) -> None:
@@ -60,14 +60,14 @@ class ProblemError(HmrfError, ValueError):
 
 
 class LayerError(ProblemError):
-    """What is wrong with a layer, in a sentence for people.
+    """A layer is invalid; the message is a sentence for the user.
 
     Parameters
     ----------
     layer : napari.layers.Layer or str
-        Or its name.
+        The layer, or its name.
     message : str
-        What is wrong and what to do, as it goes on after the layer's name.
+        The problem and its remedy, as the sentence continues after the layer's name.
     """
 
     def __init__(self, layer: Any, message: str) -> None:
@@ -77,23 +77,23 @@ class LayerError(ProblemError):
 
 
 class ArgumentError(HmrfError, ValueError, TypeError):
-    """An argument is of a kind, or has a value, that it cannot have."""
+    """An argument has an invalid type or value."""
 
 
 class BackendError(HmrfError, RuntimeError):
-    """A backend is missing, cannot start, or gave a result that must not be trusted."""
+    """A backend is missing, cannot start, or gave an invalid result."""
 
 
 class ConvergenceError(HmrfError, ArithmeticError):
-    """An iteration ended without a field that could be trusted; no result exists."""
+    """An iteration ended without reliable convergence; there is no result."""
 
 
 class FileFormatError(HmrfError, ValueError):
-    """A file is not what it should be: a saved solution, or a table of materials."""
+    """A file, such as a saved solution or a table of materials, is not of its format."""
 
 
 class Cancelled(HmrfError):
-    """The solve was cancelled; no result exists and nothing was changed."""
+    """The solve was cancelled; there is no result and nothing was changed."""
 
     def __init__(self) -> None:
         super().__init__("the solve was cancelled")
@@ -101,7 +101,7 @@ class Cancelled(HmrfError):
 
 @contextmanager
 def naming(**layers: Any) -> Iterator[None]:
-    """Let errors about an input of the problem name the layer these came from."""
+    """Make errors about an input of the problem name the layer that the input came from."""
     try:
         yield
     except LayerError:
@@ -114,7 +114,7 @@ def naming(**layers: Any) -> Iterator[None]:
 
 
 def in_words(error: Exception) -> str:
-    """What is wrong in a sentence for people, and the cure: of files, too, which systems name."""
+    """Return the message of an error, with reason and remedy if it is a system error of a file."""
     if not isinstance(error, OSError) or error.filename is None:
         return str(error) or type(error).__name__
     whole = error.strerror or ""

@@ -152,7 +152,7 @@ def test_a_confidence_that_is_nowhere_is_said_and_so_is_an_edge_that_is_let_go(
     Screen(dock).choose("warp")
     wait_for(lambda: not dock.busy)
     assert not dock.hold_edge
-    assert "The edge is held no more, as 'warp' says how tissue moves" in dock.status
+    assert "The edge is no longer held, as 'warp' sets the motion" in dock.status
     dock.confidence = empty
     wait_for(lambda: not dock.busy)
     assert "'mask' is 0 wherever 'warp' says how tissue moves, so that nothing of" in dock.status

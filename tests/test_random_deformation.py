@@ -218,7 +218,7 @@ def test_a_sample_pulled_less_than_was_asked_for_is_reported_once(caplog):
     assert 0 < sample.amplitude < 9
     (said,) = [record.getMessage() for record in caplog.records if "amplitude" in record.message]
     assert said.startswith(
-        f"amplitude of at least 9 was asked for, and a sample has {sample.amplitude:.3g}"
+        f"the smallest amplitude is 9, but a sample has only {sample.amplitude:.3g}"
     )
     random.sample(2)
     assert sum("amplitude" in record.message for record in caplog.records) == 1

@@ -217,7 +217,7 @@ def test_an_image_may_be_left_out_and_is_given_by_whom_it_is_known(tmp_path):
     assert plain(load_study(path, image=picture()).study) == plain(study)
     with pytest.raises(FileFormatError, match=r"case.study: it was made from another image .*'t1'"):
         load_study(path, image=picture(4))
-    with pytest.raises(HmrfError, match=r"case.study: its tissue is told from 't1'"):
+    with pytest.raises(HmrfError, match=r"case.study: its tissue is derived from 't1'"):
         replay(path)
     again = replay(path, image=picture())
     assert np.array_equal(again.displacement, load_study(path).solution.displacement)

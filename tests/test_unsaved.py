@@ -295,7 +295,7 @@ def test_the_question_names_the_file_that_saving_replaces(window, close, tmp_pat
     assert offered == [str(path)]
     asked = Asked(dock, "discard")
     assert close(dock)
-    assert asked.questions[0].endswith("Save it before closing? That replaces 'case.study'.")
+    assert asked.questions[0].endswith("Save it before closing? Saving replaces 'case.study'.")
 
 
 def test_opening_a_study_loses_nothing_of_the_one_before(beside, wait_for, tmp_path):

@@ -679,7 +679,7 @@ def test_a_saved_result_can_be_looked_at_with_and_without_an_image(
     look.percent = 50
     assert look.status.startswith("There is no image on the pixels of this result")
     set_to(look, overlay="stiffness")
-    assert look.status.startswith("What was given is not in the file")
+    assert look.status.startswith("The given stiffness, motion and confidence are not in the file")
     set_to(look, overlay="magnitude")
     assert "displacement (px), paper" in names(viewer)
     set_to(look, percent=40)

@@ -1,4 +1,4 @@
-"""How far a displacement may be scaled up before tissue is squeezed to little, or folds."""
+"""Largest scale of a displacement that neither folds tissue nor compresses it too much."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ FloatArray = npt.NDArray[np.floating[Any]]
 Float64Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
-# A scale is found to this part of itself.
+# Relative accuracy of the scale.
 _NEAR = 1e-4
-# What the smallest determinant keeps above the least one: more than rounding takes.
+# Margin above the least allowed determinant; larger than rounding errors.
 _MARGIN = 1e-5
-# Sites that are looked at together: what lies between stays in the cache.
+# Number of sites processed together, so that intermediate arrays stay in the cache.
 _SITES = 1 << 17
 
 
 def largest_scale(
     displacement: FloatArray, spacing: Sequence[float], tissue: BoolArray, least: float
 ) -> float:
-    """Find the largest part of a displacement, at most all of it, that squeezes no tissue too much.
+    """Find the largest scale, at most 1, at which a displacement does not over-compress tissue.
 
-    The measure is that of `smallest_determinant`: each corner of each element. On the way to that
-    part, from none of it on, no corner is squeezed more either.
+    The measure is that of `smallest_determinant`, at each corner of each element. No corner falls
+    below the limit at any smaller scale either.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def largest_scale(
     spacing : sequence of float, shape (n,)
     tissue : ndarray of bool, shape ([D,] H, W)
     least : float
-        The smallest determinant that is allowed, above 0 and below 1.
+        The smallest allowed determinant, above 0 and below 1.
 
     Returns
     -------
@@ -63,13 +63,14 @@ def _corners_of(
     least: float,
     slab: slice,
 ) -> Float64Array:
-    """The `_corners` of the sites of some planes that may be squeezed too much."""
+    """Return the `_corners` of the sites of a slab that may be compressed too much."""
     n = tissue.ndim
     wide, inner = with_neighbours(slab, len(tissue))
     d, there = displacement[wide].reshape(-1, n), tissue[wide]
     weights = (1 / np.square(spacing)).astype(d.dtype)
-    # A gradient of norm g < 1 leaves a determinant of at least (1 - g)^n: where that is enough, no
-    # corner is looked at. Its square is at most the sum over the axes of the longer of both steps.
+    # A gradient of norm g < 1 leaves a determinant of at least (1 - g)^n: where that is enough,
+    # corners are skipped. g^2 is at most the sum over the axes of the longer of the two steps,
+    # squared.
     squares, steps = np.zeros(len(d), dtype=d.dtype), []
     for axis in range(n):
         step = _steps(there, axis)
@@ -87,11 +88,11 @@ def _corners_of(
 
 
 class _Steps(NamedTuple):
-    """From each site to the next along an axis, sites in a row."""
+    """Steps from each site to the next along an axis, for flattened sites."""
 
-    # How much further in the row the next one is.
+    # Distance to the next site in the flattened array.
     stride: int
-    # Whether both are tissue, and there is a next one.
+    # True if the next site exists and both sites are tissue.
     exists: BoolArray
 
 
@@ -110,8 +111,8 @@ def _corners(
     sites: npt.NDArray[np.intp],
     least: float,
 ) -> Float64Array:
-    """The coefficients, (n, corners), of what corners' determinants are at a scale s."""
-    # det(1 + s G) = 1 + s a + s^2 b + s^3 c. Corners that cannot come near the least are left out.
+    """Return the polynomial coefficients in s, (n, corners), of the corners' determinants."""
+    # det(1 + s G) = 1 + s a + s^2 b + s^3 c. Corners that cannot reach the limit are left out.
     n, sides = len(steps), []
     size = np.asarray(spacing, dtype=np.float64)
     for stride, exists in steps:
@@ -141,8 +142,8 @@ def _corners(
 
 
 def _march(coefficients: Float64Array, least: float) -> float:
-    """Go from 0 towards 1, never past the first scale at which a determinant is the least one."""
-    # Up to 1 no determinant falls faster than `fall`: a step by it oversteps nothing.
+    """March from 0 towards 1, up to the first scale at which a determinant reaches the limit."""
+    # Up to 1 no determinant falls faster than `fall`, so that slack / fall never oversteps.
     powers, scale = np.arange(1, len(coefficients) + 1), 0.0
     fall = powers @ np.abs(coefficients)
     while scale < 1:

@@ -1,4 +1,4 @@
-"""Pairs of images whose deformation is known: to validate a registration with."""
+"""Pairs of images with a known deformation, to validate a registration."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from napari_hmrf.io.study_file import save_study
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.study import Pictures, Study
 
-# Landmarks of each pair, roughly.
+# Approximate number of landmarks per pair.
 _LANDMARKS = 200
 #: Files of each pair.
 _OF_PAIRS = "deformed.mha", "deformed_labels.mha", "field.mha", "landmarks.csv", "truth.study"
@@ -31,18 +31,18 @@ _OF_PAIRS = "deformed.mha", "deformed_labels.mha", "field.mha", "landmarks.csv",
 
 @dataclass(frozen=True)
 class Truth:
-    """What was written of one pair.
+    """Summary of one written pair.
 
     Attributes
     ----------
     folder : Path
     farthest : float
-        How far the tissue moves that moves farthest, in the unit of the study.
+        Largest displacement of the tissue, in the unit of the study.
     scale : float
-        Which part of what was drawn is left, for nothing to be squeezed too much.
+        Factor by which the drawn deformation was scaled down so that no tissue is compressed too
+        much.
     inexact : float
-        How far the field that was written is from an inverse of the motion at the worst site, in
-        pixels.
+        Largest deviation of the written field from the inverse of the motion, in pixels.
     """
 
     folder: Path
@@ -52,7 +52,7 @@ class Truth:
 
 
 def truth_files(folder: Path, count: int) -> list[Path]:
-    """Return the files that `write_truth` writes for so many pairs."""
+    """Return the files that `write_truth` writes for `count` pairs."""
     within = [folder / f"{number + 1:03}" for number in range(count)]
     return [
         *(folder / name for name in ("image.mha", "labels.mha")),
@@ -70,13 +70,16 @@ def write_truth(
     tell: Callable[[Truth], None] = lambda _: None,
     **options: Any,
 ) -> list[Truth]:
-    """Deform an image at random, and write what came of it and what is known.
+    """Deform an image at random, and write the results and their ground truth.
 
-    In the folder are ``image.mha`` and ``labels.mha``, and for each pair a folder ``001``, ``002``
-    ... with ``deformed.mha``, ``deformed_labels.mha``, ``field.mha``, which moves the image to the
-    deformed one as registrations state it (where what is seen there came from, mm, LPS),
-    ``landmarks.csv``, pairs of points in the image and in the deformed one (BigWarp's columns), and
-    ``truth.study``, which can be solved in full and opened in napari.
+    The folder gets ``image.mha`` and ``labels.mha``, and for each pair a folder ``001``, ``002``
+    ... with:
+
+    - ``deformed.mha`` and ``deformed_labels.mha``;
+    - ``field.mha``, which moves the image to the deformed one in the convention of registrations
+      (from each deformed pixel to its source, mm, LPS);
+    - ``landmarks.csv``, pairs of points in the image and in the deformed one (BigWarp's columns);
+    - ``truth.study``, which can be solved in full and opened in napari.
 
     Parameters
     ----------
@@ -84,20 +87,20 @@ def write_truth(
         An image with its labels and materials; or a study that has them.
     folder : Path
     count : int
-        How many pairs.
+        Number of pairs.
     seed : int
-        Of the first; the next ones follow.
+        Seed of all pairs; each pair adds its number.
     progress : callable, optional
-        As of `RandomDeformation`.
+        As for `RandomDeformation`.
     tell : callable, optional
-        Called with each pair that is written.
+        Called with each written pair.
     **options
-        Of `RandomDeformation`, such as `amplitude`.
+        Options of `RandomDeformation`, such as `amplitude`.
 
     Raises
     ------
     HmrfError, OSError
-        As of `read_case` and `RandomDeformation`; or if the case has no image or no labels.
+        As for `read_case` and `RandomDeformation`; or if the case has no image or no labels.
     """
     refuse_unless(is_whole(count) and count >= 1, "count", count, "a whole number of at least 1")
     study = read_case(case)
@@ -105,7 +108,7 @@ def write_truth(
     if image is None or labels is None:
         what = "an image" if image is None else "labels: give --labels, or --maps"
         raise HmrfError(f"{case.image.name} comes without {what}")
-    folder.mkdir(parents=True, exist_ok=True)  # before the work, so that it is not done in vain
+    folder.mkdir(parents=True, exist_ok=True)  # before the work, to fail early
     colours = image.ndim > len(study.grid.shape)
     random = RandomDeformation(
         labels,
@@ -141,26 +144,26 @@ def write_truth(
 
 
 def _write_motion(within: Path, sample: RandomSample, solution: Solution, place: Place) -> float:
-    """Write the field and the landmarks; how far the field is from an inverse, in pixels."""
+    """Write the field and the landmarks; return the error of the inverse field, in pixels."""
     n = sample.tissue.ndim
     mm = solution.displacement * (np.array(place.spacing[-n:]) / solution.spacing)
     inexact = write_field(within / "field.mha", mm, **place._asdict(), tissue=sample.tissue)
     points = landmarks(sample.tissue)
     ends = []
     for each in (points, sample.points(points)):
-        # A slice is the first of its place.
+        # The place of a slice has an extra axis, on which the slice has index 0.
         ends.append(place.to_space(np.pad(each, ((0, 0), (len(place.spacing) - n, 0)))))
     save_points(within / "landmarks.csv", *ends)
     return inexact
 
 
 def landmarks(tissue: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
-    """Pixels spread evenly over tissue, (N, n), about two hundred."""
+    """Pick about two hundred pixels, (N, n), spread evenly over tissue."""
     apart = max(1.0, (float(tissue.sum()) / _LANDMARKS) ** (1 / tissue.ndim))
     return spread(tissue, apart)
 
 
 def _whole(study: Study, sample: RandomSample) -> Study:
-    """The study of a sample, with its image and where that lies."""
+    """Return the study of a sample, with the image, grid and names of the original study."""
     picture = Pictures(study.pictures.image, study.tissue.labels, study.pictures.name)
     return replace(sample.study, grid=study.grid, pictures=picture, names=study.names)

@@ -1,6 +1,6 @@
-"""Random deformations as a transform of MONAI, which comes with the extra ``monai``.
+"""Random deformations as a transform for MONAI, which the extra ``monai`` installs.
 
-No other module imports MONAI, and none imports this one.
+No other module imports MONAI or this module.
 """
 
 from __future__ import annotations
@@ -32,38 +32,38 @@ except ModuleNotFoundError as error:
         f"MONAI is not installed: {how_to_install('monai')}.", name="monai"
     ) from error
 
-#: How each is looked up, by MONAI's words.
+#: Spline order of each interpolation mode of MONAI.
 _ORDERS = {"bilinear": 1, "nearest": 0}
 
 
 class RandPhysicalDeformationd(RandomizableTransform, MapTransform):
-    """Move what is under some keys of a dictionary by one random deformation, now and then.
+    """Transform that moves the arrays of a dictionary by one random deformation.
 
-    As `Rand2DElasticd` and `Rand3DElasticd` are used, but tissue moves as tissue does: bone stays
-    rigid, air stays empty, and nothing folds. Arrays are channel first; NumPy's, torch's and
-    `MetaTensor` come out as what they were.
+    It is used like `Rand2DElasticd` and `Rand3DElasticd`, but the deformation is physical: bone
+    stays rigid, air stays empty, and nothing folds. Arrays are channel first; NumPy arrays, torch
+    tensors and `MetaTensor` keep their type.
 
     Parameters
     ----------
     keys : hashable or sequence of hashable
-        Of arrays, (channels, H, W) or (channels, D, H, W), on the grid of the deformation.
+        Keys of arrays, (channels, H, W) or (channels, D, H, W), on the grid of the deformation.
     deformation : RandomDeformation or callable
-        Of the one case that all dictionaries are of; or what gives that of a dictionary, by its
-        subject, say.
+        Deformation of the case that all dictionaries belong to; or a callable that returns the
+        deformation for a dictionary, for example by its subject.
     prob : float
-        How often a dictionary is deformed.
+        Probability that a dictionary is deformed.
     mode : {"bilinear", "nearest"} or sequence of these
-        Of each key: images are "bilinear", labels "nearest".
+        Interpolation of each key: "bilinear" for images, "nearest" for labels.
     allow_missing_keys : bool
         Whether a key may be missing.
 
     Raises
     ------
     ArgumentError
-        If there is no such mode, or the deformation is none.
+        If a mode is unknown, or `deformation` is neither a RandomDeformation nor callable.
     """
 
-    backend = [TransformBackends.NUMPY]  # noqa: RUF012 - as MONAI has it
+    backend = [TransformBackends.NUMPY]  # noqa: RUF012 - MONAI's convention
 
     def __init__(
         self,
@@ -80,12 +80,12 @@ class RandPhysicalDeformationd(RandomizableTransform, MapTransform):
         if not set(self.mode) <= set(_ORDERS):
             raise ArgumentError(f"mode must be of {', '.join(_ORDERS)}, not {self.mode}")
         if not (isinstance(deformation, RandomDeformation) or callable(deformation)):
-            raise ArgumentError("deformation must be a RandomDeformation, or what gives one")
+            raise ArgumentError("deformation must be a RandomDeformation, or a callable")
         self.deformation = deformation
         self._seed = 0
 
     def randomize(self, data: Any = None) -> None:
-        """Draw whether to deform the next dictionary, and how."""
+        """Draw at random whether to deform the next dictionary, and the seed of its sample."""
         super().randomize(data)
         self._seed = int(self.R.randint(2**31 - 1))
 

@@ -1,8 +1,8 @@
-"""Endless random deformations of one case, each as exact as a full solve, at the price of a sum.
+"""Unlimited random deformations of one case, each as exact as a full solve, at the cost of a sum.
 
-Elasticity is linear: tissue that is pulled at two places moves as by the one pull and by the other.
-So a few solutions of a case, one for each thing that can move it, are solved once; a random field
-is a random sum of them. It is scaled down where it would squeeze tissue to little: nothing folds.
+Elasticity is linear: the displacement from two pulls is the sum of the displacements from each. So
+one unit solution for each cause of motion is solved once, and a random field is a random sum of
+them. The sum is scaled down where it would compress tissue too much, so that nothing folds.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ from napari_hmrf.tissue.boundary_rules import Material, poisson_image, stiffness
 from napari_hmrf.tissue.painted_loads import growth_loads
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
-#: What a generator is made from: a seed, or a generator itself, which goes on.
+#: Argument of `numpy.random.default_rng`: a seed, or a generator, which is advanced.
 Seed = int | Sequence[int] | np.random.Generator | None
 
-# Patches that are pulled, where nobody says how many: in an image, and in a volume, where each has
-# three unit solutions.
+# Default number of control patches in an image and in a volume, where each patch takes three unit
+# solutions.
 _PATCHES = {2: 12, 3: 8}
-# How far a sample pulls at most, as a part of how far patches lie from their next.
+# Default largest pull, as a fraction of the mean distance between neighbouring patches.
 _REACH = {2: 1 / 4, 3: 1 / 8}
 _MOVING = "pictures to be moved"
 _log = logging.getLogger("napari_hmrf")
@@ -69,12 +69,13 @@ class RandomSample:
         In the order of the axes, in the unit of `spacing`. Material: the tissue at X moves to
         X + d(X). Zero where there is no tissue.
     tissue : ndarray of bool, shape ([D,] H, W)
-        What moves.
+        Sites that move.
     spacing : tuple of float
     causes : Causes
-        What moves it: pulls, growth and weight, scaled down as all of it was.
+        Pulls, growth and weight that cause the motion, already multiplied by `scale`.
     scale : float
-        Which part of what was drawn is left, for nothing to be squeezed too much: at most 1.
+        Factor, at most 1, by which the drawn deformation was scaled down so that no tissue is
+        compressed too much.
     case : MovableTissue
         The tissue.
     """
@@ -92,17 +93,17 @@ class RandomSample:
 
     @property
     def amplitude(self) -> float:
-        """Largest pull of a control patch, in the unit of `spacing`, as it is after scaling."""
+        """Largest pull of a control patch after scaling, in the unit of `spacing`."""
         return float(np.linalg.norm(self.causes.pulls, axis=1).max())
 
     @cached_property
     def study(self) -> Study:
-        """What `solve_study` solves in full to the same field, and `save_study` keeps."""
+        """Study whose full solution is this field, for `solve_study` and `save_study`."""
         return self.case.study(self.causes)
 
     @cached_property
     def solution(self) -> Solution:
-        """The field as a result: for `measure`, `export_field`, `save_study` and the like."""
+        """The field as a Solution, for `measure`, `export_field`, `save_study` and the like."""
         study, labels = self.study, self.case.labels
         rows, grown = study.tissue.materials, growth_loads(labels, study.tissue.materials)
         elasticity = Elasticity(
@@ -129,7 +130,7 @@ class RandomSample:
         )
 
     def pictures(self, *pictures: Picture) -> list[npt.NDArray[Any]]:
-        """Move several pictures at once, which takes less than one after the other.
+        """Move several pictures at once, which is faster than one after the other.
 
         Parameters
         ----------
@@ -138,15 +139,15 @@ class RandomSample:
         Returns
         -------
         list of ndarray
-            Each of the shape and type of its picture.
+            Moved images, each with the shape and dtype of its picture.
 
         Raises
         ------
         ProblemError
-            If one is not of the grid of the labels.
+            If a picture is not on the grid of the labels.
         """
         images = [as_image(each.image, self.tissue.shape) for each in pictures]
-        # What is around tissue stays as it is; a spline of higher order looks at all of an image.
+        # Pixels outside the box do not move; splines of higher order need the whole image.
         smooth = any(each.order > 1 for each in pictures)
         box = (slice(None),) * self.tissue.ndim if smooth else self._box
         parts = [
@@ -164,7 +165,7 @@ class RandomSample:
 
     @cached_property
     def _box(self) -> tuple[slice, ...]:
-        """What holds all tissue, as it was and as it has moved, and a pixel around that."""
+        """Bounding box of all tissue before and after the motion, with a margin of one pixel."""
         sides, n = [], self.tissue.ndim
         for axis in range(n):
             others = tuple({*range(n)} - {axis})
@@ -177,16 +178,17 @@ class RandomSample:
         return tuple(sides)
 
     def image(self, image: npt.ArrayLike, *, order: int = 1) -> npt.NDArray[Any]:
-        """Move an image, ([D,] H, W) or with channels behind, as `warp` does.
+        """Move an image, ([D,] H, W) or with channels last, as `warp` does.
 
-        Where tissue has left it is black, or as dark as the darkest there is (air in CT).
+        Uncovered pixels are black in colour images and have the lowest value of other images (air
+        in CT).
         """
         pixels = as_numbers("image", image)
         fill = emptiness(pixels, self.tissue.ndim)
         return self.pictures(Picture(pixels, order=order, fill=fill))[0]
 
     def labels(self, labels: npt.ArrayLike, *, fill: int = 0) -> npt.NDArray[Any]:
-        """Move labels, ([D,] H, W): each pixel has the label of the tissue that came to it."""
+        """Move labels, ([D,] H, W): each pixel gets the label of the tissue that moved there."""
         return self.pictures(Picture(labels, order=0, fill=fill))[0]
 
     def points(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
@@ -195,62 +197,61 @@ class RandomSample:
 
 
 class RandomDeformation:
-    """Random deformations of the tissue in one image of labels.
+    """Source of random deformations of the tissue in a label image.
 
-    Its unit solutions are solved when it is made, which takes a solve for each: two of a patch, or
-    three in a volume, one of each tissue that grows, and one along each axis of the weight. After
-    that a sample takes a sum, and no solve.
+    The constructor solves all unit solutions: two for each patch, or three in a volume, one for
+    each tissue that grows, and one along each axis for the weight. After that a sample takes only
+    a sum.
 
     Parameters
     ----------
     labels : array_like of int, shape (H, W) or (D, H, W)
     materials : iterable of Material
-        One for each value in `labels`, 0 included. Tissue of stiffness 0 is empty, and stays so;
-        what is rigid moves as one and does not bend; what has a growth grows by a random part of
-        it.
+        One for each value in `labels`, 0 included. Tissue of stiffness 0 is empty and stays so;
+        rigid tissue moves as a rigid body; tissue with a growth grows by a random fraction of it.
     spacing : sequence of float, shape (n,), optional
         Size of a pixel along each axis; by default 1.
     unit : str
-        Of all lengths.
+        Unit of all lengths.
     amplitude : float or (float, float), optional
         Largest pull of a control patch, in the unit of `spacing`: one length for all samples, or
-        two between which it is drawn evenly. By default from nothing to a quarter of the distance
-        between neighbouring patches, in a volume an eighth. A sample that would squeeze tissue too
-        much is scaled down: its own `amplitude` says how far it is pulled, and a warning is logged
-        if that is less than the least one that was asked for.
+        bounds between which it is drawn uniformly. By default from 0 to a quarter of the distance
+        between neighbouring patches, in a volume an eighth. A sample that would compress tissue
+        too much is scaled down: its own `amplitude` is then the actual pull, and a warning is
+        logged if that is below the lower bound.
     patches : int, optional
-        How many control patches there are, at most; where tissue is narrow there is room for fewer.
-        By default 12, in a volume 8.
+        Largest number of control patches; narrow tissue has room for fewer. By default 12, in a
+        volume 8.
     radius : float, optional
-        Of a control patch, in the unit of `spacing`; by default a 32nd of the shortest side, in a
-        volume a 16th.
+        Radius of a control patch, in the unit of `spacing`; by default a 32nd of the shortest
+        side, in a volume a 16th.
     smoothness : float, optional
-        Over which length the pulls of patches are alike, in the unit of `spacing`; by default as
-        far as patches lie from their next.
+        Correlation length of the pulls of patches, in the unit of `spacing`; by default the mean
+        distance between neighbouring patches.
     weight : float
-        How much pulls at each part of all tissue, at most, in the unit of stiffness per length, in
-        a random direction: tissue's own weight as its posture changes. 0 is none.
+        Largest body force, in a random direction, in the unit of stiffness per length: the
+        tissue's own weight as its posture changes. 0 is none.
     hold_edge : bool
         Whether the outer edge of the tissue stays where it is.
     least_jacobian : float
-        To which part of its area, or its volume, tissue is squeezed at most, at any corner of any
+        Smallest allowed ratio of the deformed to the original area, or volume, at any corner of any
         pixel; above 0, so that nothing folds.
     memory : float, optional
-        Bytes that the unit solutions may take; by default half of what is free.
+        Bytes that the unit solutions may take; by default half of the free memory.
     backend : str
         As for `solve`.
     progress : callable, optional
-        Called after each solve with how many are done, and how many there are.
+        Called after each solve with the number of finished solves and the total.
 
     Raises
     ------
     ArgumentError
-        If an argument is of another kind, or out of range.
+        If an argument has the wrong type or is out of range.
     ProblemError
-        If labels and materials make no problem, if no patch has room, or if the unit solutions take
-        more memory.
+        If labels and materials make no problem, if no patch has room, or if the unit solutions
+        exceed `memory`.
     ConvergenceError, BackendError
-        As of `solve`.
+        As for `solve`.
 
     Examples
     --------
@@ -284,7 +285,7 @@ class RandomDeformation:
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
         image, rows = as_numbers("labels", labels).copy(), tuple(materials)
-        stiffness_image(image, rows)  # which refuses what is no image of labels
+        stiffness_image(image, rows)  # only to validate the labels and materials
         n = image.ndim
         sizes = checked_spacing((1.0,) * n if spacing is None else spacing, n)
         for name, value, low, what in (
@@ -301,7 +302,7 @@ class RandomDeformation:
         above = 0 < real(least_jacobian) < 1
         refuse_unless(above, "least_jacobian", least_jacobian, "a number above 0 and below 1")
         usual = usual_radius(image.shape, sizes)
-        # A ball that is pulled squeezes what is beside it more than a disc, the more the smaller.
+        # A pulled ball compresses its neighbourhood more than a disc, the more the smaller it is.
         size = usual * (n - 1) / 2 if radius is None else float(radius)
         where, centres = control_patches(
             image, rows, sizes, count=int(count), radius=size, hold_edge=hold_edge
@@ -322,37 +323,37 @@ class RandomDeformation:
         self._take(solve_units(case, backend=backend, memory=memory, progress=progress))
 
     def _take(self, solutions: UnitSolutions) -> None:
-        """Draw from these from now on."""
+        """Use these unit solutions for all further samples."""
         self._solutions, self._case, self._said = solutions, solutions.case, False
         self._factor = _factor(self._case.centres, self._case.smoothness)
 
     @property
     def tissue(self) -> npt.NDArray[np.bool_]:
-        """What moves, ([D,] H, W)."""
+        """Mask of the tissue that moves, ([D,] H, W)."""
         return self._solutions.tissue
 
     @property
     def nbytes(self) -> int:
-        """Memory of the unit solutions."""
+        """Memory of the unit solutions, in bytes."""
         return self._solutions.displacements.nbytes
 
     @property
     def amplitude(self) -> tuple[float, float]:
-        """How far that patch is pulled that is pulled farthest, at least and at most."""
+        """Bounds, (low, high), of the largest pull of a sample."""
         return self._case.amplitude
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Save the unit solutions and all that belongs to them to one .npz file, whole or not.
+        """Save the unit solutions and their case to one .npz file, atomically.
 
         Parameters
         ----------
         path : str or path-like
-            ".npz" is added if the name has no suffix.
+            ".npz" is appended if the name has no suffix.
 
         Returns
         -------
         Path
-            The file that was written.
+            The written file.
 
         Raises
         ------
@@ -363,14 +364,14 @@ class RandomDeformation:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> RandomDeformation:
-        """Read back what `save` wrote: the same seeds give the same bits, and nothing is solved.
+        """Load a file of `save` without solving; the same seeds give bit-identical samples.
 
         Raises
         ------
         FileFormatError
-            If it is anything else, or damaged.
+            If the file is damaged or of another format.
         OSError
-            If it cannot be opened.
+            If the file cannot be opened.
         """
         made = cls.__new__(cls)
         made._take(array_file.read(path, DEFORMATION_FORMAT))
@@ -390,8 +391,8 @@ class RandomDeformation:
         Parameters
         ----------
         seed : int, sequence of int or numpy.random.Generator, optional
-            The same seed gives the same field, to the bit, wherever the unit solutions are the
-            same; a generator goes on to others. By default one that nobody can tell before.
+            The same seed gives a bit-identical field for the same unit solutions; a generator is
+            advanced. By default the seed is unpredictable.
 
         Returns
         -------
@@ -400,7 +401,7 @@ class RandomDeformation:
         Raises
         ------
         ArgumentError
-            If it is no seed.
+            If the seed is invalid.
         """
         drawn = self._draw(_generator(seed))
         displacement, case = self._solutions.field(drawn), self._case
@@ -414,22 +415,22 @@ class RandomDeformation:
         return sample
 
     def _say_if_short(self, sample: RandomSample) -> None:
-        """Log once that a sample is pulled by less than the least amplitude."""
+        """Log a warning, only once, if a sample is pulled by less than the smallest amplitude."""
         least = self.amplitude[0]
         if self._said or sample.amplitude >= least * (1 - 1e-6):
             return
         self._said = True
         _log.warning(
-            "amplitude of at least %.3g was asked for, and a sample has %.3g: more would squeeze "
-            "tissue to less than least_jacobian, %.3g. Ask for less, or take fewer patches or a "
-            "larger smoothness. (This is said once.)",
+            "the smallest amplitude is %.3g, but a sample has only %.3g: more would compress "
+            "tissue below least_jacobian, %.3g. Give a smaller amplitude, fewer patches or a "
+            "larger smoothness. (This warning is logged once.)",
             least,
             sample.amplitude,
             self._case.least_jacobian,
         )
 
     def _draw(self, random: np.random.Generator) -> Causes:
-        """What moves tissue this time."""
+        """Draw the causes of one sample."""
         case, n = self._case, len(self._case.grid.shape)
         pulls = self._factor @ random.standard_normal(case.centres.shape)
         pulls *= random.uniform(*self.amplitude) / np.linalg.norm(pulls, axis=1).max()
@@ -449,7 +450,7 @@ def _generator(seed: Seed) -> np.random.Generator:
 
 
 def _range(amplitude: Any, usual: float) -> tuple[float, float]:
-    """How far what is pulled farthest is pulled, at least and at most."""
+    """Return the bounds of the largest pull."""
     if amplitude is None:
         return 0.0, usual
     given = reals(amplitude, 2) if np.ndim(amplitude) else (real(amplitude),) * 2
@@ -460,7 +461,7 @@ def _range(amplitude: Any, usual: float) -> tuple[float, float]:
 
 
 def _distance_to_next(centres: Array, alone: float) -> float:
-    """How far patches lie from their next, on average; of one patch a length that is given."""
+    """Return the mean distance between nearest patches, or `alone` for a single patch."""
     if len(centres) == 1:
         return alone
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
@@ -469,9 +470,9 @@ def _distance_to_next(centres: Array, alone: float) -> float:
 
 
 def _factor(centres: Array, smoothness: float) -> Array:
-    """What makes numbers that know nothing of each other alike where patches are near."""
+    """Return the matrix that makes independent numbers similar for patches near each other."""
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
     alike = np.exp(-0.5 * (apart / smoothness) ** 2)
-    # A little of its own for each: where all are alike, the matrix has no factor.
+    # A small diagonal term: fully correlated patches would make the matrix singular.
     factor: Array = np.linalg.cholesky(alike + 1e-6 * np.eye(len(centres)))
     return factor

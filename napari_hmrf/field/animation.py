@@ -1,4 +1,4 @@
-"""A result on its way: its image, and what lies over that, after any part of the deformation."""
+"""Animation of a result: its image and overlays after any fraction of the deformation."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from napari_hmrf.field.strain import folds
 from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.solver.solution import Solution
 
-#: What tissue may do at some sites, which are marked.
+#: Kinds of problem sites that can be marked.
 Mark = Literal["folds", "overlaps"]
 MARKS: tuple[Mark, ...] = get_args(Mark)
 #: Lines of the grid across the longer side.
 _LINES = 30
-#: Moments kept, in bytes; a second pass then costs nothing.
+#: Size of the cache of moments, in bytes; a second pass then costs nothing.
 _KEPT = 256 * 2**20
 
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """What is seen at one moment; what was not asked for is None.
+    """Images at one fraction of the motion; those not requested are None.
 
     Attributes
     ----------
@@ -44,27 +44,29 @@ class Moment:
 
     @property
     def nbytes(self) -> int:
-        """How much memory it takes."""
+        """Memory of all arrays, in bytes."""
         parts = (self.image, self.overlay, self.grid)
         return sum(part.nbytes for part in parts if part is not None)
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A deformation between rest (0) and what was solved for (1): the tissue at X is at X + f d(X).
+    """A deformation from rest (0) to the solution (1): at f, the tissue from X is at X + f d(X).
 
     Attributes
     ----------
     solution : Solution
     image : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4), optional
-        Before it moves.
+        Image before the motion.
     overlay : ndarray, shape ([D,] H, W), optional
-        Before it moves: labels, or a quantity of the tissue, NaN where there is none. Where it is
-        of bool, its sites are marked where they are: a picture has none left where tissue folds.
+        Overlay before the motion: labels, or a quantity of the tissue, NaN outside tissue. If it
+        is of bool, its sites are moved one by one, because a warped picture would lose them where
+        tissue folds.
     grid : bool
-        Whether the deformation grid moves, too; of a slice only.
+        Whether to move the deformation grid, too; for a slice only.
     quantity : Quantity, optional
-        Of which `overlay` holds the values at 1; on the way they are those of the tissue there.
+        Quantity whose values at fraction 1 are in `overlay`; at other fractions its values are
+        recomputed.
     """
 
     solution: Solution
@@ -74,17 +76,17 @@ class Motion:
     quantity: Quantity | None = None
 
     def at(self, fraction: float) -> Moment:
-        """Move everything by a part of the displacement; on the compute thread only.
+        """Move everything by a fraction of the displacement; on the compute thread only.
 
         Parameters
         ----------
         fraction : float
-            From 0, nothing has moved, to 1, all has.
+            From 0, no motion, to 1, the full displacement.
 
         Returns
         -------
         Moment
-            At 1 exactly what the layers of the result show.
+            At 1 identical to the layers of the result.
         """
         solution = self.solution
         parts: dict[str, npt.NDArray[Any]] = {}
@@ -103,12 +105,12 @@ class Motion:
         return moment
 
     def known(self, fraction: float) -> Moment | None:
-        """What `at` has computed before, if there was room to keep it; from any thread."""
+        """Return a moment cached by `at`, or None; from any thread."""
         return self._kept.get(fraction)
 
     @property
     def finest(self) -> float:
-        """The smallest fraction in whose steps all moments can be kept; 0 before the first."""
+        """Smallest step of the fraction at which all moments fit the cache; 0 before the first."""
         sizes = [moment.nbytes for moment in [*self._kept.values()]]
         return max(sizes, default=0) / _KEPT
 
@@ -127,7 +129,7 @@ class Motion:
         return pictures
 
     def _values_at(self, fraction: float, whole: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """The quantity, of the tissue before it moved, after a part of the displacement."""
+        """Return the quantity after a fraction of the displacement, on the unmoved pixel grid."""
         if fraction == 1 or self.quantity is None:
             return whole
         return values_of(self.solution, self.quantity, fraction)
@@ -144,7 +146,7 @@ def _overlaid(values: npt.NDArray[Any]) -> Picture:
 def moved_marks(
     solution: Solution, marks: npt.NDArray[np.bool_], fraction: float = 1.0
 ) -> npt.NDArray[np.uint8]:
-    """Mark the pixels nearest to where some sites are after a part of the deformation."""
+    """Mark the pixels nearest to some sites after a fraction of the deformation."""
     _, places = _moved_sites(solution, marks, fraction)
     moved = np.zeros(marks.shape, np.uint8)
     moved[tuple(places.T)] = 1
@@ -152,7 +154,7 @@ def moved_marks(
 
 
 def marked_sites(solution: Solution, mark: Mark) -> npt.NDArray[np.bool_]:
-    """Find where tissue folds, or the sites of all its parts that have moved onto each other."""
+    """Find the sites where tissue folds, or all sites whose tissue overlaps other tissue."""
     tissue = solution.tissue
     if mark == "folds":
         return folds(solution.displacement, spacing=solution.spacing, tissue=tissue)
@@ -164,7 +166,7 @@ def marked_sites(solution: Solution, mark: Mark) -> npt.NDArray[np.bool_]:
 
 
 def fullest_planes(marks: npt.NDArray[Any]) -> tuple[int, ...]:
-    """Across each axis, the number of the plane in which most pixels are marked."""
+    """Return, for each axis, the index of the plane with most marked pixels."""
     axes = range(marks.ndim)
     planes = (marks.sum(axis=tuple(set(axes) - {axis})) for axis in axes)
     return tuple(int(each.argmax()) for each in planes)
@@ -173,7 +175,7 @@ def fullest_planes(marks: npt.NDArray[Any]) -> tuple[int, ...]:
 def _moved_sites(
     solution: Solution, marks: npt.NDArray[np.bool_], fraction: float = 1.0
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Marked sites, (N, n), and the pixels nearest to where they are then, if these are inside."""
+    """Return the marked sites, (N, n), that stay inside, and their nearest pixels after moving."""
     sites = np.argwhere(marks)
     step = fraction * solution.displacement[marks] / solution.spacing
     places = np.rint(sites + step).astype(np.intp)
@@ -182,10 +184,10 @@ def _moved_sites(
 
 
 def moved_grid(solution: Solution, fraction: float = 1.0) -> npt.NDArray[np.float32]:
-    """Draw a grid that was square, after a part of the deformation; as of `deformation_grid`."""
+    """Draw the `deformation_grid` after a fraction of the deformation."""
     tissue, spacing = solution.tissue, solution.spacing
     every = pixels_between(_LINES, tissue.shape, spacing)
-    # On its way a grid need not be as fine as where it stays, and is drawn twice as fast.
+    # While it moves, a coarser grid is enough, and is drawn twice as fast.
     pieces = 5 if fraction == 1 else 2
     displacement = solution.displacement * np.float32(fraction)
     return deformation_grid(

@@ -1,4 +1,4 @@
-"""What a displacement says: how tissue grows or shrinks, where it folds, and pictures of it.
+"""Local volume change, folds, grids and arrows of a displacement.
 
 Segments and arrows are in pixels, in the order of the axes, as napari's Vectors layer takes them.
 """
@@ -29,19 +29,19 @@ from napari_hmrf.solver.backends.thread import compute_thread
 
 FloatArray = npt.NDArray[np.float32]
 
-# Rows that are looked at together, and planes of a volume.
+# Number of rows of an image processed together, and of planes of a volume.
 _STRIP, _SLAB = 64, 8
-# What can become of the determinants around a site, as the loop for volumes counts them.
+# Reductions of the determinants around a site; the loop for volumes takes their index.
 _Kind = Literal["smallest", "mean", "mean or fold"]
 _KINDS: tuple[_Kind, ...] = get_args(_Kind)
-# Lines that are farther apart than any image is large.
+# Upper bound of the distance between lines, in pixels: larger than any image.
 _FAR = 2**31
-# What moves by less than this part of the farthest has no arrow beside others: it would be a dot.
+# Arrows shorter than this fraction of the longest are left out: they would look like dots.
 _LEAST = 0.1
 
 
 def magnitude(displacement: npt.ArrayLike) -> FloatArray:
-    """How far each site moves.
+    """Return the length of the displacement of each site.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def magnitude(displacement: npt.ArrayLike) -> FloatArray:
     Raises
     ------
     ProblemError
-        If it is of another shape, or of no numbers.
+        If the displacement has another shape, or is not numeric.
     """
     length: FloatArray = np.linalg.norm(as_field(displacement), axis=-1).astype(np.float32)
     return length
@@ -68,7 +68,7 @@ def jacobian_determinant(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
-    """By which factor the area, or the volume, around each site changes: det d(X + d(X)) / dX.
+    """Return the factor of area, or volume, change around each site: det d(X + d(X)) / dX.
 
     1 is no change, below 1 shrinks, above 1 grows, 0 or below is folded. Differences are central,
     and one-sided where a neighbour is missing; along an axis on which a site has no neighbour it
@@ -94,7 +94,7 @@ def jacobian_determinant(
         Naming the input at fault.
     """
     moved, mask = moved_sites(displacement, spacing, tissue)
-    # The mean over the quadrants around a site is the determinant of its central differences.
+    # The mean over the quadrants around a site equals the determinant of its central differences.
     return _over_quadrants("mean", moved, mask)
 
 
@@ -106,9 +106,9 @@ def count_folds(
 ) -> int:
     """Count the sites at which tissue folds over itself or collapses.
 
-    A site counts if the determinant is 0 or below at it in any element that it is a corner of: in
-    any block of 2 x 2 pixels, or of 2 x 2 x 2 voxels, that is all tissue. Central differences alone
-    would miss a site that jumps over its neighbour and back.
+    A site counts if its determinant is 0 or below in any element that has it as a corner: in any
+    block of 2 x 2 pixels, or of 2 x 2 x 2 voxels, that is entirely tissue. Central differences
+    alone would miss a site that jumps over its neighbour and back.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def smallest_determinant(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
-    """Find how near each site is to a fold: the smallest determinant of its elements there.
+    """Return the smallest determinant of each site over its elements, a measure of folding.
 
     Parameters
     ----------
@@ -141,8 +141,8 @@ def smallest_determinant(
     Returns
     -------
     ndarray, shape ([D,] H, W), float32
-        0 or below where the tissue folds; 1 at tissue that belongs to no element, as of
-        `count_folds`; NaN where there is no tissue.
+        0 or below where the tissue folds; 1 at tissue that belongs to no element (see
+        `count_folds`); NaN where there is no tissue.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def determinant_or_fold(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
-    """The `jacobian_determinant`; at folds the `smallest_determinant`, which is 0 or below."""
+    """Return the `jacobian_determinant`, or at folds the `smallest_determinant`, at most 0."""
     return _over_quadrants("mean or fold", *moved_sites(displacement, spacing, tissue))
 
 
@@ -175,13 +175,13 @@ def deformation_grid(
     Parameters
     ----------
     displacement, spacing, tissue
-        As in `jacobian_determinant`, of a slice; lines are drawn in tissue only.
+        As in `jacobian_determinant`, for a slice; lines are drawn in tissue only.
     every : int
-        Pixels between two lines; where pixels are not square, pixels of the shorter side, and so
-        many of the other as make the cells square, as nearly as whole pixels can.
+        Pixels between two lines. If pixels are not square, this counts along the axis with the
+        smaller pixel size, and the other distance is rounded to make the cells square.
     pieces : int
-        Straight pieces of a line between two crossings, where there are pixels enough: fewer are
-        quicker to draw.
+        Largest number of straight pieces of a line between two crossings: fewer are faster to
+        draw.
 
     Returns
     -------
@@ -212,7 +212,7 @@ def _checked_count(name: str, count: int, of: str) -> int:
 
 
 def pixels_between(lines: int, shape: Sequence[int], spacing: Sequence[float]) -> int:
-    """How far apart so many lines of `deformation_grid` are across the longer side of an image."""
+    """Return the spacing, in pixels, of `lines` grid lines across the longer side of an image."""
     longer = max(count * size for count, size in zip(shape, spacing, strict=True))
     return max(1, round(longer / min(spacing) / lines))
 
@@ -231,13 +231,13 @@ def arrows(
     displacement, spacing, tissue
         As in `jacobian_determinant`; arrows are in tissue only.
     about : int
-        How many arrows, roughly.
+        Approximate number of arrows.
 
     Returns
     -------
     ndarray, shape (N, 2, n), float32
         Arrows as (start, direction), each in pixels along the axes, at their true length. Always a
-        list of arrows, never a grid of them.
+        list, never a dense grid of arrows.
 
     Raises
     ------
@@ -269,9 +269,9 @@ def arrows_apart(
     tissue: npt.ArrayLike | None = None,
     about: int = 1000,
 ) -> FloatArray:
-    """Pick `arrows` of which none lies on another; what hardly moves has none.
+    """Pick `arrows` that do not overlap, leaving out very short ones.
 
-    The parameters, what is returned and errors are those of `arrows`.
+    Parameters, return value and errors are those of `arrows`.
     """
     found = arrows(displacement, spacing=spacing, tissue=tissue, about=about)
     lengths = np.linalg.norm(found[:, 1], axis=1)
@@ -291,11 +291,11 @@ def arrows_in_slices(
     tissue: npt.ArrayLike | None = None,
     about: int = 1000,
 ) -> FloatArray:
-    """Pick arrows of a volume, about so many in the fullest slice, across whichever axis.
+    """Pick arrows of a volume, about `about` of them in the fullest slice across any axis.
 
-    They lie on a lattice that no slice cuts along its rows, x + s y + s^2 z = 0 modulo how many
-    voxels there are to an arrow, with s near their golden section. What hardly moves has none. The
-    parameters, what is returned and errors are those of `arrows`.
+    The arrows lie on a lattice without rows along any slice: x + s y + s^2 z = 0 modulo the number
+    of voxels per arrow, with s near the golden section of that number. Very short arrows are left
+    out. Parameters, return value and errors are those of `arrows`.
     """
     moved, mask = moved_sites(displacement, spacing, tissue)
     sites = max(1, round(int(mask.sum(axis=(1, 2)).max()) / about))
@@ -315,7 +315,7 @@ def arrows_in_slices(
 
 
 def spread(where: BoolArray, apart: npt.ArrayLike) -> npt.NDArray[np.intp]:
-    """Pixels of a region to have marks at: in each cell, so large, the nearest to its middle.
+    """Pick evenly spread pixels of a region: in each cell the pixel nearest to its centre.
 
     Parameters
     ----------
@@ -339,10 +339,10 @@ def spread(where: BoolArray, apart: npt.ArrayLike) -> npt.NDArray[np.intp]:
 
 
 def _apart(arrows: FloatArray, gap: float, spacing: Float64Array) -> npt.NDArray[np.intp]:
-    """Choose arrows with a gap, in the unit of `spacing`, between them; the longest stay."""
+    """Choose arrows with at least a gap, in the unit of `spacing`, between them, longest first."""
     if not len(arrows):
         return np.zeros(0, dtype=np.intp)
-    # In cells as wide as the gap: a kept line claims its cells and those around them.
+    # The cells are as wide as the gap: a chosen arrow claims its cells and their neighbours.
     starts, steps = arrows[:, 0] * spacing / gap, arrows[:, 1] * spacing / gap
     lowest = np.minimum(starts, starts + steps).min(axis=0) - 1
     starts = starts - lowest
@@ -362,7 +362,7 @@ def _apart(arrows: FloatArray, gap: float, spacing: Float64Array) -> npt.NDArray
 
 
 def _lattice(sites: float, spacing: Float64Array) -> tuple[int, ...]:
-    """Steps along the axes of a lattice that is cubic in the world, with so many sites a point."""
+    """Return the steps of a lattice that is cubic in world units, with `sites` sites per point."""
     if len(spacing) == 3:
         side = (max(1.0, sites) * math.prod(spacing)) ** (1 / 3)
         return tuple(max(1, round(side / size)) for size in spacing)
@@ -375,8 +375,8 @@ def _lattice(sites: float, spacing: Float64Array) -> tuple[int, ...]:
 
 
 def _is_little_strained(moved: Float64Array) -> bool:
-    """Whether all pixels are so near to one step apart that none can fold over its neighbour."""
-    # Where each step is less than half a pixel off along both axes, the matrix of steps is
+    """Return whether all neighbours stay so near to one pixel apart that no tissue can fold."""
+    # If each step is off by less than half a pixel along both axes, the matrix of steps is
     # diagonally dominant, and its determinant is positive.
     return all(
         bool(np.abs(np.diff(moved, axis=axis) - step).max(initial=0) < 0.5)
@@ -385,7 +385,7 @@ def _is_little_strained(moved: Float64Array) -> bool:
 
 
 def _over_quadrants(kind: _Kind, moved: Float64Array, mask: BoolArray) -> FloatArray:
-    """Reduce the determinants of the quadrants around each site to one; NaN in void."""
+    """Reduce the determinants of the quadrants around each site to one value; NaN in void."""
     if mask.ndim == 3 and loops.ready_for_volumes():
         loader.before_numba()
         from napari_hmrf.field.volume_loops import determinants
@@ -396,7 +396,7 @@ def _over_quadrants(kind: _Kind, moved: Float64Array, mask: BoolArray) -> FloatA
             there = loops.only_read(mask[wide])
             found[slab] = determinants(moved[wide], there, elements(mask[wide]), which)[inner]
         return found
-    # Strip by strip, with a row of each neighbour: what lies between stays in the cache.
+    # Work strip by strip, with a row of each neighbour, so that temporary arrays stay in the cache.
     made = np.full(mask.shape, np.nan, dtype=np.float32)
     strip = _STRIP if mask.ndim == 2 else _SLAB
     for begin in range(0, len(mask), strip):
@@ -409,7 +409,7 @@ def _over_quadrants(kind: _Kind, moved: Float64Array, mask: BoolArray) -> FloatA
 
 
 def _reduced(kind: _Kind, each: list[Float64Array], mask: BoolArray) -> Float64Array:
-    """Reduce the determinants of the quadrants around each site to one."""
+    """Reduce the determinants of the quadrants around each site to one value."""
     mean = np.add.reduce(each) / len(each)
     if kind == "mean":
         return np.asarray(mean)
@@ -423,7 +423,7 @@ def _reduced(kind: _Kind, each: list[Float64Array], mask: BoolArray) -> Float64A
 
 
 def elements(mask: BoolArray) -> BoolArray:
-    """Return which elements exist, one more along each axis than there are sites.
+    """Return a mask of the existing elements, with one more entry per axis than there are sites.
 
     The element before a site along all axes has the index of the site; it exists if all its
     corners are tissue.
@@ -436,13 +436,13 @@ def elements(mask: BoolArray) -> BoolArray:
 
 
 def _quadrants(moved: Float64Array, mask: BoolArray) -> list[Float64Array]:
-    """The determinant from one-sided differences in each quadrant around a site."""
-    # In pixels, which change no determinant: a factor for rows is multiplied in and divided out.
+    """Return the determinant from one-sided differences in each quadrant around a site."""
+    # Pixel units do not change the determinant: the pixel sizes cancel.
     return [determinant(steps) for steps in product(*differences_along_axes(moved, mask))]
 
 
 def determinant(steps: Sequence[Float64Array]) -> Float64Array:
-    """The determinants of matrices, of which these are the columns: n arrays, shape (..., n)."""
+    """Compute determinants of matrices from their n columns, each of shape (..., n)."""
     if len(steps) == 2:
         down, along = steps
         return down[..., 0] * along[..., 1] - down[..., 1] * along[..., 0]
@@ -454,7 +454,7 @@ def determinant(steps: Sequence[Float64Array]) -> Float64Array:
 
 
 def differences_along_axes(moved: Float64Array, mask: BoolArray) -> list[list[Float64Array]]:
-    """The `one_sided_differences` of all sites along each axis, in the order of the axes."""
+    """Return the `one_sided_differences` of all sites along each axis, in the order of the axes."""
     found = []
     for axis, step in enumerate(np.eye(mask.ndim)):
         both = one_sided_differences(moved.swapaxes(0, axis), mask.swapaxes(0, axis), step)
@@ -465,18 +465,19 @@ def differences_along_axes(moved: Float64Array, mask: BoolArray) -> list[list[Fl
 def one_sided_differences(
     moved: Float64Array, mask: BoolArray, unstrained: Float64Array
 ) -> list[Float64Array]:
-    """Differences to the next and to the previous site along the first axis.
+    """Return the differences to the next and to the previous site along the first axis.
 
-    Each stands in for the other where that is missing, and `unstrained` for both.
+    Each replaces the other where that is missing; `unstrained` replaces both where both are
+    missing.
 
     Parameters
     ----------
     moved : ndarray, shape ([D,] H, W, n)
-        Of `moved_sites`: where every site has moved.
+        Moved positions of all sites, from `moved_sites`.
     mask : ndarray of bool, shape ([D,] H, W)
         The tissue; differences are never taken across its border.
     unstrained : ndarray, shape (n,)
-        What a step along the axis is without any motion.
+        The step along the axis without any motion.
 
     Returns
     -------
@@ -484,7 +485,7 @@ def one_sided_differences(
         To the next site, and from the previous one.
     """
     height = len(mask)
-    # Of site i: whether there is a next one, at i + 1, and a previous one, at i.
+    # For site i: entry i + 1 is True if there is a next site, entry i if there is a previous one.
     exists = np.zeros((height + 1, *mask.shape[1:], 1), dtype=bool)
     exists[1:-1, ..., 0] = mask[1:] & mask[:-1]
     steps = np.empty((height + 1, *moved.shape[1:]))
@@ -497,9 +498,9 @@ def one_sided_differences(
 
 
 def _lines(moved: Float64Array, mask: BoolArray, every: int, step: int) -> Float64Array:
-    """Every so many-th line along the second axis, as segments, where it runs in tissue."""
+    """Return the segments, within tissue, of every `every`-th line along the second axis."""
     lines = slice((len(moved) - 1) % every // 2, None, every)
-    # Segments span a few sites, still far shorter than a mesh: fewer to draw.
+    # Segments span a few sites, still far less than a mesh width: fewer are faster to draw.
     place, there = moved[lines], mask[lines]
     size = place.shape[1]
     stops = np.unique(np.append(np.arange(0, size, step), size - 1))

@@ -1,7 +1,7 @@
-"""Moving pictures with the tissue again and again, while it is edited or a slider is drawn.
+"""Repeated warping of the same pictures, during editing or while a slider is moved.
 
-The same as `warp`, at a tenth of its time: memory is used again, all cores draw, and pictures are
-read once. A volume takes the time that `warp` takes; one of its slices alone a hundredth.
+Results are those of `warp` in a tenth of its time: memory is reused, all cores work, and pictures
+are prepared once. A whole volume takes as long as in `warp`; a single slice of it a hundredth.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from napari_hmrf.solver.backends import compiler, loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import as_numbers
 
-# What the compiled loops know, so that there is nothing to compile for any other kind of image; and
-# what they take others for, which holds all their values. Large integers do not fit a double.
+# Dtypes that the compiled loops support. Other dtypes are converted to one that holds all their
+# values, so that no further loops need to be compiled. Large integers do not fit a double.
 _KNOWN = ("uint8", "float32", "float64")
 _INTERPOLATED = {
     **{name: name for name in _KNOWN},
@@ -44,16 +44,16 @@ _COPIED = {**_INTERPOLATED, "bool": "uint8", "float16": "float32"}
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """An image to be moved, and how.
+    """An image to move, with its interpolation and fill value.
 
     Parameters
     ----------
     image : array_like, shape ([D,] H, W) or ([D,] H, W, channels)
-        Grey, RGB or RGBA image, or labels (with ``order=0``). It is not copied: leave it alone.
+        Grey, RGB or RGBA image, or labels (with ``order=0``). Not copied, so do not modify it.
     order : int
         As for `warp`. 0 and 1 are fast.
     fill : float
-        What is seen where tissue has left and nothing came.
+        Value of uncovered pixels, which tissue has left without replacement.
     """
 
     image: npt.ArrayLike
@@ -63,12 +63,12 @@ class Picture:
 
 
 class Warper:
-    """Moves pictures of one grid.
+    """Warper of pictures on one grid.
 
     Parameters
     ----------
     pictures : Picture, sequence of Picture, or array_like
-        All of one grid; a single image may be given as it is.
+        Pictures on one grid; a single image may be given as an array.
     spacing : sequence of float, shape (2,), or (3,) of a volume
         Size of a pixel along each axis.
 
@@ -103,7 +103,7 @@ class Warper:
         self._everything = np.ones(grid, dtype=bool)
         if n == 3:
             return
-        # A pixel nothing came to keeps its last source: it is not looked at, but must be a number.
+        # An uncovered pixel keeps its last source: it is not used, but must be finite.
         self._moved, self._source = np.empty((*grid, 2)), np.zeros((*grid, 2))
         self._reach, self._state = np.empty((grid[0], 2)), np.empty(grid, np.uint8)
 
@@ -113,22 +113,22 @@ class Warper:
         tissue: npt.ArrayLike | None = None,
         fraction: float = 1.0,
     ) -> list[npt.NDArray[Any]]:
-        """Move the pictures; on the compute thread only, for the sake of numba's own threads.
+        """Move the pictures; on the compute thread only, because of numba's own threads.
 
         Parameters
         ----------
         displacement : array_like, shape (H, W, 2) or (D, H, W, 3)
             Material displacement in the order of the axes, in the unit of `spacing`.
         tissue : array_like of bool, shape ([D,] H, W), optional
-            What moves; by default everything.
+            Sites that move; by default all.
         fraction : float
-            How much of the displacement, usually 0 to 1.
+            Fraction of the displacement, usually 0 to 1.
 
         Returns
         -------
         list of ndarray
-            What `warp` returns for ``fraction * displacement``, one for each picture; new arrays
-            each time.
+            The results of `warp` for ``fraction * displacement``, one for each picture; new arrays
+            on each call.
 
         Raises
         ------
@@ -179,18 +179,18 @@ class Warper:
         Parameters
         ----------
         number : int
-            Of the slice along the first axis.
+            Index of the slice along the first axis.
         displacement : array_like, shape (D, H, W, 3)
-            As it is called with; or that of every so many-th voxel, which is linear in between.
+            As in `__call__`; or only for every `every`-th voxel, and linear in between.
         tissue, fraction
-            As it is called with.
+            As in `__call__`.
         every : int, or sequence of int, shape (3,)
-            Of how many voxels along each axis the displacement has one, the first of all first.
+            Step between the voxels of the displacement along each axis, starting at voxel 0.
 
         Returns
         -------
         list of ndarray, shape (H, W) or (H, W, channels)
-            That slice of what is returned by a call; new arrays each time.
+            This slice of the results of `__call__`; new arrays on each call.
 
         Raises
         ------
@@ -210,7 +210,7 @@ class Warper:
     def _checked(
         self, displacement: npt.ArrayLike, tissue: npt.ArrayLike | None, sites: tuple[int, ...]
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
-        """A displacement of so many sites and its tissue, as the loops take them."""
+        """Return a checked displacement on `sites` and its tissue, in the dtypes of the loops."""
         if not compute_thread.is_current():
             raise RuntimeError("a Warper is for jobs of the compute thread; call warp() instead")
         d = np.ascontiguousarray(as_numbers("displacement", displacement), dtype=np.float32)
@@ -228,20 +228,20 @@ class Warper:
         return d, mask
 
     def replace(self, number: int, picture: Picture) -> None:
-        """Have another picture of the same grid in the place of one there is."""
+        """Replace a picture by another on the same grid."""
         self._looks[number] = _Look(picture, self.shape)
 
     def _without_loops(
         self, d: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], fraction: float
     ) -> list[npt.NDArray[Any]]:
-        """Move the pictures by NumPy and SciPy."""
+        """Move the pictures with NumPy and SciPy."""
         moved, _ = moved_sites(d, self._spacing, mask, fraction)
         source, state = triangle_arrays.rasterise(moved, mask)
         return [look.by_splines(source, state, mask) for look in self._looks]
 
 
 class _Look:
-    """A picture, checked and made ready to be looked up."""
+    """A checked picture, prepared for interpolation."""
 
     def __init__(self, picture: Picture, grid: tuple[int, ...]) -> None:
         self._image = image = np.ascontiguousarray(as_image(picture.image, grid))
@@ -250,7 +250,7 @@ class _Look:
         self._fill = checked_fill(picture.fill, image.dtype)
         known = {0: _COPIED, 1: _INTERPOLATED}.get(self._order, {})
         self._kind = known.get(image.dtype.name, "")
-        # What is only copied may be taken for a number of its size, whatever that would be.
+        # Values that are only copied can be reinterpreted as any dtype of the same size.
         self._as_bits = self._order == 0 and image.dtype.name in ("int64", "uint64")
         known_loop = bool(self._kind or self._as_bits) and image.dtype.isnative
         self._slow = len(grid) == 3 or not known_loop
@@ -263,7 +263,7 @@ class _Look:
                 self._smooth = np.stack([smooth for smooth, _ in channels], axis=-1)
 
     def _taken(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Values as the loops take them."""
+        """Return values in the dtype of the loops."""
         if self._slow:
             return values
         return values.view(np.float64) if self._as_bits else values.astype(self._kind, copy=False)
@@ -301,7 +301,7 @@ class _Look:
         state: npt.NDArray[np.uint8],
         tissue: npt.NDArray[np.bool_],
     ) -> npt.NDArray[Any]:
-        """Look it up with SciPy, which takes any type and order, or with the loop for volumes."""
+        """Interpolate with SciPy, which takes any dtype and order, or the loop for volumes."""
         covered = (state > 0) | ~tissue
         if tissue.ndim == 2:
             still = covered & (state == 0)
@@ -310,11 +310,11 @@ class _Look:
         return resample(self._image, source, covered, order=self._order, fill=self._fill.item())
 
     def slice(self, origins: SliceOrigins) -> npt.NDArray[Any]:
-        """Look one slice of a volume up, as `by_splines` does."""
+        """Interpolate one slice of a volume, as `by_splines` does."""
         source, covered = origins
         planes, first, image = source[covered, 0], 0, self._image
         if self._order < 2 and len(planes):
-            # Those it came from, and those beside them, by which what is no number is filled.
+            # Source planes and their neighbours, which fill in values that are not finite.
             first = max(0, int(planes.min()) - 2)
             image = image[first : int(planes.max()) + 4]
         moved = sampled(image, source - (first, 0, 0), self._order)

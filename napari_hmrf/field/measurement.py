@@ -1,4 +1,4 @@
-"""What a deformation did to each tissue, in numbers."""
+"""Measurements of the deformation of each tissue."""
 
 from __future__ import annotations
 
@@ -18,34 +18,36 @@ from napari_hmrf.field.warp import BoolArray, Float64Array, moved_sites
 from napari_hmrf.solver.problem import as_numbers, grid_in_words
 from napari_hmrf.solver.solution import Solution
 
-# Planes of cells that are looked at together.
+# Number of planes of cells processed together.
 _SLAB = 8
 
 
 class Measurement(NamedTuple):
-    """What happened to the tissue under one label.
+    """Measurements of the tissue under one label.
 
     Attributes
     ----------
     label : int
     name : str
     pixels : int
-        Of tissue, before it moved.
+        Number of pixels of the tissue before the motion.
     area : float
-        Before it moved, in the squared unit of the spacing; of a volume its volume, in the cubed.
+        Area before the motion, in the squared unit of the spacing; in a volume the volume, in the
+        cubed unit.
     area_change : float
-        In per cent; of a volume, of its volume. It is that of the cells between the pixels, each
-        of which counts for the tissues at its corners; what is turned over counts below 0.
+        Change of area, or in a volume of volume, in per cent. It is computed from the cells
+        between pixels, each of which counts for the tissues at its corners; inverted cells count
+        as negative.
     mean_displacement, largest_displacement : float
         In the unit of the spacing.
     mean_strain, largest_strain : float
-        Equivalent strain of von Mises, in per cent, of the kind that `strain` says.
+        Equivalent strain of von Mises, in per cent, of the kind given by `strain`.
     folds : int
-        Pixels at which it is pushed through itself.
+        Number of pixels at which the tissue folds.
     strain : {"elastic", "in-plane", "total"}
-        "elastic": elastic strain in all three directions, without growth, as the model has it (see
-        `elastic_strain`). "in-plane": total strain within an image, where the model has no third
-        direction, as the paper's. "total": total strain of a volume.
+        "elastic": the model's elastic strain in all three directions, without growth (see
+        `elastic_strain`). "in-plane": total strain within an image, for models without a third
+        direction such as the paper's. "total": total strain of a volume.
     """
 
     label: int
@@ -64,25 +66,25 @@ class Measurement(NamedTuple):
 def measure(
     solution: Solution, labels: npt.ArrayLike, *, names: Mapping[int, str] | None = None
 ) -> tuple[Measurement, ...]:
-    """Measure what a deformation did to each tissue.
+    """Measure the deformation of each tissue.
 
     Parameters
     ----------
     solution : Solution
     labels : array_like of int, shape ([D,] H, W)
-        Before it moved. What is no tissue of the solution is left out, whatever its label.
+        Labels before the motion. Pixels outside the solution's tissue are left out.
     names : mapping of int to str, optional
-        Of the labels.
+        Names by label.
 
     Returns
     -------
     tuple of Measurement
-        By label; those without tissue are left out.
+        In the order of the labels; labels without tissue are left out.
 
     Raises
     ------
     ArgumentError
-        If the first argument is no Solution.
+        If the first argument is not a Solution.
     ProblemError
         If the labels are not on the pixels of the solution.
     """
@@ -124,7 +126,7 @@ def measure(
 
 
 def _changes(solution: Solution) -> tuple[Float64Array, Float64Array]:
-    """The factor by which the cells around each site change, and how many cells these are."""
+    """Return the factor by which the cells around each site change, and the number of cells."""
     d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
     moved, mask = moved_sites(d, spacing, tissue)
     total, count = np.zeros(mask.shape), np.zeros(mask.shape)
@@ -134,23 +136,23 @@ def _changes(solution: Solution) -> tuple[Float64Array, Float64Array]:
         for corner in _corners(mask.ndim):
             total[slab][corner] += np.nan_to_num(cells)
             count[slab][corner] += np.isfinite(cells)
-    # Tissue that is too thin to have cells has its own determinants, and counts in full.
+    # Tissue too thin to have cells gets the determinants at its sites, with full weight.
     alone = jacobian_determinant(d, spacing=spacing, tissue=tissue)
     change = np.divide(total, count, out=alone.astype(np.float64), where=count > 0)
     return change, np.where(count, count, 2**mask.ndim)
 
 
 def _cells(moved: Float64Array, mask: BoolArray) -> Float64Array:
-    """The area, or volume, of the cells between sites, which was 1; NaN where one is no tissue."""
-    # Exact if tissue moves linearly along their edges, and below 0 where it is turned over: so they
-    # add up to what lies within their outer border, which determinants at the sites do not.
+    """Return the area, or volume, of the cells between sites, 1 at rest; NaN outside tissue."""
+    # Exact if tissue moves linearly along the edges of cells, and negative for inverted cells. So
+    # the areas add up to the area within the outer border, unlike determinants at the sites.
     corners = [moved[each] for each in _corners(mask.ndim)]
     if mask.ndim == 2:
         a, b, c, d = corners
         found = determinant([d - a, c - b]) / -2
     else:
         a, b, c, d, e, f, g, h = corners
-        # As Grandy, "Efficient computation of volume of hexahedral cells", 1997.
+        # See Grandy, "Efficient computation of volume of hexahedral cells", 1997.
         found = determinant([(h - e) + (d - a), h - c, g - a])
         found += determinant([d - a, (h - c) + (f - a), h - b])
         found += determinant([h - e, f - a, (h - b) + (g - a)])
@@ -160,5 +162,5 @@ def _cells(moved: Float64Array, mask: BoolArray) -> Float64Array:
 
 
 def _corners(ndim: int) -> list[tuple[slice, ...]]:
-    """What picks, of all sites, those at each corner of the cells."""
+    """Return, for each corner of the cells, the slices that select the sites there."""
     return [*product((slice(None, -1), slice(1, None)), repeat=ndim)]

@@ -1,4 +1,4 @@
-"""Looking an image up where its tissue came from."""
+"""Interpolation of an image at the source positions of its tissue."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def resample(
     order: int = 1,
     fill: float = 0,
 ) -> npt.NDArray[Any]:
-    """Look an image up at the coordinates of an `inverse_map`.
+    """Interpolate an image at the coordinates of an `inverse_map`.
 
-    A pixel that is NaN or infinite stays one pixel: it is left out of the interpolation around it.
+    A NaN or infinite pixel does not spread: it is left out of the interpolation around it.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def resample(
     Returns
     -------
     ndarray
-        Of the shape and dtype of `image`.
+        With the shape and dtype of `image`.
 
     Raises
     ------
@@ -87,11 +87,11 @@ def _by_loop(
     order: int,
     background: npt.NDArray[Any],
 ) -> npt.NDArray[Any] | None:
-    """A volume looked up by the compiled loop; None if that cannot do it, or is not there yet."""
+    """Interpolate a volume with the compiled loop; None if it is unsuitable or not compiled yet."""
     kind = picture.dtype
     nearest = order == 0 or kind.kind == "b"
-    # What is only copied may be taken for a number of its size, whatever that would be; others for
-    # those that hold all their values.
+    # Values that are only copied can be reinterpreted as any dtype of the same size; others are
+    # converted to a dtype that holds all their values.
     bits = nearest and kind.kind in "iu" and kind.itemsize == 8 and kind.isnative
     taken = _numbers_for(kind)
     if not (bits or taken) or not (nearest or order == 1) or not loops.ready_for_volumes():
@@ -126,16 +126,16 @@ def _by_loop(
 
 
 def _numbers_for(kind: np.dtype[Any]) -> str:
-    """What the loop for volumes takes a type for, which holds all its values; "" if it has none."""
+    """Return the dtype of the loop for volumes that holds all values of a dtype, or ""."""
     for taken in ("float32", "float64"):
-        wide = kind.kind in "iu" and kind.itemsize == 8  # NumPy says that a double holds these
+        wide = kind.kind in "iu" and kind.itemsize == 8  # `can_cast` wrongly accepts these
         if np.can_cast(kind, taken) and not wide:
             return taken
     return ""
 
 
 def sampled(picture: npt.NDArray[Any], places: Float64Array, order: int) -> npt.NDArray[Any]:
-    """Look a picture, which may have colours, up at places, (..., n) in pixels; a new array."""
+    """Interpolate a grey or colour picture at places, (..., n) in pixels; return a new array."""
     n = places.shape[-1]
     axes = tuple(np.moveaxis(places, -1, 0))
     nearest = tuple(
@@ -152,15 +152,15 @@ def sampled(picture: npt.NDArray[Any], places: Float64Array, order: int) -> npt.
 
 
 def unknown_values(picture: npt.NDArray[Any], axes: int, name: str) -> str:
-    """Say, as a clause, that a picture has pixels that are no numbers; "" if it has none.
+    """Return a clause about the NaN or infinite pixels of a picture; "" if it has none.
 
     Parameters
     ----------
-    picture : ndarray, shape ([D,] H, W) or with channels behind
+    picture : ndarray, shape ([D,] H, W) or with channels last
     axes : int
         Number of its axes that are not channels.
     name : str
-        Of the picture.
+        Name of the picture.
     """
     if picture.dtype.kind != "f" or np.isfinite(picture).all():
         return ""
@@ -173,15 +173,15 @@ def unknown_values(picture: npt.NDArray[Any], axes: int, name: str) -> str:
 
 
 def on_finer_grid(solution: Solution, tissue: BoolArray, step: int) -> Solution:
-    """The field of every so many-th pixel as one of all pixels, linear between them.
+    """Interpolate the field of every `step`-th pixel linearly to all pixels.
 
     Parameters
     ----------
     solution : Solution
-        Of an image, (h, w).
+        Solution on an image, (h, w).
     tissue : ndarray of bool, shape (H, W)
     step : int
-        How many pixels lie between two sites of the solution, along each axis.
+        Distance of neighbouring sites of the solution along each axis, in pixels.
     """
     parts = np.moveaxis(solution.displacement, -1, 0)
     scale, shape = (1 / step, 1 / step), tissue.shape
@@ -202,22 +202,22 @@ def on_finer_grid(solution: Solution, tissue: BoolArray, step: int) -> Solution:
 
 
 def emptiness(picture: npt.NDArray[Any], axes: int = 2) -> Any:
-    """What is seen where tissue has left: black, or the darkest there is (air in CT).
+    """Return the fill value of uncovered pixels: black, or the lowest value (air in CT).
 
-    As Python's own number: a float cannot hold the largest integers.
+    The value is a plain Python number, because a float cannot hold the largest integers.
 
     Parameters
     ----------
     picture : ndarray, shape ([D,] H, W) or ([D,] H, W, channels)
     axes : int
-        Those before the channels: 3 of a volume.
+        Number of axes before the channels: 3 for a volume.
     """
     finite = picture[np.isfinite(picture)] if picture.dtype.kind == "f" else picture
     return 0 if picture.ndim > axes or not finite.size else finite.min().item()
 
 
 def as_image(image: npt.ArrayLike, grid: tuple[int, ...]) -> npt.NDArray[Any]:
-    """An image of a grid's shape, or with channels behind that; or say what does not fit."""
+    """Check that an image has the shape of a grid, with optional channels last."""
     picture, n = as_numbers("image", image), len(grid)
     if n < 2 or picture.ndim not in (n, n + 1) or picture.shape[:n] != tuple(grid):
         given = "(D, H, W) or (D, H, W, channels)" if n == 3 else "(H, W) or (H, W, channels)"
@@ -230,16 +230,16 @@ def as_image(image: npt.ArrayLike, grid: tuple[int, ...]) -> npt.NDArray[Any]:
 
 
 def checked_order(order: int) -> int:
-    """The order of a spline, or say what is wrong with it."""
+    """Check the order of a spline."""
     if real(order) not in (0, 1, 2, 3, 4, 5):
         raise ProblemError("order", f"is {shown(order)}. Take 0 (nearest), 1 (linear) or up to 5.")
     return int(order)
 
 
 def checked_fill(fill: float, dtype: np.dtype[Any]) -> Any:
-    """The fill as one of the image's own values, or say that it is none."""
+    """Convert the fill value to the image's dtype, or refuse it if it does not fit."""
     try:
-        # Integers are compared as such: as floats the largest are one too large.
+        # Compare integers as integers: as floats the largest are one too large.
         whole = dtype.kind in "iu" and isinstance(fill, int | np.integer)
         value = fill if whole else float(fill)
         low, high = (0, 1) if dtype.kind == "b" else (-math.inf, math.inf)
@@ -254,14 +254,14 @@ def checked_fill(fill: float, dtype: np.dtype[Any]) -> Any:
 
 
 def filled_in(values: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], BoolArray]:
-    """Put a neighbour's value for each that is NaN or infinite: 0 times NaN would be NaN.
+    """Replace NaN and infinite values by that of the nearest finite pixel: 0 times NaN is NaN.
 
     Returns
     -------
     values : ndarray, shape ([D,] H, W)
-        Those given, where all are good, or none.
+        The given array itself if all values are finite, or none.
     bad : ndarray, shape ([D,] H, W), bool
-        Which were not finite.
+        Mask of the values that were not finite.
     """
     bad = ~np.isfinite(values)
     if bad.any() and not bad.all():
@@ -278,7 +278,7 @@ def _interpolated(
     nearest: tuple[npt.NDArray[np.intp], ...],
     order: int,
 ) -> npt.NDArray[Any]:
-    """One channel at real-valued coordinates, in its own dtype."""
+    """Interpolate one channel at real-valued coordinates, keeping its dtype."""
     values = channel if channel.dtype in (np.float32, np.float64) else channel.astype(np.float64)
     values, bad = filled_in(values)
     moved: npt.NDArray[Any] = scipy.ndimage.map_coordinates(values, at, order=order, mode="nearest")

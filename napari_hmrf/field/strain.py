@@ -1,19 +1,19 @@
-"""What a displacement does to the tissue, site by site: gradient, area, strain.
+"""Deformation gradient, area change and strain of a displacement at each site.
 
-All are *material*: a value at the site X is that of the tissue which lay at X before it moved, on
-the pixel grid of the displacement, whatever has become of its place. With the displacement d(X),
-its gradient H = dd/dX and the deformation gradient F = I + H they are
+All quantities are *material*: a value at the site X belongs to the tissue that lay at X before the
+motion, on the pixel grid of the displacement, wherever that tissue is now. With the displacement
+d(X), its gradient H = dd/dX and the deformation gradient F = I + H they are
 
     area ratio            J = det F                        1: unchanged, 0 or below: folded
-    small strain          e = (H + H^T) / 2                right for small motions without turning
-    Green-Lagrange strain E = (F^T F - I) / 2              right for any; 0 for whatever only turns
+    small strain          e = (H + H^T) / 2                valid for small motions without rotation
+    Green-Lagrange strain E = (F^T F - I) / 2              valid for any motion; 0 for a rotation
 
-Differences are central, one-sided where a neighbour is missing, never taken across the border of
-the tissue, and along an axis on which a site has no neighbour it counts as unstrained. They are
-those of `jacobian_determinant`, which is det F. Tensors are in (row, col) order: [..., 0, 1] is how
-the row component changes along a column step. Strains have no unit (0.01 is one per cent), whatever
-that of the displacement, as long as `spacing` shares it. Where there is no tissue all are NaN. Of a
-volume the order is (depth, row, col).
+Differences are central, one-sided where a neighbour is missing, and never taken across the border
+of the tissue; along an axis on which a site has no neighbour it counts as unstrained. They are
+those of `jacobian_determinant`, which is det F. Tensors are in (row, col) order: [..., 0, 1] is the
+change of the row component along a column step; in a volume the order is (depth, row, col). Strains
+have no unit (0.01 is one per cent); the displacement and `spacing` must share theirs. All values
+are NaN where there is no tissue.
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ __all__ = [
     "strain_through_slice",
 ]
 
-#: Planes of a volume whose strains are in memory at once.
+#: Number of planes of a volume whose strains are in memory at a time.
 _SLAB = 8
-# Of how many sites numbers are made before anybody looks whether they are still wanted.
+# Number of sites computed between two checks for cancellation.
 _AT_ONCE = 2**17
 
 
@@ -68,7 +68,7 @@ def deformation_gradient(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
-    """How small pieces of tissue are stretched and turned: F = d(X + d(X)) / dX.
+    """Return the local stretch and rotation of tissue: F = d(X + d(X)) / dX.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def deformation_gradient(
     Returns
     -------
     ndarray, shape ([D,] H, W, n, n), float32
-        F[..., i, j] is the step in direction i of what was a unit step in direction j; NaN where
+        F[..., i, j] is the component along axis i of an original unit step along axis j; NaN where
         there is no tissue.
 
     Raises
@@ -110,8 +110,8 @@ def folds(
     Returns
     -------
     ndarray, shape ([D,] H, W), bool
-        Whether the determinant is 0 or below at the site in any element that it is a corner of.
-        That is more than J <= 0, which a site that jumps over its neighbour and back escapes.
+        True if the determinant at the site is 0 or below in any element that has it as a corner.
+        This is stricter than J <= 0, which misses a site that jumps over its neighbour and back.
 
     Raises
     ------
@@ -128,10 +128,10 @@ def small_strain(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
-    """Strain of linear elasticity, e = (H + H^T) / 2: what `ElasticPrior` knows.
+    """Return the strain of linear elasticity, e = (H + H^T) / 2, as used by `ElasticPrior`.
 
-    Tissue that turns by an angle a seems to shrink by 1 - cos(a) in it; `green_lagrange_strain`
-    does not mind.
+    Tissue that rotates by an angle a seems to shrink by 1 - cos(a) in this strain, but not in
+    `green_lagrange_strain`.
 
     Parameters
     ----------
@@ -141,8 +141,8 @@ def small_strain(
     Returns
     -------
     ndarray, shape ([D,] H, W, n, n), float32
-        Symmetric; [..., i, i] along an axis, [..., i, j] half the change of the angle between two.
-        NaN where there is no tissue.
+        Symmetric; [..., i, i] is the strain along an axis, [..., i, j] half the change of the angle
+        between two axes. NaN where there is no tissue.
 
     Raises
     ------
@@ -159,9 +159,9 @@ def green_lagrange_strain(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
-    """Strain of any deformation, E = (F^T F - I) / 2: nothing turned is strained by that.
+    """Return the Green-Lagrange strain, E = (F^T F - I) / 2, in which rotations do not count.
 
-    A fibre along the unit vector a has become sqrt(1 + 2 a.E a) times as long.
+    The motion makes a fibre along the unit vector a sqrt(1 + 2 a.E a) times as long.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def green_lagrange_strain(
 
 def green_lagrange(gradient: Float64Array) -> Float64Array:
     """Return the Green-Lagrange strain of displacement gradients H, shape (N, n, n)."""
-    # (F^T F - I) / 2 by way of H: small strains are not lost beside the ones of I.
+    # (F^T F - I) / 2 is computed from H, so that small strains are not lost beside the ones of I.
     product = np.einsum("...ki,...kj->...ij", gradient, gradient)
     return np.asarray(symmetric(gradient) + product / 2)
 
@@ -194,17 +194,17 @@ def values_by_parts(
     value: Callable[[Float64Array, npt.ArrayLike], npt.NDArray[np.floating]],
     tissue: BoolArray,
 ) -> FloatArray:
-    """Compute one number of the strain of each site.
+    """Compute a scalar from the strain of each site.
 
-    Of a volume some planes after the others: all of its strains take nine times the memory.
+    A volume is processed a few planes at a time: all its strains take nine times the memory.
 
     Parameters
     ----------
     strains : callable
-        Makes strains of the tissue in a range of the first axis: (N, n, n), in an image those
-        across it, (N,) or 0, and the sites, of bool.
+        Returns the strains of the tissue in a range of the first axis, (N, n, n); for an image
+        the strains across its plane, (N,) or 0; and the mask of the sites.
     value : callable
-        Makes numbers, shape (N,), of the first two.
+        Computes scalars, shape (N,), from the first two.
     tissue : ndarray of bool, shape ([D,] H, W)
 
     Returns
@@ -233,22 +233,22 @@ def values_by_parts(
 
 
 def principal_strains(strain: npt.ArrayLike) -> FloatArray:
-    """The strains along the axes that are not sheared, largest and smallest: its eigenvalues.
+    """Return the principal strains, the eigenvalues of the strain tensor.
 
     Parameters
     ----------
     strain : array_like, shape (..., n, n)
-        Symmetric, of `small_strain` or `green_lagrange_strain`, of a slice or of a volume.
+        Symmetric strain of a slice or volume, from `small_strain` or `green_lagrange_strain`.
 
     Returns
     -------
     ndarray, shape (..., n), float32
-        The largest (stretch) first; NaN where the strain is.
+        The largest (stretch) first; NaN where the strain is NaN.
 
     Raises
     ------
     ProblemError
-        If it is of another shape.
+        If the strain has another shape.
     """
     tensor = _as_strain(strain, 2, 3)
     if tensor.shape[-1] == 3:
@@ -261,7 +261,7 @@ def principal_strains(strain: npt.ArrayLike) -> FloatArray:
 
 
 def equivalent_strain(strain: npt.ArrayLike, through: npt.ArrayLike = 0.0) -> FloatArray:
-    """One number for how much tissue is distorted: the equivalent strain of von Mises.
+    """Return the equivalent strain of von Mises, a scalar measure of distortion.
 
     sqrt(2/3 e':e'), where e' = e - tr(e)/3 I is the part of the strain in space that changes shape
     and not volume. A bar of incompressible tissue stretched by e along its axis has the value e;
@@ -270,25 +270,25 @@ def equivalent_strain(strain: npt.ArrayLike, through: npt.ArrayLike = 0.0) -> Fl
     Parameters
     ----------
     strain : array_like, shape (..., 2, 2), or (..., 3, 3) of a volume
-        Symmetric; of an image, in its plane.
+        Symmetric; for an image, the strain in its plane.
     through : array_like, shape (...)
-        The strain across the plane, of which an image says nothing: 0 for a slice held between its
-        neighbours, `strain_through_slice` for one free to bulge. The shears across it count as 0.
-        Of a volume it does not count.
+        The strain across the plane of an image, which the image does not determine: 0 for a slice
+        held between its neighbours, `strain_through_slice` for one free to bulge. Shears across
+        the plane are taken as 0. Ignored for a volume.
 
     Returns
     -------
     ndarray, shape (...), float32
-        Never negative; NaN where the strain is.
+        Never negative; NaN where the strain is NaN.
 
     Raises
     ------
     ProblemError
-        If it is of another shape.
+        If the strain has another shape.
     """
     tensor = _as_strain(strain, 2, 3)
     across = as_numbers("through", through).astype(np.float64)
-    # Infinite strains have no distance, and those that are too large are infinite.
+    # Differences of infinite strains are invalid, and squares of very large strains overflow.
     with np.errstate(invalid="ignore", over="ignore"):
         if tensor.shape[-1] == 3:
             mean = np.trace(tensor, axis1=-1, axis2=-2)[..., None, None] / 3
@@ -306,7 +306,7 @@ def equivalent_strain(strain: npt.ArrayLike, through: npt.ArrayLike = 0.0) -> Fl
 
 
 def strain_through_slice(strain: npt.ArrayLike, poisson: npt.ArrayLike) -> FloatArray:
-    """How much a thin slice, free to bulge (plane stress), thickens: -nu/(1 - nu) (e_rr + e_cc).
+    """Return the strain across a thin, free slice (plane stress): -nu/(1 - nu) (e_rr + e_cc).
 
     Parameters
     ----------
@@ -336,7 +336,7 @@ def strain_through_slice(strain: npt.ArrayLike, poisson: npt.ArrayLike) -> Float
 def displacement_gradient(
     displacement: npt.ArrayLike, spacing: Spacing, tissue: npt.ArrayLike | None
 ) -> tuple[Float64Array, BoolArray]:
-    """Compute H = dd/dX, shape (N, n, n) without a unit, of the N sites of tissue; and these."""
+    """Return H = dd/dX, shape (N, n, n) without a unit, for the N sites of tissue; and a mask."""
     moved, mask = moved_sites(displacement, spacing, tissue)
     sizes = checked_sizes(spacing, mask.ndim)
     if mask.ndim == 3 and loops.ready_for_volumes():
@@ -347,12 +347,12 @@ def displacement_gradient(
     gradient = np.empty((*moved.shape, mask.ndim))
     for axis, (following, previous) in enumerate(differences_along_axes(moved, mask)):
         gradient[..., axis] = (following + previous) / 2 - np.eye(mask.ndim)[axis]
-    # From pixels to lengths: rows and columns may differ.
+    # Convert from pixels to lengths: pixel sizes may differ between axes.
     return gradient[mask] * (sizes[:, None] / sizes), mask
 
 
 def on_sites(values: Float64Array, mask: BoolArray) -> FloatArray:
-    """Spread values of the sites of tissue over all pixels; NaN where there is no tissue."""
+    """Scatter values at the sites of tissue to all pixels; NaN where there is no tissue."""
     made = np.full((*mask.shape, *values.shape[1:]), np.nan, np.float32)
     made[mask] = values
     return made
@@ -365,7 +365,7 @@ def symmetric(tensor: Float64Array) -> Float64Array:
 
 
 def _as_strain(strain: npt.ArrayLike, *axes: int) -> Float64Array:
-    """A strain of so many axes."""
+    """Check that strains are (n, n) tensors with n in `axes`."""
     tensor = as_numbers("strain", strain).astype(np.float64, copy=False)
     if tensor.shape[-2:] not in [(n, n) for n in axes]:
         needed = " or ".join(f"(..., {n}, {n})" for n in axes)

@@ -1,4 +1,4 @@
-"""What happens to the tissue at one point."""
+"""Displacement, Jacobian and strain of the tissue at one point."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.quantities import area_change, values_of
 from napari_hmrf.solver.solution import Solution
 
-#: Said of the Jacobian at a fold, which is 0 or below; elsewhere it is the mean of the corners.
+#: Added to the Jacobian at a fold, where it is 0 or below; elsewhere it is the mean of the corners.
 _FOLDS = " (folds: that of the worst corner)"
 _FULL = 100
 
@@ -26,15 +26,15 @@ class Probe(NamedTuple):
     Attributes
     ----------
     site : tuple of int
-        The pixel it lay on before it moved, (row, col), or the voxel, (depth, row, col).
+        Pixel of the tissue before the motion, (row, col), or voxel, (depth, row, col).
     displacement : tuple of float
         In the order of the axes and the unit of the solution's spacing.
     length : float
-        Of the displacement.
+        Length of the displacement.
     jacobian : float
-        By which factor its area, or volume, changes; 0 or below where it folds.
+        Factor of area, or volume, change; 0 or below where the tissue folds.
     strain : float
-        Its equivalent strain, in per cent, of the kind that `strain_kind` says.
+        Equivalent strain, in per cent, of the kind given by `strain_kind`.
     """
 
     site: tuple[int, ...]
@@ -45,13 +45,13 @@ class Probe(NamedTuple):
 
 
 def holds(image: npt.NDArray[Any], pixel: tuple[int, ...]) -> bool:
-    """Whether an image has a pixel, and is above 0 there."""
+    """Return whether a pixel lies inside an image that is above 0 there."""
     inside = all(0 <= at < size for at, size in zip(pixel, image.shape, strict=True))
     return inside and bool(image[pixel] > 0)
 
 
 class Points:
-    """All points of a solution; made once, and then quick to ask.
+    """Fast lookup of points of a solution.
 
     Parameters
     ----------
@@ -63,32 +63,32 @@ class Points:
         self._farthest = farthest_of(solution.displacement)
 
     def before(self, place: tuple[float, ...], fraction: float = 1.0) -> tuple[float, ...] | None:
-        """Where the tissue that is seen at a place was before it moved; None where there is none.
+        """Return the original place of the tissue now seen at a place; None if there is none.
 
         Parameters
         ----------
         place : tuple of float
             ([depth,] row, col) in pixels.
         fraction : float
-            How much of the displacement it has moved by: 0 to 1.
+            Fraction of the displacement that is applied: 0 to 1.
         """
         solution = self._solution
         field = (solution.displacement, solution.spacing, solution.tissue)
         return inverse_point(place, *field, self._farthest, fraction)
 
     def after(self, places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Where tissue that was at places, (N, n) in pixels, is seen."""
+        """Return the places after the motion of tissue originally at `places`, (N, n) in pixels."""
         return moved_points(places, self._solution.displacement, spacing=self._solution.spacing)
 
     def at(self, place: tuple[float, ...], fraction: float = 0.0) -> Probe | None:
-        """Say what happens to the tissue that is seen at a place.
+        """Return displacement, Jacobian and strain of the tissue seen at a place.
 
         Parameters
         ----------
         place : tuple of float
             ([depth,] row, col) in pixels, where the tissue is seen.
         fraction : float
-            How much of the displacement it has moved by then: 0 to 1.
+            Fraction of the displacement that is applied: 0 to 1.
 
         Returns
         -------
@@ -100,7 +100,7 @@ class Points:
         if not (site and holds(solution.tissue, site)):
             return None
         step = solution.displacement[site]
-        # What happens at a site its neighbours say: of a volume it would take long to know all.
+        # The neighbours of a site determine its values: computing a whole volume would be slow.
         around = tuple(slice(max(at - 1, 0), at + 2) for at in site)
         near = replace(
             solution,
@@ -122,21 +122,21 @@ class Points:
 def at_point(
     unit: str, found: Probe, ways: Directions, more: Sequence[str] = (), percent: int = _FULL
 ) -> str:
-    """Say what happens at a point, in a line short enough for a status bar.
+    """Describe the deformation at a point in a line short enough for a status bar.
 
-    It is of the whole deformation, however much of it is seen.
+    The values are always those of the whole deformation.
 
     Parameters
     ----------
     unit : str
-        Of lengths.
+        Unit of lengths.
     found : Probe
     ways : Directions
-        Which way rows and columns run.
+        Directions of rows and columns.
     more : sequence of str
-        What else there is to say.
+        Further parts of the line.
     percent : int
-        How much is seen.
+        Percentage of the deformation that is shown; below 100 the line says that it is for 100 %.
     """
     step = tuple(rounded(part) for part in ways.seen(found.displacement))
     length = rounded(found.length)
@@ -149,5 +149,5 @@ def at_point(
 
 
 def rounded(length: float) -> float:
-    """Round to what matters: three digits, and no more than two decimals."""
-    return round(float(f"{length:.3g}"), 2) + 0.0  # and no -0
+    """Round to three significant digits, and at most two decimals."""
+    return round(float(f"{length:.3g}"), 2) + 0.0  # avoids -0

@@ -1,10 +1,10 @@
-"""Moving an image with its tissue.
+"""Warping of an image with its tissue.
 
-A displacement says where tissue goes: what is at X moves to X + d(X). The moved image I' therefore
-has I'(X + d(X)) = I(X), and drawing it takes the inverse of the motion. (Sampling the image at
-X + d(X) would show the opposite motion.) Between the sites the motion is taken to be linear on
-triangles of three neighbouring sites, of a volume on tetrahedra of four; its inverse is then exact,
-however large the gradients.
+A displacement is material: the tissue at X moves to X + d(X). The moved image I' therefore
+satisfies I'(X + d(X)) = I(X), and drawing it takes the inverse of the motion. (Sampling the image
+at X + d(X) would show the opposite motion.) Between the sites the motion is linear on triangles of
+three neighbouring sites, in a volume on tetrahedra of four; its inverse is then exact, however
+large the gradients.
 """
 
 from __future__ import annotations
@@ -46,24 +46,25 @@ def warp(
     Parameters
     ----------
     image : array_like, shape ([D,] H, W) or ([D,] H, W, channels)
-        Grey, RGB or RGBA image, or labels (with ``order=0``). A pixel that is NaN or infinite
-        stays so where it moves, and is left out of the interpolation around it.
+        Grey, RGB or RGBA image, or labels (with ``order=0``). A NaN or infinite pixel moves like
+        others, but is left out of the interpolation around it.
     displacement : array_like, shape (H, W, 2), or (D, H, W, 3) of a volume
         Material displacement in the order of the axes, in the unit of `spacing`.
     spacing : float or sequence of float, shape (n,)
         Size of a pixel along each axis, or along all of them.
     order : int
-        Of the interpolating spline, 0 to 5: 0 takes the nearest pixel, as labels need; 1 is linear.
+        Order of the interpolating spline, 0 to 5: 0 takes the nearest pixel, as labels need; 1 is
+        linear.
     tissue : array_like of bool, shape ([D,] H, W), optional
-        What moves; by default everything. The rest stays in place as background, and tissue that
+        Sites that move; by default all. The rest stays in place as background, and tissue that
         moves onto it covers it.
     fill : float
-        What is seen where tissue has left and nothing came.
+        Value of uncovered pixels, which tissue has left without replacement.
 
     Returns
     -------
     ndarray
-        Of the shape and dtype of `image`; integers are rounded and clipped to their range.
+        With the shape and dtype of `image`; integers are rounded and clipped to their range.
 
     Raises
     ------
@@ -72,7 +73,7 @@ def warp(
 
     See Also
     --------
-    inverse_map, resample : the two halves of this, to move several images by one displacement.
+    inverse_map, resample : the two steps of `warp`, to move several images by one displacement.
     """
     picture = as_image(image, as_field(displacement).shape[:-1])
     coordinates, covered = inverse_map(displacement, spacing=spacing, tissue=tissue)
@@ -85,9 +86,9 @@ def inverse_map(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> tuple[Float64Array, BoolArray]:
-    """Find where that which is seen at each pixel after the motion came from.
+    """Find the source of each pixel, that is, the original position of the tissue seen there.
 
-    Where the tissue has folded over itself, the part that is not turned over is seen.
+    Where the tissue has folded over itself, the part that is not inverted is seen.
 
     Parameters
     ----------
@@ -99,7 +100,7 @@ def inverse_map(
     coordinates : ndarray, shape ([D,] H, W, n), float64
         The source of each pixel, in pixels along the axes; 0 where not `covered`.
     covered : ndarray, shape ([D,] H, W), bool
-        False where tissue has left and nothing came.
+        False where tissue has left without replacement.
 
     Raises
     ------
@@ -115,9 +116,9 @@ def inverse_map_and_overlaps(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> tuple[Float64Array, BoolArray, BoolArray]:
-    """`inverse_map`, and where one part of the tissue lies on another.
+    """Return the `inverse_map` and a mask of pixels where two parts of the tissue overlap.
 
-    Two parts that move onto each other across a gap fold nowhere, and yet one hides the other.
+    Two parts that move onto each other across a gap overlap without any fold.
 
     Parameters
     ----------
@@ -127,10 +128,10 @@ def inverse_map_and_overlaps(
     Returns
     -------
     coordinates, covered
-        As of `inverse_map`.
+        As in `inverse_map`.
     overlaps : ndarray, shape ([D,] H, W), bool
-        Pixels onto which tissue, not turned over, has moved from two places more than a pixel
-        apart; which of the two is seen is chance. Tissue one pixel thin is not looked at.
+        Pixels onto which tissue that is not inverted has moved from two places more than a pixel
+        apart; which of the two is seen is undefined. Tissue one pixel thin is ignored.
 
     Raises
     ------
@@ -148,24 +149,24 @@ def inverse_map_and_overlaps(
 def inverse_raster(
     moved: Float64Array, tissue: BoolArray, shape: tuple[int, ...] | None = None, planes: int = 0
 ) -> tuple[Float64Array, npt.NDArray[np.uint8]]:
-    """Invert the motion of sites by the loops, or by NumPy before these are compiled.
+    """Invert the motion of sites with the loops, or with NumPy before these are compiled.
 
     Parameters
     ----------
     moved, tissue
-        Of `moved_sites`.
+        From `moved_sites`.
     shape : tuple of int, optional
-        Of the volume of which these are some planes.
+        Shape of the whole volume, if the sites are only some of its planes.
     planes : int
-        Only so many planes of a volume are drawn on; by default all.
+        Number of planes of a volume to draw on; by default all.
 
     Returns
     -------
     source : ndarray, shape ([D,] H, W, n), float64
-        Where the tissue that is seen at each pixel came from; of a whole volume also its own place
-        where there is none.
+        Original position of the tissue seen at each pixel; for a whole volume, the pixel's own
+        position where there is no tissue.
     state : ndarray, shape ([D,] H, W), uint8
-        0 where nothing came; `TWICE` where two parts of the tissue did.
+        0 where no tissue moved to; `TWICE` where two parts of the tissue did.
     """
     if tissue.ndim == 3:
         # Its loops use numba's own threads, which must not be entered from two threads.
@@ -175,7 +176,7 @@ def inverse_raster(
         compiler.compile_meanwhile()
         return triangle_arrays.rasterise(moved, tissue)
     loader.before_numba()
-    # Numba takes half a second to import: only those who warp wait for it.
+    # Importing numba takes half a second, so it is imported only for the first warp.
     from napari_hmrf.field.triangle_raster import rasterise
 
     coordinates, state = rasterise(moved, loops.only_read(tissue))
@@ -185,7 +186,7 @@ def inverse_raster(
 def _volume_raster(
     moved: Float64Array, tissue: BoolArray, shape: tuple[int, ...], planes: int
 ) -> tuple[Float64Array, npt.NDArray[np.uint8]]:
-    """Invert the motion of a volume's sites onto so many planes; on the compute thread only."""
+    """Invert the motion of a volume's sites onto its planes; on the compute thread only."""
     loader.before_numba()
     from numba import get_num_threads
 
@@ -210,21 +211,21 @@ def moved_sites(
     tissue: npt.ArrayLike | None,
     fraction: float = 1.0,
 ) -> tuple[Float64Array, BoolArray]:
-    """Check a displacement and its tissue; where every site has moved, in pixels.
+    """Check a displacement and its tissue, and return the moved position of every site, in pixels.
 
     Parameters
     ----------
     displacement, spacing, tissue
         As in `warp`.
     fraction : float
-        How much of the displacement.
+        Fraction of the displacement.
 
     Returns
     -------
     moved : ndarray, shape ([D,] H, W, n), float64
         X + d(X) in pixels; X where there is no tissue.
     tissue : ndarray, shape ([D,] H, W), bool
-        Everywhere, if it was not given.
+        True everywhere if no tissue was given.
 
     Raises
     ------
@@ -262,9 +263,9 @@ def _is_finite(plane: Float64Array) -> bool:
 def _added(
     d: npt.NDArray[Any], sizes: Float64Array, mask: BoolArray, fraction: float
 ) -> Float64Array:
-    """Where every site has moved, in pixels, by so much of a displacement."""
-    # A plane after the other, which stays in the cache, and all components of a row as one line:
-    # a loop over three components takes as long as one over a hundred.
+    """Return the position of every site, in pixels, after a fraction of the displacement."""
+    # Work plane by plane, which stays in the cache, with all components of a row in one line: an
+    # inner loop over three components would take as long as one over a hundred.
     (height, width), n = mask.shape[-2:], mask.ndim
     moved, size = np.empty(d.shape), np.tile(sizes, width)
     scaled = bool((sizes != 1).any())
@@ -285,7 +286,7 @@ def _added(
 
 
 def checked_sizes(spacing: Spacing, axes: int = 2) -> Float64Array:
-    """Return a checked pixel spacing, shape (axes,); one number counts along all axes."""
+    """Return a checked pixel spacing, shape (axes,); a single number applies to all axes."""
     one = isinstance(spacing, Real)
     sizes = np.array(reals((spacing,) * axes if one else spacing, axes))
     if not (np.isfinite(sizes) & (sizes > 0)).all():
@@ -296,7 +297,7 @@ def checked_sizes(spacing: Spacing, axes: int = 2) -> Float64Array:
 
 
 def as_field(displacement: npt.ArrayLike) -> npt.NDArray[Any]:
-    """Take a displacement of a slice or of a volume as it is, or raise a `ProblemError`."""
+    """Check the shape of a displacement of a slice or a volume, or raise a `ProblemError`."""
     d = as_numbers("displacement", displacement)
     if d.ndim not in (3, 4) or d.shape[-1] != d.ndim - 1:
         raise ProblemError(

@@ -1,4 +1,4 @@
-"""Moving what lies on the same tissue: images, labels, channels, time points and landmarks."""
+"""Application of a field to data of the same tissue: images, labels, channels and landmarks."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ from napari_hmrf.solver.solution import Solution, is_solution_file
 
 Pixels = npt.NDArray[Any]
 
-#: What files make of 0, in mm.
+#: Rounding of a 0 in files, in mm.
 _ROUNDING = 1e-4
-#: A sentence on a field without a place.
+#: Sentence about a field without a place.
 _NOWHERE = (
     " Its image lies nowhere, so the field begins at the origin, with pixels of as many mm as its "
     "spacing."
 )
-#: How far from its middle, in slices, a point is in a slice.
+#: Largest distance of a point from the middle of its slice, in slices.
 _IN_SLICE = 0.5 + 1e-3
 
 
 class Applied(NamedTuple):
-    """The file that was written, and what people should know of it, as a clause."""
+    """Path of the written file, and a note to the user as a clause."""
 
     path: Path
     note: str = ""
@@ -61,13 +61,13 @@ class FieldFile:
     field : DisplacementField
         In the unit of the place's spacing.
     place : Place
-        Of a slice of a volume, as of a volume, with three spacings.
+        For a slice of a volume, the place in the volume, with three spacings.
     tissue : ndarray of bool or None
-        What moves; None if the file does not say: everything.
+        The tissue that moves; None (everything moves) if the file does not say.
     unit : {"millimeter", "pixel"}
-        Of the place: pixels if their size is unknown.
+        Unit of the place: pixels if their size is unknown.
     is_placed : bool
-        False if the place is a guess: the origin, along the axes.
+        False if the place is the default: the origin, along the axes.
     """
 
     field: DisplacementField
@@ -78,7 +78,7 @@ class FieldFile:
 
     @classmethod
     def of(cls, solution: Solution) -> FieldFile:
-        """The field of a solution, where its image lies."""
+        """Return the field of a solution, at the place of its image."""
         d, place = placed(solution)
         sizes = place.spacing[-solution.tissue.ndim :]
         unit = "pixel" if Frame.of_solution(solution).unit == "pixel" else "millimeter"
@@ -87,12 +87,12 @@ class FieldFile:
 
     @property
     def in_patient(self) -> Place | None:
-        """The place, if it is one of a patient."""
+        """The place, if it is in patient coordinates."""
         return self.place if self.unit == "millimeter" else None
 
     @property
     def in_pixels(self) -> PixelField:
-        """The field along all axes of its place, as layers hold it and images are observed by."""
+        """The field along all axes of its place, in pixels, as in layers and observations."""
         field, frame = self.field.to_pixels(), self.place.frame(unit=self.unit)
         if len(field.shape) == 2:
             field = DisplacementField.in_pixels(frame.put_field(field.displacement))
@@ -100,17 +100,17 @@ class FieldFile:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The pixels of its grid along each axis."""
+        """Number of pixels along each axis of the grid."""
         return self.field.shape
 
     @property
     def spacing(self) -> Sequence[float]:
-        """Of the axes that it moves along."""
+        """Size of a pixel along the axes of the displacement."""
         return self.field.spacing
 
     @property
     def displacement(self) -> npt.NDArray[Any]:
-        """Material, at every site: of a field that leads back, all of it is inverted."""
+        """Material displacement at every site; a backward field is inverted as a whole."""
         return self.field.displacement
 
 
@@ -121,15 +121,15 @@ def load_field(path: str | os.PathLike[str], *, forward: bool = False) -> FieldF
     ----------
     path : str or path-like
     forward : bool
-        Whether the field of another tool leads from where tissue was to where it goes, though its
-        file does not say so.
+        Whether the field of another tool maps the tissue's old position to its new one, although
+        the file does not say so.
 
     Raises
     ------
     FileFormatError
-        If it is none of these.
+        If the file is none of these.
     HmrfError, OSError
-        As of `read_field`.
+        As for `read_field`.
     """
     if is_solution_file(path) or is_study_file(path):
         if forward:
@@ -141,18 +141,18 @@ def load_field(path: str | os.PathLike[str], *, forward: bool = False) -> FieldF
     file = read_field(path, forward=forward)
     field, place = file.field, Place(file.spacing, file.origin, file.direction)
     across = field.vectors[..., 0]
-    if across.ndim == 3 and len(across) == 1 and np.abs(across).max() < _ROUNDING:  # of one slice
+    if across.ndim == 3 and len(across) == 1 and np.abs(across).max() < _ROUNDING:  # a single slice
         field = DisplacementField(file.displacement[0, ..., 1:], file.spacing[1:])
     return FieldFile(field, place)
 
 
 def save_field(path: str | os.PathLike[str], field: FieldFile, *, forward: bool = False) -> str:
-    """Write a field by `write_field`, and say which way it leads and how good an inverse it is.
+    """Write a field with `write_field`; return a sentence on its direction and inversion error.
 
     Raises
     ------
     HmrfError, OSError
-        As of `write_field`.
+        As for `write_field`.
     """
     name, d = Path(path).name, field.displacement
     residual = write_field(path, d, **field.place._asdict(), tissue=field.tissue, forward=forward)
@@ -179,27 +179,27 @@ def save_field(path: str | os.PathLike[str], field: FieldFile, *, forward: bool 
 def apply_field(
     field: FieldFile, path: str | os.PathLike[str], target: str | os.PathLike[str], *, labels: bool
 ) -> Applied:
-    """Move what is in a file with the tissue, and write it to another of the same kind.
+    """Move the content of a file with the tissue, and write it to another file of the same kind.
 
     Parameters
     ----------
     field : FieldFile
     path : str or path-like
-        An image, or landmarks. Of a volume the slice in which the field lies is moved, and the
-        landmarks in it. A stack of pictures, such as the frames of a film in a .tif, lies nowhere:
-        all its slices are moved. By a field of a volume all of it is moved; its axes come in the
+        An image, or landmarks. In a volume, a field of one slice moves that slice and the landmarks
+        in it. A stack of pictures, such as the frames of a film in a .tif, has no place: all its
+        slices are moved. A field of a volume moves the whole volume, whose axes must be in the
         order of the field's.
     target : str or path-like
     labels : bool
-        Whether an image's values are labels, between which there is nothing.
+        Whether the image holds labels, which are not interpolated.
 
     Raises
     ------
     ProblemError
-        If the image is of another size, or would be written over; or if it is a volume and the
-        field does not say which slice it is of.
+        If the image is of another size, or would be overwritten; or if it is a volume and the
+        field does not say which slice it belongs to.
     FileFormatError, HmrfError, OSError
-        As of `load_image`, `save_image`, `load_points` and `save_points`.
+        As for `load_image`, `save_image`, `load_points` and `save_points`.
     """
     name = Path(path).name
     if Path(target).exists() and Path(target).samefile(path):
@@ -242,7 +242,7 @@ def _moved(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
 
 
 def _looked_back(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
-    """A volume where a field that leads back takes it from, which needs no inverse."""
+    """Sample a volume at the origins that a backward field gives, which needs no inverse."""
     steps = field.field.backward / field.spacing
     origins = np.moveaxis(steps, -1, 0) + np.indices(steps.shape[:-1])
     if pixels.ndim > 3:
@@ -266,7 +266,13 @@ def _looked_up(pixels: Pixels, origins: Pixels, order: int) -> Pixels:
 
 
 def _slice_moved(field: FieldFile, image: ImageFile, name: str, order: int) -> ImageFile:
-    """Return a volume in which the slice of the field is moved; its axes stay as they are."""
+    """Return a volume in which the slice of the field is moved; the order of its axes is kept.
+
+    Raises
+    ------
+    ProblemError
+        If the field does not say which slice it belongs to, or lies elsewhere.
+    """
     own = field.in_patient
     if own is None or len(own.spacing) < 3:
         raise ProblemError(
@@ -290,7 +296,7 @@ def _slice_moved(field: FieldFile, image: ImageFile, name: str, order: int) -> I
 
 
 def _slice_number(own: Place, image: ImageFile) -> int | None:
-    """Return the number of the slice across the first axis that a place is of, or None."""
+    """Return the number of a place's slice, counted along the first axis of a volume, or None."""
     place = image.place
     assert place is not None
     corners = np.diag([0.0, 1.0, 1.0])
@@ -306,7 +312,7 @@ def _move_landmarks(
     file, name, n = load_points(path), Path(path).name, len(field.shape)
     place = place_for(file, field.place, name, n)
     at = place.to_pixels(file.points)
-    # As of images, other slices stay where they are.
+    # As with images, points in other slices stay where they are.
     here = np.abs(at[:, :-n]).max(axis=1, initial=0.0) <= _IN_SLICE
     at[here, -n:] += field.field.at(at[here, -n:]) / field.spacing
     apart = np.count_nonzero(~here)
@@ -315,17 +321,17 @@ def _move_landmarks(
 
 
 def place_for(file: LandmarkFile, place: Place | None, name: str, n: int) -> Place:
-    """The place by which a file's points become pixels: of its axes, and in its unit.
+    """Return the place that converts a file's points to pixels, with its axes and in its unit.
 
     Parameters
     ----------
     file : LandmarkFile
     place : Place or None
-        Of the image.
+        Place of the image.
     name : str
-        The file's, for errors.
+        Name of the file, for errors.
     n : int
-        The axes of the field.
+        Number of axes of the field.
 
     Raises
     ------

@@ -1,9 +1,9 @@
-"""Many cases, solved into a folder each: by processes of this machine, or by a dask cluster.
+"""Batches of cases, each solved into its own folder, on local processes or a dask cluster.
 
-A folder is complete or not there: a case is written beside the others, under `UNFINISHED`, and
-moved to its place when it is whole, with `RECORD` in it. So whatever ends a batch, and whenever,
-the folders that are there are right, and `resume` does the rest. One process at a time uses a
-folder (`folder_lock`), and only that process writes the summary.
+A folder is either complete or absent: a case is written under `UNFINISHED`, and moved to its place
+when it is complete, with `RECORD` in it. So the folders are right however and whenever a batch
+ends, and `resume` solves the rest. One process at a time uses a folder (`folder_lock`), and only
+that process writes the summary.
 """
 
 from __future__ import annotations
@@ -42,27 +42,27 @@ from napari_hmrf.io.folder_lock import exclusive
 from napari_hmrf.wording import in_words_of
 
 _log = logging.getLogger("napari_hmrf")
-#: Where cases are written until they are whole.
+#: Folder for unfinished cases.
 UNFINISHED = ".unfinished"
 SUMMARY = "summary.csv"
-#: How often the summary is written while cases come, in seconds.
+#: Least time between two writes of the summary while cases finish, in seconds.
 _SELDOM = 5.0
-#: By how many cases the pace is told.
+#: Number of finished cases over which the pace is averaged.
 _PACE = 20
-#: What libraries are told of how many threads to start.
+#: Environment variables that limit the threads of libraries.
 _THREADS = "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 
 
 @dataclass(frozen=True)
 class BatchProgress:
-    """How far a batch is.
+    """Progress of a batch.
 
     Attributes
     ----------
     done, failed, of : int
-        Cases that are right, those that failed, and how many there are.
+        Number of finished cases, of failed cases, and of all cases.
     seconds_left : float, optional
-        At the pace so far; None until that is known.
+        Estimate at the pace so far; None until the pace is known.
     newest : CaseOutcome, optional
     """
 
@@ -92,31 +92,31 @@ def solve_cases(
     progress: Callable[[BatchProgress], object] | None = None,
     tell: Callable[[str], object] | None = None,
 ) -> tuple[CaseOutcome, ...]:
-    """Solve many cases, into a folder each; one that fails stops no other.
+    """Solve many cases, each into its own folder; a failed case does not stop the others.
 
-    Processes are started anew, by "spawn", so that a script needs
-    ``if __name__ == "__main__":`` around what it does.
+    The worker processes are started by "spawn", so a script needs ``if __name__ == "__main__":``
+    around its code.
 
     Parameters
     ----------
     cases : sequence of NamedCase
-        As of `read_cases`.
+        As returned by `read_cases`.
     folder : path-like
-        Where the folders go, and `summary.csv`. One batch at a time writes there; a second is
-        refused.
+        Parent of the case folders and of `summary.csv`. One batch at a time may write there; a
+        second one is refused.
     jobs : int, optional
-        Processes, of one thread each; by default one for each core.
+        Number of processes, each with one thread; by default one for each core.
     scheduler : str, optional
-        The address of a dask scheduler, or its file (.json): its workers solve the cases. They have
-        to see the same files.
+        Address of a dask scheduler, or its file (.json): its workers solve the cases. They must
+        see the same files.
     resume : bool
-        Keep the finished cases whose line and files are the same, and solve the others.
+        Keep the finished cases whose row and files are unchanged, and solve the others.
     backend : str
-        As of `solve`; with the loops a field does not depend on the machine's GPU.
+        As for `solve`; with "cpu" the field does not depend on the machine's GPU.
     progress : callable, optional
         Called with a `BatchProgress` after each case.
     tell : callable, optional
-        Called with each sentence on folders that are not counted, and cases that are solved again;
+        Called with a sentence for folders that are not counted and for cases that are solved again;
         by default these are logged as warnings of "napari_hmrf".
 
     Returns
@@ -128,7 +128,7 @@ def solve_cases(
     ------
     HmrfError
         If the folder has finished cases and `resume` is not given; if another batch writes into
-        it; or there is no scheduler.
+        it; or if there is no scheduler.
     OSError
         If the folder cannot be written.
     """
@@ -166,18 +166,18 @@ def solve_cases(
 
 
 def solve_into(case: NamedCase, folder: Path, backend: str = "cpu") -> CaseOutcome:
-    """Solve a case in this process, on one thread, into a folder that is whole or not there."""
+    """Solve a case in this process, on one thread, into a folder that is complete or absent."""
     one_thread()
     begun = time.perf_counter()
     part = folder / UNFINISHED / f"{case.name}-{secrets.token_hex(4)}"
     try:
-        inputs = fingerprints(case)  # before they are read, so that a later change is seen
+        inputs = fingerprints(case)  # before the files are read, so that a later change is detected
         solved = solve_case(case.case, part, backend=backend, changes=case.changes)
         outcome = _outcome(case.name, solved, _seconds_since(begun))
         record = {"cells": dict(case.cells), "outcome": asdict(outcome), "inputs": inputs}
         write_whole(part / RECORD, json.dumps(record, indent=2).encode())
         _publish(part, folder / case.name)
-    except Exception as error:  # noqa: BLE001 - one that fails stops no other
+    except Exception as error:  # noqa: BLE001 - a failed case does not stop the others
         said = in_words(error)
         known = isinstance(error, HmrfError | OSError)
         said = said if known else f"{type(error).__name__}: {said}"
@@ -192,15 +192,15 @@ def solve_into(case: NamedCase, folder: Path, backend: str = "cpu") -> CaseOutco
 
 @cache
 def one_thread() -> None:
-    """Have this process compute on one thread, as others do beside it."""
+    """Limit this process to one thread, as other processes compute beside it."""
     os.environ.update(dict.fromkeys(_THREADS, "1"))
-    if "numba" not in sys.modules:  # it does not change its mind
+    if "numba" not in sys.modules:  # numba reads the variable only once
         os.environ["NUMBA_NUM_THREADS"] = "1"
     threadpoolctl.threadpool_limits(1)
 
 
 def _seconds_since(begun: float) -> float:
-    """By the clock of `perf_counter`, as a table shows it."""
+    """Return the time since `begun` by `perf_counter`, rounded for a table."""
     return round(time.perf_counter() - begun, 4)
 
 
@@ -221,14 +221,14 @@ def _outcome(name: str, solved: SolvedCase, seconds: float) -> CaseOutcome:
 
 
 def _publish(part: Path, target: Path) -> None:
-    """Give a whole folder its name; one of an earlier table makes way."""
+    """Move a complete folder to its final name, in place of one from an earlier table."""
     if target.exists():
         target.rename(part.with_name(f"{part.name}-old"))
     part.rename(target)
 
 
 class _Batch:
-    """What has come so far, and the summary of it."""
+    """Finished outcomes and their summary."""
 
     def __init__(
         self, cases: Sequence[NamedCase], found: dict[str, CaseOutcome], folder: Path
@@ -245,7 +245,7 @@ class _Batch:
         return tuple(self._found.values())
 
     def take(self, outcome: CaseOutcome) -> BatchProgress:
-        """Take one more, and write the summary now and then."""
+        """Record an outcome, and write the summary from time to time."""
         self._found[outcome.case] = outcome
         now = time.monotonic()
         self._come.append(now)
@@ -259,14 +259,14 @@ class _Batch:
         )
 
     def _seconds_left(self) -> float | None:
-        """By the newest cases, as the first wait for processes and loops."""
+        """Estimate from the latest cases, as the first ones include start-up and compilation."""
         newest = self._come[-_PACE:]
         if len(newest) < _PACE:
             return None
         return (newest[-1] - newest[0]) / (_PACE - 1) * (self._todo - len(self._come))
 
     def write(self) -> None:
-        """Write the summary: a line for each case, with the numbers that the table sweeps over."""
+        """Write the summary: a row for each case, with the numbers that the table sweeps over."""
         titles = [*CaseOutcome.__dataclass_fields__]
         swept = [*dict.fromkeys(title for each in self._parameters.values() for title in each)]
         rows = []
@@ -277,12 +277,12 @@ class _Batch:
         save_csv(self._folder / SUMMARY, [titles[0], *swept, *titles[1:]], rows)
 
 
-# By processes of this machine
+# Local processes
 
 
 @dataclass
 class _Worker:
-    """A process that solves one case after the other, and how to speak to it."""
+    """Process that solves one case after the other, with its pipe."""
 
     process: Any
     pipe: Connection
@@ -294,18 +294,18 @@ class _Worker:
         here, there = context.Pipe()
         process = context.Process(target=_work, args=(there, solve_one), daemon=True)
         process.start()
-        there.close()  # so that this end sees when the process is gone
+        there.close()  # so that this end detects the end of the process
         worker = cls(process, here, case)
         worker.give(case)
         return worker
 
     def give(self, case: NamedCase) -> None:
         self.case = case
-        with suppress(OSError):  # one that is gone is seen when its answer does not come
+        with suppress(OSError):  # the missing answer shows that the process has ended
             self.pipe.send(case)
 
     def answer(self) -> CaseOutcome:
-        """What came of its case; that it failed, if the process has ended over it."""
+        """Return the outcome of its case, or a failure if the process has ended."""
         try:
             outcome: CaseOutcome = self.pipe.recv()
         except (EOFError, OSError):
@@ -317,7 +317,7 @@ class _Worker:
 def _by_processes(
     cases: Sequence[NamedCase], solve_one: Callable[[NamedCase], CaseOutcome], count: int
 ) -> Generator[CaseOutcome, None, None]:
-    """The outcomes as they come; a process that ends takes only its own case with it."""
+    """Yield the outcomes as they arrive; a process that ends loses only its own case."""
     todo = deque(cases)
     workers: dict[Connection, _Worker] = {}
     idle: list[_Worker] = []
@@ -337,7 +337,7 @@ def _by_processes(
                     worker.give(todo.popleft())
                 else:
                     idle.append(workers.pop(worker.pipe))
-                    worker.pipe.close()  # which ends it
+                    worker.pipe.close()  # the process then ends
                     if todo:
                         start()
                 yield outcome
@@ -349,8 +349,8 @@ def _by_processes(
 
 
 def _work(pipe: Connection, solve_one: Callable[[NamedCase], CaseOutcome]) -> None:
-    """Solve what comes until nothing does, or nobody asks any more."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that was asked
+    """Solve cases from the pipe until it closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent process
     one_thread()
     with suppress(EOFError, OSError):
         while True:
@@ -367,19 +367,19 @@ def _ended(exitcode: int | None) -> str:
 
 
 def _cores() -> int:
-    """How many cores this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
-# By a dask cluster
+# dask cluster
 
 
 def _by_cluster(
     cases: Sequence[NamedCase], solve_one: Callable[[NamedCase], CaseOutcome], address: str
 ) -> Generator[CaseOutcome, None, None]:
-    """The outcomes as they come from the workers of a dask scheduler."""
+    """Yield the outcomes as they arrive from the workers of a dask scheduler."""
     try:
         from distributed import Client, as_completed
     except ImportError:

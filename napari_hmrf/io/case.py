@@ -1,4 +1,4 @@
-"""A case in files: a study, or an image with its tissue and how it moves; solved into a folder."""
+"""Cases read from files (a study, or an image with tissue and motion) and solved into a folder."""
 
 from __future__ import annotations
 
@@ -40,19 +40,19 @@ from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.tissue_maps import most_likely
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
-#: Labels that are listed in a sentence.
+#: Number of labels that a sentence lists.
 _FEW = 6
 
 
 def read_case(case: Case) -> Study:
-    """Make a study of files.
+    """Read a study from the files of a case.
 
     Raises
     ------
     ProblemError
-        If images are of different size, or lie in different places, or a volume has no such slice.
+        If images differ in size or place, or a volume has no such slice.
     FileFormatError, HmrfError, OSError
-        If a file cannot be read, by its name.
+        If a file cannot be read; the error names the file.
     """
     if is_study_file(case.image):
         if case.options:
@@ -107,7 +107,7 @@ def _refuse_unused(case: Case, flat: bool) -> None:
 
 
 def _names(case: Case) -> dict[str, str]:
-    """What people call the parts of a study: as they called the files, and the image as layers."""
+    """Return the names of a study's parts: file names, and for the image the layer's name."""
     sure = case.confidence if isinstance(case.confidence, Path) else None
     tissue = case.labels or next(iter(case.maps), None)
     parts = {"tissue": tissue, "boundary": case.boundary, "confidence": sure}
@@ -116,16 +116,16 @@ def _names(case: Case) -> dict[str, str]:
 
 
 class SolvedCase(NamedTuple):
-    """What came of a case.
+    """Result of a case.
 
     Attributes
     ----------
     study : Study
     solution : Solution
     folds : int
-        Sites at which the tissue folds over itself, which no tissue does.
+        Sites at which the tissue folds over itself, which is physically impossible.
     notes : tuple of str
-        What people should know of how it was understood and what came of it, as clauses.
+        Notes to the user on how the case was read and on shortcomings of the result, as clauses.
     """
 
     study: Study
@@ -155,18 +155,18 @@ def solve_case(
     ----------
     case : Case
     folder : Path
-        Made if it is not there.
+        Created if it does not exist.
     backend : str
-        As of `solve`.
+        As for `solve`.
     changes : sequence of Change
-        Numbers that replace those of its files.
+        Numbers that replace those of the case's files.
     overwrite : bool
         Whether files of an earlier solve may be replaced.
 
     Raises
     ------
     HmrfError, OSError
-        As of `read_case`, `changed`, `solve_study` and `save_study`.
+        As for `read_case`, `changed`, `solve_study` and `save_study`.
     """
     study = changed(read_case(case), changes)
     if case.boundary is None and not case.hold_edge and not is_study_file(case.image):
@@ -180,14 +180,14 @@ def solve_case(
             "if its outer edge stays."
         )
     refuse_overwriting(_files_of(case, folder), overwrite=overwrite)
-    folder.mkdir(parents=True, exist_ok=True)  # before the work, so that it is not done in vain
+    folder.mkdir(parents=True, exist_ok=True)  # fail before the solve, not after it
     ground = Ground.of(study)
     stated = ground.statement()
     idle = ground.unused(stated)
     if not asks_motion(stated.problem):
         why = "".join(f"; {note}" for note in (*idle, *ground.idle_marks(stated)))
         raise HmrfError(
-            f"nothing is asked to move{why}. Give --boundary with what moves: landmarks, a field, "
+            f"nothing moves{why}. Give --boundary with what moves: landmarks, a field, "
             "or labels with --rules that move or expand; or --materials with growth."
         )
     solution = solve_study(study, stated=stated, backend=backend)
@@ -206,7 +206,7 @@ def solve_case(
 
 
 def _shortcomings(solution: Solution, folds: int, unit: str) -> Iterator[str]:
-    """What is wrong with a field, as clauses."""
+    """Yield the shortcomings of a field, as clauses."""
     if folds:
         sites = "voxels" if solution.tissue.ndim == 3 else "pixels"
         yield f"the tissue folds over itself at {folds} {sites}, which no tissue does: move it less"
@@ -215,7 +215,7 @@ def _shortcomings(solution: Solution, folds: int, unit: str) -> Iterator[str]:
 
 
 def _part(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:
-    """The slice that is meant, and its place in the volume; or all of a volume, upright."""
+    """Return the selected slice and its place in the volume, or a whole volume, upright."""
     place, number = image.place, case.slice
     if image.ndim == 2:
         return image, place
@@ -233,7 +233,7 @@ def _part(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:
 
 
 def _grid(part: ImageFile, whole: ImageFile, case: Case) -> Grid:
-    """The slice that is meant, which knows its number and the place of the volume; or a volume."""
+    """Return the grid of a slice, with its number and the volume's place, or of a volume."""
     n, number = part.ndim, case.slice if whole.ndim > 2 and case.slice is not None else 0
     shape = part.pixels.shape[:n]
     if whole.place is None and n == whole.ndim == 2:
@@ -250,7 +250,7 @@ def _grid(part: ImageFile, whole: ImageFile, case: Case) -> Grid:
 def _materials(
     path: Path | None, labels: npt.NDArray[Any] | None
 ) -> tuple[tuple[Material, ...], str, tuple[str, ...]]:
-    """Return the materials of a table, their unit, and notes on what was looked up by name."""
+    """Return the materials of a table, their unit, and notes on materials looked up by name."""
     if path is None or labels is None:
         return (), "", ()
     table = tissue_table(path)
@@ -263,7 +263,7 @@ def _materials(
 
 
 def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> npt.NDArray[Any]:
-    """A grey image on the same pixels; of a volume the same slice."""
+    """Return a grey image on the same pixels; from a volume, the same slice."""
     (there, place), image = _part(whole, case), load_image(path)
     if there.ndim == 3 and image.place is None:
         image = image._replace(place=whole.place)
@@ -282,7 +282,7 @@ def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> n
 
 
 def as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
-    """The pixels of a file as labels, which some tools keep as numbers that need not be whole."""
+    """Return the pixels of a file as labels; some tools store whole numbers as floats."""
     is_mask = pixels.dtype.kind == "b"
     if is_mask or (pixels.dtype.kind == "f" and (pixels == np.rint(pixels)).all()):
         return pixels.astype(np.int32)
@@ -311,7 +311,7 @@ def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Mo
     except FileFormatError as error:
         raise FileFormatError(f"{error} If it is an image of labels, give --rules, too.") from None
     counts, frame = _counts(case, whole), grid.place
-    # A flat field does not say where in a volume it lies, and so is taken by its pixels.
+    # A 2-D field does not say where it lies in a volume, so it is matched pixel by pixel.
     if frame is None or field.frame.ndim < frame.ndim:
         n = len(grid.shape)
         frame = Frame.at(grid.spacing, ("pixel",) * n, volume=n == 3)
@@ -325,7 +325,7 @@ def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Mo
 def _refuse_unruled(
     labels: npt.NDArray[Any], rules: Sequence[BoundaryRule], image: str, table: str
 ) -> None:
-    """Refuse painted labels that a table of rules does not name, and labels that are nowhere."""
+    """Refuse painted labels without a rule, and rules for labels that are not painted."""
     missing = [label for label in unlisted(labels, rules) if label]
     if missing:
         listed = ", ".join(map(str, missing[:_FEW]))
@@ -354,14 +354,14 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
             path.name, "says where things are, not where they should be. Give pairs, as BigWarp."
         )
     _, place = _part(whole, case)
-    # Points of BigWarp's are in the order of the file's axes, which are turned upright afterwards.
+    # Points of BigWarp are in the order of the file's axes, which are turned upright afterwards.
     first = whole.place if n == 3 else place
     where = place_for(file, first, path.name, n)
     ends = [where.to_pixels(points) for points in (file.points, file.targets)]
     if first is not None and place is not None and n == 3:
         ends = [place.to_pixels(first.to_space(at)) for at in ends]
     if where is not first and n == 2 and case.slice is not None:
-        ends = [at - [*[case.slice] * (at.shape[1] - 2), 0, 0] for at in ends]  # of the volume
+        ends = [at - [*[case.slice] * (at.shape[1] - 2), 0, 0] for at in ends]  # in the volume
     if any((abs(at[:, :-n]) > 0.5).any() for at in ends):
         raise ProblemError(path.name, "holds points that lie on other slices than the image.")
     sources, last = ends[0][:, -n:], np.array(grid.shape) - 1

@@ -1,4 +1,4 @@
-"""Files and options of a case, and the energy that they ask for."""
+"""Files and options of a case, and the energy that they select."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ class Case:
     Attributes
     ----------
     image : Path
-        An image, or a study's file, which needs nothing else.
+        An image, or the file of a study, which needs no other file.
     labels, materials : Path, optional
-        An image of tissue labels and a table of materials, .csv or .json, or one of what a
-        segmentation calls its labels, as of `read_label_names`.
+        An image of tissue labels and a table of materials, .csv or .json; or a table of label names
+        from a segmentation tool, as read by `read_label_names`.
     maps : sequence of Path
-        Instead of `labels`: how likely each tissue is, an image for each. The place of the
-        likeliest in this list, from 1 on, is the label; 0 where all of them together leave more for
-        none than the likeliest has.
+        Instead of `labels`: a probability image for each tissue. The label is the position, from 1
+        on, of the most likely tissue in this list; 0 where the remaining probability of no tissue
+        is larger.
     boundary : Path, optional
-        How tissue moves: an image of labels with a table of `rules`; pairs of landmarks in a .csv;
-        or a displacement field, such as a registration's.
+        Motion of the tissue: an image of labels with a table of `rules`; pairs of landmarks in a
+        .csv; or a displacement field, such as a registration's.
     rules : Path, optional
         A .csv.
     forward : bool
-        Whether a boundary that is a field leads from where tissue was to where it goes, though its
-        file does not say so.
+        Whether a boundary that is a field maps the tissue's old position to its new one, although
+        the file does not say so.
     confidence : Path or "edges", optional
-        How sure a field is: an image from 0 to 1 or a mask; or 1 at the edges of the image and 0
-        elsewhere. By default 1 wherever there is a field.
+        Confidence of a field: an image from 0 to 1 or a mask; or "edges": 1 at the edges of the
+        image and 0 elsewhere. By default 1 wherever the field is defined.
     slice : int, optional
-        Of a volume along its first axis; by default all of a volume is deformed.
+        Slice of a volume along its first axis; by default the whole volume is solved.
     hold_edge : bool
         Whether the outer edge of the tissue stays where it is.
     model : str, optional
@@ -56,13 +56,13 @@ class Case:
     poisson : float, optional
         Poisson's ratio of all tissue, in place of that of `materials`.
     plane : {"stress", "strain"}, optional
-        Of a slice of elastic tissue: free to bulge, the default, or held between its neighbours.
+        Slice of elastic tissue: free to bulge (default), or held between its neighbours.
     tolerance : float, optional
-        Largest estimated error of the field, in pixels; of all models but "paper".
+        Largest estimated error of the field, in pixels; for all models but "paper".
     penalty : float, optional
-        K of eq. 19, with which what is held may slip; by default the model's own.
+        K of eq. 19, which lets held sites slip; by default the model's own.
     weight : tuple of float
-        Force at each part of elastic tissue along each axis, in the unit of stiffness per length.
+        Body force on elastic tissue along each axis, in the unit of stiffness per length.
     """
 
     image: Path
@@ -84,27 +84,27 @@ class Case:
 
     @property
     def options(self) -> tuple[str, ...]:
-        """What is given beside the image, as it is typed."""
+        """Options that are given in addition to the image, as they are typed in a shell."""
         names = [each.name for each in fields(self) if each.name != "image"]
         given = [name for name in names if getattr(self, name) not in (None, (), False)]
         return tuple(f"--{name.replace('_', '-')}" for name in given)
 
 
 def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
-    """Return the energy that a case asks for, and how it is minimised.
+    """Return the energy that a case selects, and its optimizer.
 
     Parameters
     ----------
     case : Case
     volume : bool
-        Whether all of a volume is solved.
+        Whether a whole volume is solved.
 
     Raises
     ------
     HmrfError
-        If the model has no such parameter: naming the option and the reason.
+        If the model has no such parameter; the message names the option and the reason.
     ArgumentError
-        If a parameter has a value that it cannot have.
+        If the value of a parameter is invalid.
     """
     name = MODELS[as_word(case.model or "elastic")]
     prior, optimizer = chosen(name)
@@ -137,7 +137,7 @@ def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
 
 
 def weight_of(case: Case, grid: Grid) -> tuple[float, ...]:
-    """Return the weight of a case, or refuse one of other axes than its grid has."""
+    """Return the weight of a case; refuse one whose axes differ from the grid's."""
     if case.weight and len(case.weight) != len(grid.shape):
         axes = "plane, row and col" if len(grid.shape) == 3 else "row and col"
         raise HmrfError(
@@ -148,13 +148,13 @@ def weight_of(case: Case, grid: Grid) -> tuple[float, ...]:
 
 
 def notes_on_ratio(case: Case, tissue: Tissue) -> tuple[str, ...]:
-    """Return notes on what the Poisson's ratio of a case replaces, and on labels without a row.
+    """Return notes on Poisson's ratios that a case replaces, and on labels without a row.
 
     Parameters
     ----------
     case : Case
     tissue : Tissue
-        By labels, with the materials of the table.
+        Tissue by labels, with the materials of the table.
     """
     notes = []
     if any(row.poisson not in (case.poisson, USUAL_POISSON) for row in tissue.materials):

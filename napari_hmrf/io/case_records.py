@@ -12,35 +12,35 @@ import pydantic
 
 from napari_hmrf.io.case_tables import NamedCase
 
-#: File in the folder of a case with its line of the table, its files, and its outcome.
+#: File in the folder of a case with its row of the table, its input digests, and its outcome.
 RECORD = "case.json"
-#: Names that a sentence lists.
+#: Number of names that a sentence lists.
 _FEW = 5
 
 
 @dataclass(frozen=True)
 class CaseOutcome:
-    """What came of a case.
+    """Outcome of a case.
 
     Attributes
     ----------
     case : str
-        Its name.
+        Name of the case.
     state : {"done", "failed", "not done"}
     error : str
-        Why it failed, in words.
+        Reason for the failure, in words.
     notes : str
-        What was guessed as its files were read, and what its field falls short of.
+        Assumptions made as the files were read, and shortcomings of the field.
     seconds : float
-        From its files to its files.
+        Time from reading to writing the files.
     folds : int
-        Pixels at which the tissue folds over itself, which no tissue does.
+        Pixels at which the tissue folds over itself, which is physically impossible.
     error_bound : float, optional
-        How far the field is from the exact one at most, in pixels; None of a model that has none.
+        Bound on the error of the field, in pixels; None if the model has no bound.
     largest_displacement : float, optional
         In `unit`.
     unit : str
-        Of the image's lengths.
+        Unit of the image's lengths.
     """
 
     case: str
@@ -63,7 +63,7 @@ class CaseRecord(pydantic.BaseModel):
 
 
 def record_in(folder: Path) -> CaseRecord | None:
-    """Read the record in a folder; None if it holds none."""
+    """Return the record in a folder, or None if the folder holds none."""
     try:
         return CaseRecord.model_validate_json((folder / RECORD).read_bytes())
     except (OSError, pydantic.ValidationError):
@@ -73,7 +73,7 @@ def record_in(folder: Path) -> CaseRecord | None:
 def finished_cases(
     cases: Sequence[NamedCase], folder: Path
 ) -> tuple[dict[str, CaseOutcome], list[str]]:
-    """Return the outcomes of finished cases, and sentences on those that are solved again."""
+    """Return the outcomes of finished cases, and sentences on cases that are solved again."""
     found, rows, files = {}, [], []
     digests: dict[Path, str] = {}
     for case in cases:
@@ -94,7 +94,7 @@ def finished_cases(
 
 
 def leftovers(cases: Sequence[NamedCase], folder: Path) -> list[str]:
-    """Return sentences on folders of cases that are no longer in the table."""
+    """Return sentences on folders whose cases are no longer in the table."""
     named = {case.name.casefold() for case in cases}
     others = [
         path.parent.name
@@ -112,13 +112,13 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def fingerprints(case: NamedCase, known: dict[Path, str] | None = None) -> dict[str, str]:
-    """Return a digest of each file that a case is read from; "" of one that cannot be read.
+    """Return a digest of each file that a case is read from; "" for an unreadable file.
 
     Parameters
     ----------
     case : NamedCase
     known : dict, optional
-        Digests that were made before; those of the case are added.
+        Digests made before; those of the case are added.
     """
     made = {} if known is None else known
     for path in case.inputs:

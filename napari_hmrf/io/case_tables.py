@@ -1,12 +1,12 @@
-"""Tables of cases: what to solve, a line for each study or image, with sweeps over its numbers.
+"""Tables of cases: a row for each study or image to solve, with sweeps over its numbers.
 
 The columns are the words of ``napari-hmrf solve`` (``image`` or ``study``, ``labels``, ``maps``,
 ``materials``, ``boundary``, ``rules``, ``forward``, ``confidence``, ``slice``, ``hold-edge``,
 ``model``, ``plane``, ``tolerance``, ``penalty``, ``weight``), the ``name`` of the case, and numbers
 that replace those of its files: ``poisson``, ``growth:TISSUE``,
 ``stiffness:TISSUE``, ``poisson:TISSUE`` and ``amount:BOUNDARY``, by label or by name. Paths are
-relative to the table. Several values in a cell, with semicolons between them, are a case each;
-``slice`` takes ``3-7`` and ``all``, too, which are the time points of a film.
+relative to the table. A cell with several values, separated by semicolons, gives one case for each;
+``slice`` also takes ``3-7`` and ``all``, for example for the time points of a film.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from napari_hmrf.io.tables import value_of
 from napari_hmrf.solver.model_names import MODELS, as_word
 from napari_hmrf.solver.priors.elastic import Plane
 
-#: Larger files are no tables of ours, and are not read.
+#: Largest size of a table, in bytes; a larger file is not read.
 _LARGEST = 2**24
 _FILES = "image", "labels", "materials", "boundary", "rules", "confidence"
 _ENERGY = "plane", "tolerance", "penalty", "weight"
@@ -38,14 +38,14 @@ _COLUMNS = (
     *("name", "study", *_FILES, "maps", "forward", "slice", "hold-edge", "model", "poisson"),
     *_ENERGY,
 )
-#: Columns of which several values are a case each.
+#: Columns in which several values give one case each.
 _SEVERAL = ("slice", "model", "poisson", *_ENERGY)
 _SWEEPS = (*OF_TISSUES, *OF_BOUNDARIES)
-#: Characters that no name of a case may have.
+#: Characters that are not allowed in the name of a case.
 _FORBIDDEN = re.compile(r'[\\/:*?"<>|\0-\x1f]')
-#: Characters of names of cases that shells, tables and tools read as no other; others become "_".
+#: Characters that are not plain in shells, tables and tools; they are replaced by "_".
 _STRANGE = re.compile(r"[^\w.-]+")
-#: Names of files of a batch, and names that Windows has for devices.
+#: Reserved names: files of a batch, and device names of Windows.
 _RESERVED = {"summary.csv", *("con", "prn", "aux", "nul")} | {
     f"{port}{number}" for port in ("com", "lpt") for number in range(10)
 }
@@ -54,17 +54,17 @@ _YES, _NO = ("yes", "true", "1", "x"), ("", "no", "false", "0")
 
 @dataclass(frozen=True)
 class NamedCase:
-    """A case of many.
+    """Case with a name, its changes, and its row of the table.
 
     Attributes
     ----------
     name : str
-        Also the name of the folder of its results.
+        Name of the case and of the folder of its results.
     case : Case
     changes : tuple of Change
-        Numbers that replace those of its files.
+        Numbers that replace those of the case's files.
     cells : mapping of str to str
-        Cells of its line, by which a changed line is recognised.
+        Cells of the row; a changed row is recognised by them.
     """
 
     name: str
@@ -74,7 +74,7 @@ class NamedCase:
 
     @property
     def parameters(self) -> dict[str, str]:
-        """Slice and numbers of the case that a table may sweep over, as text by their titles."""
+        """Slice and numbers of the case that a table may sweep over, as text by column title."""
         found = {} if self.case.slice is None else {"slice": str(self.case.slice)}
         for option in ("plane", "tolerance", "penalty"):
             if (value := getattr(self.case, option)) is not None:
@@ -90,7 +90,7 @@ class NamedCase:
 
     @property
     def inputs(self) -> tuple[Path, ...]:
-        """Files and folders that the case is read from."""
+        """Files and folders from which the case is read."""
         case = self.case
         named = (case.image, case.labels, case.materials, case.boundary, case.rules, *case.maps)
         sure = (case.confidence,) if isinstance(case.confidence, Path) else ()
@@ -108,17 +108,17 @@ def read_cases(path: str | os.PathLike[str]) -> tuple[NamedCase, ...]:
     Raises
     ------
     FileFormatError
-        Saying what is wrong with which line. Whether the files that it names are there, and what is
-        in them, is seen when a case is solved.
+        Naming the row and its error. Whether the listed files exist, and their content, is checked
+        only when a case is solved.
     OSError
-        If it cannot be opened.
+        If the table cannot be opened.
     """
     source = Path(checked_path(path))
     cases: dict[str, NamedCase] = {}
     for number, cells in read_csv(source, largest=_LARGEST, check=_titles(source.name)).lines:
         where = f"{source.name}: line {number}"
         for case in _cases_of(cells, source.parent, where):
-            folder = case.name.casefold()  # some disks do not tell capital letters
+            folder = case.name.casefold()  # some file systems ignore case
             if folder in cases:
                 raise FileFormatError(
                     f"{where}: there is a case {cases[folder].name!r} already. Give each a name of "
@@ -131,7 +131,7 @@ def read_cases(path: str | os.PathLike[str]) -> tuple[NamedCase, ...]:
 
 
 def _titles(file: str) -> Callable[[list[str], int], list[str]]:
-    """What refuses columns that say nothing."""
+    """Return a check that refuses unknown columns."""
 
     def check(written: list[str], line: int) -> list[str]:
         titles = [_title(cell) for cell in written]
@@ -156,12 +156,12 @@ def read_energy(name: str, text: str) -> Any:
     ----------
     name : {"plane", "tolerance", "penalty", "weight"}
     text : str
-        As it is typed in a shell or stands in a table; a weight has slashes between its parts.
+        As typed in a shell or in a table; a weight has slashes between its parts.
 
     Raises
     ------
     ValueError
-        Saying what the text should be.
+        Naming the expected text.
     """
     if name == "plane":
         if text.casefold() not in get_args(Plane):
@@ -181,24 +181,24 @@ def read_energy(name: str, text: str) -> Any:
 
 
 def _sweep_of_named(kind: str) -> str:
-    """Return the title of a sweep over one tissue or boundary, as it is explained."""
+    """Return the title of a sweep over one tissue or boundary, as shown in messages."""
     return f"{kind}:NAME"
 
 
 def _title(cell: str) -> str:
-    """A title, as it is typed in a shell or in Python; what follows a colon is a name."""
+    """Return a normalised title; the name that follows a colon keeps its case."""
     kind, colon, of = cell.partition(":")
     return f"{kind.strip().casefold().replace('_', '-')}{colon}{of.strip()}"
 
 
 def _cases_of(cells: dict[str, str], folder: Path, where: str) -> Iterator[NamedCase]:
-    """The cases of a line: one for each value of what has several."""
+    """Yield the cases of a row: one for each combination of the swept values."""
     image = cells.get("image") or cells.get("study")
     if image is None or ("image" in cells and "study" in cells):
         raise FileFormatError(f"{where}: give an image, or a study.")
     swept = {title: text for title, text in cells.items() if ":" in title or title in _SEVERAL}
     values = {title: _values(title, text, folder / image) for title, text in swept.items()}
-    # A line without a name is called after all of its numbers, as others may be of the same image.
+    # A row without a name is named after all its numbers, as other rows may use the same image.
     told = [title for title in values if "name" not in cells or len(values[title]) > 1]
     for chosen in product(*values.values()):
         here = dict(zip(values, chosen, strict=True))
@@ -215,12 +215,12 @@ def _cases_of(cells: dict[str, str], folder: Path, where: str) -> Iterator[Named
 
 
 def _plain(text: str) -> str:
-    """Return text as part of a name of a folder, which needs no quotation marks anywhere."""
+    """Return text as part of a folder name that needs no quoting in any shell."""
     return _STRANGE.sub("_", text.replace(":", "-")).strip("_") or "_"
 
 
 def _values(title: str, text: str, image: Path) -> list[str]:
-    """The values of a cell, each as text."""
+    """Return the values of a cell, each as text."""
     parts = [part.strip() for part in text.split(";") if part.strip()]
     if title != "slice":
         return parts or [text]
@@ -236,7 +236,7 @@ def _values(title: str, text: str, image: Path) -> list[str]:
 
 
 def _slices(image: Path) -> int:
-    """How many slices an image has; one that cannot be read is a case that says so."""
+    """Return the number of slices of an image, or 1 if unreadable: solving it reports the error."""
     try:
         file = load_image(image)
     except (HmrfError, OSError):

@@ -1,4 +1,4 @@
-"""Comma-separated text, as spreadsheets write it: files with titles in their first line."""
+"""Comma-separated text as written by spreadsheets, with column titles in the first line."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from napari_hmrf.errors import FileFormatError
 from napari_hmrf.regular_file import read_at_most
 
 ENDING = ".csv"
-#: Characters with which a spreadsheet takes text for a formula.
+#: First characters by which a spreadsheet recognises a formula.
 _FORMULA = "=+-@\t\r"
-#: Other words for columns, which are offered when a column is unknown.
+#: Synonyms of column titles, suggested when a column is unknown.
 SYNONYMS = {
     **dict.fromkeys(
         ("young", "youngs", "young's", "youngs modulus", "young's modulus", "e", "modulus"),
@@ -43,15 +43,15 @@ SYNONYMS = {
 
 
 class CsvFile(NamedTuple):
-    """What a file holds.
+    """Content of a file.
 
     Attributes
     ----------
     titles : list of str
-        Of the columns; "" of one without.
+        Titles of the columns; "" for a column without a title.
     lines : list of (int, dict)
-        The number of each line, and by title what is in those of its cells that are filled. Lines
-        without such a cell are left out.
+        Number of each line, and its non-empty cells by title. Lines without such a cell are left
+        out.
     """
 
     titles: list[str]
@@ -64,7 +64,7 @@ def text_of(path: Path, largest: int) -> str:
     Raises
     ------
     FileFormatError
-        If it has more than so many bytes, or is not in UTF-8.
+        If it is larger than `largest` bytes, or is not in UTF-8.
     OSError
         If it cannot be opened.
     """
@@ -78,12 +78,12 @@ def text_of(path: Path, largest: int) -> str:
 
 
 def read_cells(path: Path, largest: int) -> list[tuple[int, list[str]]]:
-    """Read the numbers of lines, and their cells without spaces around them.
+    """Read the number of each line, and its cells stripped of spaces.
 
     Raises
     ------
     FileFormatError
-        If it has more than so many bytes, or is no comma-separated text in UTF-8.
+        If it is larger than `largest` bytes, or is no comma-separated text in UTF-8.
     OSError
         If it cannot be opened.
     """
@@ -106,11 +106,11 @@ def unknown_column(
     line : int
         Number of the line with the titles.
     title : str
-        As it is written.
+        The title as written.
     known : sequence of str
         Titles with a meaning.
     others : mapping of str to str, optional
-        Kinds of tables that have other columns, by these columns.
+        Kinds of tables that have other columns, by column title.
     """
     for separator, name in ((";", "semicolons"), ("\t", "tabs")):
         if separator in title:
@@ -141,13 +141,13 @@ def read_csv(
     largest : int
         In bytes.
     check : callable
-        Called with the titles as they are written and the number of their line. Raises if a title
-        is unknown or missing, and returns the titles as they are meant.
+        Called with the titles as written and the number of their line. Raises if a title is unknown
+        or missing, and returns the normalised titles.
 
     Raises
     ------
     FileFormatError
-        If it is no such file, or has a column twice, or a line with more cells than columns.
+        If it is no such file, has a column twice, or has a line with more cells than columns.
     OSError
         If it cannot be opened.
     """
@@ -177,10 +177,10 @@ def save_csv(
     *,
     what: str = "tables",
 ) -> Path:
-    """Write lines under titles, whole or not at all; what is None is left empty.
+    """Write rows under titles, atomically; None leaves a cell empty.
 
     Text that a spreadsheet would take for a formula gets an apostrophe in front, which `read_cells`
-    takes away again. Numbers stay numbers.
+    removes again. Numbers stay numbers.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def save_csv(
     rows : iterable of iterables
         A cell for each title.
     what : str
-        What they are, for errors.
+        Kind of content, for errors.
 
     Raises
     ------

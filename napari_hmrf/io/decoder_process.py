@@ -1,8 +1,8 @@
 """Client of the decoder process: starts it, sends requests, and ends it when it hangs.
 
-A damaged file can crash the libraries that decode it, or keep them busy for ever, and a full disk
-leaves HDF5 in a state that it does not recover from. They run in another process (`itk_decoder`),
-which serves one request after the other and is started anew when a file has ended it.
+A damaged file can crash the libraries that decode it, or keep them busy for ever, and HDF5 does not
+recover from a full disk. They run in another process (`itk_decoder`), which serves one request
+after the other and is restarted when a file has ended it.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from napari_hmrf.io import itk_decoder
 _LEAST_SECONDS = 0.4
 #: Processor seconds for each MB, so that a large file on a slow machine is never refused.
 _SECONDS_PER_MB = 2.0
-#: Seconds for any file, and for each MB, of a disk or network that makes the decoder wait.
+#: Seconds for any file, and for each MB, on a disk or network that delays the decoder.
 _PATIENCE, _PATIENCE_PER_MB = 60.0, 5.0
-#: Memory for any file, in bytes, beside the most that it can expand to.
+#: Memory for any file, in bytes, in addition to its largest expanded size.
 _LEAST_MEMORY = 512 * 2**20
 #: Copies of an expanded file that decoding holds at most.
 _COPIES = 4
-#: Seconds between two looks at a decoder that is busy.
+#: Seconds between two checks of a busy decoder.
 _POLL = 0.05
-#: Parts of the names of programs that run a script; macOS shows napari's Python by that name.
+#: Parts of the names of programs that run a script; on macOS napari's Python is named "napari".
 _INTERPRETERS = ("python", "pypy", "napari")
-#: Files that ended a decoder are not tried again; this many are remembered.
+#: Number of remembered files that ended a decoder; they are not tried again.
 _REMEMBERED = 32
 
 
@@ -105,7 +105,7 @@ class _Watch:
 
 
 class DecoderProcess:
-    """One decoder, started when it is first needed; safe to use from several threads."""
+    """A single decoder, started on first use; thread-safe."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
@@ -117,13 +117,13 @@ class DecoderProcess:
         self._refusals: OrderedDict[tuple[Any, ...], Undecodable] = OrderedDict()
 
     def decode(self, source: Path, kind: str, *, vectors: bool = False) -> Decoded:
-        """Decode a file, or the headers of one.
+        """Decode a file, or its header alone.
 
         Parameters
         ----------
         source : Path
         kind : {"head", "pixels", "series"}
-            The header alone, the image, or the one series of a folder of DICOM files.
+            The header alone, the image, or the only series of a folder of DICOM files.
         vectors : bool
             Whether a transform is read, as the field that it holds.
 
@@ -134,7 +134,7 @@ class DecoderProcess:
         HmrfError
             If SimpleITK is not installed, or no process can be started.
         OSError
-            If the file is not there.
+            If the file does not exist.
         """
         known, size = source.stat(), _bytes_in(source)
         identity = (str(source), known.st_ino, known.st_mtime_ns, known.st_size, vectors)
@@ -161,7 +161,7 @@ class DecoderProcess:
         ----------
         file : Path
         header : dict
-            Components, spacing, origin, direction and metadata, as `Decoded` has them.
+            Components, spacing, origin, direction and metadata, as in `Decoded`.
         pixels : ndarray
         vectors : bool
             Whether a transform is written.
@@ -169,9 +169,9 @@ class DecoderProcess:
         Raises
         ------
         Undecodable
-            If SimpleITK writes no such pixels, or the disk is full: it does not tell.
+            If SimpleITK cannot write such pixels, or the disk is full; SimpleITK gives no reason.
         HmrfError
-            As of `decode`.
+            As for `decode`.
         """
         values = np.ascontiguousarray(pixels, pixels.dtype.newbyteorder("="))
         request = {
@@ -187,22 +187,22 @@ class DecoderProcess:
             self._ask(request, values.nbytes, values)
 
     def kill(self) -> None:
-        """End the decoder at once, also while it serves another thread."""
+        """Kill the decoder at once, even while it serves another thread."""
         process = self._process
         if process is not None:
             process.kill()
             process.wait()
-        if self._lock.acquire(blocking=False):  # else its thread finds that it has ended
+        if self._lock.acquire(blocking=False):  # otherwise its thread detects the end
             try:
                 self._end()
             finally:
                 self._lock.release()
 
     def forget_after_fork(self) -> None:
-        """Leave the decoder to the parent process, in a child made by a fork."""
+        """Leave the decoder to the parent process, in a forked child."""
         process = self._process
         if process is not None:
-            process.returncode = 0  # it is no child of this process
+            process.returncode = 0  # the decoder is no child of this process
             for stream in (process.stdin, process.stdout):
                 with suppress(OSError):
                     if stream is not None:
@@ -217,7 +217,7 @@ class DecoderProcess:
             watch = _Watch(process, request["seconds"], size)
             try:
                 answer = _exchange(process, request, size, pixels)
-            except BaseException:  # what is left of the answer is of no use to anyone
+            except BaseException:  # the rest of the answer is useless
                 process.kill()
                 self._end()
                 raise
@@ -254,7 +254,7 @@ class DecoderProcess:
 
 
 def _bytes_in(source: Path) -> int:
-    """Return the size of a file, with the largest beside it if it may be in parts."""
+    """Return the size of a file; for a file in parts, that of the largest file in its folder."""
     parted = source.suffix.lower() in itk_decoder.PARTED
     if not (source.is_dir() or parted):
         return source.stat().st_size
@@ -264,7 +264,7 @@ def _bytes_in(source: Path) -> int:
 
 
 def _python() -> str:
-    """Return a Python that runs a script; a bundled program may be none itself."""
+    """Return a Python that can run a script; the executable of a bundled program may not."""
     names = ("python.exe", "python3.exe") if os.name == "nt" else ("python3", "python")
     folders = [Path(sys.prefix), Path(sys.exec_prefix)]
     found = [] if getattr(sys, "frozen", False) else [Path(sys.executable or "")]

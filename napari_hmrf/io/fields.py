@@ -1,11 +1,11 @@
-"""Displacement fields in files that other tools read: NIfTI, MetaImage, NRRD, and ITK's HDF5.
+"""Displacement fields in files of other tools: NIfTI, MetaImage, NRRD, and ITK's HDF5.
 
-All of them have ITK's meaning: at each point P of the image as it is seen after the motion, the
-vector u(P) leads to P + u(P), where what is seen there came from. It is in millimetres along the
-physical axes left, posterior, superior (LPS), not along the image's own. Outside of a field's grid
-ITK's tools take nothing to move.
+All of them follow ITK's convention: at each point P of the moved image, the vector u(P) leads back
+to P + u(P), the origin of the tissue seen at P. Vectors are in millimetres along the physical axes
+left, posterior, superior (LPS), not along the image's own. ITK's tools assume no motion outside the
+grid of a field.
 
-SimpleITK reads and writes them; it comes with the extra ``medical``.
+SimpleITK reads and writes the files; it is in the extra ``medical``.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ from napari_hmrf.solver.problem import as_numbers, grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.study import Grid
 
-#: What a field can be written as.
+#: Endings of the files that a field can be written to.
 FIELD_SUFFIXES = (".nii.gz", ".nii", ".mha", ".nrrd", ".h5")
-#: Slicer's key, and what it says of a field that leads back or forth.
+#: Slicer's key for the direction of a field, and its values for backward and forward.
 _SLICER, _BACK, _FORTH = "displacement field type", "resampling", "modeling"
-#: NIfTI has no keys, but a text for people: as ITK writes it, and as it reads it.
+#: NIfTI has no keys, only a free text: its name as ITK writes it, and as ITK reads it.
 _NOTES, _DESCRIPTION = "ITK_FileNotes", "descrip"
 _NIFTI = (".nii", ".nii.gz")
-#: ITK's transforms have neither: of them all take for granted that they lead back.
+#: Format without such metadata: all tools assume that its fields lead backward.
 _MUTE = ".h5"
-#: Spacings that agree to this part are the same.
+#: Relative tolerance within which spacings agree.
 _SAME_SPACING = 1e-4
-#: How far a direction may be from a rotation.
+#: Largest deviation of a direction matrix from a rotation.
 _ROUNDING = 1e-5
 
 
@@ -61,19 +61,19 @@ class Field:
     Attributes
     ----------
     displacement : ndarray, shape (H, W, 2) or (D, H, W, 3), float64
-        Material: what is at X moves to X + d(X). Components in the order of the axes, in mm along
-        them. If the file says where what is seen came from, it is inverted when first asked for.
+        Material: tissue at X moves to X + d(X). Components in the order of the axes, in mm along
+        them. A field that the file stores backward is inverted on first access.
     residual : float
-        How far, in pixels, that is from the inverse of what the file says at the worst site; 0 if
-        the file says where tissue goes.
+        Largest deviation, in pixels, of `displacement` from the exact inverse of the stored field;
+        0 if the file stores the forward field.
     spacing : tuple of float, shape (n,)
         Size of a pixel along each axis, in mm; [z,] y, x.
     field : DisplacementField
-        The same as it is stored, whichever way it leads; it can be asked at points.
+        The field as stored, in either direction; it can be evaluated at points.
     origin : tuple of float, shape (n,)
-        Of the first pixel's middle, in mm, as ITK states it: x, y[, z] in LPS.
+        Middle of the first pixel, in mm, in ITK's convention: x, y[, z] in LPS.
     direction : ndarray, shape (n, n)
-        As ITK states it: its columns are the directions of the image's x, y[ and z].
+        ITK's convention: its columns are the directions of the image's x, y[ and z].
     """
 
     field: DisplacementField
@@ -82,7 +82,7 @@ class Field:
 
     @property
     def displacement(self) -> npt.NDArray[np.float64]:
-        """Material, at every site; inverted when first asked for, if it has to be."""
+        """Material displacement at every site; a backward field is inverted on first access."""
         return self.field.displacement.astype(np.float64, copy=False)
 
     @property
@@ -92,7 +92,7 @@ class Field:
 
     @property
     def residual(self) -> float:
-        """How far, in pixels, `displacement` is from what the file says at the worst site."""
+        """Largest deviation, in pixels, of `displacement` from the inverse of the stored field."""
         return self.field.residual
 
 
@@ -109,42 +109,41 @@ def write_field(
     """Write a displacement field that ITK, SimpleITK, ANTs, elastix and Slicer read.
 
     A field of one slice with three spacings lies in a volume. As .nii.gz it is written three times,
-    one above the other, for no tool reads a NIfTI field of one slice rightly; the other formats
-    hold the one.
+    one above the other, because no tool reads a NIfTI field of one slice correctly; the other
+    formats hold the single slice.
 
     Parameters
     ----------
     path : str or path-like
         Ends in one of `FIELD_SUFFIXES`. An earlier file stays until the new one is complete. The
-        file carries a digest, by which `read_field` tells damage; other tools skip it.
+        file carries a digest, by which `read_field` detects damage; other tools skip it.
     displacement : array_like, shape (H, W, 2) or (D, H, W, 3)
-        Material: what is at X moves to X + d(X). Components in the order of the axes, in mm along
+        Material: tissue at X moves to X + d(X). Components in the order of the axes, in mm along
         them, as `Solution.displacement` has them.
     spacing : sequence of float, shape (n,), or of 3 for a slice of a volume
         In mm; [z,] y, x.
     origin : sequence of float, optional
-        Of the first pixel's middle, as ITK states it: x, y[, z] in LPS. By default 0.
+        Middle of the first pixel, in ITK's convention: x, y[, z] in LPS. By default 0.
     direction : array_like, shape (n, n), optional
-        As ITK states it. By default along the axes.
+        In ITK's convention. By default along the axes.
     forward : bool
-        Whether the file is to say where tissue goes, as transforms of points do, and not where what
-        is seen came from, which moves images.
+        Whether the file maps the tissue's old position to its new one, as transforms of points do,
+        instead of the reverse, which moves images.
     tissue : array_like of bool, shape ([D,] H, W), optional
-        What moves, where a field is inverted; `Solution.tissue`.
+        The tissue that moves, used by the inversion; `Solution.tissue`.
 
     Returns
     -------
     float
-        How far, in pixels, the inverse that is written is from an inverse at the worst site; 0 if
-        `forward`.
+        Largest deviation, in pixels, of the written inverse from an exact inverse; 0 if `forward`.
 
     Raises
     ------
     ProblemError
-        Naming the input at fault.
+        Naming the invalid input.
     FileFormatError
-        If no field is written as a file of such a name; or none that says where tissue goes, as
-        .h5 cannot say so and would be taken for one that moves images.
+        If the name has no ending of a field file; or for a forward field as .h5, which cannot store
+        the direction and would be taken for a field that moves images.
     HmrfError
         If SimpleITK is not installed.
     OSError
@@ -174,7 +173,7 @@ def write_field(
     back, residual = d, 0.0
     if not forward:
         back, residual = inverse_displacement(d, spacing=tuple(size[-n:]), tissue=tissue)
-    if len(size) > n:  # a slice in a volume, along whose third axis nothing moves
+    if len(size) > n:  # a slice in a volume: no motion along the third axis
         back = np.concatenate([np.zeros((*back.shape[:-1], 1)), back], axis=-1)[np.newaxis]
     start = np.zeros(len(size)) if origin is None else _lengths("origin", origin, (len(size),))
     turn = np.eye(len(size)) if direction is None else check_rotation(direction, len(size))
@@ -204,18 +203,18 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
     path : str or path-like
         A file of vectors: .nii.gz, .mha, .mhd, .nrrd; or a transform of ITK that holds a field.
     forward : bool
-        Whether the file says where tissue goes. By default it says where what is seen came from,
-        as all registrations do, and is inverted. A file that itself says which way it leads, as
-        those of `write_field` and Slicer's .nrrd do, is believed.
+        Whether the file stores the forward field. By default it is read as the backward field that
+        registrations write, and is inverted. A direction stored in the file, as in those of
+        `write_field` and in Slicer's .nrrd, takes precedence.
 
     Raises
     ------
     FileFormatError
-        If it is no displacement field, or damaged.
+        If the file is no displacement field, or is damaged.
     HmrfError
         If SimpleITK is not installed.
     OSError
-        If it cannot be opened.
+        If the file cannot be opened.
     """
     source = Path(checked_path(path))
     try:
@@ -241,8 +240,8 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
 def is_field_file(path: str | os.PathLike[str]) -> bool:
     """Return whether a file holds a displacement field, or a damaged one.
 
-    A file that only `read_field` can refuse counts: its error says what is wrong. False where
-    SimpleITK is missing.
+    A damaged file counts, so that `read_field` reports the error. False if SimpleITK is not
+    installed.
     """
     source = Path(path)
     if not source.name.lower().endswith((*FIELD_SUFFIXES, ".mhd")) or not source.is_file():
@@ -251,32 +250,32 @@ def is_field_file(path: str | os.PathLike[str]) -> bool:
 
 
 class Place(NamedTuple):
-    """Where a field lies, as `write_field` takes it: in mm, or in pixels if no unit is known."""
+    """Place of a field, as `write_field` takes it: in mm, or in pixels if no unit is known."""
 
     spacing: tuple[float, ...]
     origin: tuple[float, ...]
     direction: npt.NDArray[np.float64]
 
     def to_pixels(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Points (N, n) in mm, ([z,] y, x) of the patient, in pixels of the grid."""
+        """Convert points (N, n), ([z,] y, x) of the patient in mm, to pixels of the grid."""
         found: npt.NDArray[np.float64] = points - self.origin[::-1]
         return found @ self.direction[::-1, ::-1] / self.spacing
 
     def to_space(self, pixels: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """The inverse of `to_pixels`."""
+        """Convert pixels of the grid to points in mm; the inverse of `to_pixels`."""
         found: npt.NDArray[np.float64] = (pixels * self.spacing) @ self.direction[::-1, ::-1].T
         return found + self.origin[::-1]
 
     def frame(self, number: int = 0, unit: str = "millimeter", *, volume: bool = False) -> Frame:
-        """The place as layers have it: the inverse of `place_of`.
+        """Return the place as a frame of layers; the inverse of `place_of`.
 
         Parameters
         ----------
         number : int
-            Of a slice of a volume.
+            Number of the slice of a volume.
         unit : str
         volume : bool
-            Whether all of a volume is meant.
+            Whether the frame is that of a whole volume.
         """
         n = len(self.spacing)
         turn = np.eye(n + 1)
@@ -292,22 +291,22 @@ class Place(NamedTuple):
 
 
 def place_of(solution: Solution) -> Place:
-    """Where a solution lies: of a slice of a volume, in the volume.
+    """Return the place of a solution; for a slice of a volume, its place in the volume.
 
-    The world of its layers is taken to be the patient's: its axes z, y, x run towards superior,
-    posterior and left, as those of files do that this package opens.
+    The world of its layers is assumed to be the patient's: its axes z, y, x run towards superior,
+    posterior and left, as in the medical files that this package opens.
 
     Raises
     ------
     ProblemError
-        If its pixels are no rectangles, or the axes have no unit of length in common.
+        If the pixels are not rectangular, or the axes have no unit of length in common.
     """
     frame = solution.frame or {}
     if "matrix" not in frame:
         n = solution.tissue.ndim
         return Place(solution.spacing, (0.0,) * n, np.eye(n))
     matrix, plane = np.array(frame["matrix"]), list(frame["plane"])
-    # How many mm each axis of the world counts by, 1 if it counts pixels; 0 if it is no length.
+    # Millimetres per unit of each world axis: 1 for pixels, 0 if the unit is no length.
     mm = [1.0 if unit == "pixel" else unit_factor(unit, "millimeter") for unit in frame["units"]]
     sizes = np.nan_to_num(mm)
     others = [axis for axis in np.flatnonzero(sizes).tolist() if axis not in plane]
@@ -317,7 +316,7 @@ def place_of(solution: Solution) -> Place:
         raise ProblemError(
             "displacement", f"is measured in {units}. Give the image a unit of length, such as mm."
         )
-    # Rows of the world, z first, by columns of the image's axes.
+    # Rows: axes of the world, z first. Columns: axes of the image.
     world = sorted(axes)
     steps = matrix[np.ix_(world, axes)] * sizes[world][:, None]
     first = (matrix @ [*frame["index"], 1.0])[world] * sizes[world]
@@ -329,7 +328,7 @@ def place_of(solution: Solution) -> Place:
 
 
 def placed(solution: Solution) -> tuple[npt.NDArray[np.floating], Place]:
-    """The displacement of a solution in the unit of its `place_of`, and that place."""
+    """Return the displacement of a solution in the unit of its `place_of`, and that place."""
     place, n = place_of(solution), solution.tissue.ndim
     return solution.displacement * (np.array(place.spacing[-n:]) / solution.spacing), place
 
@@ -347,26 +346,26 @@ def export_field(
     Parameters
     ----------
     path, forward
-        As of `write_field`.
+        As for `write_field`.
     solution : Solution
     grid : Grid, optional
-        The grid of the image, as of `Grid.from_image`; needed where the solution has no place: one
-        of a `Problem`, or of a study whose grid has none.
+        Grid of the image, as returned by `Grid.from_image`; needed if the solution has no place,
+        because it comes from a `Problem`, or from a study whose grid has none.
     placed : bool
-        False writes a solution without a place at the origin, along the axes, with a unit of its
-        spacing as 1 mm: the place of a picture (.png, .tif) in other tools.
+        If False, a solution without a place is written at the origin, along the axes, with a unit
+        of its spacing as 1 mm: the place of a picture (.png, .tif) in other tools.
 
     Returns
     -------
     float
-        As of `write_field`.
+        As for `write_field`.
 
     Raises
     ------
     ProblemError
-        If no place is known; or if the file's format cannot hold the place.
+        If the place is unknown, or the file's format cannot hold it.
     HmrfError, OSError
-        As of `write_field`.
+        As for `write_field`.
     """
     displacement, place = _placed_as(solution, grid, placed)
     return write_field(
@@ -379,7 +378,7 @@ def export_field(
 
 
 def _not_a_field(source: Path, error: Unreadable) -> str:
-    """Say that a file gives no field, and why if that is known."""
+    """Return the message for a file without a readable field, with the reason if known."""
     why = f": {error}" if str(error) else ""
     return f"{source.name}: not a displacement field that can be read{why}."
 
@@ -414,7 +413,7 @@ def _placed_as(
 
 
 def _leads(told: Mapping[str, str]) -> str:
-    """Return which way a file itself says that its field leads; "" if it does not."""
+    """Return the direction that a file itself states for its field; "" if none."""
     if _SLICER in told:
         return told[_SLICER].strip()
     key, _, leads = told.get(_DESCRIPTION, "").partition(":")

@@ -1,6 +1,6 @@
 """Pictures of a problem and its solution, for files and papers; drawn with matplotlib.
 
-Without a window and without pyplot: a figure is made, returned, and belongs to the caller.
+Nothing needs a window or pyplot: each figure is created and returned, and belongs to the caller.
 matplotlib is imported by the first picture.
 """
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: About so many arrows show a displacement, and a boundary.
+#: Approximate numbers of arrows for a displacement, and for a boundary.
 ARROWS = 500
 BOUNDARY_ARROWS = 250
 #: Lines of the deformation grid along the longer side.
@@ -38,7 +38,7 @@ GRID_LINES = 50
 _ARROW_COLOUR = "#e8590c"
 _FIXED_COLOUR = "#4dabf7"
 _GRID_COLOUR = "#0b7285"
-# Of pictures of the tissue as it was, though their colours tell how it moves.
+# Title of pictures whose colours, drawn at the tissue's position before it moves, show its motion.
 _BEFORE = "{}\n(drawn on the tissue before it moves)"
 
 
@@ -52,14 +52,14 @@ def save_pictures(
     folder : Path
         Must exist; files of the same names are replaced.
     image : array_like, shape (H, W)
-        What the tissue looks like before it moves.
+        The image before the tissue moves.
     problem : Problem
     solution : Solution
 
     Returns
     -------
     list of Path
-        What was written: input, displacement, warped, grid, energy.
+        The written files: input, displacement, warped, grid, energy.
     """
     grey = np.asarray(image)
     figures = {
@@ -79,7 +79,7 @@ def save_result_pictures(
     unit: str = "px",
     own_folder: str = "",
 ) -> list[Path]:
-    """Draw a result into PNG files, of which no problem has to be at hand.
+    """Draw a result into PNG files; the problem is not needed.
 
     Parameters
     ----------
@@ -87,16 +87,16 @@ def save_result_pictures(
         Must exist; files of the same names are replaced.
     solution : Solution
     image : array_like, shape (H, W) or (H, W, 3 or 4), optional
-        What the tissue looks like before it moves.
+        The image before the tissue moves.
     unit : str
-        Of the displacement and of spacing.
+        Unit of the displacement and of spacing.
     own_folder : str, optional
-        What a new folder in there is called, which takes the files.
+        Name of a new subfolder that takes the files.
 
     Returns
     -------
     list of Path
-        What was written: displacement and warped (with an image), grid, magnitude, jacobian,
+        The written files: displacement and warped (with an image), grid, magnitude, jacobian,
         strain, energy.
     """
     if own_folder:
@@ -124,17 +124,17 @@ def save_volume_pictures(
     folder : Path
         Must exist; files of the same names are replaced.
     image : array_like, shape (D, H, W)
-        What the tissue looks like before it moves.
+        The image before the tissue moves.
     solution : Solution
     at : sequence of int, shape (3,)
         The voxel in which the slices meet.
     unit : str
-        Of the displacement and of spacing.
+        Unit of the displacement and of spacing.
 
     Returns
     -------
     list of Path
-        What was written: before, after, magnitude.
+        The written files: before, after, magnitude.
     """
     grey = np.asarray(image)
     moved = warp(grey, solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
@@ -150,7 +150,7 @@ def save_volume_pictures(
 
 
 def _new_folder(parent: Path, name: str) -> Path:
-    """Make a folder of a name that is not taken, so that no file is replaced."""
+    """Create a folder with an unused name, so that no file is replaced."""
     kept = "".join(letter if letter.isalnum() or letter in " -_." else "_" for letter in name)
     folder, number = parent / kept, 1
     while True:
@@ -164,7 +164,7 @@ def _new_folder(parent: Path, name: str) -> Path:
 
 
 def _saved(folder: Path, figures: Mapping[str, Figure]) -> list[Path]:
-    """Save figures by their names, each whole or not at all."""
+    """Save figures under their names, each atomically."""
     written = []
     for name, figure in figures.items():
         drawn = io.BytesIO()
@@ -175,11 +175,11 @@ def _saved(folder: Path, figures: Mapping[str, Figure]) -> list[Path]:
 
 
 def boundary_picture(image: npt.NDArray[Any], problem: Problem) -> Figure:
-    """Draw the image and the observed displacement where it counts; dots are fixed."""
+    """Draw the image and the observed displacement where its confidence is above 0; dots: fixed."""
     figure, (axes,) = _figure(problem.spacing, "what is given: the image, and how a boundary moves")
     _show(axes, image)
     known = problem.known.any(axis=-1)
-    # Every few pixels of it: a boundary is thin, and a regular pattern would miss most.
+    # Every few boundary pixels: a boundary is thin, and a regular pattern would miss most of it.
     starts = np.argwhere(known)[:: max(1, int(known.sum()) // BOUNDARY_ARROWS)]
     vectors = problem.observed[tuple(starts.T)] / np.array(problem.spacing)
     rows, cols = starts[~vectors.any(axis=-1)].T
@@ -189,7 +189,7 @@ def boundary_picture(image: npt.NDArray[Any], problem: Problem) -> Figure:
 
 
 def displacement_picture(image: npt.NDArray[Any], solution: Solution) -> Figure:
-    """Draw where the tissue goes, as arrows of true length on the image before it moves."""
+    """Draw the displacement as arrows of true length on the image before it moves."""
     figure, (axes,) = _figure(solution.spacing, "where the tissue goes")
     _show(axes, image)
     shown = arrows(
@@ -228,12 +228,12 @@ def grid_picture(solution: Solution) -> Figure:
 def magnitude_picture(
     solution: Solution, unit: str = "px", image: npt.ArrayLike | None = None
 ) -> Figure:
-    """Draw how far the tissue goes, where it was before it moved."""
+    """Draw the length of the displacement, at the position before the motion."""
     return _map(solution, "magnitude", f"displacement / {unit}", image)
 
 
 def jacobian_picture(solution: Solution, image: npt.ArrayLike | None = None) -> Figure:
-    """Draw by which factor the area of the tissue changes; folds (0 or below) are yellow."""
+    """Draw the factor by which the area of the tissue changes; folds (0 or below) are yellow."""
     return _map(solution, "jacobian", "area ratio (Jacobian)", image)
 
 
@@ -306,7 +306,7 @@ def _slices_picture(
     figure.suptitle(title, fontsize=11)
     frame = Frame.of_solution(solution)
     slices = [_across(frame, axis, at[axis]) for axis in range(3)]
-    # All in one scale.
+    # All axes have the same scale.
     _, height, width = np.multiply(image.shape, solution.spacing)
     row = figure.subplots(1, 3, width_ratios=[width, width, height])
     for axis, (axes, place) in enumerate(zip(row, slices, strict=True)):
@@ -325,7 +325,7 @@ def _slices_picture(
 
 
 def _across(frame: Frame, axis: int, number: int) -> Frame:
-    """The place of a slice across an axis of a volume."""
+    """Return the place of a slice across an axis of a volume."""
     plane, index = list(frame.plane), list(frame.index)
     index[plane.pop(axis)] = number
     return replace(frame, plane=tuple(plane), index=tuple(index))
@@ -348,7 +348,7 @@ def _figure(spacing: tuple[float, ...], *titles: str) -> tuple[Figure, list[Axes
 
 
 def _show(axes: Axes, image: npt.NDArray[Any], greys_of: npt.NDArray[Any] | None = None) -> None:
-    """Show an image, with the grey levels of another one if given: darker is then darker."""
+    """Show an image, optionally with the grey scale of another one, so that greys compare."""
     levels = image if greys_of is None else greys_of
     axes.imshow(
         image,

@@ -1,4 +1,4 @@
-"""Grids of images: shape, spacing and place of an image that a study is made of."""
+"""Grids of images: shape, spacing and place of the image of a study."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from napari_hmrf.io.fields import Place, check_rotation
 from napari_hmrf.io.images import load_image
 from napari_hmrf.study.study import Grid
 
-#: From right, anterior, superior, as nibabel has them, to left, posterior, superior.
+#: From right, anterior, superior (nibabel's convention) to left, posterior, superior.
 _TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
@@ -34,16 +34,16 @@ def grid_of_image(
     slice : int, optional
         Number of a slice of a volume; by default the grid is that of the whole image.
     axis : int
-        The axis of the volume's array that the slice lies across.
+        The axis of the volume's array that is perpendicular to the slice.
 
     Raises
     ------
     ArgumentError
-        If it is no such image, or has no such slice.
+        If `image` is of no such type, or has no such slice.
     ProblemError
         If the image's axes are not at right angles.
     HmrfError, OSError
-        As of `load_image`, of a path.
+        As for `load_image`, for a path.
     """
     if isinstance(image, str | os.PathLike):
         shape, place = _of_file(image)
@@ -85,7 +85,7 @@ def _slice_of(grid: Grid, frame: Frame, number: int, axis: int) -> Grid:
         grid,
         shape=(*grid.shape[:axis], *grid.shape[axis + 1 :]),
         spacing=(*grid.spacing[:axis], *grid.spacing[axis + 1 :]),
-        # A stack that lies nowhere still knows the number of its slice.
+        # A stack without a place still keeps the number of its slice.
         place=frame.plane_at(axis, int(number)),
     )
 
@@ -108,7 +108,7 @@ def _of_simpleitk(image: Any) -> tuple[tuple[int, ...], Place]:
 
 
 def _of_nibabel(image: Any) -> tuple[tuple[int, ...], Place]:
-    """Shape and place with the axes in the order of `dataobj`, which is x, y, z."""
+    """Return shape and place with the axes in the order of `dataobj`, which is x, y, z."""
     shape = tuple(int(size) for size in image.dataobj.shape)
     affine = np.asarray(image.affine, dtype=float)
     if len(shape) > 3 and set(shape[3:]) == {1}:
@@ -119,6 +119,6 @@ def _of_nibabel(image: Any) -> tuple[tuple[int, ...], Place]:
     spacing = np.linalg.norm(steps[:3, :3], axis=0)
     if not (np.isfinite(steps).all() and (spacing > 0).all()):
         raise ProblemError("image", "has an affine that flattens space. Give it another affine.")
-    # Places count axes from the last: columns in reversed order.
+    # Places count axes from the last, so the columns are reversed.
     turn = (steps[:3, :3] / spacing)[:, ::-1]
     return shape, Place(tuple(spacing.tolist()), tuple(steps[:3, 3].tolist()), turn)

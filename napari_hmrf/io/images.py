@@ -1,7 +1,7 @@
-"""Images in files, with their place: pictures, and what scanners make.
+"""Images in files, with their place: pictures, and medical images.
 
-Pictures (.png, .tif, .jpg, .bmp) by scikit-image; NIfTI, MetaImage, NRRD and folders of DICOM by
-SimpleITK, which comes with the extra ``medical``.
+scikit-image reads and writes pictures (.png, .tif, .jpg, .bmp); SimpleITK, in the extra
+``medical``, handles NIfTI, MetaImage, NRRD and folders of DICOM.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from napari_hmrf.io.fields import Place
 from napari_hmrf.io.itk_files import ItkImage, Unreadable, encode, read_image, read_series
 from napari_hmrf.regular_file import refuse_irregular
 
-#: How far, in pixels, two grids may lie apart and be the same.
+#: Largest distance, in pixels, between two grids that count as the same.
 SAME = 0.01
-#: How the names of files end that are read, and written.
+#: Endings of the files that are read and written.
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 MEDICAL_SUFFIXES = (".nii.gz", ".nii", ".mha", ".mhd", ".nrrd", ".nhdr", ".dcm")
 
@@ -36,9 +36,9 @@ class ImageFile(NamedTuple):
     ----------
     pixels : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
     place : Place or None
-        Where it lies in the patient, in mm; None of a picture.
+        Place in the patient, in mm; None for a picture.
     colours : bool
-        Whether the last axis is that of colours.
+        Whether the last axis holds colours.
     """
 
     pixels: npt.NDArray[Any]
@@ -47,15 +47,15 @@ class ImageFile(NamedTuple):
 
     @property
     def pixels_in_place(self) -> npt.NDArray[Any]:
-        """The pixels on all axes of the place: a slice of a volume has one of each beyond."""
+        """Pixels on all axes of the place: a slice of a volume gets axes of length 1."""
         more = 0 if self.place is None else len(self.place.spacing) - self.ndim
         return self.pixels[(np.newaxis,) * more]
 
     @property
     def upright(self) -> ImageFile:
-        """A volume with its axes in the order of the world's that they are nearest to.
+        """The volume with its axes in the order of the world axes they are nearest to.
 
-        Scanners cut heads from any side; napari shows slices across axes that keep to the world's.
+        Scanners acquire slices in any orientation; napari shows slices across the world's axes.
         """
         place = self.place
         if place is None or len(place.spacing) != 3:
@@ -68,7 +68,7 @@ class ImageFile(NamedTuple):
         return self.reordered(max(permutations(range(3)), key=nearness))
 
     def reordered(self, order: tuple[int, ...]) -> ImageFile:
-        """Return a volume that has a place with its axes in this order; nothing is copied."""
+        """Return a volume that has a place, with its axes in this order, as a view."""
         place = self.place
         assert place is not None
         turn = place.direction[::-1, ::-1]
@@ -83,28 +83,28 @@ class ImageFile(NamedTuple):
         )
 
     def laid_as(self, place: Place | None) -> ImageFile:
-        """Return the image with its axes in the order of another's, if it lies there at all."""
+        """Return the image with its axes in the order of another place, if it can coincide."""
         if self.place is None or len(self.place.spacing) != 3 or apart(self.place, place) <= SAME:
             return self
         laid = map(self.reordered, permutations(range(3)))
         return next((each for each in laid if apart(each.place, place) <= SAME), self)
 
     def refuse_elsewhere(self, place: Place | None, name: str, what: str) -> None:
-        """Refuse an image of the same pixels as something else that lies where that does not.
+        """Refuse an image that lies elsewhere than another one of the same size.
 
         Parameters
         ----------
         place : Place or None
-            Of the other; nothing is said against what lies nowhere.
+            Place of the other; None is never refused.
         name : str
-            The file's.
+            Name of the file.
         what : str
-            The other, in words.
+            The other, in words, for the message.
 
         Raises
         ------
         ProblemError
-            By the file's name.
+            Naming the file.
         """
         if apart(self.place, place, self.ndim) > SAME:
             raise ProblemError(
@@ -115,23 +115,23 @@ class ImageFile(NamedTuple):
 
     @property
     def ndim(self) -> int:
-        """Axes in space."""
+        """Number of axes in space."""
         return self.pixels.ndim - self.colours
 
 
 def apart(one: Place | None, other: Place | None, axes: int = 3) -> float:
-    """How far, in pixels of the one, the first pixels of two grids lie apart, and their steps.
+    """Return the largest distance between two grids' first pixels and unit steps, in pixels of one.
 
     Parameters
     ----------
     one, other : Place or None
     axes : int
-        Of how many axes, the last ones, steps count: of a slice those in it.
+        Number of last axes whose steps are compared: for a slice, those in its plane.
 
     Returns
     -------
     float
-        0 if one of them lies nowhere, or only one in a volume.
+        0 if one of them has no place, or only one of them lies in a volume.
     """
     if one is None or other is None or len(one.spacing) != len(other.spacing):
         return 0.0
@@ -148,17 +148,17 @@ def load_image(path: str | os.PathLike[str]) -> ImageFile:
     Raises
     ------
     FileFormatError
-        If it is no image that can be read; of a folder, if it holds none, or several series.
+        If it is no readable image; or if a folder holds no series, or several.
     HmrfError
-        If it takes SimpleITK, which is not installed.
+        If SimpleITK is needed but not installed.
     OSError
-        If it cannot be opened.
+        If the file cannot be opened.
     """
     source = Path(checked_path(path))
     if not source.is_dir():
         refuse_irregular(source)
         with open(source, "rb"):
-            pass  # the system's own error for a file that cannot be opened
+            pass  # raise the system's own error for a file that cannot be opened
         if source.name.lower().endswith(PICTURE_SUFFIXES):
             return _picture(source)
     try:
@@ -183,7 +183,7 @@ def load_image(path: str | os.PathLike[str]) -> ImageFile:
 
 
 def _unreadable(source: Path) -> FileFormatError:
-    """Why a file gives no image, as far as can be told."""
+    """Return the error for a file that cannot be read as an image, with the likely reason."""
     why = "damaged, or of another kind" if source.stat().st_size else "empty"
     kinds = ", ".join((*PICTURE_SUFFIXES, *MEDICAL_SUFFIXES))
     return FileFormatError(
@@ -192,7 +192,7 @@ def _unreadable(source: Path) -> FileFormatError:
 
 
 def is_scan(path: str | os.PathLike[str]) -> bool:
-    """Whether a file's name ends as a scan's, or a folder holds DICOM files and nothing beside."""
+    """Return whether a path is a medical image by its ending, or a folder of DICOM files alone."""
     source = Path(path)
     if not source.is_dir():
         return source.name.lower().endswith(MEDICAL_SUFFIXES)
@@ -206,14 +206,14 @@ def _is_dicom(file: Path) -> bool:
 
 
 def save_image(path: str | os.PathLike[str], image: ImageFile) -> Path:
-    """Write an image in the format that its name's ending says, whole or not at all.
+    """Write an image, atomically, in the format of its name's ending.
 
     Raises
     ------
     FileFormatError
-        If no image, or none of such pixels, is written as a file of such a name.
+        If the ending is unknown, or its format cannot hold such pixels.
     HmrfError, OSError
-        As of `load_image`.
+        As for `load_image`.
     """
     target = Path(checked_path(path))
     name = target.name.lower()
@@ -238,7 +238,7 @@ def save_image(path: str | os.PathLike[str], image: ImageFile) -> Path:
 
 
 _TIFF = (".tif", ".tiff")
-#: In two files, or of a scanner alone.
+#: Formats in two files, or written by scanners alone.
 _PARTED = (".mhd", ".nhdr", ".dcm")
 
 
@@ -300,6 +300,6 @@ def _as_picture(pixels: npt.NDArray[Any], suffix: str) -> bytes:
     shown = pixels.astype(np.uint8) * 255 if pixels.dtype == bool else pixels
     try:
         Image.fromarray(shown).save(file, Image.registered_extensions()[suffix])
-    except OSError as error:  # of values that the format does not hold
+    except OSError as error:  # the format cannot hold these values
         raise ValueError(str(error)) from error
     return file.getvalue()

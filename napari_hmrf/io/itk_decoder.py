@@ -1,9 +1,9 @@
-"""Decoder process: reads and writes files with SimpleITK for a process that must survive them.
+"""Decoder process: runs SimpleITK, so that a damaged file cannot end the calling process.
 
 `decoder_process` starts this file as a program. It imports nothing of this package, so that it
-starts in a tenth of a second. Standard input carries the search path and then one request a line,
-as JSON, with the pixels of an image that is written after it; standard output carries one line of
-JSON for each request, and the pixels of an image that is read after it.
+starts in a tenth of a second. Standard input carries the search path and then one request per line,
+as JSON, followed by the pixels of an image to write; standard output carries one line of JSON for
+each request, followed by the pixels of an image that was read.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 
 #: Largest expansion of a compressed file: the limit of deflate.
 MOST_PACKED = 1032
-#: Suffixes of headers whose pixels are in another file beside them.
+#: Suffixes of headers whose pixels are in another file of the same folder.
 PARTED = (".mhd", ".nhdr", ".hdr")
 #: Suffixes of files that are read as transforms.
 TRANSFORMS = (".h5", ".hdf5", ".tfm", ".txt")
@@ -35,7 +35,7 @@ class Refused(Exception):
 
 
 class Decoder:
-    """Reads files by SimpleITK; keeps the last transform, which is often asked for twice."""
+    """Reads files with SimpleITK; caches the last transform, which is often requested twice."""
 
     def __init__(self, sitk: Any) -> None:
         self._sitk = sitk
@@ -72,7 +72,7 @@ class Decoder:
             sitk.WriteImage(image, request["path"], useCompression=True)
 
     def _head(self, image: Any, components: int = 0) -> dict[str, Any]:
-        """Describe an image, or the reader of one, whose components are given."""
+        """Describe an image, or an image reader with the given number of components."""
         told = {}
         for key in image.GetMetaDataKeys():
             with suppress(UnicodeError, RuntimeError):  # a damaged text
@@ -118,7 +118,7 @@ class Decoder:
         transform = sitk.ReadTransform(str(source))
         if transform.GetName() != "CompositeTransform":
             return sitk.DisplacementFieldTransform(transform).GetDisplacementField()
-        # ANTs keeps a warp and its affine map in one file. The last transform is applied first,
+        # ANTs stores a warp and its affine map in one file. The last transform is applied first,
         # so the grid of the last field is the grid of the picture.
         chain = sitk.CompositeTransform(transform)
         parts = [chain.GetNthTransform(number) for number in range(chain.GetNumberOfTransforms())]
@@ -138,9 +138,9 @@ def _identity(source: Path) -> tuple[str, int, int]:
 
 
 def _limit_processor_time(seconds: float) -> None:
-    """Let the system end this process if it outlives the one that watches it."""
+    """Set a limit after which the system ends this process, in case its watcher has died."""
     with suppress(ImportError, ValueError, OSError):
-        import resource  # of POSIX alone
+        import resource  # POSIX only
 
         used = resource.getrusage(resource.RUSAGE_SELF)
         limit = math.ceil(used.ru_utime + used.ru_stime + seconds) + _GRACE
@@ -166,12 +166,12 @@ def _receive(stream: BinaryIO, header: dict[str, Any]) -> Any:
 
 
 def main() -> None:
-    """Answer requests until standard input is closed, or none has come for a minute."""
+    """Answer requests until standard input is closed, or no request arrives for a minute."""
     with suppress(ValueError, OSError):
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that asked
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent process
     out = os.fdopen(os.dup(1), "wb")
     silent = os.open(os.devnull, os.O_WRONLY)
-    for stream in (1, 2):  # libraries print there on damage
+    for stream in (1, 2):  # libraries print to these streams when a file is damaged
         os.dup2(silent, stream)
     sys.path[:] = json.loads(sys.stdin.buffer.readline())
     try:
@@ -196,7 +196,7 @@ def main() -> None:
         if request["kind"] == "write":
             try:
                 decoder.write(request, _receive(sys.stdin.buffer, request))
-            except Exception:  # noqa: BLE001 - libraries do not tell why they failed
+            except Exception:  # noqa: BLE001 - libraries give no reason for a failure
                 _send(out, {"refused": ""})
                 os._exit(0)  # HDF5 keeps a file open that it could not write
             _send(out, {"written": True})

@@ -1,7 +1,7 @@
-"""Reading and writing by SimpleITK: NIfTI, MetaImage, NRRD, DICOM and ITK's transforms.
+"""Reading and writing with SimpleITK: NIfTI, MetaImage, NRRD, DICOM and ITK's transforms.
 
 SimpleITK runs in the decoder process, which a damaged file may crash or hang. A file is written
-beside its target, read back and compared; only then does it take the target's place.
+next to its target, read back and compared; only then does it replace the target.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _TRANSFORM = ".h5"
 _TEXTS = (".tfm", ".txt")
 _NIFTI = (".nii", ".nii.gz")
 _FIELD = "DisplacementFieldTransform_"
-#: Relative and absolute rounding of places, which NIfTI states in single precision.
+#: Relative and absolute rounding of places, which NIfTI stores in single precision.
 _CLOSE = (1e-4, 1e-4)
 
 
@@ -37,23 +37,23 @@ class Unreadable(Exception):
 
 
 class Damaged(Unreadable):
-    """Reason why a file that is damaged for certain is not read."""
+    """Reason why a certainly damaged file is not read."""
 
 
 class ItkImage(NamedTuple):
-    """An image or a field of vectors, as ITK states it.
+    """An image or a field of vectors, in ITK's convention.
 
     Attributes
     ----------
     pixels : ndarray, shape ([D,] H, W[, components])
     components : int
-        Values of a pixel.
+        Number of values per pixel.
     spacing, origin : tuple of float, shape (n,)
         In mm; x, y[, z] in LPS.
     direction : ndarray, shape (n, n)
         Its columns are the directions of the image's x, y[ and z].
     told : dict of str to str
-        Metadata that the file carries.
+        Metadata in the file.
     """
 
     pixels: npt.NDArray[Any]
@@ -75,11 +75,11 @@ def read_image(source: Path) -> ItkImage:
     Raises
     ------
     Unreadable
-        If it is none, is cut short, claims more pixels than it holds, or crashes the decoder.
+        If it is no image, is cut short, claims more pixels than it holds, or crashes the decoder.
     HmrfError
         If SimpleITK is not installed.
     OSError
-        If it cannot be opened.
+        If the file cannot be opened.
     """
     _open_once(source)
     if not _is_sealed(source) and source.name.lower().endswith(_NIFTI) and is_cut_short(source):
@@ -88,12 +88,12 @@ def read_image(source: Path) -> ItkImage:
 
 
 def read_series(folder: Path) -> ItkImage:
-    """Read the one series in a folder of DICOM files.
+    """Read the only series in a folder of DICOM files.
 
     Raises
     ------
     Unreadable
-        As of `read_image`; or if the folder holds no series, or several.
+        As for `read_image`; or if the folder holds no series, or several.
     HmrfError
         If SimpleITK is not installed.
     """
@@ -110,9 +110,9 @@ def read_vectors(source: Path) -> ItkImage:
     Raises
     ------
     Unreadable
-        As of `read_image`; or if the file differs from what this package wrote.
+        As for `read_image`; or if the file differs from what this package wrote.
     HmrfError, OSError
-        As of `read_image`.
+        As for `read_image`.
     """
     _open_once(source)
     is_sealed = _is_sealed(source)
@@ -128,14 +128,14 @@ def read_vectors(source: Path) -> ItkImage:
 
 
 def holds_vectors(source: Path) -> bool:
-    """Return whether a file holds a field, or is damaged so that reading it tells more.
+    """Return whether a file holds a field, or is damaged so that reading it reports the error.
 
-    False where SimpleITK is missing.
+    False if SimpleITK is not installed.
 
     Raises
     ------
     OSError
-        If it cannot be opened.
+        If the file cannot be opened.
     """
     try:
         if source.suffix.lower() == _TRANSFORM:
@@ -151,29 +151,30 @@ def holds_vectors(source: Path) -> bool:
 def encode(
     target: Path, image: ItkImage, suffix: str, *, transform: bool = False, sealed: bool = False
 ) -> bytes:
-    """Return the bytes of a file, which were written beside its target and read back.
+    """Return the bytes of a file, which were written next to its target and read back.
 
     Parameters
     ----------
     target : Path
-        Its folder takes the temporary file, so that one disk alone must have room.
+        Its folder takes the temporary file, so that only one disk needs free space.
     image : ItkImage
     suffix : str
     transform : bool
-        Whether a transform is written.
+        Whether to write a transform.
     sealed : bool
-        Whether the file gets a seal, by which damage is told.
+        Whether the file gets a seal, which reveals damage.
 
     Raises
     ------
     HmrfError
         If SimpleITK is not installed.
     OSError
-        If the disk is full, or did not keep what was written; the message names the target.
+        If the disk is full, or the written file reads back differently; the message names the
+        target.
     ValueError
-        If SimpleITK writes no such pixels.
+        If SimpleITK cannot write such pixels.
     """
-    plain = ".nii" if sealed and suffix == ".nii.gz" else suffix  # compressed with its seal
+    plain = ".nii" if sealed and suffix == ".nii.gz" else suffix  # the seal is compressed with it
     with temporary_beside(target, plain) as file:
         try:
             decoder.write(file, _header(image), image.pixels, vectors=transform)
@@ -196,11 +197,11 @@ def require_simpleitk() -> None:
     Raises
     ------
     HmrfError
-        If it is not.
+        If it is not installed.
     """
     try:
         is_missing = importlib.util.find_spec("SimpleITK") is None
-    except ValueError:  # its place among the modules is taken
+    except ValueError:  # something else stands in `sys.modules` under this name
         is_missing = True
     if is_missing:
         raise missing_simpleitk()
@@ -274,7 +275,7 @@ def _place(image: ItkImage) -> list[float]:
 
 
 def _in_volume(plane: ItkImage, source: Path) -> ItkImage:
-    """Give a field of one slice the third axis that SimpleITK drops in NIfTI."""
+    """Restore the third axis of a field of one slice, which SimpleITK drops in NIfTI."""
     place = place_in_nifti(source)
     if place is None:
         return plane
@@ -289,7 +290,7 @@ def _in_volume(plane: ItkImage, source: Path) -> ItkImage:
 
 
 def _check_text(source: Path) -> None:
-    """Refuse texts of fields of which ITK would make up the rest."""
+    """Refuse incomplete texts of fields, which ITK would fill up with made-up values."""
     try:
         text = source.read_text(encoding="ascii")
         n, count = 0, -1

@@ -2,13 +2,13 @@
 
 ==============  =============================================================================
 BigWarp .csv    pairs: ``Pt-0,true,moving x,y[,z],target x,y[,z]``, in the images' units
-Slicer .mrk.json one list of points; says whether it is in LPS or RAS
-Slicer .fcsv    the same, as older versions have it
+Slicer .mrk.json one list of points, with its coordinate system, LPS or RAS
+Slicer .fcsv    the same, in the format of older versions
 napari .csv     one list of points: ``index,axis-0,axis-1[,axis-2]``, in pixels
 ==============  =============================================================================
 
-All points here are in the order of the axes, ([z,] y, x); where a file knows the patient, in mm
-towards superior, posterior and left, as layers with a patient's place lie.
+All points here are in the order of the axes, ([z,] y, x); in files with patient coordinates they
+are in mm towards superior, posterior and left, as in layers with a patient's place.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from napari_hmrf.solver.problem import as_numbers
 
 Points = npt.NDArray[np.float64]
 
-#: How the names of files of landmarks end.
+#: Endings of the files of landmarks.
 POINT_SUFFIXES = (".csv", ".mrk.json", ".fcsv")
-#: Larger files are no landmarks, and are not read.
+#: Largest size of a file, in bytes; a larger file is not read.
 _LARGEST = 2**26
 #: From right, anterior, superior to left, posterior, superior.
 _TO_LPS = {
@@ -50,14 +50,14 @@ _SLICER_SCHEMA = (
 
 
 class LandmarkFile(NamedTuple):
-    """What a file of landmarks holds.
+    """Content of a file of landmarks.
 
     Attributes
     ----------
     points : ndarray, shape (N, n), float64
-        Where things are; n is 2 or 3.
+        Positions of the landmarks; n is 2 or 3.
     targets : ndarray, shape (N, n), or None
-        Where the same things should be, if the file says so.
+        Target positions of the same landmarks, if the file has them.
     names : tuple of str
     unit : {"mm", "pixel", ""}
         "" if the file does not say.
@@ -80,9 +80,9 @@ def load_points(path: str | os.PathLike[str]) -> LandmarkFile:
     Raises
     ------
     FileFormatError
-        If it is no such file; the message says what is wrong and where.
+        If it is no such file; the message names the error and its place.
     OSError
-        If it cannot be opened.
+        If the file cannot be opened.
     """
     source = Path(checked_path(path))
     suffix, name = _suffix(source), source.name
@@ -104,7 +104,7 @@ def load_points(path: str | os.PathLike[str]) -> LandmarkFile:
 
 
 def is_landmark_file(path: str | os.PathLike[str]) -> bool:
-    """Whether a file is of Slicer by its name, or of BigWarp by how it begins."""
+    """Return whether a file is of Slicer by its name, or of BigWarp by its first line."""
     name = os.fsdecode(path).lower()
     if not name.endswith(".csv"):
         return name.endswith(POINT_SUFFIXES)
@@ -123,24 +123,25 @@ def save_points(
     *,
     names: Sequence[str] = (),
 ) -> Path:
-    """Write landmarks, in the way that the name's ending says, whole or not at all.
+    """Write landmarks, atomically, in the format of the name's ending.
 
     Parameters
     ----------
     path : str or path-like
-        ``.csv`` with `targets` is BigWarp's, without them napari's; Slicer's files hold one list.
+        ``.csv`` with `targets` is BigWarp's format, without them napari's; Slicer's files hold one
+        list.
     points : array_like, shape (N, 2) or (N, 3)
         ([z,] y, x); for Slicer in mm, as `load_points` gives them.
     targets : array_like, shape (N, 2) or (N, 3), optional
-        Where the same things should be.
+        Target positions of the same landmarks.
     names : sequence of str, optional
 
     Raises
     ------
     ProblemError
-        Naming the input at fault.
+        Naming the invalid input.
     FileFormatError
-        If no landmarks are written as a file of such a name, or it holds no pairs.
+        If the ending is unknown, or its format holds no pairs.
     OSError
         If the file cannot be written.
     """
@@ -167,7 +168,7 @@ def save_points(
 
 
 class _Wrong(ValueError):
-    """What is wrong with a file, in words for its user."""
+    """Error in a file, in words for the user."""
 
 
 def _suffix(path: Path) -> str:
@@ -187,7 +188,7 @@ def _checked(name: str, values: npt.ArrayLike) -> Points:
 
 
 def _in_space(points: Points) -> Points:
-    """Points of a slice lie at 0 on the axis that it lacks."""
+    """Return points in three dimensions; points of a slice get 0 on the missing axis."""
     return np.pad(points, ((0, 0), (3 - points.shape[1], 0)))
 
 

@@ -1,4 +1,4 @@
-"""Tables of materials in small files that people can read.
+"""Tables of materials in small, human-readable files.
 
 A file is JSON::
 
@@ -13,12 +13,12 @@ A file is JSON::
       ]
     }
 
-The stiffness of bone or an implant, which moves as one, is the word ``"rigid"``. Tissue that is to
-grow has a ``"growth"``: 0.1 is a tenth longer; of a list the parts are along the axes of the image.
-A file with such a material is of version 3, and one with rigid tissue of version 2; all others are
-of version 1, which earlier versions of this package read.
+The stiffness of bone or an implant, which moves as a rigid body, is the word ``"rigid"``. Tissue
+that grows has a ``"growth"``: 0.1 is a tenth longer; a list has a value for each axis of the image.
+A file with such a material is of version 3, one with rigid tissue of version 2; all others are of
+version 1, which earlier versions of this package read.
 
-Nothing here needs napari.
+This module does not need napari.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ from napari_hmrf.tissue.material_presets import Preset
 _Format = Literal["napari-hmrf materials"]
 FORMAT: _Format = "napari-hmrf materials"
 VERSION = 3
-#: Of files in which nothing is rigid or grows, and in which something is rigid.
+#: Versions of files with neither rigid tissue nor growth, and of files with rigid tissue.
 _FIRST, _RIGID = 1, 2
 ENDING = ".json"
-#: Larger files are none of ours, and are not read.
+#: Largest size of a file, in bytes; a larger file is not read.
 _LARGEST = 2**20
 
 
 def save_materials(path: str | Path, preset: Preset) -> Path:
-    """Write materials to a file, whole or not at all, for other images and other people.
+    """Write materials to a file, atomically, to use them with other images and to share them.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def save_materials(path: str | Path, preset: Preset) -> Path:
     Raises
     ------
     FileFormatError
-        If they could not be read again; nothing is written.
+        If the materials could not be read back; nothing is written.
     OSError
         If the file cannot be written.
     """
@@ -86,7 +86,7 @@ def save_materials(path: str | Path, preset: Preset) -> Path:
 
 
 def load_materials(path: str | Path) -> Preset:
-    """Read what `save_materials` wrote, or somebody by hand.
+    """Read a file that was written by `save_materials` or by hand.
 
     Parameters
     ----------
@@ -95,12 +95,12 @@ def load_materials(path: str | Path) -> Preset:
     Returns
     -------
     Preset
-        Named after the file, if it has no name of its own.
+        Named after the file if the file gives no name.
 
     Raises
     ------
     FileFormatError
-        Saying what is wrong with which material, and what to write.
+        Naming the material, its error, and valid values.
     OSError
         If the file cannot be read.
     """
@@ -117,7 +117,7 @@ def load_materials(path: str | Path) -> Preset:
 
 
 def _version(preset: Preset) -> int:
-    """The earliest version that can say it."""
+    """Return the earliest version of the format that holds these materials."""
     if any(row.grows for row in preset.materials):
         return VERSION
     return _RIGID if any(row.is_rigid for row in preset.materials) else _FIRST
@@ -127,11 +127,11 @@ _Strain = Annotated[float, pydantic.Field(gt=-1, le=10, allow_inf_nan=False)]
 
 
 class _Row(pydantic.BaseModel, strict=True, extra="forbid"):
-    """A material as a file says it."""
+    """A material in a file."""
 
     label: int = pydantic.Field(ge=0)
     name: str = ""
-    # Only the word says rigid: JSON has no infinite number, and one like 1e999 is a slip.
+    # Only the word means rigid: JSON has no infinity, and a number such as 1e999 is a slip.
     stiffness: Annotated[
         Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)] | Literal["rigid"],
         pydantic.BeforeValidator(lambda v: v.strip().casefold() if isinstance(v, str) else v),
@@ -141,7 +141,7 @@ class _Row(pydantic.BaseModel, strict=True, extra="forbid"):
 
 
 class _File(pydantic.BaseModel, strict=True, extra="forbid"):
-    """All that a file says."""
+    """Content of a file."""
 
     format: _Format
     version: int = pydantic.Field(ge=1)
@@ -153,7 +153,7 @@ class _File(pydantic.BaseModel, strict=True, extra="forbid"):
     @pydantic.field_validator("version")
     @classmethod
     def _is_known(cls, version: int) -> int:
-        # Before the rows are read, as a newer version may have other words in them.
+        # Checked before the rows, as a newer version may use other words in them.
         if version > VERSION:
             newer = f"was written by a newer napari-hmrf (version {version})"
             raise ValueError(f"{newer}. Install the newest one")
@@ -171,9 +171,9 @@ class _File(pydantic.BaseModel, strict=True, extra="forbid"):
 
 
 def _bad(path: Path, error: pydantic.ValidationError) -> FileFormatError:
-    """Return the first fault of a file, where it is, and what would be right."""
+    """Return an error with the first fault of a file, its place, and valid values."""
     found = error.errors(include_url=False)
-    # A word that is misspelt is missing, too; the misspelt one says more.
+    # A misspelt word is also reported as missing; the misspelt word is the better message.
     unknown = [each for each in found if each["type"] == "extra_forbidden"]
     first = (
         unknown[0] if unknown and found[0]["type"] in ("missing", unknown[0]["type"]) else found[0]

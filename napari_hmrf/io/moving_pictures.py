@@ -1,4 +1,4 @@
-"""A deformation as a picture that moves: from rest to where it ends, and back."""
+"""Animations of a deformation: from rest to its end, and back."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from napari_hmrf.field.moved_pictures import MovedPictures
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.solution import Solution
 
-#: How the names of files end that are written.
+#: Endings of the files that are written.
 MOVING_SUFFIXES = (".gif", ".mp4")
-#: What is brighter than all but this share of the pixels is white.
+#: Percentile of the grey levels that is shown as white.
 _WHITE = 99.9
-#: Room on a disk for a frame of a film, in bytes.
+#: Disk space to reserve for a frame of a film, in bytes.
 _LARGEST_FRAME = 2**20
 
 
@@ -38,31 +38,31 @@ def save_moving_picture(
     per_second: int = 12,
     number: int | None = None,
 ) -> Path:
-    """Write an image as it moves, there and back, again and again.
+    """Write an animation of an image that moves forth and back in a loop.
 
     Parameters
     ----------
     path : str or path-like
-        Ends in .gif, or .mp4, which takes the extra ``film``.
+        Ends in .gif, or in .mp4, which needs the extra ``film``.
     solution : Solution
     image : array_like, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
-        Before it moves.
+        The image before it moves.
     frames : int
-        From rest to the end.
+        Number of frames from rest to the end.
     per_second : int
     number : int, optional
-        Number of the slice of a volume along its first axis that is shown.
+        Number of the slice to show, along the first axis of a volume.
 
     Raises
     ------
     FileFormatError
-        If no picture that moves is written as a file of such a name.
+        If the name has no ending of an animation.
     ArgumentError
-        If there are fewer than two frames, or less than one a second.
+        If there are fewer than two frames, or less than one per second.
     ProblemError
-        If the solution is of a volume and no slice of it is given.
+        If the solution is of a volume and no slice is given.
     HmrfError
-        If what writes .mp4 is not installed.
+        If the writer for .mp4 is not installed.
     OSError
         If the file cannot be written.
     """
@@ -100,7 +100,7 @@ def save_moving_picture(
 def _slices_seen(
     solution: Solution, image: npt.NDArray[np.generic], number: int, steps: Sequence[float]
 ) -> list[npt.NDArray[np.generic]]:
-    """Return a slice of a volume after each part of the motion."""
+    """Return a slice of a volume at each step of the motion."""
     pictures, d = MovedPictures(), solution.displacement
 
     def seen(step: float) -> npt.NDArray[np.generic]:
@@ -117,7 +117,7 @@ def _seen(motion: Motion, fraction: float) -> npt.NDArray[np.generic]:
 
 
 def _as_bytes(pictures: npt.NDArray[np.generic]) -> npt.NDArray[np.uint8]:
-    """From 0 to 255, all by one scale; colours without their opacity."""
+    """Scale all pictures alike to 0..255; colours lose their opacity."""
     values = pictures[..., :3] if pictures.ndim > 3 else pictures
     if values.dtype == np.uint8:
         return values.astype(np.uint8)
@@ -131,7 +131,7 @@ def _as_bytes(pictures: npt.NDArray[np.generic]) -> npt.NDArray[np.uint8]:
 def _in_proportion(
     pictures: npt.NDArray[np.uint8], spacing: Sequence[float]
 ) -> npt.NDArray[np.uint8]:
-    """Pictures whose pixels are as wide as they are high: none of those there were is left out."""
+    """Return pictures with square pixels; no original pixel is left out."""
     from PIL import Image
 
     rows, cols = (
@@ -163,7 +163,7 @@ def _film(target: Path, pictures: npt.NDArray[np.uint8], per_second: int) -> byt
             "films are written by imageio-ffmpeg, which is not installed: "
             f"{how_to_install('film')}; or write a .gif."
         ) from error
-    # The codec takes even sizes only.
+    # The codec accepts even sizes only.
     rows, cols = (2 * (size // 2) for size in pictures.shape[1:3])
     colours = pictures if pictures.ndim > 3 else np.repeat(pictures[..., None], 3, axis=-1)
     with temporary_beside(target, ".mp4") as file:
@@ -174,7 +174,7 @@ def _film(target: Path, pictures: npt.NDArray[np.uint8], per_second: int) -> byt
                 writer.send(np.ascontiguousarray(picture))
             writer.close()
             is_whole = imageio_ffmpeg.count_frames_and_secs(str(file))[0] == len(colours)
-        except (OSError, RuntimeError):  # ffmpeg does not tell why it ends
+        except (OSError, RuntimeError):  # ffmpeg gives no reason for its end
             is_whole = False
         if not is_whole:
             file.unlink(missing_ok=True)

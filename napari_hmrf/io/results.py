@@ -28,11 +28,11 @@ class Measured(NamedTuple):
     ----------
     rows : tuple of Measurement
     unit : str
-        Of lengths.
+        Unit of lengths.
     of_volume : bool
-        Whether tissue has a volume for an area.
+        Whether the tissue is measured as volume instead of area.
     note : str
-        Why the strain is not the elastic one, as a clause; "" if it is.
+        Reason why the strain is not the elastic one, as a clause; "" if it is.
     """
 
     rows: tuple[Measurement, ...]
@@ -42,7 +42,7 @@ class Measured(NamedTuple):
 
 
 def measured(path: Path, labels: Path | None = None) -> Measured:
-    """Measure what happened to each tissue of a study or result.
+    """Measure the deformation of each tissue of a study or result.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def measured(path: Path, labels: Path | None = None) -> Measured:
     Raises
     ------
     HmrfError, OSError
-        If a file cannot be read; or if it holds no field, or no labels and none are given.
+        If a file cannot be read; or if it has no field, or no labels and none are given.
     """
     study, solution = load_solved(path)
     tissue = None if study is None else study.tissue
@@ -61,7 +61,7 @@ def measured(path: Path, labels: Path | None = None) -> Measured:
     image = None if tissue is None else tissue.labels
     if labels is not None:
         image = as_labels(_on_grid(labels, solution), labels)
-    if image is None:  # nothing tells one tissue from another
+    if image is None:  # without labels all tissue is one
         image, names = np.ones(solution.tissue.shape, np.int32), {1: "tissue"}
     unit = unit_symbol(Frame.of_solution(solution).unit)
     rows, of_volume = solution.measure(image, names=names), solution.tissue.ndim == 3
@@ -69,23 +69,23 @@ def measured(path: Path, labels: Path | None = None) -> Measured:
 
 
 def labels_in(path: Path) -> tuple[int, ...]:
-    """The labels that are somewhere in an image.
+    """Return the labels that occur in an image.
 
     Raises
     ------
     HmrfError, OSError
-        If it cannot be read, or holds no labels.
+        If the file cannot be read, or holds no labels.
     """
     return tuple(np.unique(as_labels(load_image(path).pixels, path)).tolist())
 
 
 def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArray[Any]]:
-    """The field of a study or result, and its image, or another that is given.
+    """Return the field of a study or result, and its image, or another image if given.
 
     Raises
     ------
     HmrfError, OSError
-        If a file cannot be read; or if it holds no field, or no image and none is given.
+        If a file cannot be read; or if it has no field, or no image and none is given.
     """
     study, solution = load_solved(path)
     pixels = None if study is None else study.pictures.image
@@ -97,7 +97,7 @@ def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArr
 
 
 def _on_grid(path: Path, solution: Solution) -> npt.NDArray[Any]:
-    """The pixels of a file; of a volume in the order of the solution's axes."""
+    """Return the pixels of a file; those of a volume in the order of the solution's axes."""
     unknown = Frame.of_solution(solution).unit == "pixel"
     image, place = load_image(path), None if unknown else place_of(solution)
     if solution.tissue.ndim == 3:

@@ -1,9 +1,9 @@
-"""Seals of exchange files: a digest that tells damage from what was written.
+"""Seals of exchange files: digests that reveal damage.
 
 A sealed file carries one line twice, at its beginning and at its end as far as the format allows:
-a mark and the SHA-256 of the whole file in which the digits of both digests are zeros. Other tools
-skip the lines, and drop them when they save the field again, so that such a file has no seal and
-is read as any other.
+a mark and the SHA-256 of the whole file, computed with zeros for the digits of both digests. Other
+tools skip the lines, and drop them when they save the field again; such a file has no seal and is
+read without a check.
 
 =================  ==============================================================
 .mha               comments, in the second line of the header and before its last
@@ -31,25 +31,25 @@ _MARK = b"napari-hmrf field; SHA-256 with this digest as zeros: "
 _DIGITS = 64
 _SEAL = re.compile(re.escape(_MARK) + rb"([0-9a-f]{%d})" % _DIGITS)
 _BLANK = _MARK + b"0" * _DIGITS
-#: Seals of a file.
+#: Number of seals in a file.
 _COUNT = 2
 #: Length of a seal where a format has no lines, in bytes: a multiple of 16, as NIfTI needs.
 _BLOCK = 128
-#: Bytes in which the first and the last seal are searched.
+#: Bytes in which the first and the last seal are searched for.
 _HEAD, _TAIL = 2**14, 2**10
-#: Bytes that are read at once.
+#: Number of bytes read at once.
 _PIECE = 2**20
-#: Share of a mark's bytes that betrays a damaged seal; other text shares less than a third.
+#: Share of a mark's bytes that reveals a damaged seal; other text shares less than a third.
 _BETRAYING = 0.6
 _GZIP, _HDF5 = b"\x1f\x8b", b"\x89HDF\r\n\x1a\n"
-#: Compression level of .nii.gz: vectors hardly pack, and higher levels take longer.
+#: Compression level of .nii.gz: vectors hardly compress, and higher levels take longer.
 _LEVEL = 2
-#: Offset and length of NIfTI's header, and of the number that says where the vectors begin.
+#: Length of NIfTI's header, and offset of the number that says where the vectors begin.
 _NIFTI_HEADER, _NIFTI_START = 352, 108
 
 
 class BrokenSeal(Exception):
-    """The file is not what was written: damaged, or edited by hand."""
+    """The file differs from what was written: damaged, or edited by hand."""
 
 
 def seal(content: bytes, suffix: str) -> bytes:
@@ -58,7 +58,7 @@ def seal(content: bytes, suffix: str) -> bytes:
     Parameters
     ----------
     content : bytes
-        As SimpleITK wrote it; of .nii.gz before it is compressed.
+        Written by SimpleITK; for .nii.gz before compression.
     suffix : {".mha", ".nrrd", ".nii", ".nii.gz", ".h5"}
     """
     block = (_BLANK + b"\n").ljust(_BLOCK, b"\n")
@@ -84,9 +84,9 @@ def check_seal(path: Path) -> bool:
     Raises
     ------
     BrokenSeal
-        If it has a seal that does not fit, or the remains of one.
+        If the seal does not match, or is damaged itself.
     OSError
-        If it cannot be opened.
+        If the file cannot be opened.
     """
     try:
         with open(path, "rb") as file:
@@ -98,7 +98,7 @@ def check_seal(path: Path) -> bool:
             else:
                 found = _read_seals(file)
     except (EOFError, zlib.error, gzip.BadGzipFile):
-        return False  # the decoder refuses it
+        return False  # the decoder refuses the file
     if not found and _hdf5_ends_early(start, path.stat().st_size):
         raise BrokenSeal
     return found
@@ -124,7 +124,7 @@ def _parts(stream: BinaryIO | gzip.GzipFile) -> Iterator[tuple[bytes, bool]]:
     """Yield the content in pieces, and whether each is the beginning or the end."""
     head = stream.read(_HEAD)
     held = stream.read(_PIECE)
-    if len(held) < 2 * _TAIL:  # no seal lies across two parts
+    if len(held) < 2 * _TAIL:  # keeps a seal from lying across two parts
         yield head + held, True
         held = b""
     else:
@@ -141,7 +141,7 @@ def _parts(stream: BinaryIO | gzip.GzipFile) -> Iterator[tuple[bytes, bool]]:
 
 
 def _likeness(part: bytes) -> float:
-    """Return the largest share of a mark's bytes that stand in their places somewhere."""
+    """Return the largest share of a mark's bytes that match at any one position."""
     if len(part) < len(_MARK):
         return 0.0
     windows: Any = np.lib.stride_tricks.sliding_window_view(

@@ -1,4 +1,4 @@
-"""Tables of what the labels of a segmentation are called, as other tools write them.
+"""Tables of label names of segmentations, as other tools write them.
 
 ========================  ====================================================================
 TotalSegmentator, nnU-Net  .json: a class map, or a `dataset.json` with its `labels`
@@ -28,20 +28,20 @@ from napari_hmrf.io.tissue_names import NamedMaterials, materials_by_name
 from napari_hmrf.regular_file import read_at_most
 from napari_hmrf.tissue.material_presets import Preset
 
-#: Larger files are no tables, and are not read; of an image only so much is its header.
+#: Largest size of a table, in bytes; also the longest header of an image.
 _LARGEST = 2**22
-#: What columns of a .csv are called.
+#: Titles of columns of a .csv, in lower case.
 _LABELS = "label", "labelvalue", "label value", "value", "index", "id", "no.", "key", "intensity"
 _NAMES = "name", "label name", "labelname", "structure", "segment", "tissue", "region", "class"
-#: Columns that only make a table of materials.
+#: Columns that mark a table of materials.
 _OF_MATERIALS = tuple(name for name in MATERIAL_COLUMNS if name not in ("label", "name"))
-#: Columns of colours, and of terms of 3D Slicer, which other tools write beside names.
+#: Columns that other tools write beside names: colours, and terms of 3D Slicer.
 _BESIDE = re.compile(
     r"(colou?r[ _]?)?(r|g|b|a|red|green|blue|alpha)|colou?r|hex|opacity|visib(le|ility)"
     r"|[a-z]+_(codingscheme|codevalue|codemeaning)|(description|comment|abbreviation|acronym)s?"
 )
-# A label, its name, and red, green, blue and alpha, and the tissue type that newer tables of
-# FreeSurfer have; or the numbers that ITK-SNAP has between label and name.
+# A label, its name, red, green, blue and alpha, and the tissue type of newer tables of FreeSurfer;
+# or the numbers that ITK-SNAP has between label and name.
 _COLOUR_ROW = re.compile(r'\s*(\d+)\s+"?(\S.*?)"?((?:\s+[\d.]+){4,5})\s*$')
 _SNAP_ROW = re.compile(r'\s*(\d+)((?:\s+[\d.]+){6})\s+"([^"]*)"\s*$')
 _NUMBERED = re.compile(r"\s*\d+\s+\S")
@@ -51,7 +51,7 @@ ENDINGS = ".csv", ".json", ".txt", ".ctbl", ".nrrd"
 
 
 def read_label_names(path: str | os.PathLike[str]) -> dict[int, str]:
-    """Read what the labels of a segmentation are called.
+    """Read the label names of a segmentation.
 
     Parameters
     ----------
@@ -64,15 +64,15 @@ def read_label_names(path: str | os.PathLike[str]) -> dict[int, str]:
     Returns
     -------
     dict of int to str
-        By label; `materials_by_name` makes materials of it.
+        Names by label; `materials_by_name` turns them into materials.
 
     Raises
     ------
     FileFormatError
-        If it is no such table, has a column or a line that is not understood, or has a label
+        If it is no such table, has an unknown column or an unreadable line, or has a label
         twice.
     OSError
-        If it cannot be opened.
+        If the file cannot be opened.
     """
     source = Path(checked_path(path))
     ending = source.suffix.lower()
@@ -101,25 +101,25 @@ def read_label_names(path: str | os.PathLike[str]) -> dict[int, str]:
 
 
 def tissue_table(path: str | os.PathLike[str]) -> NamedMaterials | Preset:
-    """Read materials from any table: with their stiffness, or by the names of a segmentation.
+    """Read materials from any table: with their stiffness, or by the label names.
 
     Parameters
     ----------
     path : str or path-like
-        A file of `save_materials` or a .csv with a column `stiffness`; else as of
+        A file of `save_materials` or a .csv with a column `stiffness`; otherwise a file for
         `read_label_names`. A .csv is a list of names only if all of its columns are labels, names,
-        and colours or terms that other tools write beside them.
+        or colours and terms that other tools write beside them.
 
     Returns
     -------
     Preset or NamedMaterials
-        A preset if the file itself says how stiff each tissue is.
+        A preset if the file itself gives the stiffness of each tissue.
 
     Raises
     ------
     FileFormatError, OSError
-        As of `read_materials`, `load_materials` and `read_label_names`; or if no stiffness is known
-        for any of the names.
+        As for `read_materials`, `load_materials` and `read_label_names`; or if none of the names
+        has a known stiffness.
     """
     source = Path(checked_path(path))
     ending = source.suffix.lower()
@@ -138,7 +138,7 @@ def tissue_table(path: str | os.PathLike[str]) -> NamedMaterials | Preset:
 
 
 def _text(source: Path, ending: str) -> str:
-    """The text of a table, or of the header of an image."""
+    """Return the text of a table, or of the header of an image."""
     if ending == ".nrrd":
         with open(source, "rb") as file:
             head = file.read(_LARGEST).partition(b"\n\n")[0]
@@ -147,27 +147,27 @@ def _text(source: Path, ending: str) -> str:
 
 
 def _header(source: Path) -> tuple[int, list[str], list[tuple[int, list[str]]]]:
-    """Return the line and the titles of a .csv, and its other lines that have text."""
+    """Return the line number and the titles of a .csv, and its other non-empty lines."""
     rows = [(line, cells) for line, cells in read_cells(source, _LARGEST) if any(cells)]
     line, titles = rows[0] if rows else (1, [])
     return line, [title.casefold() for title in titles], rows[1:]
 
 
 def _is_of_names(source: Path) -> bool:
-    """Return whether a .csv can only be a list of names: by all of its columns."""
+    """Return whether all columns of a .csv fit a list of names."""
     _, titles, _ = _header(source)
     there = [any(title in titles for title in known) for known in (_LABELS, _NAMES)]
     return all(there) and not any(map(_is_strange, titles))
 
 
 def _is_strange(title: str) -> bool:
-    """Return whether a list of names has no such column."""
+    """Return whether a list of names cannot have such a column."""
     known = not title or title in (*_LABELS, *_NAMES) or _BESIDE.fullmatch(title) is not None
     return not known
 
 
 def _is_ours(source: Path) -> bool:
-    """Whether a .json says that it is a file of materials, or nothing that can be read."""
+    """Return whether a .json is a file of materials, or unreadable."""
     try:
         content = json.loads(read_at_most(source, _LARGEST) or b"")
     except ValueError:
@@ -204,7 +204,7 @@ def _of_cells(source: Path) -> Iterable[tuple[int, str]]:
 
 
 def _of_json(text: str, file: str) -> Iterable[tuple[int, str]]:
-    """Both ways round, name by label or label by name, alone or under a word."""
+    """Return labels and names from a mapping in either direction, alone or under a key."""
     try:
         content = json.loads(text)
     except ValueError:
@@ -234,7 +234,7 @@ def _of_mapping(content: Any, file: str) -> Iterable[tuple[int, str]]:
 
 
 def _of_pair(key: str, value: Any) -> tuple[int, str] | None:
-    """Return a label and its name, whichever comes first; None if it is no such pair."""
+    """Return a label and its name, in either order; None if it is no such pair."""
     if isinstance(value, bool) or not isinstance(value, str | int):
         return None
     label, name = (_whole(key), str(value)) if _is_name(value) else (_whole(value), key)
@@ -261,7 +261,7 @@ def _of_lines(text: str, file: str) -> Iterable[tuple[int, str]]:
 
 
 def _of_segments(text: str) -> Iterable[tuple[int, str]]:
-    """Of a segmentation of several layers the first, as only that is an image of labels."""
+    """Yield the segments of the first layer, the only one that is an image of labels."""
     segments: dict[str, dict[str, str]] = {}
     for line in takewhile(str, text.splitlines()):
         if found := _SEGMENT.match(line):
@@ -273,7 +273,7 @@ def _of_segments(text: str) -> Iterable[tuple[int, str]]:
 
 
 def _whole(value: Any) -> int | None:
-    """A label, which some tools write as text."""
+    """Return a label, which some tools write as text; None if it is no label."""
     try:
         number = float(value)
     except (TypeError, ValueError):

@@ -1,7 +1,7 @@
-"""The study's file: all that a field is computed from, and the field, to be made again.
+"""File of a study: all inputs of a field and the field itself, so that it can be reproduced.
 
-It is an archive of plain arrays and one text (`napari_hmrf.array_file`): nothing in it can run
-code, and it is written whole or not at all.
+It is an archive of plain arrays and one text (`napari_hmrf.array_file`): it cannot run code, and it
+is written atomically.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
-#: How the names of studies' files end.
+#: Ending of the files of studies.
 SUFFIX = ".study"
-#: Types of labels, and of numbers of any kind.
+#: Data types of labels, and of numbers of any kind.
 LABEL_TYPES = ("|u1", "<u2", "<u4", "<u8", "|i1", "<i2", "<i4", "<i8")
 _NUMBERS = ("|b1", *LABEL_TYPES, "<f2", "<f4", "<f8")
 _OF_SOLUTION = "solution_"
-#: Penalties of an elastic prior that files write as words. "inf" has stood for holding by
-#: confidence since the first version of the file.
+#: Penalties of an elastic prior that files write as words. "inf" has meant confidence-based
+#: penalties since the first version of the file.
 _PENALTIES = {None: "inf", math.inf: "exact"}
-#: Check the types of what a file holds.
+#: Validators for the types in a file.
 _MATERIALS = TypeAdapter(tuple[Material, ...])
 _RULES = TypeAdapter(tuple[BoundaryRule, ...])
 _GRID = TypeAdapter(Grid)
@@ -49,13 +49,13 @@ _WEIGHT = TypeAdapter(tuple[float, ...])
 
 
 class Saved(NamedTuple):
-    """What a study's file holds.
+    """Content of the file of a study.
 
     Attributes
     ----------
     study : Study
     solution : Solution or None
-        The field, if it was saved with it.
+        The field, if it was saved with the study.
     """
 
     study: Study
@@ -69,25 +69,25 @@ def save_study(
     *,
     image: bool = True,
 ) -> Path:
-    """Save a study, and its field if there is one, to one file, whole or not at all.
+    """Save a study, and its field if there is one, to one file, atomically.
 
-    How layers are drawn, such as their colormaps, is not kept.
+    The display settings of layers, such as colormaps, are not saved.
 
     Parameters
     ----------
     path : str or path-like
-        ".study" is added if the name has no suffix. A file of that name is replaced in the moment
-        the new one is complete.
+        ".study" is added if the name has no suffix. An existing file is replaced only when the new
+        one is complete.
     study : Study
     solution : Solution, optional
     image : bool
-        Whether the image itself is saved. Otherwise its name and digest are, and whoever loads the
-        study gives the image.
+        Whether to save the image itself. Otherwise its name and digest are saved, and the image
+        must be given to `load_study`.
 
     Returns
     -------
     Path
-        The file that was written.
+        The written file.
 
     Raises
     ------
@@ -114,9 +114,10 @@ def load_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None =
     Raises
     ------
     FileFormatError
-        If it is no study's file, or damaged; or if it refers to another image than the one given.
+        If it is no file of a study, or damaged; or if it refers to another image than the given
+        one.
     OSError
-        If it cannot be opened.
+        If the file cannot be opened.
     """
     content = array_file.read(path, STUDY_FORMAT)
     study = content.study
@@ -131,14 +132,14 @@ def load_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None =
 
 
 def load_solved(path: str | os.PathLike[str]) -> tuple[Study | None, Solution]:
-    """Read a study with its field, or a saved result, of which no study is known.
+    """Read a study with its field, or a saved result, for which the study is None.
 
     Raises
     ------
     FileFormatError
         If it is neither, or damaged; or if the study was saved without its field.
     OSError
-        If it cannot be opened.
+        If the file cannot be opened.
     """
     if not is_study_file(path):
         return None, Solution.load(path)
@@ -151,34 +152,34 @@ def load_solved(path: str | os.PathLike[str]) -> tuple[Study | None, Solution]:
 
 
 def is_study_file(path: str | os.PathLike[str]) -> bool:
-    """Tell, by reading little of it, whether a file says that it is a study's."""
+    """Return whether a file is marked as a study; reads only its beginning."""
     return array_file.claims_to_be(path, STUDY_FORMAT)
 
 
 def image_named_in(path: str | os.PathLike[str]) -> str:
-    """What a study's image is called, by reading little of its file; "" if that cannot be read."""
+    """Return the name of a study's image, read from the header; "" if unreadable."""
     pictures = array_file.header_of(path).get("pictures")
     return str(pictures.get("name", "")) if isinstance(pictures, dict) else ""
 
 
 def replay(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> Solution:
-    """Solve a saved study again, on the backend that its field came from.
+    """Solve a saved study again, on the backend that computed its field.
 
-    On the same machine and version a field that was solved from nothing, as by `solve_study` or
-    *Deform*, is the same bit by bit, with any number of threads. One that followed edits in the
-    window began with what came before them: it is the same to the `convergence.error` of both. One
-    that was solved while loops were still being compiled has other last digits.
+    On the same machine and version, a field from a cold start, as by `solve_study` or *Deform*, is
+    reproduced bit by bit, with any number of threads. A field that followed edits in the window
+    came from a warm start: it is the same within the `convergence.error` of both. A field that was
+    solved while loops were still being compiled differs in the last digits.
 
     Parameters
     ----------
     path, image
-        As of `load_study`.
+        As for `load_study`.
 
     Raises
     ------
     HmrfError
-        As of `load_study` and `solve_study`; or if the file only refers to its image, the tissue is
-        told from it, and it is not given.
+        As for `load_study` and `solve_study`; or if the file only refers to its image, from which
+        the tissue is derived, and the image is not given.
     """
     study, solution = load_study(path, image=image)
     tissue = study.tissue
@@ -188,15 +189,15 @@ def replay(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = Non
         and (tissue.curve is not None or tissue.without_border or _is_of_image(tissue))
     ):
         raise HmrfError(
-            f"{Path(path).name}: its tissue is told from '{study.pictures.name}', which is not in "
-            "the file. Give the image."
+            f"{Path(path).name}: its tissue is derived from '{study.pictures.name}', which is not "
+            "in the file. Give the image."
         )
     backend = "auto" if solution is None else solution.provenance.backend
     return solve_study(study, stated=statement_of(study), backend=backend)
 
 
 class _Content(NamedTuple):
-    """What a file holds: the study, its field, whether the image is in it, else its digest."""
+    """Content of a file: study, field, whether the image is included, and the image's digest."""
 
     study: Study
     solution: Solution | None = None
@@ -256,7 +257,7 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
         "poisson": poisson if np.ndim(poisson) else None,
         "boundary_labels": motion.labels,
         "observed": motion.observed,
-        "counts": motion.confidence,  # as files have called it from the first
+        "counts": motion.confidence,  # the key in files since the first version
         "image": image if content.image else None,
         "labels": pictures.labels,
     }
@@ -340,7 +341,7 @@ def _prior_from_dict(values: Mapping[str, Any], poisson: Any) -> Prior:
 
 
 def _name_in(kept: Any) -> str:
-    """What a part of a study is called; earlier files say more of it."""
+    """Return the name of a study's part; earlier versions stored a mapping."""
     return str(kept["name"] if isinstance(kept, Mapping) else kept)
 
 
@@ -353,12 +354,12 @@ def _preset_from_dict(values: Mapping[str, Any]) -> Preset:
 
 
 def materials_of(rows: Any) -> tuple[Material, ...]:
-    """The materials of `Material.as_row`, as files hold them.
+    """Convert the rows of `Material.as_row`, as stored in files, to materials.
 
     Raises
     ------
     KeyError, TypeError, ValueError
-        If it is something else.
+        If the rows are something else.
     """
     return _MATERIALS.validate_python([asdict(Material.of_row(**row)) for row in rows])
 

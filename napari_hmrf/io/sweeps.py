@@ -1,4 +1,4 @@
-"""One study, with another number in it: what a sweep over parameters changes."""
+"""Variation of single numbers of a study, for sweeps over parameters."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from napari_hmrf.tissue.boundary_rules import (
     unlisted,
 )
 
-#: What can be changed of a tissue, and of a boundary.
+#: Properties of a tissue, and of a boundary, that can be changed.
 OF_TISSUES = "growth", "stiffness", "poisson"
 OF_BOUNDARIES = ("amount",)
 
 
 class Change(NamedTuple):
-    """One number of a study, or its model.
+    """Change of one number of a study, or of its model.
 
     Attributes
     ----------
     what : {"growth", "stiffness", "poisson", "amount", "model"}
     value : float, tuple of float or str
-        As a `Material` or a `BoundaryRule` has it. An amount is how far the boundary expands, or
-        how strongly it is pressed; of what moves or is pulled it is the length of the vector.
+        In the form of a `Material` or a `BoundaryRule`. An amount is the distance by which the
+        boundary expands, or its pressure; for moved or pulled boundaries the length of the vector.
     of : str
-        The label of a tissue or a boundary, or its name, or the name of a known tissue that it is
-        called after; "" is all tissue.
+        The label or the name of a tissue or a boundary, or the name of the known tissue that it
+        is recognised as; "" for all tissue.
     """
 
     what: str
@@ -44,12 +44,12 @@ class Change(NamedTuple):
 
 
 def changed(study: Study, changes: Iterable[Change]) -> Study:
-    """A study with other numbers.
+    """Return a study with changed numbers.
 
     Raises
     ------
     HmrfError
-        If it has no such tissue or boundary, or the change means nothing to it.
+        If there is no such tissue or boundary, or the change does not apply to it.
     """
     for change in changes:
         study = _changed(study, change)
@@ -77,7 +77,7 @@ def _changed(study: Study, change: Change) -> Study:
 
 
 def with_ratio(tissue: Tissue, ratio: float) -> Tissue:
-    """Return tissue by labels that has one Poisson's ratio, also where a label has no row."""
+    """Return tissue by labels with a single Poisson's ratio, also for labels without a row."""
     if tissue.labels is None:
         return tissue
     known = tissue.materials
@@ -86,7 +86,7 @@ def with_ratio(tissue: Tissue, ratio: float) -> Tissue:
 
 
 def _edited(rows: Sequence[Any], change: Change, edit: Callable[[Any], Any]) -> tuple[Any, ...]:
-    """The rows of a table, of which those that a change speaks of are edited."""
+    """Return the rows of a table; those that a change refers to are edited."""
     meant = _meant(rows, change.of)
     if not meant:
         kind = "boundary" if change.what in OF_BOUNDARIES else "tissue"
@@ -96,7 +96,7 @@ def _edited(rows: Sequence[Any], change: Change, edit: Callable[[Any], Any]) -> 
 
 
 def _meant(rows: Sequence[Any], of: str) -> list[Any]:
-    """The rows of a label, else of a name, else those that are called after a known tissue."""
+    """Return the rows with a label, else those with a name, else those of a known tissue."""
     wanted = of.casefold()
     if not of:
         return list(rows)

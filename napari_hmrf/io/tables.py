@@ -1,10 +1,10 @@
 """Tables of materials and of boundary rules as comma-separated text, as spreadsheets write it.
 
-Materials have the columns ``label,stiffness`` and, if wanted, ``name``, ``poisson`` and ``growth``
-(0.1: a tenth longer; ``0.1/0``: along rows only), and ``source``, which is for people; the
-stiffness of what moves as one is the word ``rigid``. Rules have ``label,action`` and, if wanted,
-``name``, ``row`` and ``col`` (how far what moves goes, or how strongly it is pulled; in a volume
-``plane``, too), ``amount`` (by how much what expands grows, or the pressure) and ``confidence``.
+Materials have the columns ``label,stiffness`` and, optionally, ``name``, ``poisson``, ``growth``
+(0.1: a tenth longer; ``0.1/0``: along rows only) and ``source``, which is for the reader; rigid
+tissue has the word ``rigid`` as its stiffness. Rules have ``label,action`` and, optionally,
+``name``, ``row`` and ``col`` (the displacement of "move", or the force of "pull"; in a volume also
+``plane``), ``amount`` (the growth of "expand", or the pressure) and ``confidence``.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ from napari_hmrf.tissue.boundary_rules import (
     stiffness_in_words,
 )
 
-#: Larger files are no tables of ours, and are not read.
+#: Largest size of a table, in bytes; a larger file is not read.
 _LARGEST = 2**20
-#: What the measurements of a volume are called, of which these differ.
+#: Measurements of a volume whose names differ from those of a slice.
 _OF_VOLUMES = {"pixels": "voxels", "area": "volume", "area_change": "volume_change"}
-#: Of measurements, those in per cent: their columns say so.
+#: Measurements in per cent, which the titles of their columns state.
 _PER_CENT = ("area_change", "mean_strain", "largest_strain")
-#: Components below this part of a force are left out.
+#: Components below this share of a force are shown as 0.
 _NOISE = 1e-3
 
 
 class _Column(NamedTuple):
-    """How a cell is read, which raises ValueError, and what it should be."""
+    """Reader of a cell, which raises ValueError, and the description of a valid cell."""
 
     read: Callable[[str], Any]
     right: str
@@ -85,7 +85,7 @@ def _action(text: str) -> str:
 
 
 def _growth(text: str) -> float | tuple[float, ...]:
-    # As a part, or in per cent if it says so.
+    # A fraction, or in per cent if marked with %.
     parts = tuple(
         _number()(part.strip().removesuffix("%")) / (100 if "%" in part else 1)
         for part in text.split("/")
@@ -116,7 +116,7 @@ _OF_RULES = {
 }
 
 
-#: Columns of one kind of table alone.
+#: Columns that belong to one kind of table only, with that kind.
 _OTHERS = {
     **{title: "a table of rules" for title in _OF_RULES if title not in _OF_MATERIALS},
     **{title: "a table of materials" for title in _OF_MATERIALS if title not in _OF_RULES},
@@ -126,12 +126,12 @@ MATERIAL_COLUMNS = (*_OF_MATERIALS,)
 
 
 def value_of(column: str, text: str) -> Any:
-    """Read a cell as that of a table of materials or rules.
+    """Read a cell of a table of materials or rules.
 
     Raises
     ------
     ValueError
-        Saying what it should be.
+        Describing a valid cell.
     """
     kind = {**_OF_RULES, **_OF_MATERIALS}[column]
     try:
@@ -146,9 +146,9 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
     Raises
     ------
     FileFormatError
-        Saying what is wrong with which line.
+        Naming the line and its error.
     OSError
-        If it cannot be opened.
+        If the file cannot be opened.
     """
     rows = _read(path, _OF_MATERIALS, needed=("label", "stiffness"))
     if not any(row["stiffness"] for _, row in rows):
@@ -163,7 +163,7 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
 def save_named_materials(path: str | os.PathLike[str], found: NamedMaterials) -> Path:
     """Write the materials of a segmentation to a .csv that `read_materials` reads.
 
-    What is unknown has a line without a stiffness, which is to be filled in, or removed.
+    Unknown labels get a row without a stiffness, to be filled in or removed.
 
     Parameters
     ----------
@@ -173,9 +173,9 @@ def save_named_materials(path: str | os.PathLike[str], found: NamedMaterials) ->
     Raises
     ------
     FileFormatError
-        If its name does not end in .csv.
+        If the name does not end in .csv.
     OSError
-        If it cannot be written.
+        If the file cannot be written.
     """
     known = {
         row.label: (
@@ -197,7 +197,7 @@ def read_rules(path: str | os.PathLike[str]) -> tuple[BoundaryRule, ...]:
     Raises
     ------
     FileFormatError, OSError
-        As of `read_materials`.
+        As for `read_materials`.
     """
     rules = []
     for line, row in _read(path, _OF_RULES, needed=("label", "action")):
@@ -217,7 +217,7 @@ def read_rules(path: str | os.PathLike[str]) -> tuple[BoundaryRule, ...]:
 
 
 def named_materials_in_words(found: NamedMaterials) -> str:
-    """Say which labels were taken for which tissue, and of which nothing is known, in lines."""
+    """Return lines on which labels were taken for which tissue, and which ones are unknown."""
     of_tissue: dict[KnownTissue, list[str]] = {}
     for row in found.materials:
         of_tissue.setdefault(found.tissues[row.label], []).append(f"{row.label} {row.name}")
@@ -237,20 +237,20 @@ def named_materials_in_words(found: NamedMaterials) -> str:
 def measurement_table(
     rows: Sequence[Measurement], *, volume: bool = False
 ) -> tuple[list[str], list[tuple[Any, ...]]]:
-    """Lay measurements out as a table.
+    """Arrange measurements as a table.
 
     Parameters
     ----------
     rows : sequence of Measurement
     volume : bool
-        Whether they are of a volume.
+        Whether the measurements are of a volume.
 
     Returns
     -------
     titles : list of str
-        Of the columns; those of strain name its kind: "mean_elastic_strain_percent".
+        Titles of the columns; those of strain name its kind: "mean_elastic_strain_percent".
     cells : list of tuple
-        Of each row.
+        Cells of each row.
     """
     kind = _strain_of(rows).replace("-", "_")
     words = {name: name.replace("strain", f"{kind}_strain") for name in Measurement._fields}
@@ -261,29 +261,29 @@ def measurement_table(
 
 
 def _strain_of(rows: Sequence[Measurement]) -> StrainKind:
-    """Return the kind of strain of measurements, which is one for all of a solution."""
+    """Return the kind of strain of measurements, which is the same for a whole solution."""
     return rows[0].strain if rows else "elastic"
 
 
 def measurements_in_words(
     rows: Sequence[Measurement], unit: str, *, volume: bool = False
 ) -> tuple[list[str], list[list[str]]]:
-    """Say measurements for people to read.
+    """Return measurements as text for display.
 
     Parameters
     ----------
     rows : sequence of Measurement
     unit : str
-        Of lengths.
+        Unit of lengths.
     volume : bool
-        Whether they are of a volume: its columns are called so.
+        Whether the measurements are of a volume, which changes the titles.
 
     Returns
     -------
     titles : list of str
-        Of the columns.
+        Titles of the columns.
     cells : list of list of str
-        Of each row.
+        Cells of each row.
     """
     size, content, site = ("volume", "³", "voxels") if volume else ("area", "²", "px")
     kind = _strain_of(rows)
@@ -305,22 +305,22 @@ def measurements_in_words(
 def forces_in_words(
     rows: Sequence[HeldForce], ways: Directions, stiffness: str, unit: str
 ) -> tuple[list[str], list[list[str]]]:
-    """Say what it takes to hold and to move tissue, for people to read.
+    """Return the forces that hold and move tissue as text for display.
 
     Parameters
     ----------
     rows : sequence of HeldForce
     ways : Directions
-        Along which forces are told.
+        Directions along which forces are given.
     stiffness, unit : str
-        The unit of stiffness, "" if that is not known, and that of lengths.
+        Unit of stiffness, "" if unknown, and unit of lengths.
 
     Returns
     -------
     titles : list of str
-        Of the columns.
+        Titles of the columns.
     cells : list of list of str
-        Of each row.
+        Cells of each row.
     """
     volume = len(ways.order) == 3
     content, site = ("²", "voxel") if volume else ("", "pixel")
@@ -338,7 +338,7 @@ def forces_in_words(
 
 
 def _in_words(row: Measurement, name: str, axes: int) -> str:
-    """Four digits; of large areas all before the point, and nothing of what nobody sees."""
+    """Format a number with four digits; large areas in full, and lengths too small to see as 0."""
     value = getattr(row, name)
     if not isinstance(value, float):
         return str(value)
@@ -355,23 +355,23 @@ def save_measurements(
     *,
     volume: bool = False,
 ) -> Path:
-    """Write measurements to a .csv, a line for each tissue.
+    """Write measurements to a .csv, a row for each tissue.
 
     Parameters
     ----------
     path : str or path-like
     rows : sequence of Measurement
     unit : str
-        Of lengths, for a last column; without it there is none.
+        Unit of lengths, for a last column; without a unit there is no such column.
     volume : bool
-        Whether they are of a volume: its columns are called so.
+        Whether the measurements are of a volume, which changes the titles.
 
     Raises
     ------
     FileFormatError
-        If its name does not end in .csv.
+        If the name does not end in .csv.
     OSError
-        If it cannot be written.
+        If the file cannot be written.
     """
     more = {"unit": unit} if unit else {}
     titles, cells = measurement_table(rows, volume=volume)
@@ -382,7 +382,7 @@ def save_measurements(
 def _read(
     path: str | os.PathLike[str], columns: dict[str, _Column], needed: tuple[str, ...]
 ) -> list[tuple[int, dict[str, Any]]]:
-    """The lines of a table with their numbers, as far as cells are filled."""
+    """Return the rows of a table with their line numbers; empty cells are left out."""
     source = Path(checked_path(path))
     file, called = source.name, ", ".join(columns)
 
@@ -420,7 +420,7 @@ def _read(
 
 
 def _values(cells: dict[str, str], where: str, columns: dict[str, _Column]) -> dict[str, Any]:
-    """What the text in the cells means."""
+    """Return the values of the cells, by title."""
     row = {}
     for title, text in cells.items():
         try:

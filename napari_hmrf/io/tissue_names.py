@@ -1,9 +1,9 @@
 """Tissues by the names that segmentations give them, with published stiffness.
 
-`sample_data/tissue_names.json` has the tissues, their sources and their names. A name counts where
-its words stand in that of a label, one after the other, however they are joined: "fat" in
-"subcutaneous_fat_left". What is longer counts first: "kidney_cyst_left" is no kidney. A name in
-which two tissues are left, or a word that makes it doubtful, such as "lesion", is unknown.
+`sample_data/tissue_names.json` lists the tissues, their sources and their names. A name matches if
+its words occur in a label's name one after the other, however they are joined: "fat" in
+"subcutaneous_fat_left". Longer names take precedence: "kidney_cyst_left" is no kidney. A label is
+unknown if two tissues match, or if it has a word that makes it doubtful, such as "lesion".
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from napari_hmrf.resources import resource_folder
 from napari_hmrf.tissue.boundary_rules import Material, read_stiffness
 
 _Words = tuple[str, ...]
-#: Labels that are listed in a sentence.
+#: Number of labels that a sentence lists.
 _FEW = 6
 
 
@@ -35,7 +35,7 @@ class KnownTissue:
     poisson : float
         Poisson's ratio.
     source : str
-        Where the values come from, and what was made of them.
+        Source of the values, and any conversion.
     """
 
     name: str
@@ -46,20 +46,20 @@ class KnownTissue:
 
 @dataclass(frozen=True)
 class NamedMaterials:
-    """Materials of labels that have names.
+    """Materials of named labels.
 
     Attributes
     ----------
     materials : tuple of Material
-        Of the labels with a name that is known, by label.
+        Materials of the labels with a known name, by label.
     unknown : mapping of int to str
-        The other labels, and their names: nothing is said of their stiffness.
+        The other labels and their names; their stiffness is unknown.
     tissues : mapping of int to KnownTissue
-        What each material was taken for.
+        Known tissue of each material.
     unit : str
-        Of stiffness.
+        Unit of stiffness.
     name : str
-        Of the table that the names are from.
+        Name of the table that holds the label names.
     """
 
     materials: tuple[Material, ...]
@@ -86,15 +86,15 @@ class NamedMaterials:
 
     @property
     def source(self) -> str:
-        """Where the values are from, tissue by tissue."""
+        """Sources of the values, tissue by tissue."""
         used = dict.fromkeys(self.tissues.values())
         return "; ".join(f"{tissue.name}: {tissue.source}" for tissue in used)
 
     def take_over(self, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:
-        """Put the materials in place of those of a table, label by label.
+        """Replace the materials of a table, label by label.
 
-        Of a label of which nothing is known, void and what is rigid stay; other tissue is as the
-        first that is known, since an old stiffness may be in another unit.
+        For an unknown label, void and rigid tissue stay; other tissue gets the stiffness of the
+        first known material, because the old stiffness may be in another unit.
 
         Parameters
         ----------
@@ -104,10 +104,10 @@ class NamedMaterials:
         Returns
         -------
         materials : tuple of Material
-            By label.
+            Materials by label.
         words : str
-            Sentences: for which labels published stiffness is used, and what became of the labels
-            of which nothing is known.
+            Sentences on the labels that use published stiffness, and on unknown labels that were
+            changed.
         """
         known = {row.label: row for row in self.materials}
         first = next((row for row in self.materials if row.is_deformable), None)
@@ -128,7 +128,7 @@ class NamedMaterials:
 
 
 class _Rules(NamedTuple):
-    """What `tissue_names.json` says."""
+    """Content of `tissue_names.json`."""
 
     unit: str
     doubts: frozenset[_Words]
@@ -136,12 +136,12 @@ class _Rules(NamedTuple):
 
 
 def known_tissue(name: str) -> KnownTissue | None:
-    """The tissue that a name is that of; None if there is none, or more than one.
+    """Return the tissue that a name refers to; None if no tissue matches, or more than one.
 
     Parameters
     ----------
     name : str
-        As segmentations have it: "Left-Cerebral-White-Matter", "lung_upper_lobe_left".
+        As in segmentations: "Left-Cerebral-White-Matter", "lung_upper_lobe_left".
     """
     words = _words(name)
     rules = _rules()
@@ -156,19 +156,19 @@ def known_tissue(name: str) -> KnownTissue | None:
 
 
 def materials_by_name(names: Mapping[int, str], *, name: str = "") -> NamedMaterials:
-    """Give labels the published stiffness of the tissues that they are called after.
+    """Assign published stiffness to labels by the tissues in their names.
 
     Parameters
     ----------
     names : mapping of int to str
-        What each label of a segmentation is called, as `read_label_names` reads it.
+        Name of each label of a segmentation, as returned by `read_label_names`.
     name : str
-        Of the table that they are from.
+        Name of the table that holds the label names.
 
     Returns
     -------
     NamedMaterials
-        Materials in kPa, with their sources; and the labels of which nothing is known.
+        Materials in kPa, with their sources; and the unknown labels.
 
     Examples
     --------
@@ -188,12 +188,12 @@ def materials_by_name(names: Mapping[int, str], *, name: str = "") -> NamedMater
 
 
 def _words(name: str) -> _Words:
-    """The words of a name, in small letters."""
+    """Return the words of a name, in lower case."""
     return tuple(re.findall(r"[^\W_]+", name.casefold()))
 
 
 def _is_within(span: tuple[int, int], others: list[tuple[int, int]]) -> bool:
-    """Whether one of the others is longer and has all words of a span."""
+    """Return whether a longer span among the others contains a span."""
     first, last = span
     return any(i <= first and last <= j and j - i > last - first for i, j in others)
 

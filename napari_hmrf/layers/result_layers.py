@@ -1,6 +1,6 @@
-"""A solution becomes layers: the image, moved, and arrows, which hold the result.
+"""Conversion of a solution to layers: the deformed image, and arrows that hold the result.
 
-Over the image lies one thing at a time, such as the strain as colours.
+One overlay at a time lies over the image, such as the strain as colours.
 """
 
 from __future__ import annotations
@@ -45,50 +45,52 @@ from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.study import Pictures
 
 Array = npt.NDArray[Any]
-#: What is known of something, or how it looks, by name.
+#: Metadata or display settings, by name.
 Facts = Mapping[str, Any]
 #: The layers that are made of each result.
 Kind = Literal["image", "arrows"]
 
-#: Arrows enough to see the motion, few enough to see the image and each of them.
+#: Approximate number of arrows: enough to show the motion, few enough to see the image and each
+#: arrow.
 ARROWS = 250
-#: What there is to lie over the image.
+#: Names of the overlays on the image.
 Name = (
     Quantity | Mark | Literal["grid", "labels", "difference", "stiffness", "observed", "confidence"]
 )
-#: Arrows of what is given that fit beside each other across the image.
+#: Number of arrows of the given motion that fit side by side across the image.
 _ACROSS = 40
 
 
 class LayerData(NamedTuple):
-    """A layer before it is one, as napari's readers and samples give it."""
+    """Layer data tuple, as napari's readers and sample functions return it."""
 
     data: Any
     attributes: dict[str, Any]
     kind: str
 
 
-#: What it takes to hold and to move each part of a result, computed when it is asked for.
+#: Computes, on demand, the forces that hold and move each part of a result.
 Forces = Callable[[], tuple[HeldForce, ...]]
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """A solution, where it lies, and what moves with it: what a layer of arrows holds.
+    """Solution with its position and the pictures that move with it; held by a layer of arrows.
 
     Attributes
     ----------
     solution : Solution
-        With its frame.
+        Solution, including its frame.
     frame : Frame
-        Where it lies.
+        Position of the solution in the world.
     pictures : Pictures
-        What moves with it, but for the image, of which there is the name; nothing, of a result
-        from a file.
+        Pictures that move with the solution; of the image only the name. Empty for a result from a
+        file.
     problem : Problem, optional
-        What was solved; not known of a result from a file.
+        Problem that was solved; None for a result from a file.
     forces : callable, optional
-        Returns what it takes to hold and to move its parts; not known of a result from a file.
+        Returns the forces that hold and move the parts of the tissue; None for a result from a
+        file.
     """
 
     solution: Solution
@@ -99,30 +101,30 @@ class Answer:
 
     @property
     def unit(self) -> str:
-        """The unit of its lengths, as tables show it: "px", "mm"."""
+        """Unit of lengths, as shown in tables: "px", "mm"."""
         return unit_symbol(self.frame.unit)
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Rows and columns, of a volume planes before these."""
+        """Numbers of rows and columns, preceded by the number of planes for a volume."""
         shape: tuple[int, ...] = self.solution.tissue.shape
         return shape
 
     def layer(
         self, kind: str, data: Array, what: str, look: Facts, sort: str = "image", source: str = ""
     ) -> LayerData:
-        """Something of the result as a layer that lies where its tissue does.
+        """Make a layer of part of the result, at the position of its tissue.
 
         Parameters
         ----------
         kind : str
-            Of the layer, in its metadata.
+            Kind of the layer, for its metadata.
         data, look, sort
-            As of `layer_on`.
+            As in `layer_on`.
         what : str
-            What the layer shows; it is named after that and its source.
+            Content of the layer, for its name.
         source : str
-            By default what was deformed.
+            Name of the source, for the layer's name; by default that of the deformed image.
         """
         provenance = self.solution.provenance
         known = {
@@ -141,21 +143,21 @@ class Answer:
 
 @dataclass(frozen=True, eq=False)
 class Outputs:
-    """The layers of a result, and what there is to say of it.
+    """Layers of a result, with the numbers of folds and overlaps.
 
     Attributes
     ----------
     solution : Solution
-        With its frame.
+        Solution, including its frame.
     layers : dict of kind to LayerData
-        In stacking order.
+        Layers in stacking order.
     folds : int
         Sites at which the tissue folds over itself (Jacobian determinant <= 0).
     overlaps : int
-        Pixels at which one part of the tissue has moved onto another; only counted where there
-        are pictures.
+        Pixels at which one part of the tissue has moved onto another; counted only if pictures
+        are given.
     fullest : dict of mark to tuple of int
-        Of folds and of overlaps, the plane with most of them, across each axis.
+        For folds and for overlaps: index of the plane with most of them, across each axis.
     """
 
     solution: Solution
@@ -173,19 +175,21 @@ def result_layers(
     problem: Problem | None = None,
     forces: Forces | None = None,
 ) -> Outputs:
-    """Turn a solution into layer data; the one way to do so. Needs neither window nor layer.
+    """Turn a solution into layer data; needs neither a window nor a layer.
+
+    All layers of results are made here.
 
     Parameters
     ----------
     solution : Solution
     frame : Frame, optional
-        Where it lies; by default as its `frame` says, or at the origin.
+        Position of the solution; by default its own `frame`, or the origin.
     pictures : Pictures, optional
-        What to deform with it.
+        Pictures to deform with the tissue.
     checkpoint : callable
-        Called between the parts; raises to stop the work.
+        Called between the steps; raises an exception to stop the work.
     problem, forces
-        As `Answer` has them.
+        As in `Answer`.
 
     Returns
     -------
@@ -194,7 +198,7 @@ def result_layers(
     Raises
     ------
     ValueError
-        If the solution's frame is not one that layers have.
+        If the solution's frame is not a valid frame of layers.
     """
     frame = Frame.of_solution(solution) if frame is None else frame
     solution = replace(solution, frame={**(solution.frame or {}), **frame.as_dict()})
@@ -206,11 +210,11 @@ def result_layers(
     digests = solution.provenance.inputs
     for name in digests:
         checkpoint()
-        digests[name]  # made when it is looked at first
+        digests[name]  # computed on first access
     answer = Answer(solution, frame, replace(shown, image=None, look={}), problem, forces)
     layers: dict[Kind, LayerData] = {}
     overlaps = 0
-    if pictures is not None:  # a file that is opened need not wait for the compiler of the loops
+    if pictures is not None:  # opening a file must not wait for the loops to be compiled
         checkpoint()
         origin, covered, twice = inverse_map_and_overlaps(*field)
         overlaps, fullest["overlaps"] = int(twice.sum()), fullest_planes(twice)
@@ -225,7 +229,7 @@ def result_layers(
 
 
 def _arrow_layer(answer: Answer) -> LayerData:
-    """Where the tissue goes; the layer holds the answer, in memory only."""
+    """Make the arrows of the displacement; the layer holds the answer, in memory only."""
     solution = answer.solution
     d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
     picked = arrows_apart if tissue.ndim == 2 else arrows_in_slices
@@ -239,17 +243,17 @@ def _arrow_layer(answer: Answer) -> LayerData:
 
 
 def picture_layer(frame: Frame, pictures: Pictures, picture: Array, parameters: Facts) -> LayerData:
-    """An image as it is while its tissue is on its way.
+    """Make the layer of a deformed image while its tissue is still moving.
 
     Parameters
     ----------
     frame : Frame
     pictures : Pictures
-        Which image it is, and how that is drawn.
+        Name and display settings of the image.
     picture : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
-        As it has moved.
+        Deformed image.
     parameters : mapping
-        Of the solution's provenance.
+        Parameters in the solution's provenance.
     """
     known = {**_whence(frame, pictures), "kind": "image"}
     name = _result_name(pictures.name, "deformed", parameters, frame.slice_seen)
@@ -259,7 +263,7 @@ def picture_layer(frame: Frame, pictures: Pictures, picture: Array, parameters: 
 def layer_on(
     frame: Frame, data: Array, name: str, known: Facts, look: Facts, sort: str = "image"
 ) -> LayerData:
-    """What lies on the pixels of a slice as a layer, with what it is to know of itself.
+    """Make a layer on the pixels of a slice, with its metadata.
 
     Parameters
     ----------
@@ -268,9 +272,9 @@ def layer_on(
         Pixels, shape ([D,] H, W) or ([D,] H, W, 3 or 4); or segments in pixels, (N, 2, n).
     name : str
     known : mapping
-        For its metadata.
+        Metadata of the layer.
     look : mapping
-        How it is drawn, as a new layer takes it.
+        Display settings, as keyword arguments of a new layer.
     sort : {"image", "labels", "vectors"}
     """
     lines = sort == "vectors"
@@ -283,27 +287,27 @@ def layer_on(
 
 
 def _whence(frame: Frame, pictures: Pictures) -> dict[str, Any]:
-    """Of what a result was made."""
+    """Return the source, slice and unit of a result, for the metadata."""
     return {"source": pictures.name, "slice": frame.slice_name, "unit": frame.unit}
 
 
 def _result_name(source: str, what: str, parameters: Facts, where: str) -> str:
-    """Name a layer after the image it was made of, what it shows, the model and the slice."""
+    """Name a layer after its source image, its content, the model and the slice."""
     name = ", ".join(filter(None, (f"{source} {what}".strip(), model_name(parameters))))
     return name + (f" ({where})" if where else "")
 
 
 class Overlay(NamedTuple):
-    """What lies over the image of a result.
+    """Overlay on the image of a result.
 
     Attributes
     ----------
     name : Name
     layer : LayerData
-        When all of the deformation is seen.
+        Layer at the full deformation.
     picture : ndarray, shape ([D,] H, W), optional
-        Its pixels before they move with the tissue, of bool where these are sites that are marked;
-        None if they do not, or if it is of lines.
+        Pixels before they move with the tissue, bool for marked sites; None if the overlay does
+        not move or consists of lines.
     """
 
     name: Name
@@ -312,26 +316,26 @@ class Overlay(NamedTuple):
 
     @property
     def beyond(self) -> str:
-        """How far its values go beyond the colours, in words; "" if they do not."""
+        """Note on values beyond the colour limits, in words; "" if there are none."""
         limits = self.layer.attributes.get("contrast_limits")
         return "" if limits is None or self.picture is None else beyond(self.picture, limits)
 
 
 def overlay_of(answer: Answer, name: Name, compared: Comparison | None = None) -> Overlay | None:
-    """Make what is to lie over the image of a result; on the compute thread only.
+    """Make an overlay on the image of a result; on the compute thread only.
 
-    All moves with the tissue, the difference to what it was `compared` with, too. Arrows of the
-    motion that was given begin where tissue was, as their name says.
+    Every overlay moves with the tissue, including the difference from the `compared` result. Only
+    the arrows of the given motion begin at the original position of the tissue, as their name says.
 
-    What has two directions is drawn from purple (less) to orange (more), the rest from dark to
-    light, and where hardly anything happens the image is seen. Folds are yellow, which is the
-    colour of whatever is at the lower limit.
+    Signed quantities are drawn from purple (less) to orange (more), others from dark to light, and
+    the image shows through where values are close to zero. Folds are yellow, the colour of values
+    at the lower limit.
 
     Returns
     -------
     Overlay or None
-        None if the result has nothing of that name: no folds, no overlaps, no labels, no reference,
-        or no problem.
+        None if the result lacks the content of that name: no folds, no overlaps, no labels, no
+        reference, or no problem.
     """
     if name == "grid":
         look = {"vector_style": "line", "edge_color": "cyan", "edge_width": max(answer.shape) / 500}
@@ -348,7 +352,7 @@ def overlay_of(answer: Answer, name: Name, compared: Comparison | None = None) -
 
 
 def _pixels_of(answer: Answer, name: Name, compared: Comparison | None) -> tuple[Any, ...] | None:
-    """Pixels before they move, and what else `Answer.layer` takes; None if there are none."""
+    """Return the pixels before they move and the other arguments of `Answer.layer`, or None."""
     pictures, problem = answer.pictures, answer.problem
     if name in QUANTITIES:
         title, unit = title_and_unit(name, answer.solution)
@@ -377,22 +381,22 @@ def _pixels_of(answer: Answer, name: Name, compared: Comparison | None) -> tuple
 
 
 def stiffness_unit(answer: Answer) -> str:
-    """The unit of the stiffness that a result was made with; "" where it is relative."""
+    """Return the unit of the stiffness in a result; "" if the stiffness is relative."""
     tissue = answer.solution.provenance.parameters.get("tissue", {})
     return str(tissue.get("unit") or tissue.get("curve", {}).get("unit") or "")
 
 
 def _colours(shown: Coloured) -> dict[str, Any]:
-    """How every pixel of tissue is coloured."""
+    """Return the display settings that colour the pixels of tissue."""
     scale = label_colours.quantity_colours(shown.signed, shown.folded)
     return {"colormap": scale, "contrast_limits": shown.limits, **label_colours.OVER}
 
 
 def _motion_layer(answer: Answer) -> LayerData | None:
-    """How tissue was to move (y), as arrows; None if that is not known."""
+    """Make arrows of the given motion of the tissue (y); return None without a problem."""
     if (problem := answer.problem) is None:
         return None
-    y, known = problem.observed, problem.known  # what was held has a dot
+    y, known = problem.observed, problem.known  # arrows of held sites are dots
     apart = pixels_between(_ACROSS, answer.shape, problem.spacing)
     cell = (1, apart, apart)[-len(answer.shape) :]
     starts = spread(np.asarray(known.any(axis=-1)), cell)

@@ -1,4 +1,4 @@
-"""The demonstration: a sample solved, measured against finite elements, and drawn."""
+"""Demonstration: a sample is solved, measured against finite elements, and drawn."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from napari_hmrf.solver.solve import solve
 if TYPE_CHECKING:
     from napari_hmrf.samples.volume_demo import VolumeDemonstration
 
-#: The size that `sample_data` has phantoms and finite-element fields of, in pixels.
+#: Size of the phantoms and finite-element fields in `sample_data`, in pixels.
 SAMPLE_SIZE = 300
-#: The material of those fields.
+#: Material of these fields.
 FEM = ElasticPrior(poisson=0.3, plane="stress")
 
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """A phantom, its solution, and what was measured on it.
+    """A phantom with its solution and measurements.
 
     Attributes
     ----------
@@ -38,12 +38,12 @@ class Demonstration:
     solution : Solution
     rmsd : float or None
         Root mean square deviation from the finite-element displacement over the tissue, in pixels
-        (eq. 20); None where there is no such field to compare with.
+        (eq. 20); None if there is no such field to compare with.
     rmsd_of_fem : float or None
-        That of elastic tissue of the material of the finite elements, where the solution is of
-        another.
+        The same for elastic tissue with the material of the finite elements, if the solution has
+        another material.
     folds : int
-        Places where the tissue is turned over: the determinant of its motion is 0 or less.
+        Number of sites where the tissue folds: the determinant of its motion is 0 or less.
     """
 
     phantom: Phantom
@@ -53,7 +53,7 @@ class Demonstration:
     folds: int
 
     def rows(self) -> tuple[tuple[str, str], ...]:
-        """What was measured, by name."""
+        """Return the name and value of each measurement."""
         solution = self.solution
         run = solution.provenance
         size = " x ".join(str(pixels) for pixels in solution.tissue.shape)
@@ -70,7 +70,7 @@ class Demonstration:
         )
 
     def _distances(self) -> tuple[tuple[str, str], ...]:
-        """To the finite elements there are, and what of it is another material's."""
+        """Return the rows of deviations from finite elements, for both materials."""
         name, other = f"RMSD to FEM of nu {FEM.poisson}", "as another material"
         if self.rmsd is None:
             return (name, "-"), (other, "-")
@@ -87,7 +87,7 @@ def _in_pixels(rmsd: float) -> str:
 
 
 def table(*shown: Demonstration | VolumeDemonstration) -> str:
-    """What was measured, one line each; of several, one beside the other."""
+    """Format the measurements, one per line; several demonstrations are side by side."""
     rows = [demonstration.rows() for demonstration in shown]
     columns = [[name for name, _ in rows[0]], *([value for _, value in each] for each in rows)]
     widths = [max(map(len, column)) for column in columns]
@@ -116,9 +116,9 @@ def demonstrate(
     size : int
         Pixels along each side.
     backend : str
-        One of `BACKEND_NAMES`; "auto" is what napari takes, once all loops are compiled.
+        One of `BACKEND_NAMES`; "auto" selects napari's backend, after all loops are compiled.
     progress : callable
-        Is given a `Monitor` now and then.
+        Called with a `Monitor` now and then.
     prior, optimizer : optional
         As for `solve`.
 
@@ -127,11 +127,11 @@ def demonstrate(
     ArgumentError
         If there is no such phantom, or not of that size.
     BackendError
-        If the backend asked for cannot run.
+        If the requested backend cannot run.
     """
     subject = sample(name) if size == SAMPLE_SIZE else phantom(name, size)
     if backend == "auto":
-        # Napari will find them, for whatever is done there.
+        # Compile all loops now, so that napari finds them ready.
         provide_loops(EVERYTHING, progress)
     how: dict[str, Any] = {"optimizer": optimizer, "backend": backend, "progress": progress}
     solution = solve(subject.problem, prior, **how)
@@ -151,7 +151,7 @@ def demonstrate(
 
 
 def write_results(demonstration: Demonstration, folder: Path) -> list[Path]:
-    """Write the solution and its pictures to a folder that exists; the files written."""
+    """Write the solution and its pictures to an existing folder, and return the written files."""
     from napari_hmrf.io.figures import save_pictures
 
     path = folder / "solution.npz"

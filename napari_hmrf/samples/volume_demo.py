@@ -1,4 +1,4 @@
-"""The demonstration of a volume: a tumour grows in a head, solved, measured and drawn."""
+"""Demonstration of a volume: a tumour that grows in a head is solved, measured and drawn."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from napari_hmrf.study.ground import solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
-#: Displacement of the tumour's rim, in millimetres: elastic tissue beside it does not fold, as it
-#: does from 2.5 on.
+#: Displacement of the tumour's rim, in millimetres. From 2.5 on, the elastic tissue beside it
+#: folds.
 GROWTH = 2.0
-#: Cubic millimetres.
+#: One millilitre in cubic millimetres.
 _MILLILITRE = 1000.0
 
 
 @dataclass(frozen=True, eq=False)
 class VolumeDemonstration:
-    """A head, its solution, and what was measured on it.
+    """A head with its solution and measurements.
 
     Attributes
     ----------
     head : HeadPhantom
     study : Study
-        What was solved.
+        The solved study.
     solution : Solution
     tumour : Measurement
-        What happened to the tumour.
+        Measurement of the tumour.
     folds : int
-        Voxels at which tissue is turned over.
+        Number of voxels where the tissue folds.
     """
 
     head: HeadPhantom
@@ -50,7 +50,7 @@ class VolumeDemonstration:
 
     @property
     def note(self) -> str:
-        """Sentence on the voxels that fold, and what to do; "" if none does."""
+        """Warning about folded voxels, with a remedy; "" if there are none."""
         if not self.folds:
             return ""
         return (
@@ -60,7 +60,7 @@ class VolumeDemonstration:
         )
 
     def rows(self) -> tuple[tuple[str, str], ...]:
-        """What was measured, by name."""
+        """Return the name and value of each measurement."""
         solution, run = self.solution, self.solution.provenance
         size = f"{grid_in_words(solution.tissue.shape)} voxels of {solution.spacing[0]:.3g} mm"
         before = self.tumour.area / _MILLILITRE
@@ -94,21 +94,21 @@ def demonstrate_volume(
     Parameters
     ----------
     size : int
-        As of `head_phantom`.
+        As for `head_phantom`.
     backend, progress
-        As of `demonstrate`.
+        As for `demonstrate`.
     model : {"elastic", "paper", "paper, converged"}
     poisson : float
-        Of all elastic tissue.
+        Poisson's ratio of all elastic tissue.
     growth : float
-        As of `head_phantom`.
+        As for `head_phantom`.
 
     Raises
     ------
     ArgumentError
         If there is no head of that size.
     BackendError
-        If the backend asked for cannot run.
+        If the requested backend cannot run.
     """
     head = head_phantom(size, growth=growth)
     materials = tuple(replace(row, poisson=poisson) for row in head.materials)
@@ -120,9 +120,9 @@ def demonstrate_volume(
         pictures=Pictures(head.image, head.tissue_labels, "head"),
     )
     if backend == "auto":
-        # Napari will find them, for whatever is done there.
+        # Compile all loops now, so that napari finds them ready.
         provide_loops(EVERYTHING, progress)
-        # Those for volumes are made for whoever asks.
+        # Loops for volumes are compiled only on request.
         provide_loops(job_of(study.prior, study.optimizer, study.grid.spacing), progress)
     solution = solve_study(study, backend=backend, progress=progress)
     measured = solution.measure(head.tissue_labels)
@@ -138,7 +138,7 @@ def demonstrate_volume(
 def write_volume_results(demonstration: VolumeDemonstration, folder: Path) -> list[Path]:
     """Write the study with its field, and pictures of slices through the middle of the tumour.
 
-    To a folder that exists; the files written.
+    The folder must exist. Returns the written files.
     """
     from napari_hmrf.io.figures import save_volume_pictures
     from napari_hmrf.io.study_file import save_study

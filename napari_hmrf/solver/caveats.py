@@ -1,4 +1,4 @@
-"""What may surprise in the answer to a problem, as clauses for people."""
+"""Caveats about the solution of a problem, as clauses for the user."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.quadtree import levels, sampled
 
-# How much of a boundary the first three coarse levels see: of one a pixel wide 0.16 to 0.29, of one
-# of 3 pixels 0.41 or more. Images of up to 32 pixels have no coarse levels to speak of.
+# Share of a boundary that the first three coarse levels must see. They see 0.16 to 0.29 of a
+# boundary one pixel wide, and 0.41 or more at 3 pixels. Images of up to 32 pixels have hardly any
+# coarse levels.
 _ENOUGH = 0.32
 _SMALLEST_TREE = 6
-#: How it is said that nothing holds the tissue.
+#: Clause for tissue that nothing holds.
 LOOSE = "nothing holds the tissue"
 
 
 def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> tuple[str, ...]:
-    """Say what may surprise, as clauses for people; nothing that is refused anyway.
+    """Return caveats, as clauses for the user; without those that are refused anyway.
 
     Parameters
     ----------
@@ -38,14 +39,14 @@ def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> tuple[str, 
 
 
 def shortfall(reach: Reach | None, unit: str) -> str:
-    """Describe what large motion left undone, by how much and where; "" if nothing is undone.
+    """Describe the shortfall of large motion, with its size and place; "" if there is none.
 
     Parameters
     ----------
     reach : Reach or None
-        Of a solution.
+        Reach of a solution.
     unit : str
-        Of lengths.
+        Unit of lengths.
     """
     said = []
     if reach is not None and reach.grown < 1:
@@ -59,20 +60,20 @@ def shortfall(reach: Reach | None, unit: str) -> str:
         )
     if reach is not None and reach.unbalanced_at is not None:
         said.append(
-            "crushed tissue did not come to rest: pixels may still be "
+            "crushed tissue did not settle: pixels may still be "
             f"{reach.unbalanced:.3g} {unit} from balance, most at {reach.unbalanced_at}"
         )
     return "; ".join(said)
 
 
 def lack(problem: Problem) -> str:
-    """Say what there is none of, something that moves or that holds the rest; "" if there is both.
+    """Return a clause if no tissue moves, or nothing holds the rest; "" if neither is missing.
 
     Parameters
     ----------
     problem : Problem
     """
-    if problem.loads is not None:  # which are refused where nothing holds
+    if problem.loads is not None:  # loads are refused elsewhere if nothing holds the tissue
         return ""
     seen = problem.known.any(axis=-1)
     steps = problem.observed[seen]
@@ -91,13 +92,13 @@ def lack(problem: Problem) -> str:
 
 
 def rigid_caveat(problem: Problem, prior: Prior) -> str:
-    """Say that doubted observations are held exactly beside rigid tissue; "" if none are.
+    """Return a clause if doubted observations are held exactly near rigid tissue; else "".
 
     Parameters
     ----------
     problem : Problem
     prior : Prior
-        As it was given, not as `resolved` returns it.
+        The prior as given, before `resolved`.
     """
     if not isinstance(prior, Elastic) or prior.penalty is not None or not problem.rigid.any():
         return ""
@@ -113,8 +114,9 @@ def rigid_caveat(problem: Problem, prior: Prior) -> str:
 
 
 def _thin_boundary(problem: Problem) -> str:
-    """Say so where the coarse levels, which take every second pixel and fewer, miss a boundary."""
-    # There its motion begins; what they miss, the sweeps on the finest level do not make up for.
+    """Return a clause if the coarse levels, which take every second pixel and fewer, miss much."""
+    # Motion starts on those levels; the sweeps on the finest level cannot make up for a boundary
+    # that they miss.
     tree = levels(problem.shape)
     if len(tree) <= _SMALLEST_TREE:
         return ""
@@ -135,7 +137,7 @@ def _thin_boundary(problem: Problem) -> str:
 
 
 def _loose_pieces(problem: Problem) -> str:
-    """Say so where tissue hangs on nothing that was observed."""
+    """Return a clause if pieces of tissue are connected to no observation."""
     around = np.ones((3,) * problem.tissue.ndim)
     pieces, count = scipy.ndimage.label(problem.tissue, structure=around)
     held = np.unique(pieces[problem.known.any(axis=-1)])

@@ -1,11 +1,11 @@
-"""What each model of tissue is good for, and what was measured of it, in sentences for people."""
+"""Advice on the models of tissue: their uses and measured accuracy, in sentences for the user."""
 
 from __future__ import annotations
 
 from napari_hmrf.solver.model_names import ELASTIC, ModelName
 from napari_hmrf.solver.priors.elastic import Plane
 
-# The figures are those of the README, by `make benchmarks`: on two cores, without a GPU.
+# The figures are those of the README, from `make benchmarks`: on two cores, without a GPU.
 _WHEN: dict[ModelName, str] = {
     "elastic": "Tissue stretches and bulges as elastic material does. Boundaries of confidence 1 "
     "are held exactly.",
@@ -17,8 +17,8 @@ _WHEN: dict[ModelName, str] = {
 }
 _OFF: dict[ModelName, float] = {"elastic": 0.0002, "paper": 1.03, "paper, converged": 0.23}
 _FROM_FEM = (
-    "Where the sample brain moves by 7.4 px, it is {} px from finite elements, the engineers' "
-    "standard, of Poisson's ratio 0.3 (0.02 s)."
+    "The sample brain moves by 7.4 px; there the field is {} px from finite elements, the "
+    "engineers' standard, with Poisson's ratio 0.3 (0.02 s)."
 )
 _WHEN_PLANE: dict[Plane, str] = {
     "stress": "Squeezed tissue can bulge out of the image, as in a thin cut.",
@@ -29,19 +29,19 @@ _HOW_MUCH = (
     "They differ most where Poisson's ratio is near 0.5."
 )
 ABOUT_POISSON = (
-    "How much tissue bulges when it is squeezed: 0, not at all; 0.499, so much that it loses "
-    "hardly any volume.\n0.45 is common for soft tissue."
+    "Bulging of squeezed tissue: 0, none at all; 0.499, so much that tissue loses hardly any "
+    "volume.\n0.45 is common for soft tissue."
 )
 
 
 def when_to_take(model: ModelName, plane: Plane | None) -> str:
-    """Say what a choice is good for, and what was measured of it.
+    """Return a description of a model's use, with its measured accuracy.
 
     Parameters
     ----------
     model : {"elastic", "large motion", "paper", "paper, converged"}
     plane : {"stress", "strain"} or None
-        None of a volume.
+        None for a volume.
     """
     said = f"{_WHEN[model]} {_FROM_FEM.format(_OFF[model])}" if model in _OFF else _WHEN[model]
     return f"{said} {_WHEN_PLANE[plane]} {_HOW_MUCH}" if plane and model in ELASTIC else said

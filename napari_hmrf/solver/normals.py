@@ -1,4 +1,4 @@
-"""Which way is outward, on the parts of a mask: for what expands."""
+"""Outward normals of the parts of a mask, for boundaries that expand."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ import scipy
 
 from napari_hmrf.errors import ProblemError
 
-#: How far an outline is smoothed before its normal is taken, in pixels.
+#: Width of the smoothing of an outline before its normal is taken, in pixels.
 _SMOOTHING = 1.5
-#: A part so many times longer than it is thick is a line, whatever the brush: it has no inside; nor
-#: has a sheet in a volume, so many times as wide as it is thick along both its sides.
+#: A part at least this many times longer than thick is a line, whatever the brush, and has no
+#: inside; likewise a sheet in a volume, if both its sides are this many times its thickness.
 _LINE = 8.0
-#: A part in a box of so few pixels has no hole that matters.
+#: Size of a bounding box, in pixels, up to which holes of a part are ignored.
 _SPECK = 25
-#: A part whose holes take up less than this of what it encloses is a patch, and no ring.
+#: A part whose holes take up less than this share of the enclosed area is a patch, and no ring.
 _HOLES = 0.1
-#: Pixels of a patch that move with its outline: with one the paper's schedule would lose sight of
-#: the outline on its coarse levels.
+#: Width in pixels of the rim of a patch that moves with its outline: with a single pixel the
+#: paper's schedule would lose the outline on its coarse levels.
 _RIM = 2
 
 
 def outward_normals(
     mask: npt.NDArray[np.bool_], spacing: Sequence[float], name: str
 ) -> npt.NDArray[np.float32]:
-    """Unit normals of each part's enclosing outline, at the outline's nearest pixel.
+    """Return unit normals of each part's enclosing outline, at the outline's nearest pixel.
 
-    All of a ring has one. Of a patch only the rim along its outline has: what is deeper inside
-    would be torn if it moved as far.
+    All pixels of a ring have a normal. In a patch only the rim along its outline has one: tissue
+    deeper inside would be torn if it moved as far.
 
-    The outline is that of the filled part, and its normal the slope of the filled part blurred:
+    The outline is that of the filled part, and its normal the slope of the blurred filled part:
     pixel steps average out, and a rim of one pixel needs no inside of its own. Deeper inside, many
-    pixels share a nearest one; a second blur, of the normals, undoes that.
+    pixels share their nearest outline pixel; a second blur, of the normals, smooths the jumps.
 
     Parameters
     ----------
@@ -43,18 +43,18 @@ def outward_normals(
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
     name : str
-        What is to expand, for people.
+        Name of the expanding boundary, for messages.
 
     Returns
     -------
     ndarray, shape ([D,] H, W, n), float32
-        In the order of the axes; 0 outside the mask, inside a patch, and where a part is so small
-        that it has no direction.
+        In the order of the axes; 0 outside the mask, inside a patch, and where a part is too small
+        to have a direction.
 
     Raises
     ------
     ProblemError
-        If a part is an open line: which of its sides is outside, nobody can say.
+        If a part is an open line: it has no outside.
     """
     sizes = np.asarray(spacing, dtype=float)
     sigma = _SMOOTHING * sizes.max() / sizes
@@ -81,7 +81,7 @@ def outward_normals(
 
 
 def _unit(vectors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Vectors of length 1, or 0 where there is no direction."""
+    """Return vectors of length 1, or 0 where there is no direction."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     units: npt.NDArray[np.float64] = np.divide(
         vectors, length, out=np.zeros_like(vectors), where=length > 1e-6
@@ -92,7 +92,7 @@ def _unit(vectors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 def _parts(
     mask: npt.NDArray[np.bool_],
 ) -> Iterator[tuple[tuple[slice, ...], npt.NDArray[np.bool_]]]:
-    """Each connected part, with the box that holds it."""
+    """Yield each connected part, with its bounding box."""
     # Pixels that touch at a corner belong together, as in a ring one pixel wide.
     numbered, _ = scipy.ndimage.label(mask, structure=np.ones((3,) * mask.ndim, dtype=bool))
     for number, box in enumerate(scipy.ndimage.find_objects(numbered), start=1):
@@ -108,7 +108,7 @@ def _refuse_open_line(
     at_least = 2 * deepest - sizes.max()
     if content <= _LINE ** (n - 1) * at_least**n:
         return
-    # At half the pixel size even and odd widths both have a middle, and come out as they are.
+    # At half the pixel size both even and odd widths have a middle, and are measured exactly.
     fine = np.kron(filled, np.ones((2,) * n, dtype=bool))
     thickness = 2 * float(scipy.ndimage.distance_transform_edt(fine, sampling=sizes / 2).max())
     if content <= _LINE ** (n - 1) * thickness**n:
@@ -124,7 +124,7 @@ def _refuse_open_line(
 
 
 def outer_rim(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Tell the outline of the parts of a mask from those of the holes in them.
+    """Return the outer outline of each part of a mask, without the outlines of its holes.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def outer_rim(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     Returns
     -------
     ndarray of bool, shape ([D,] H, W)
-        The pixels of each part beside what is around it, or at the edge of the image.
+        Pixels of each part at its outside, or at the edge of the image.
     """
     rim = mask & ~scipy.ndimage.binary_erosion(mask)
     for box, part in _parts(mask):
@@ -143,8 +143,8 @@ def outer_rim(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
 
 
 def outside_of(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """What is around a mask and hangs together with the image's edge: no holes in it."""
-    # A ring around the image joins all that reaches its edge.
+    """Return the pixels around a mask that are connected to the image's edge, without holes."""
+    # A ring around the image joins all regions that reach its edge.
     pieces, _ = scipy.ndimage.label(np.pad(~mask, 1, constant_values=True))
     found: npt.NDArray[np.bool_] = (pieces == pieces.flat[0])[(slice(1, -1),) * mask.ndim]
     return found

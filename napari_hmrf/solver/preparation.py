@@ -1,4 +1,4 @@
-"""Having ready what a solve runs: loops compiled, and kernels tried on something small."""
+"""Preparation of a solve: compilation of loops, and a trial of the kernels on a small problem."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 
-#: The job that brings all loops.
+#: Job that compiles all loops.
 EVERYTHING = ""
-# Of a small problem, by its number of axes.
+# Size of a small problem, by its number of axes.
 _SIZES = {2: 40, 3: 12}
 _prepared: set[tuple[str | bool, ...]] = set()
 
 
 def job_of(prior: Prior, optimizer: Optimizer, spacing: tuple[float, ...]) -> str:
-    """Return the job of `napari_hmrf.compiling` that brings most loops of a solve.
+    """Return the job of `napari_hmrf.compiling` that compiles most loops of a solve.
 
     Parameters
     ----------
     prior : Prior
-        As `resolved` returns it.
+        As returned by `resolved`.
     optimizer : Optimizer
     spacing : tuple of float
     """
@@ -53,14 +53,14 @@ def job_of(prior: Prior, optimizer: Optimizer, spacing: tuple[float, ...]) -> st
 
 
 def provide_loops(job: str, report: Callable[[Monitor], None]) -> None:
-    """Have the loops of a job compiled by another process, saying how far that is.
+    """Let another process compile the loops of a job, with progress reports.
 
     Parameters
     ----------
     job : str
-        As `job_of` calls it, or `EVERYTHING`.
+        As for `job_of`, or `EVERYTHING`.
     report : callable
-        Called several times a second; raises to wait no more.
+        Called several times a second; raises to stop waiting.
     """
 
     def tell(stage: Stage) -> None:
@@ -78,10 +78,10 @@ def prepare(
     spacing: tuple[float, ...],
     report: Callable[[Monitor], None],
 ) -> None:
-    """Compile what a schedule needs by running it on a small problem, once per process.
+    """Compile the kernels of a schedule by running it on a small problem, once per process.
 
-    Small, but with levels between others, something to find, and more sites than would be solved
-    without a cycle. Square pixels have kernels of their own, and volumes.
+    The problem is small, but has intermediate levels, a solution other than 0, and more sites than
+    would be solved without a cycle. Square pixels have kernels of their own, as have volumes.
     """
     rehearsal, axes = optimizer.rehearsal(), len(spacing)
     square = len(set(spacing)) == 1
@@ -103,21 +103,21 @@ def prepare(
         found = rehearsal.run(small, tissue, device, go_on).displacement
         host.settle(found, small.tissue, small.unit)
         if isinstance(rehearsal, Multigrid):
-            # As many as there are kernels for: two at once, and each of the others.
+            # One start for all kernels: those for two displacements at once, and for a single one.
             three = Beginning((found,) * 3, (1.0, 0.0, 0.0), 1.0, math.inf)
             rehearsal.run(small, tissue, device, go_on, three)
     _prepared.add(key)
 
 
 def loop_watch(job: str, report: Callable[[Monitor], None]) -> AbstractContextManager[None]:
-    """Say which loops this process compiles, if any.
+    """Return a context that reports which loops this process compiles.
 
     Parameters
     ----------
     job : str
-        As of `watched`.
+        As for `watched`.
     report : callable
-        As of `prepare`.
+        As for `prepare`.
     """
     if not loops.in_use():
         return nullcontext()

@@ -1,4 +1,4 @@
-"""The inputs of the method: what is observed, how sure that is, and how stiff the tissue is."""
+"""Inputs of the method: observations, their confidence, and the stiffness of the tissue."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from napari_hmrf.solver.real_arrays import FloatArray as FloatArray
 from napari_hmrf.solver.real_arrays import as_float32, first_index, how_many
 from napari_hmrf.solver.real_arrays import as_numbers as as_numbers
 
-#: The largest ratio between two stiffnesses that single precision is trusted with.
+#: Largest ratio between two stiffnesses for which single precision is reliable.
 MAX_STIFFNESS_RATIO = 1e7
 _SMALLEST_PIXEL = 1e-15
 _SMALLEST_STIFFNESS = 1e-30
-# The spacing of those who give none.
+# Default spacing, recognised by identity.
 _EVEN = (1.0, 1.0)
-#: The longest displacement that can be meant, in diagonals of the image.
+#: Longest plausible displacement, in diagonals of the image.
 MAX_REACH = 2.0
 
 
@@ -37,18 +37,19 @@ class Problem:
     Parameters
     ----------
     observed : array_like, shape (H, W, 2) or (D, H, W, 3)
-        Observed (boundary) displacement, y in the equations: components in (row, col) order, of a
-        volume (plane, row, col), in the unit of `spacing`. Material displacement: the tissue at X
-        was seen to move to X + y(X). Ignored, and stored as zero, where `confidence` is zero.
+        Observed (boundary) displacement, y in the equations: components in (row, col) order, in a
+        volume (plane, row, col), in the unit of `spacing`. Material displacement: tissue at X was
+        observed to move to X + y(X). Ignored, and stored as zero, where `confidence` is zero.
     confidence : array_like, shape (H, W, 2) or (D, H, W, 3)
         Confidence in each component of `observed`, c in the equations: 1 is certain and held
-        exactly, 0 says nothing. What lies between is doubted: it holds with a force of at most c,
-        where a force of 1 strains a pixel of the stiffest tissue by 1, and gives way beyond that.
+        exactly, 0 is unknown. Values in between are doubted: the site is held with a force of at
+        most c, where a force of 1 strains a pixel of the stiffest tissue by 1, and slips beyond
+        that.
     stiffness : array_like, shape (H, W) or (D, H, W)
         Young's modulus, m in the equations, in any unit: only ratios matter, unless a force pulls
         (see `loads`). ``0`` means no tissue (void): no clique touches such a site and it has no
-        displacement. ``inf`` means rigid tissue, for `ElasticPrior` and `NeoHookeanPrior`: what
-        touches of it moves as one body.
+        displacement. ``inf`` means rigid tissue, for `ElasticPrior` and `NeoHookeanPrior`:
+        connected rigid sites move as one body.
     spacing : sequence of float, shape (2,) or (3,)
         Size of a pixel in (row, col) direction, or of a voxel in (plane, row, col) direction, in
         any unit of length; by default 1 along each axis.
@@ -60,7 +61,7 @@ class Problem:
     Raises
     ------
     ProblemError
-        Naming the input at fault and what to do about it.
+        Naming the invalid input and a remedy.
     """
 
     observed: FloatArray
@@ -78,7 +79,7 @@ class Problem:
         spacing: Sequence[float] = _EVEN,
         loads: Loads | None = None,
     ) -> None:
-        # With one value for each pixel as what is observed, stiffness is no volume.
+        # If `observed` has one value per pixel, do not take the stiffness for a volume.
         image = isinstance(observed, np.ndarray) and observed.ndim == 2
         m = _as_image(stiffness, (2,) if image else (2, 3))
         pixel = checked_spacing((1.0,) * m.ndim if spacing is _EVEN else spacing, m.ndim)
@@ -120,38 +121,38 @@ class Problem:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The grid: (H, W) or (D, H, W)."""
+        """Shape of the grid: (H, W) or (D, H, W)."""
         return tuple(self.stiffness.shape)
 
     @property
     def is_volume(self) -> bool:
-        """Whether the grid has three axes."""
+        """True if the grid has three axes."""
         return self.stiffness.ndim == 3
 
     @cached_property
     def tissue(self) -> npt.NDArray[np.bool_]:
-        """Where there is tissue: stiffness above 0, shape (H, W)."""
+        """Mask of tissue: stiffness above 0, shape (H, W)."""
         mask: npt.NDArray[np.bool_] = self.stiffness > 0
         mask.setflags(write=False)
         return mask
 
     @cached_property
     def rigid(self) -> npt.NDArray[np.bool_]:
-        """Where tissue is rigid: infinite stiffness, shape (H, W)."""
+        """Mask of rigid tissue: infinite stiffness, shape (H, W)."""
         mask = np.isinf(self.stiffness)
         mask.setflags(write=False)
         return mask
 
     @cached_property
     def known(self) -> npt.NDArray[np.bool_]:
-        """Which components of tissue are observed: with confidence above 0, shape (H, W, 2)."""
+        """Mask of observed components of tissue: confidence above 0, shape (H, W, 2)."""
         mask: npt.NDArray[np.bool_] = (self.confidence > 0) & self.tissue[..., None]
         mask.setflags(write=False)
         return mask
 
     @cached_property
     def digests(self) -> Mapping[str, str]:
-        """SHA-256 of each image's bytes: equal for equal inputs. Made when first looked at."""
+        """SHA-256 of each image's bytes: equal for equal inputs. Computed on first access."""
         names = ("observed", "confidence", "stiffness")
         arrays = {name: getattr(self, name) for name in names}
         if self.loads is not None:
@@ -161,12 +162,12 @@ class Problem:
 
     @property
     def unit(self) -> float:
-        """The length the solver calls one pixel: the geometric mean of `spacing`."""
+        """Length of one pixel in the solver: the geometric mean of `spacing`."""
         return math.prod(self.spacing) ** (1.0 / len(self.spacing))
 
 
 class _Digests(Mapping[str, str]):
-    """The SHA-256 of arrays that do not change: made when asked for, as it takes milliseconds."""
+    """SHA-256 of arrays that do not change, computed on access, as it takes milliseconds."""
 
     def __init__(self, arrays: dict[str, FloatArray]) -> None:
         self._arrays = arrays
@@ -191,17 +192,17 @@ class _Digests(Mapping[str, str]):
 
 
 def grid_in_words(sizes: Iterable[float]) -> str:
-    """Sizes along the axes, for people: "300 x 200"."""
+    """Format sizes along the axes for display: "300 x 200"."""
     return " x ".join(f"{size:g}" for size in sizes)
 
 
 def as_stiffness(stiffness: npt.ArrayLike) -> FloatArray:
-    """Copy a stiffness image to float32, as a `Problem` has it.
+    """Copy a stiffness image to float32, as in a `Problem`.
 
     Raises
     ------
     ProblemError
-        As of a `Problem`, but for an image in which there is no tissue.
+        As for `Problem`, but an image without tissue is accepted.
     """
     m = _as_image(stiffness)
     _check_grid(m)
@@ -225,7 +226,7 @@ def _as_image(stiffness: npt.ArrayLike, axes: tuple[int, ...] = (2, 3)) -> Float
 
 
 def checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
-    """Sizes of a pixel along so many axes, or raise `ProblemError`."""
+    """Return the sizes of a pixel along `ndim` axes, or raise `ProblemError`."""
     values = reals(spacing, ndim)
     if not all(0 < size < math.inf for size in values):
         raise ProblemError(
@@ -264,10 +265,10 @@ def _check_finite(
 
 
 def check_reach(y: FloatArray, spacing: tuple[float, ...]) -> None:
-    """Refuse displacements far beyond the image, mostly of a wrong unit."""
+    """Refuse displacements far beyond the image, usually because of a wrong unit."""
     grid = y.shape[:-1]
     diagonal = math.hypot(*(size * step for size, step in zip(grid, spacing, strict=True)))
-    # Mostly the largest component tells already; the length of each takes ten times as long.
+    # The largest component usually is enough; the length of each takes ten times as long.
     largest = max(float(y.max()), -float(y.min()))
     if math.sqrt(len(grid)) * largest <= MAX_REACH * diagonal:
         return
@@ -284,7 +285,7 @@ def check_reach(y: FloatArray, spacing: tuple[float, ...]) -> None:
 
 
 def _shown(length: float) -> str:
-    """Three digits, and no exponent as long as it can be read without."""
+    """Format a length with three digits, without an exponent as long as it is readable."""
     return f"{float(f'{length:.3g}'):g}"
 
 
@@ -315,7 +316,7 @@ def _check_stiffness(m: FloatArray) -> None:
 
 
 def _check_stiffness_unit(given: npt.ArrayLike, m: FloatArray) -> None:
-    """Refuse stiffnesses of which single precision keeps few digits, or not even the inverse."""
+    """Refuse stiffnesses that keep few digits in single precision, or have no inverse there."""
     array = np.asarray(given)
     extreme = (m > 1 / _SMALLEST_STIFFNESS) | ((m < _SMALLEST_STIFFNESS) & (array > 0))
     extreme &= array != np.inf

@@ -1,4 +1,4 @@
-"""The forces that hold tissue, and that it takes to pull it."""
+"""Reaction forces at held and pulled sites."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from napari_hmrf.solver.solution import Solution
 def reactions(
     problem: Problem, solution: Solution, prior: Prior | None = None
 ) -> npt.NDArray[np.float64]:
-    """The force with which each site that is held or pulled acts on the tissue.
+    """Return the force with which each held or pulled site acts on the tissue.
 
-    Altogether they balance the forces of the problem's loads; their sum over a mark is what it
-    takes to hold or to pull there: ``reactions(problem, solution)[mark].sum(axis=0)``. They are as
-    exact as the field: for forces, solve to a smaller tolerance than for motion.
+    In total they balance the forces of the problem's loads; their sum over a mark is the force that
+    holds or pulls the mark: ``reactions(problem, solution)[mark].sum(axis=0)``. They are as
+    accurate as the field: for forces, solve to a smaller tolerance than for motion.
 
     Parameters
     ----------
     problem : Problem
     solution : Solution
-        Of this problem.
+        Solution of this problem.
     prior : ElasticPrior or NeoHookeanPrior, optional
-        By which it was solved; by default elastic tissue, as of `solve`.
+        Prior of the solve; by default that of elastic tissue, as in `solve`.
 
     Returns
     -------
     ndarray, shape (H, W, 2) or (D, H, W, 3)
-        Components in the order of the axes; 0 where nothing is observed. In the unit of stiffness
-        times length, a force per thickness, or of a volume in that of stiffness times length
-        squared, a force. What holds a rigid body shares out evenly what the body needs.
+        Components in the order of the axes; 0 where nothing is observed. In an image, a force per
+        thickness, in the unit of stiffness times length; in a volume, a force, in that of stiffness
+        times length squared. The force on a rigid body is shared evenly by its held sites.
 
     Raises
     ------

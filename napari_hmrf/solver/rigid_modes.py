@@ -1,9 +1,9 @@
-"""Whether what is observed determines how elastic tissue moves.
+"""Check that the observations determine the motion of elastic tissue.
 
-A piece of tissue can move as a rigid body in three ways (along rows, along columns, and turning) at
-no cost, in a volume in six. What is observed of it must stop all of them, or there is no one
-answer. Two pieces that meet in a single site, or in a volume along an edge, are hinged there: each
-may still turn by itself.
+A piece of tissue can move as a rigid body at no cost in three ways (along rows, along columns, and
+turning), in a volume in six. Its observations must stop all of them, or the solution is not unique.
+Two pieces that meet in a single site, or in a volume along an edge, are hinged there: each may
+still turn by itself.
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.problem import Problem
 
-# Below this fraction of the largest, what holds a rigid motion is rounding.
+# Strength of a constraint, relative to the largest, below which it counts as rounding.
 _NOTHING = 1e-9
-# Of a motion that costs nothing: pieces that take so small a part in it are at rest.
+# Part in a free motion below which a piece counts as at rest.
 _REST = 1e-6
 _STEPS = ("along planes", "along rows", "along columns")
 
 Labels = npt.NDArray[np.int32]
 Motions = npt.NDArray[np.float64]
-#: How far sites move along an axis, by the number of a motion.
+#: Displacement of sites along an axis in each rigid motion, by the motion's number.
 Ways = dict[int, Motions]
-# A cluster of pieces, what it costs them to move, and its motions with their costs.
+# A cluster of pieces, its cost matrix, the costs of its motions, and these motions.
 _Ways = tuple[npt.NDArray[np.int64], Motions, Motions, Motions]
 
 
 class Firm(NamedTuple):
-    """Tissue that was found to be held, and where: to find that takes as long as a few cycles."""
+    """Tissue that is known to be held, and its held components; the check takes a few cycles."""
 
     tissue: npt.NDArray[np.bool_]
     held: npt.NDArray[np.bool_]
-    #: As `grip` says it.
+    #: Result of `grip`.
     grip: float = 0.0
 
     def covers(self, tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> bool:
-        """Whether that is held, too: to hold more of the same tissue, as a brush does, frees none.
+        """Return whether other constraints are enough, too: more held sites never free tissue.
 
         Parameters
         ----------
@@ -55,22 +55,22 @@ class Firm(NamedTuple):
         return np.array_equal(self.tissue, tissue) and not (self.held > held).any()
 
 
-# The last that was found.
+# Result of the last check.
 _firm: list[Firm] = []
 
 
 @dataclass(frozen=True, eq=False)
 class FreeMotion:
-    """A way in which some tissue can move at no cost.
+    """Motion of some tissue at no cost.
 
     Attributes
     ----------
     piece : ndarray of bool, shape (H, W)
         The tissue that moves most.
     how : str
-        In words.
+        Direction of the motion, in words.
     motion : ndarray, shape (H, W, 2)
-        The displacement, of all tissue and in pixels; its scale means nothing.
+        Displacement of all tissue, in pixels; its scale is arbitrary.
     """
 
     piece: npt.NDArray[np.bool_]
@@ -95,19 +95,20 @@ def check_held(problem: Problem) -> None:
 
 
 def grip(problem: Problem) -> float:
-    """How firmly what is observed holds tissue against its rigid motions.
+    """Return how firmly the observations hold tissue against its rigid motions.
 
-    Of the motion that is stopped least, the sum of squares at all that is held, where the far end
-    of tissue moves by about 1; over the size of its surface, roughly.
+    The value is that of the motion that is stopped least: the sum of squares over all held
+    components, where the far end of the tissue moves by about 1, divided by the approximate size of
+    the tissue's surface.
 
     Raises
     ------
     ProblemError
-        As of `check_held`.
+        As for `check_held`.
     """
     held = problem.known
     if held[problem.tissue].all():
-        return 1.0  # nothing is left to move
+        return 1.0  # no site is free to move
     for known in _firm:
         if known.covers(problem.tissue, held):
             return known.grip
@@ -123,7 +124,7 @@ def grip(problem: Problem) -> float:
 
 
 def refusal(free: FreeMotion) -> ProblemError:
-    """Return an error that names the piece that could move, and how."""
+    """Return an error that names the piece that could move, and the motion."""
     return ProblemError(
         "confidence",
         f"leaves a piece of tissue free: the one of {int(free.piece.sum())} pixels around "
@@ -132,20 +133,20 @@ def refusal(free: FreeMotion) -> ProblemError:
 
 
 def free_motion(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | None:
-    """Find a way in which some tissue could still move, if there is one.
+    """Find a motion that some tissue could still make, if there is one.
 
     Parameters
     ----------
     problem : Problem
     held : ndarray of bool, shape (H, W, 2)
-        Which components are held.
+        Components that are held.
     """
     pieces, count = _pieces(problem.stiffness)
     return _first_motion(problem, pieces, count, _modes(pieces, count, held))
 
 
 def _some_pieces(problem: Problem) -> tuple[Labels, int]:
-    """Return the pieces of elements, of which there is one at least."""
+    """Return the pieces of elements; refuse a problem without any."""
     pieces, count = _pieces(problem.stiffness)
     if count == 0:
         raise ProblemError(
@@ -157,7 +158,7 @@ def _some_pieces(problem: Problem) -> tuple[Labels, int]:
 def _first_motion(
     problem: Problem, pieces: Labels, count: int, ways: Iterable[_Ways]
 ) -> FreeMotion | None:
-    """The first motion of clusters that costs nothing."""
+    """Return the first free motion of any cluster, or None."""
     for cluster, strength, modes in _free(ways):
         mode = modes[0]
         worst, freedom = int(np.argmax((mode**2).sum(axis=1))), mode.shape[1]
@@ -178,19 +179,19 @@ def _first_motion(
 def free_motions(
     problem: Problem, held: npt.NDArray[np.bool_]
 ) -> Iterator[npt.NDArray[np.float64]]:
-    """Find all ways in which tissue could still move.
+    """Find all motions that tissue could still make.
 
     Parameters
     ----------
     problem : Problem
     held : ndarray of bool, shape (H, W, 2)
-        Which components are held.
+        Components that are held.
 
     Yields
     ------
     ndarray, shape (ways, H, W, 2)
-        Independent motions of pieces that hang together, at no cost; those of different items have
-        no site in common.
+        Independent free motions of connected pieces; those of different items have no site in
+        common.
     """
     pieces, count = _pieces(problem.stiffness)
     for cluster, _, modes in _free(_modes(pieces, count, held)):
@@ -211,15 +212,15 @@ def free_pieces(
     ----------
     tissue : ndarray of bool, shape (H, W)
     held : ndarray of bool, shape (H, W, 2)
-        Which components are held.
+        Components that are held.
 
     Returns
     -------
     pieces : ndarray of int, shape (H, W)
-        Numbers of the pieces of tissue that could move, 0 elsewhere; a site in which one of them
-        meets tissue that cannot move is the latter's.
+        Numbers of the pieces of tissue that could move, 0 elsewhere; a site in which such a piece
+        meets fixed tissue belongs to the latter.
     free : ndarray of int
-        Those numbers.
+        Numbers of the pieces that could move.
     """
     pieces, count = _pieces(tissue)
     if count == 0:
@@ -236,7 +237,7 @@ def free_pieces(
 
 
 def _pieces(m: npt.NDArray[Any]) -> tuple[Labels, int]:
-    """Number the pieces of elements, from 1; an element has its first site's index."""
+    """Number the pieces of elements, from 1; an element has the index of its first site."""
     elements = in_elements(m)
     compute_thread.look()
     pieces, count = scipy.ndimage.label(elements)
@@ -245,9 +246,9 @@ def _pieces(m: npt.NDArray[Any]) -> tuple[Labels, int]:
 
 
 def _free(ways: Iterable[_Ways]) -> Iterator[tuple[npt.NDArray[np.int64], Motions, Motions]]:
-    """Find how each cluster of pieces that hang together could move."""
-    # Yields ------ cluster : ndarray of int The pieces, from 0. strength : ndarray What it costs
-    # them to move. modes : ndarray, shape (ways, pieces, motions) The motions that cost nothing.
+    """Yield the free motions of each cluster of connected pieces."""
+    # Yields the pieces of the cluster, from 0; its cost matrix; and its free motions, of shape
+    # (ways, pieces, motions).
     for cluster, strength, stops, modes in ways:
         free = stops <= _NOTHING * max(stops[-1], 1.0)
         if free.any():
@@ -255,12 +256,12 @@ def _free(ways: Iterable[_Ways]) -> Iterator[tuple[npt.NDArray[np.int64], Motion
 
 
 def _modes(pieces: Labels, count: int, held: npt.NDArray[np.bool_]) -> Iterator[_Ways]:
-    """Find what it costs each cluster to move, and these motions, the cheapest first."""
+    """Compute the motions of each cluster and their costs, in ascending order of cost."""
     if count == 0:
         return
     shape = held.shape[:-1]
     axes, freedom = len(shape), len(_turns(len(shape))) + len(shape)
-    # What holds a piece: a row for each held component, and for each of a hinge's (- and +).
+    # Constraints of a piece: a row for each held component, and for each of a hinge's (- and +).
     of_sites = _sites(pieces)
     holds = []
     for along in range(axes):
@@ -284,13 +285,13 @@ def _modes(pieces: Labels, count: int, held: npt.NDArray[np.bool_]) -> Iterator[
 
 
 def _sites(pieces: Labels) -> Labels:
-    """The piece of each site, of the elements around it; 0 if it is in none."""
+    """Return the piece of each site, from the elements around it; 0 if it is in none."""
     return around_sites(pieces, np.maximum)
 
 
 def _field(modes: Motions, spacing: tuple[float, ...]) -> Motions:
-    """The displacement (H, W, 2) of sites whose pieces move so (H, W, motions)."""
-    # A turn moves sites by as much as they are apart the other way.
+    """Return the displacement (H, W, 2) of sites for their pieces' motions (H, W, motions)."""
+    # A turn moves sites in proportion to their distance along the other axis.
     sites = tuple(map(np.asarray, np.indices(modes.shape[:-1])))
     field = np.zeros((*modes.shape[:-1], len(sites)))
     for along in range(len(sites)):
@@ -300,12 +301,12 @@ def _field(modes: Motions, spacing: tuple[float, ...]) -> Motions:
 
 
 def _turns(axes: int) -> list[tuple[int, int]]:
-    """The planes in which a body can turn: from the first axis to the second."""
+    """Return the planes in which a body can turn: from the first axis to the second."""
     return list(combinations(range(axes), 2))
 
 
 def _motions(sites: tuple[npt.NDArray[Any], ...], along: int, shape: tuple[int, ...]) -> Ways:
-    """How far sites move along an axis in each of the rigid motions that move them there."""
+    """Return the displacement of sites along an axis in each rigid motion along it."""
     from_middle = [index - size / 2 for index, size in zip(sites, shape, strict=True)]
     made = {along: np.ones(np.shape(sites[0]))}
     for number, (first, second) in enumerate(_turns(len(shape)), start=len(shape)):
@@ -322,7 +323,7 @@ def _tie(
     ways: Ways,
     other: npt.NDArray[Any] | None = None,
 ) -> None:
-    """Add what it costs pieces to move as `ways` say, or to move so against others, in place."""
+    """Add the cost of motions of pieces, or of motions relative to other pieces, in place."""
     count = len(costs)
     pairs = [(piece, piece, 1.0)]
     if other is not None:
@@ -334,9 +335,9 @@ def _tie(
 
 
 def _hinges(pieces: Labels) -> npt.NDArray[np.int64]:
-    """Sites where two pieces meet: their indices, piece and other piece, from 0."""
+    """Return sites where two pieces meet: their indices, piece and other piece, from 0."""
     most, axes = _sites(pieces), pieces.ndim
-    # Numbers as the other pieces have, of which the least is the greatest.
+    # Reversed numbers, so that the maximum finds the least number.
     least = _sites(np.where(pieces > 0, most.max() + 1 - pieces, 0))
     sites = np.nonzero((most > 0) & (most + least != most.max() + 1))
     around, found = np.pad(pieces, 1), []
@@ -352,7 +353,7 @@ def _hinges(pieces: Labels) -> npt.NDArray[np.int64]:
 
 
 def _clusters(hinged: npt.NDArray[np.int64], count: int) -> list[npt.NDArray[np.int64]]:
-    """Pieces that hang together by hinges."""
+    """Return the clusters of pieces that are connected by hinges."""
     graph = scipy.sparse.coo_matrix(
         (np.ones(len(hinged)), (hinged[:, -2], hinged[:, -1])), shape=(count, count)
     )

@@ -1,4 +1,4 @@
-"""The result of a solve: the displacement, how it was reached, and what was run."""
+"""Result of a solve: the displacement, its convergence, and its provenance."""
 
 from __future__ import annotations
 
@@ -26,27 +26,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Provenance:
-    """What was run, where, and how long it took.
+    """Record of a run: backend, device, times, parameters and versions.
 
     Attributes
     ----------
     backend : str
         "cpu", "opengl:fragment" or "opengl:compute".
     renderer : str
-        The device, in words.
+        Device, in words.
     reason : str
-        Why this backend was taken.
+        Reason for the choice of this backend.
     seconds : float
-        Wall time of the schedule, uploads and read-back included.
+        Wall time of the schedule, including uploads and read-back.
     preparation_seconds : float
-        Wall time before it: loading or compiling kernels, making an OpenGL context. Mostly zero
-        after the first solve of a process; the first ever on a machine compiles.
+        Wall time before the schedule: loading or compiling kernels, creating an OpenGL context.
+        Usually zero after the first solve of a process; the first on a machine compiles.
     parameters : mapping
         Prior, optimizer and their parameters; JSON types only.
     versions : mapping
-        Of this package and of what the result depends on.
+        Versions of this package and its dependencies.
     model : str
-        Its name: "elastic", "paper" or "paper, converged"; of these parameters, if not given.
+        Name of the model: "elastic", "paper" or "paper, converged"; by default from the parameters.
     inputs : mapping
         SHA-256 of the bytes of observed, confidence and stiffness, and of growth and force if
         there are loads.
@@ -68,39 +68,39 @@ class Provenance:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A displacement field and its history.
+    """Displacement field with its history.
 
     Attributes
     ----------
     displacement : ndarray, shape (H, W, 2) or (D, H, W, 3), float32
-        Components in (row, col) order, in the unit of `spacing`. Material (push-forward): the
-        tissue at X moves to X + d(X). Zero where there is no tissue. In float64, in files too,
-        where float32 does not carry the tolerance or would fold a crushed pixel.
+        Components in (row, col) order, in the unit of `spacing`. Material (push-forward): tissue
+        at X moves to X + d(X). Zero where there is no tissue. In float64, also in files, where
+        float32 does not meet the tolerance or would fold a crushed pixel.
     energy : ndarray, shape (iterations,), float64
         Mean total energy per site of tissue after each iteration, coarse to fine, in pixels
-        squared, less the work of loads; one value where none was needed. Of multigrid for the
-        centred update, which no energy leads, the last throughout.
+        squared, less the work of loads; one value if no iteration was needed. For multigrid with
+        the centred update, which has no energy to minimise, the final value throughout.
     levels : tuple of LevelRun
-        The levels in the order they were run, with their iterations: the boundaries in `energy`.
+        Levels in the order of their runs, with their iterations: the boundaries in `energy`.
     tissue : ndarray, shape (H, W), bool
-        Where there is tissue.
+        Mask of tissue.
     spacing : tuple of float
         Size of a pixel in (row, col) direction.
     provenance : Provenance
     convergence : Convergence, optional
-        How close to the converged field it is, where the optimizer knows.
+        Distance from the converged field, if the optimizer measures it.
     reach : Reach, optional
-        Of large motion: the least Jacobian, and how far it got.
+        For large motion: the least Jacobian, and the extent to which observations were met.
     frame : mapping, optional
-        Where the field lies in the world, for whoever made the problem from layers; JSON types
+        Place of the field in the world, for code that made the problem from layers; JSON types
         only. The solver neither reads nor writes it.
     loads : Loads, optional
-        What pulled at it, for solves that begin with it. Files keep its digest only.
+        Loads of the problem, for solves that start from this one. Files keep only their digest.
     elasticity : Elasticity, optional
         Poisson's ratios and growth of elastic tissue, from which `strain` and `measure` get elastic
         strain. None for the paper's model.
     notes : tuple of str
-        Clauses for people: input without effect, and guesses. Files do not keep them.
+        Clauses for the user: input without effect, and assumptions. Files do not keep them.
     """
 
     displacement: npt.NDArray[np.floating]
@@ -128,7 +128,7 @@ class Solution:
 
     @property
     def iterations(self) -> int:
-        """Sweeps over all levels together."""
+        """Total number of sweeps over all levels."""
         return sum(level.iterations for level in self.levels)
 
     @property
@@ -136,7 +136,7 @@ class Solution:
         """Mean total energy per site of tissue at the end, in pixels squared."""
         return float(self.energy[-1])
 
-    # These methods import rooms above this one when they are called: a user who has a solution
+    # These methods import higher layers of the package when they are called, so that a solution
     # needs no other name, and its spacing and tissue cannot be forgotten.
 
     def warp(
@@ -148,17 +148,17 @@ class Solution:
         ----------
         image : array_like, shape ([D,] H, W) or ([D,] H, W, channels)
         order, fill
-            As of the function `warp`.
+            As for the function `warp`.
 
         Returns
         -------
         ndarray
-            Of the shape and dtype of `image`.
+            Same shape and dtype as `image`.
 
         Raises
         ------
         ProblemError
-            If it is not on the pixels of the solution.
+            If the image is not on the pixels of the solution.
         """
         from napari_hmrf.field.warp import warp
 
@@ -170,7 +170,7 @@ class Solution:
         Returns
         -------
         ndarray, shape ([D,] H, W), float32
-            As of `jacobian_determinant`.
+            As for `jacobian_determinant`.
         """
         from napari_hmrf.field.deformation import jacobian_determinant
 
@@ -190,23 +190,23 @@ class Solution:
         Parameters
         ----------
         kind : {"elastic", "total", "small"}
-            "elastic": what the tissue is strained by, in all three directions, without growth, as
-            the model has it. "total": `green_lagrange_strain` of the displacement, growth included.
-            "small": `small_strain` of it.
+            "elastic": strain of the model in all three directions, without growth. "total":
+            `green_lagrange_strain` of the displacement, including growth. "small": `small_strain`
+            of the displacement.
 
         Returns
         -------
         ndarray, float32
             Symmetric tensors in the order of the axes, NaN where there is no tissue: shape
-            ([D,] H, W, 3, 3) of elastic strain, whose first axis is across the image in an image;
-            (H, W, 2, 2) or (D, H, W, 3, 3) of the others.
+            ([D,] H, W, 3, 3) for elastic strain, whose first axis is across the image in an image;
+            (H, W, 2, 2) or (D, H, W, 3, 3) for the others.
 
         Raises
         ------
         ArgumentError
             If there is no such kind.
         ProblemError
-            If the model has no elastic strain, as the paper's.
+            If the model has no elastic strain, such as the paper's.
         """
         from napari_hmrf.field.elastic_strain import elastic_strain
         from napari_hmrf.field.strain import green_lagrange_strain, small_strain
@@ -224,7 +224,7 @@ class Solution:
         Parameters
         ----------
         points : array_like, shape (N, n)
-            Before the motion, in pixels, in the order of the axes.
+            Positions before the motion, in pixels, in the order of the axes.
 
         Returns
         -------
@@ -234,14 +234,14 @@ class Solution:
         Raises
         ------
         ProblemError
-            If the points have not as many axes as the field.
+            If the points have another number of axes than the field.
         """
         moved = self.move(points) - np.asarray(points)
         step: npt.NDArray[np.float64] = moved * np.array(self.spacing)
         return step
 
     def move(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Return where points of the tissue move to.
+        """Return the moved positions of points of the tissue.
 
         Parameters
         ----------
@@ -256,7 +256,7 @@ class Solution:
         Raises
         ------
         ProblemError
-            If the points have not as many axes as the field.
+            If the points have another number of axes than the field.
         """
         from napari_hmrf.field.moved_points import moved_points
 
@@ -265,19 +265,19 @@ class Solution:
     def measure(
         self, labels: npt.ArrayLike, *, names: Mapping[int, str] | None = None
     ) -> tuple[Measurement, ...]:
-        """Measure what happened to each tissue.
+        """Measure the deformation of each tissue.
 
         Parameters
         ----------
         labels : array_like of int, shape ([D,] H, W)
-            Of the tissue before it moved.
+            Labels of the tissue before it moves.
         names : mapping of int to str, optional
-            Of the labels.
+            Names of the labels.
 
         Returns
         -------
         tuple of Measurement
-            By label; those without tissue are left out.
+            By label; labels without tissue are left out.
 
         Raises
         ------
@@ -296,23 +296,23 @@ class Solution:
         grid: Grid | None = None,
         placed: bool = True,
     ) -> float:
-        """Write the field for other tools, where its image lies.
+        """Write the field for other tools, at the place of its image.
 
         Parameters
         ----------
         path, forward, grid, placed
-            As of `export_field`.
+            As for `export_field`.
 
         Returns
         -------
         float
-            As of `export_field`: how far the file is from an inverse of the motion at the worst
-            site, in pixels.
+            As for `export_field`: largest deviation of the file from an inverse of the motion, in
+            pixels.
 
         Raises
         ------
         HmrfError, OSError
-            As of `export_field`.
+            As for `export_field`.
         """
         from napari_hmrf.io.fields import export_field
 
@@ -323,50 +323,50 @@ class Solution:
         return {"spacing": self.spacing, "tissue": self.tissue}
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Save to one .npz file, whole or not at all.
+        """Save to one .npz file, atomically.
 
         Parameters
         ----------
         path : str or path-like
-            Taken as it is; ".npz" is added only if the name has no suffix. A file of that name is
-            replaced in the moment the new one is complete.
+            Used as given; ".npz" is added only if the name has no suffix. An existing file is
+            replaced only when the new one is complete.
 
         Returns
         -------
         Path
-            The file that was written.
+            The written file.
 
         Raises
         ------
         OSError
             If the folder is missing or the file cannot be written; the message names the file.
         TypeError, ValueError
-            If frame or parameters hold something that is not of a JSON type, or parts disagree.
+            If frame or parameters hold a value of no JSON type, or parts disagree.
         """
         return array_file.write(path, SOLUTION_FORMAT, self)
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Solution:
-        """Read back what `save` wrote, in this or an earlier version.
+        """Read a file of `save`, in this or an earlier version.
 
         Returns
         -------
         Solution
-            Exactly what was saved, but for loads (sequences in parameters and frame come back as
+            The saved solution, without loads (sequences in parameters and frame come back as
             lists).
 
         Raises
         ------
         FileFormatError
-            If it is anything else, or damaged.
+            If the file is something else, or damaged.
         OSError
-            If it cannot be opened.
+            If the file cannot be opened.
         """
         return array_file.read(path, SOLUTION_FORMAT)
 
 
 def is_solution_file(path: str | os.PathLike[str]) -> bool:
-    """Tell, by reading little of it, whether a file says that it is a saved solution."""
+    """Return whether a file is marked as a saved solution; reads only its beginning."""
     return array_file.claims_to_be(path, SOLUTION_FORMAT)
 
 
@@ -440,7 +440,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
 
 
 def _reach(given: Mapping[str, Any] | None) -> Reach | None:
-    """How far large motion got, as a header has it; older files do not."""
+    """Return the extent to which large motion was completed; None in older files."""
     if given is None:
         return None
     where, furthest = given["where"], given.get("unbalanced_at")

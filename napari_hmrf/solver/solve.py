@@ -1,4 +1,4 @@
-"""From a problem to its solution: the one way to run the solver."""
+"""Solution of a problem: the single entry point to the solver."""
 
 from __future__ import annotations
 
@@ -43,17 +43,17 @@ Progress = Callable[[Monitor], None]
 _log = logging.getLogger("napari_hmrf")
 _announced: set[str] = set()
 
-#: What those who wait for it are told of a solve.
-_DOING = "a solve that a script asked for, which its cancel flag or Ctrl-C stops"
-# How often a caller looks whether to wait on, and how long the work has to stop, in seconds.
+#: Description of a solve for other callers that wait for the compute thread.
+_DOING = "a solve that a script started, which its cancel flag or Ctrl-C stops"
+# Interval between checks of the cancel flag, and time that the work has to stop, in seconds.
 _LOOK, _GRACE = 0.1, 0.25
 
 
 class CancelFlag(Protocol):
-    """Anything that can say that the work is no longer wanted, such as a `threading.Event`."""
+    """Flag that cancels the work, such as a `threading.Event`."""
 
     def is_set(self) -> bool:
-        """Whether to stop."""
+        """Return whether to stop."""
         ...
 
 
@@ -67,33 +67,33 @@ def solve(
     cancel: CancelFlag | None = None,
     initial: Initial | None = None,
 ) -> Solution:
-    """Find how the tissue moves.
+    """Compute how the tissue moves.
 
-    The work is done on the process's compute thread; the caller waits, and may be any thread.
+    The work runs on the process's compute thread; the caller waits, and may be any thread.
 
     Parameters
     ----------
     problem : Problem
     prior : SeilerPrior, ElasticPrior or NeoHookeanPrior, optional
-        The energy; by default elastic tissue. The paper's is ``SeilerPrior()``. Large motion takes
+        The energy; by default elastic tissue. The paper's is ``SeilerPrior()``. Large motion is
         ``NeoHookeanPrior()``, with multigrid, on the compiled loops.
     optimizer : ICM or Multigrid, optional
         The schedule; by default multigrid, and for the paper's prior its own: 70 sweeps on each
-        level. ``Multigrid()`` takes the paper's prior to where such sweeps would end.
+        level. ``Multigrid()`` solves the paper's prior to the limit of such sweeps.
     backend : {"auto", "opengl", "opengl:fragment", "opengl:compute", "cpu"}
-        Where to run it. "auto" takes the shaders on a real GPU and the compiled loops elsewhere,
-        and logs once which. Volumes take compute shaders (OpenGL 4.3), or the loops.
+        Backend to run on. "auto" takes the shaders on a real GPU and the compiled loops elsewhere,
+        and logs the choice once. Volumes need compute shaders (OpenGL 4.3), or the loops.
     progress : callable, optional
         Called on the caller's thread with a `Monitor`: a message and the fraction done.
     cancel : threading.Event or alike, optional
-        Set it to stop; answered within half a second, whatever is being compiled.
+        Set it to cancel; the call returns within half a second, even while loops are compiled.
     initial : Solution or sequence of Solution, optional
-        Begin with the displacement of an earlier solution of the same grid: after a small edit of
-        the problem multigrid then has less to do. Of several, with the combination that comes
-        closest to what is observed and to what pulls: how far tissue moves is proportional to how
-        far it is pushed, so that a patch moved once more takes a cycle, or none if what each
-        solution is wrong by is within the tolerance altogether. The result is the same to that
-        tolerance. The paper's schedule begins with zero on its coarsest level, and takes none.
+        Warm start from earlier solutions of the same grid: after a small edit of the problem
+        multigrid then has less to do. Several solutions are combined to come closest to the
+        observations and loads: displacements are proportional to what causes them, so moving the
+        same patch again takes one cycle, or none if the errors of the solutions add up to less than
+        the tolerance. The result is the same within the tolerance. The paper's schedule starts from
+        zero on its coarsest level, and ignores `initial`.
 
     Returns
     -------
@@ -102,11 +102,11 @@ def solve(
     Raises
     ------
     ArgumentError
-        If an argument is of another kind, or the optimizer is none for the prior.
+        If an argument is of the wrong type, or the optimizer does not fit the prior.
     BackendError
         If the backend is missing or cannot be trusted.
     ProblemError
-        If the prior finds no single answer: some tissue could still move freely.
+        If the solution is not unique: some tissue could still move freely.
     ConvergenceError
         If an iteration does not converge.
     Cancelled
@@ -132,7 +132,7 @@ def solve(
     if compute_thread.is_current():
         return run_here(problem, prior, optimizer, backend, progress, stop, initial)
     reports: queue.SimpleQueue[Monitor | None] = queue.SimpleQueue()
-    # To be told wakes the caller, who then competes with the work.
+    # Send no reports without `progress`: each one wakes the caller, which competes with the work.
     tell = None if progress is None else reports.put
     interrupted = threading.Event()
     either = _Either(stop, interrupted)
@@ -146,7 +146,7 @@ def solve(
             if progress is not None:
                 progress(report)
     except BaseException:
-        # Ctrl-C, or an error in `progress`: the work must not go on behind the caller's back.
+        # Ctrl-C, or an error in `progress`: the work must not continue in the background.
         interrupted.set()
         job.cancel()
         raise
@@ -154,8 +154,8 @@ def solve(
 
 
 def _next(reports: queue.SimpleQueue[Monitor | None], cancel: CancelFlag | None) -> Monitor | None:
-    """Wait for the next report, but not for long once the work is to stop."""
-    # A loop that is being compiled is compiled to its end, for which nobody has to wait.
+    """Wait for the next report, but only briefly once the work is cancelled."""
+    # The compilation of a loop cannot be interrupted, so a cancelled call returns before its end.
     if cancel is None:
         return reports.get()
     for _ in iter(cancel.is_set, True):
@@ -200,17 +200,17 @@ _ARGUMENTS: dict[str, tuple[Callable[[object], bool], str]] = {
     ),
     "initial": (lambda value: value is None or _may_begin(value), "a Solution, or a list of them"),
     "deliver": (callable, "something to call with an Update"),
-    "doing": (lambda value: isinstance(value, str), "what others who wait are told"),
+    "doing": (lambda value: isinstance(value, str), "a description of the work"),
 }
 
 
 def check_arguments(**given: object) -> None:
-    """Say which argument is none of its kind, before anything is done.
+    """Refuse arguments of a wrong type, before any work is done.
 
     Raises
     ------
     ArgumentError
-        Naming it, and what to give.
+        Naming the argument, and what to give.
     """
     for name, value in given.items():
         right, what = _ARGUMENTS[name]
@@ -228,7 +228,7 @@ def run_here(
     cancel: CancelFlag,
     initial: Initial | None = None,
 ) -> Solution:
-    """Solve on the compute thread itself: for jobs that have more to do there than solve."""
+    """Solve on the compute thread itself, for jobs that do more there than solve."""
     if not compute_thread.is_current():
         raise RuntimeError("run_here() is for jobs of the compute thread; call solve() instead")
     with compute_thread.unless(cancel.is_set):
@@ -243,7 +243,7 @@ def _solution_of(
     progress: Progress | None,
     initial: Initial | None,
 ) -> Solution:
-    """Get all ready, run the schedule, and say how it was done."""
+    """Prepare the backend, run the schedule, and record how it was run."""
     begun = time.perf_counter()
     check_memory(problem)
     given = prior or ElasticPrior()
@@ -289,7 +289,7 @@ def _solution_of(
     grown = 1.0 if outcome.reach is None else outcome.reach.grown
     of_prior = dict(prior.parameters)
     if problem.is_volume:
-        of_prior.pop("plane", None)  # it has none
+        of_prior.pop("plane", None)  # a volume has no plane
     return Solution(
         displacement=displacement,
         energy=outcome.energy,
@@ -320,7 +320,7 @@ def _solution_of(
 
 
 class _Either:
-    """Set when any of its flags is."""
+    """Flag that is set when any of its flags is."""
 
     def __init__(self, *flags: CancelFlag) -> None:
         self._flags = flags
@@ -330,11 +330,11 @@ class _Either:
 
 
 def _announce(renderer: str, reason: str) -> None:
-    """Say once per device what runs the kernels, and why."""
+    """Log once per device which backend runs the kernels, and why."""
     message = f"{renderer} ({reason})"
     if message not in _announced:
         _announced.add(message)
-        # A fallback is told even where nobody has set up logging.
+        # A fallback is a warning, which Python shows even if logging is not configured.
         usual = "asked for", "a GPU is there", COMPILING, FOR_VOLUMES, FOR_LARGE_MOTION
         fallback = reason not in usual
         _log.log(logging.WARNING if fallback else logging.INFO, "solving on %s", message)
@@ -352,7 +352,7 @@ def _versions() -> dict[str, str]:
 
 
 def _is_plain(problem: Problem, prior: Prior) -> bool:
-    """Whether tissue is elastic and without loads, and nothing of it rigid or may slip."""
+    """Return whether tissue is elastic, without loads, and none of it rigid or able to slip."""
     firm = isinstance(prior, ElasticPrior) and prior.penalty == math.inf
     plain = firm and problem.loads is None
     return plain and not bool(np.isinf(problem.stiffness).any())

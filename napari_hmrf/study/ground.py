@@ -1,4 +1,4 @@
-"""From a study to a problem: the one way there is, in a window, in Python and from files."""
+"""Conversion of a study to a problem, shared by the window, Python and the shell."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ from napari_hmrf.tissue.material_presets import OTHER, Palette
 from napari_hmrf.tissue.painted_loads import boundary_loads, growth_loads
 from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
 
-#: Stiffness of what is in the picture and of its dark surroundings, where nothing is painted: soft
-#: enough to hinder nothing, and still tissue, so that there always is something that holds.
+#: Stiffness of the subject and of its dark surroundings if no tissue is painted. The surroundings
+#: are soft enough not to hinder motion, but are still tissue, so that something always holds.
 _TISSUE, _SURROUNDINGS = 1.0, 0.01
 
 _OVER = (
-    "what is drawn moves tissue that is painted as held: where they overlap, what is drawn counts; "
-    "make it smaller, or put it further away"
+    "what is drawn moves tissue that is painted as held: where they overlap, the drawing takes "
+    "precedence; make it smaller, or put it further away"
 )
 
 _NO_UNIT = (
@@ -61,7 +61,7 @@ _NO_UNIT = (
 
 @dataclass(frozen=True, eq=False)
 class Statement:
-    """What is to be solved.
+    """A problem with its prior and optimizer, ready to be solved.
 
     Attributes
     ----------
@@ -70,9 +70,9 @@ class Statement:
         With the tissues' own Poisson's ratios.
     optimizer : ICM or Multigrid
     at_rest : ndarray of bool, shape ([D,] H, W)
-        Tissue that too little holds: it takes no part, and stays where it is.
+        Insufficiently constrained tissue, which is excluded from the problem and does not move.
     labels : ndarray of int, shape ([D,] H, W), optional
-        Of the tissue's own table, where brushes have painted other tissue than its layer has.
+        Tissue labels after painting, if brushes changed those of the tissue's own table.
     """
 
     problem: Problem
@@ -84,23 +84,23 @@ class Statement:
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """The images that a study's drawing lies on: all of it but that.
+    """The images of a study beneath its drawing.
 
     Attributes
     ----------
     study : Study
     base : Canvas
-        What is held and moved without a drawing.
+        Prescribed displacements without the drawing.
     stiffness : ndarray, shape ([D,] H, W), float32
         Young's modulus; 0 is no tissue, infinity is rigid.
     prior : Prior
         The energy, with the tissues' own Poisson's ratios.
     body : ndarray of bool, shape ([D,] H, W)
-        Where there is tissue that is no dark surroundings.
+        Tissue without the dark surroundings.
     palette : Palette
-        The tissues that can be painted; the labels of `base` are theirs.
+        The tissues that can be painted, which the labels of `base` refer to.
     notes : tuple of str
-        What people should know of how the study was understood, as clauses.
+        Clauses for the user on how the study was interpreted.
     """
 
     study: Study
@@ -113,18 +113,18 @@ class Ground:
 
     @classmethod
     def of(cls, study: Study, checkpoint: Callable[[], None] = lambda: None) -> Ground:
-        """Understand a study; on any thread, for it takes a while on large images.
+        """Interpret a study; on any thread, as large images take a while.
 
         Parameters
         ----------
         study : Study
         checkpoint : callable
-            Called between the parts; raises to stop the work.
+            Called between the steps; raises to stop the work.
 
         Raises
         ------
         ProblemError
-            Naming the part, what is wrong with it and what to do.
+            Naming the part, the error and a remedy.
         """
         refuse_unknown(study)
         image = study.pictures.image
@@ -145,7 +145,7 @@ class Ground:
         checkpoint()
         if study.motion.hold_edge:
             free = ~(base.confidence > 0).any(axis=-1)
-            if study.motion.labels is not None:  # the inside of a patch that expands is meant free
+            if study.motion.labels is not None:  # the inside of an expanding patch must stay free
                 free &= study.motion.labels == 0
             for part in (there, ground.body):
                 rim = outer_rim(part) & free
@@ -155,7 +155,7 @@ class Ground:
     def statement(self, drawn: Canvas | None = None) -> Statement:
         """State the problem of a drawing on this ground.
 
-        Tissue that too little holds is left out of the problem and stays where it is.
+        Insufficiently constrained tissue is left out of the problem and does not move.
 
         Parameters
         ----------
@@ -165,7 +165,7 @@ class Ground:
         Raises
         ------
         ProblemError
-            Naming the part, what is wrong with it and what to do.
+            Naming the part, the error and a remedy.
         """
         canvas = self.study.motion.drawing.render(self.base) if drawn is None else drawn
         m, prior = self.palette.painted(canvas.labels, self.base.labels, self.stiffness, self.prior)
@@ -182,7 +182,7 @@ class Ground:
         return Statement(problem, prior, self.study.optimizer, at_rest, labels)
 
     def _loads(self, labels: npt.NDArray[Any], m: FloatArray) -> Loads | None:
-        """What has tissue grow, and what presses and pulls at it."""
+        """Return the loads of growth, surface forces and weight."""
         motion, spacing = self.study.motion, self.study.grid.spacing
         parts = [growth_loads(labels, self.palette.materials)]
         if motion.labels is not None:
@@ -200,7 +200,7 @@ class Ground:
     def unused(self, statement: Statement) -> tuple[str, ...]:
         """Return clauses on rules and growth that have no effect.
 
-        A window does not say them: its tables are those of all slices.
+        The window does not show them, because its tables are shared by all slices.
         """
         labels = statement.labels
         if labels is None and self.study.tissue.labels is not None:
@@ -208,7 +208,7 @@ class Ground:
         return tuple(rows_without_effect(self.study, labels))
 
     def notes_on(self, statement: Statement) -> tuple[str, ...]:
-        """What people should know of a problem as it was understood, as clauses."""
+        """Return clauses for the user on how a problem was interpreted."""
         motion, problem = self.study.motion, statement.problem
         notes = [*self.notes]
         notes += self.idle_marks(statement)
@@ -229,19 +229,19 @@ class Ground:
 
 
 def refuse_unknown(study: Study) -> None:
-    """Refuse rigid tissue, growth and forces of a prior that cannot have them.
+    """Refuse rigid tissue, growth and forces if the prior does not support them.
 
     Raises
     ------
     ProblemError
-        Naming the tissue, what in it is not known and what to do.
+        Naming the tissue, the unsupported property and a remedy.
     """
     prior, tissue = study.prior, study.tissue
     if study.bears_loads and not isinstance(prior, Elastic):
         raise LayerError(
             study.named("tissue", "image"),
-            "is to grow, or forces pull at it, of which the paper's model knows nothing. Take the "
-            "elastic model (`model='elastic'`), or a boundary that expands.",
+            "has growth or forces, which the paper's model does not support. Take the elastic "
+            "model (`model='elastic'`), or a boundary that expands.",
         )
     if isinstance(prior, Elastic) and prior.penalty in (None, math.inf):
         return
@@ -253,14 +253,14 @@ def refuse_unknown(study: Study) -> None:
     if which:
         raise LayerError(
             study.named("tissue", "image"),
-            f"has rigid tissue ({' and '.join(which)}), which the paper's model cannot have, nor "
-            "any in which what is held may slip. Take the elastic model that holds by confidence "
-            "(`penalty=None`), or give it a number.",
+            f"has rigid tissue ({' and '.join(which)}), which the paper's model cannot have, "
+            "nor any model in which boundaries may slip. Take the elastic model that holds by "
+            "confidence (`penalty=None`), or give it a number.",
         )
 
 
 def statement_of(study: Study) -> Statement:
-    """State the problem of a study: what is to be solved.
+    """Return the problem of a study, with its prior and optimizer.
 
     Parameters
     ----------
@@ -269,7 +269,7 @@ def statement_of(study: Study) -> Statement:
     Raises
     ------
     ProblemError
-        Naming the part, what is wrong with it and what to do.
+        Naming the part, the error and a remedy.
     """
     return Ground.of(study).statement()
 
@@ -282,26 +282,26 @@ def solve_study(
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
 ) -> Solution:
-    """Solve a study by a cold start.
+    """Solve a study from a cold start.
 
     Parameters
     ----------
     study : Study
     stated : Statement, optional
-        What `statement_of` makes of it, if that is known already.
+        Result of `statement_of` for the study, if already known.
     backend, progress, cancel
         As for `solve`.
 
     Returns
     -------
     Solution
-        Placed as the study is. Its notes say what had no effect and what was guessed, unless the
-        problem was stated by the caller.
+        Placed like the study. Its notes list inputs without effect and guessed values, unless the
+        caller gave `stated`.
 
     Raises
     ------
     ProblemError
-        Naming the part, what is wrong with it and what to do; also if nothing is asked to move.
+        Naming the part, the error and a remedy; also if nothing prescribes any motion.
     Cancelled, ConvergenceError, BackendError
         As for `solve`.
     """
@@ -315,7 +315,7 @@ def solve_study(
             why = "".join(f"; {note}" for note in (*idle, *ground.idle_marks(stated)))
             raise ProblemError(
                 "motion",
-                f"asks nothing to move{why}. Give it something on tissue that moves: an arrow or a "
+                f"moves nothing{why}. Give it something that moves tissue: an arrow or a "
                 "landmark, labels with a rule that moves or expands, an observed displacement, "
                 "growth, or a force.",
             )
@@ -336,7 +336,7 @@ def solve_study(
 
 
 def _tissue_of(study: Study) -> Ground:
-    """Which tissue is where; nothing is held or moved yet."""
+    """Return the ground with the tissues of a study, before any motion is prescribed."""
     tissue, image, shape, prior = study.tissue, study.pictures.image, study.grid.shape, study.prior
     palette, notes = Palette.of_preset(tissue.preset, relative=False), [*study.notes]
     labels, around = np.full(shape, OTHER, dtype=np.int32), np.zeros(shape, dtype=bool)
@@ -370,25 +370,25 @@ def _tissue_of(study: Study) -> Ground:
 
 
 def _refuse_unknown_brightness(study: Study, intensities: npt.NDArray[Any]) -> None:
-    """Refuse an image whose brightness decides stiffness and is no number somewhere."""
+    """Refuse an image with NaN or infinite values if its brightness determines stiffness."""
     unknown = ~np.isfinite(intensities)
     if unknown.any():
         raise LayerError(
             study.named("image"),
             f"has {how_many(unknown)} that are NaN or infinite, the first at "
-            f"{first_index(unknown)}, where its brightness decides how stiff tissue is. Replace "
+            f"{first_index(unknown)}, but its brightness determines the stiffness. Replace "
             "them by numbers, or give the tissue as labels.",
         )
 
 
 def _unknown_pixels(study: Study) -> str:
-    """Say, as a clause, that an image has pixels that are no numbers; "" if it has none."""
+    """Return a clause about the NaN or infinite pixels of the image; "" if it has none."""
     image, name = study.pictures.image, f"'{study.named('image')}'"
     return "" if image is None else unknown_values(image, len(study.grid.shape), name)
 
 
 def _observe(study: Study, base: Canvas) -> list[str]:
-    """Have what is painted or observed count on the blank images of a study; what to say of it."""
+    """Write painted and observed displacements to a blank canvas; return clauses for the user."""
     motion, notes = study.motion, []
     if motion.observed is not None and motion.confidence is not None:
         sure, each = motion.confidence, motion.confidence.ndim > len(base.shape)

@@ -1,4 +1,4 @@
-"""Which energy tissue has and how far it is minimised, chosen in a word."""
+"""Priors and optimizers of the named models."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.priors.seiler import Conditional
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
-#: The holding force in the form from which on all observations are held exactly, doubted or not.
+#: Holding force in the form from which all observations are held exactly, at any confidence.
 HOLD_ALL = 1e6
 
 
 def _form_field(usual: Any, label: str, tooltip: str, **options: Any) -> Any:
-    """A field with what a form says of it, and what that lets people choose."""
+    """Return a dataclass field with its label, tooltip and choices in a form."""
     options["tooltip"] = tooltip
     return field(default=usual, metadata={"label": label, "options": options})
 
 
 @dataclass(frozen=True)
 class SolverDetails:
-    """How a model is solved: what is the paper's own, or usual, and need not be chosen.
+    """Optional settings of a solve; the defaults are the paper's or the usual ones.
 
-    A form is made from these fields; `asked` says which of them a model knows.
+    A form is generated from these fields; `asked` lists those that apply to a model.
 
     Attributes
     ----------
@@ -36,36 +36,36 @@ class SolverDetails:
     method : {"steps", "closed form"}
     sweeps : int
     energy_change : float
-        0: a level is never left early.
+        0: never leave a level early.
     penalty : float
         K of eq. 19 of the paper's model; 0: large enough to hold.
     grip : float
-        K of eq. 19 of the elastic models; 0: held as confidence says; `HOLD_ALL`: all exactly.
+        K of eq. 19 of the elastic models; 0: hold by confidence; `HOLD_ALL`: hold all exactly.
     accuracy : float
         In pixels.
     device : str
-        As `solve` takes it for its backend.
+        Value for the `backend` of `solve`.
     """
 
-    reading: Conditional = _form_field(  # noqa: RUF009 - a field of its own each time
+    reading: Conditional = _form_field(  # noqa: RUF009 - a new field on each call
         "centred",
         "reading",
-        "With which lines of three pixels (the paper's cliques) a pixel is compared.\n"
-        "centred: those whose middle it is. Nearest to finite elements.\n"
-        "blanket: all that contain it. Borders of stiff and soft tissue hardly move.",
+        "Lines of three pixels (the paper's cliques) with which a pixel is compared.\n"
+        "centred: lines with the pixel in the middle. Closest to finite elements.\n"
+        "blanket: all lines with the pixel. Borders of stiff and soft tissue hardly move.",
     )
-    # Of a `Literal` with choices magicgui would show the values, not their words.
+    # Annotated as str: for a `Literal` magicgui would show the values, not the labels.
     method: str = _form_field(
         "steps",
         "steps",
-        "Of a pixel in each sweep. Candidate steps: the paper's, of 1, 0.1, 0.01 and 0.001 "
-        "pixels.\nClosed form: straight to where it fits best.",
+        "Steps of a pixel in each sweep. Candidate steps: the paper's, of 1, 0.1, 0.01 and 0.001 "
+        "pixels.\nClosed form: straight to the best position.",
         choices=[("candidate steps", "steps"), ("closed form", "closed form")],
     )
     sweeps: int = _form_field(
         ICM().iterations,
         "sweeps per level",
-        "How often all pixels of a level are gone through, at most",
+        "Largest number of passes over all pixels of a level",
         min=1,
         max=100_000,
     )
@@ -79,7 +79,7 @@ class SolverDetails:
     penalty: float = _form_field(
         0.0,
         "penalty K",
-        "How firmly boundaries hold: energy per pixel of deviation from them",
+        "Strength with which boundaries hold: energy per pixel of deviation from them",
         max=1e9,
         step=1000,
     )
@@ -96,7 +96,7 @@ class SolverDetails:
     accuracy: float = _form_field(
         Multigrid.tolerance,
         "converged to",
-        "No pixel is estimated to be further than this from where the model has it in the end",
+        "Largest estimated distance of a pixel from the exact solution of the model",
         choices=[(f"{distance:g} px", distance) for distance in (1e-1, 1e-2, 1e-3, 1e-4)],
     )
     device: str = _form_field(
@@ -117,7 +117,7 @@ _USUAL = SolverDetails()
 
 
 def asked(model: ModelName) -> tuple[str, ...]:
-    """The details that a model knows, in their order."""
+    """List the details that apply to a model, in the order of the form."""
     if model in ELASTIC:
         return "grip", "accuracy", "device"
     if model == "paper":
@@ -131,7 +131,7 @@ def prior_of(
     plane: Plane = "stress",
     poisson: float = USUAL_POISSON,
 ) -> Prior:
-    """The energy of a model; of tissue by labels their table has Poisson's ratios."""
+    """Return the energy of a model; tissue labels override `poisson` by their table."""
     if model in ELASTIC:
         kind = ElasticPrior if model == "elastic" else NeoHookeanPrior
         penalty = math.inf if details.grip >= HOLD_ALL else details.grip or None
@@ -140,7 +140,7 @@ def prior_of(
 
 
 def optimizer_of(model: ModelName, details: SolverDetails = _USUAL) -> Optimizer:
-    """How the energy of a model is minimised."""
+    """Return the optimizer of a model."""
     if model != "paper":
         return Multigrid(details.accuracy)
     steps: dict[str, Any] = {} if details.method == "steps" else {"steps": None}
@@ -148,12 +148,12 @@ def optimizer_of(model: ModelName, details: SolverDetails = _USUAL) -> Optimizer
 
 
 def chosen(name: str) -> tuple[Prior, Optimizer]:
-    """Return the energy of a model, and how it is minimised.
+    """Return the energy and the optimizer of a model.
 
     Parameters
     ----------
     name : str
-        A `ModelName`, or the same with dashes, as the shell writes it: "large-motion".
+        A `ModelName`, or its spelling with dashes, as in the shell: "large-motion".
 
     Raises
     ------
@@ -168,7 +168,7 @@ def chosen(name: str) -> tuple[Prior, Optimizer]:
 
 
 def details_of(prior: Prior, optimizer: Optimizer) -> SolverDetails:
-    """The details by which `prior_of` and `optimizer_of` make these two."""
+    """Return the details from which `prior_of` and `optimizer_of` would make these objects."""
     details = _USUAL
     if isinstance(prior, SeilerPrior):
         details = replace(details, reading=prior.conditional, penalty=prior.penalty or 0.0)
@@ -183,7 +183,7 @@ def details_of(prior: Prior, optimizer: Optimizer) -> SolverDetails:
 
 
 def family_of(prior: Prior, optimizer: Optimizer) -> ModelName:
-    """The model of a menu that these two belong to."""
+    """Return the name of the model with this prior and optimizer."""
     if isinstance(prior, NeoHookeanPrior):
         return "large motion"
     if isinstance(prior, ElasticPrior):

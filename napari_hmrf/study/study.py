@@ -1,7 +1,7 @@
-"""A study: all that a field is computed from. The same in a window, in Python and in files.
+"""Study: all inputs of a field, the same in the window, in Python and in files.
 
-Nothing here needs napari or Qt. A study does not change; an edit makes another, which shares with
-the one before what is the same in both. So parts are compared by identity, and no array ever is.
+Nothing here needs napari or Qt. A study is immutable; an edit makes a new study, which shares the
+unchanged parts. So arrays are compared by identity, never by value.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _IN_SLICE = 0.5 + 1e-3
 
 
 class SimpleItkImage(Protocol):
-    """The part of a SimpleITK image that tells its place."""
+    """Methods of a SimpleITK image that describe its place."""
 
     def GetSize(self) -> Sequence[int]: ...  # noqa: D102
     def GetSpacing(self) -> Sequence[float]: ...  # noqa: D102
@@ -45,7 +45,7 @@ class SimpleItkImage(Protocol):
 
 
 class NibabelImage(Protocol):
-    """The part of a nibabel image that tells its place."""
+    """Properties of a nibabel image that describe its place."""
 
     @property
     def affine(self) -> Any: ...  # noqa: D102
@@ -55,7 +55,7 @@ class NibabelImage(Protocol):
 
 @dataclass(frozen=True)
 class Grid:
-    """The pixels on which everything lies.
+    """The pixel grid of all images of a study.
 
     Attributes
     ----------
@@ -64,10 +64,10 @@ class Grid:
     spacing : tuple of float
         Size of a pixel along each axis, in `unit`.
     unit : str
-        Of all lengths: displacements, radii.
+        Unit of all lengths, such as displacements and radii.
     place : Frame, optional
-        The place of the pixels in the world, and the slice that they are; see `from_image`. Files
-        for other tools need it; the field does not depend on it.
+        Position of the pixels in the world and, for a slice, within its volume; see `from_image`.
+        Files for other tools need it; the field does not depend on it.
     """
 
     shape: tuple[int, ...]
@@ -82,7 +82,7 @@ class Grid:
         if not isinstance(place, Frame):
             raise ProblemError(
                 "grid",
-                f"has a place of type {type(place).__name__}. Give a Frame, as of Grid.from_image.",
+                f"has a place of type {type(place).__name__}. Give a Frame, as in Grid.from_image.",
             )
         if len(place.plane) != len(self.shape):
             raise ProblemError(
@@ -93,18 +93,18 @@ class Grid:
 
     @property
     def known_place(self) -> Frame:
-        """Place of a grid that has one, as every grid that was read from layers."""
+        """Place of a grid that must have one, such as every grid read from layers."""
         assert self.place is not None
         return self.place
 
     def to_pixels(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Return points of the patient in pixels of this grid.
+        """Convert points in patient coordinates to pixels of this grid.
 
         Parameters
         ----------
         points : array_like, shape (N, 3) or (N, 2)
-            In mm, as `load_points` gives them: z, y, x of a volume or of a slice of one, towards
-            superior, posterior and left; y, x of an image of 2 axes.
+            In mm, as `load_points` returns them: z, y, x for a volume or a slice of one, towards
+            superior, posterior and left; y, x for an image of 2 axes.
 
         Returns
         -------
@@ -145,24 +145,24 @@ class Grid:
         Parameters
         ----------
         image : path-like, SimpleITK image or nibabel image
-            A path is read as images are: NIfTI, MetaImage, NRRD, a folder of DICOM or a picture.
-            The axes are those of its array: [z,] y, x of a file or of SimpleITK's
-            ``GetArrayFromImage``, and x, y, z of nibabel's ``dataobj``.
+            A path may be NIfTI, MetaImage, NRRD, a folder of DICOM files or a picture. The axes
+            are those of the array: [z,] y, x for a file or SimpleITK's ``GetArrayFromImage``, and
+            x, y, z for nibabel's ``dataobj``.
         slice : int, optional
-            Number of a slice of a volume; by default the grid is that of the whole image.
+            Index of a slice of a volume; by default the grid is that of the whole image.
         axis : int
-            The axis of the array that the slice lies across.
+            Axis of the array along which slices are counted.
 
         Raises
         ------
         ArgumentError
-            If it is no such image, or has no such slice.
+            If `image` is no such image, or has no such slice.
         ProblemError
             If the image's axes are not at right angles.
         FileFormatError, HmrfError, OSError
             If a file cannot be read.
         """
-        # Reading files is the work of `io`, which is built on studies.
+        # Imported here because `io`, which reads files, is built on studies.
         from napari_hmrf.io.image_grid import grid_of_image
 
         return grid_of_image(image, slice=slice, axis=axis)
@@ -175,28 +175,28 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class Tissue:
-    """Which tissue is where: by labels, by its stiffness, by brightness, or as the image shows it.
+    """Map of the tissue: by labels, by stiffness, by brightness, or derived from the image.
 
-    Without any of these all that is in the image is tissue of one stiffness, and its dark
-    surroundings, if it has any, are a hundred times softer.
+    Without labels, stiffness and curve, everything in the image is tissue of one stiffness, and
+    the dark surroundings, if any, are a hundred times softer.
 
     Attributes
     ----------
     labels : ndarray of int, shape ([D,] H, W), optional
-        With a row of `materials` each; one without a row gets a usual one.
+        Each label has a row of `materials`; a label without a row gets a default material.
     materials : tuple of Material
     stiffness : ndarray, shape ([D,] H, W), optional
         Young's modulus; 0 where there is no tissue, infinite where it is rigid.
     curve : StiffnessCurve, optional
-        By which the image's intensity says how stiff tissue is.
+        Converts the image's intensity to stiffness.
     record : mapping
-        What it was made from, in JSON types, to be kept with a solution.
+        Origin of the tissue map, in JSON types, stored with a solution.
     preset : Preset, optional
-        Which tissues a brush can paint where there is no table; by default the first of all.
+        Tissues that a brush can paint if there is no table; by default the first preset.
     unit : str
-        Of stiffness; of no consequence, for only ratios matter.
+        Unit of stiffness; it has no effect on the field, because only ratios matter.
     without_border : bool
-        Whether what is dark around the image is no tissue where its label is 0.
+        Whether dark surroundings with label 0 are not tissue.
     """
 
     labels: Array | None = None
@@ -216,9 +216,9 @@ class Tissue:
         *,
         unit: str = "",
     ) -> Tissue:
-        """Return the tissue of maps of likelihood, such as those of a segmentation.
+        """Return the tissue of likelihood maps, such as those of a segmentation.
 
-        Each pixel gets the most likely tissue, and label 0 where "none" is more likely, as by
+        Each pixel gets its most likely tissue, or label 0 where "none" is more likely, like
         ``--maps`` in the shell.
 
         Parameters
@@ -226,11 +226,11 @@ class Tissue:
         maps : mapping of str to array_like, shape ([D,] H, W)
             Likelihood of each tissue, by name, from 0 to 1, 100 or 255.
         materials : mapping of str to Material or float, or sequence of Material, optional
-            By the names of the maps; a number is a stiffness. "none" is the material of pixels
-            without a likely tissue, which else are as stiff as the first tissue. By default the
-            published values of tissues of these names, as of `materials_by_name`.
+            Materials by the names of the maps; a number is a stiffness. "none" is the material of
+            pixels without a likely tissue, which by default are as stiff as the first tissue. By
+            default the published values for these names, from `materials_by_name`.
         unit : str
-            Of stiffness.
+            Unit of stiffness.
 
         Raises
         ------
@@ -240,7 +240,7 @@ class Tissue:
         labels = most_likely([*maps.values()])
         if materials is not None:
             return cls(labels=labels, materials=materials_of_maps([*maps], materials), unit=unit)
-        # Published values are in the tables of `io`, which is built on studies.
+        # Imported here because `io`, which has the published values, is built on studies.
         from napari_hmrf.io.tissue_names import materials_by_name
 
         found = materials_by_name(dict(enumerate(maps, 1)))
@@ -274,26 +274,27 @@ class Tissue:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """How tissue moves where that is known. Of what overlaps, the later part counts.
+    """Prescribed motion of the tissue, and loads; where parts overlap, the later one wins.
 
     Attributes
     ----------
     hold_edge : bool
-        Whether the outer edge of the tissue stays where it is: beside what is no tissue or the dark
-        surroundings, and at the edge of the image. Holes in it are free.
+        Whether the outer edge of the tissue stays where it is: next to void or to the dark
+        surroundings, and at the edge of the image. The edges of holes are free.
     labels : ndarray of int, shape ([D,] H, W), optional
-        What is painted, with a row of `rules` each; one without a row stays where it is.
+        Painted boundary labels, each with a row of `rules`; a label without a row stays in place.
     rules : tuple of BoundaryRule
     observed : ndarray, shape ([D,] H, W, n), optional
-        A displacement, in the order of the axes and the grid's unit, such as a registration's.
+        Observed displacement, such as a registration's, in the order of the axes and the grid's
+        unit.
     confidence : ndarray, shape ([D,] H, W) or ([D,] H, W, n), optional
-        Confidence in what is observed, 0 (none) to 1 (certain), as of a `Problem`. Needed beside
-        `observed`.
+        Confidence in the observed displacement, 0 (none) to 1 (certain), as in a `Problem`.
+        Required with `observed`.
     drawing : Drawing
-        What was drawn with a pointer: pulls, landmarks, and strokes of a brush.
+        Marks drawn with a pointer: pulls, landmarks, and brush strokes.
     weight : tuple of float
-        What pulls at each part of all tissue, along each axis: density times acceleration, in the
-        unit of stiffness per length; empty if nothing does.
+        Body force on all tissue along each axis: density times acceleration, in the unit of
+        stiffness per length; empty for none.
     """
 
     hold_edge: bool = False
@@ -306,7 +307,7 @@ class Motion:
 
     def __post_init__(self) -> None:
         if (self.observed is None) != (self.confidence is None):
-            raise ProblemError("motion", "needs both what is observed and how sure that is.")
+            raise ProblemError("motion", "needs both the observed displacement and its confidence.")
 
     def __repr__(self) -> str:
         parts = [
@@ -321,16 +322,16 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Pictures:
-    """What may be deformed along with the field.
+    """Image and labels that the field may deform.
 
     Attributes
     ----------
     image : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4), optional
     labels : ndarray of int, shape ([D,] H, W), optional
     name, labels_name : str
-        Of what they came from; results are named after them.
+        Names of their sources; results are named after them.
     look, labels_look : dict
-        How they are drawn: colormap and the like, as a new layer takes it.
+        Display settings, such as the colormap, as arguments of a new layer.
     """
 
     image: Array | None = None
@@ -350,7 +351,7 @@ class Pictures:
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What somebody knows of a piece of tissue: where it is, how it moves, and by which energy.
+    """All inputs of a field: the tissue, its prescribed motion, and the model.
 
     Attributes
     ----------
@@ -358,30 +359,30 @@ class Study:
     tissue : Tissue
     motion : Motion
     model : {"elastic", "large motion", "paper", "paper, converged"}, optional
-        What tissue is taken to be, and how far that is solved, in a word; it sets the two that
-        follow. By default elastic. `model_name` says which it is.
+        Name of the model, which sets both `prior` and `optimizer`. By default elastic. `model_name`
+        is the current name.
     prior : ElasticPrior, NeoHookeanPrior or SeilerPrior
-        The energy; where tissues are labels, Poisson's ratios are those of their table.
+        The energy; if tissues are labels, Poisson's ratios are those of their table.
     optimizer : ICM or Multigrid
-        How it is minimised.
+        The minimiser of the energy.
     pictures : Pictures
-        What is deformed along with the tissue, and what it may be told from.
+        Image and labels to deform; tissue may be derived from the image.
     names : mapping of str to str
-        What people call the parts: "image", "tissue", "boundary", "confidence" and "drawing". What
-        is wrong is said of these.
+        The user's names of the parts "image", "tissue", "boundary", "confidence" and "drawing",
+        for use in error messages.
     notes : tuple of str
-        What people should know of how it was read, as clauses.
+        Clauses for the user on how the study was read.
 
     Raises
     ------
     ProblemError
-        Naming the part that is not of the grid's shape.
+        Naming the part that does not have the grid's shape.
     ArgumentError
         If there is no such model.
 
     Examples
     --------
-    Tissue is pulled by a patch in its middle, and held where it ends.
+    Pull tissue by a patch in its middle, and hold its edge.
 
     >>> import numpy as np
     >>> from napari_hmrf import Arrow, Drawing, Grid, Motion, Study, Tissue, solve_study
@@ -433,13 +434,13 @@ class Study:
 
     @property
     def model_name(self) -> str:
-        """The name of the model, as results have it."""
+        """Name of the model, as in results."""
         parts = {"prior": self.prior.parameters, "optimizer": self.optimizer.parameters}
         return model_name(parts)
 
     @property
     def intensities(self) -> Array | None:
-        """How bright the image is; of colours, the luminance."""
+        """Brightness of the image, or the luminance of a colour image."""
         image = self.pictures.image
         if image is None or image.ndim == len(self.grid.shape):
             return image
@@ -447,24 +448,24 @@ class Study:
 
     @property
     def moves(self) -> bool:
-        """Whether anything is said of how tissue moves, but that its edge is held."""
+        """True if the study prescribes any motion or load besides holding the edge."""
         motion = self.motion
         given = (motion.drawing.marks, motion.labels is not None, motion.observed is not None)
         return any(given) or self.bears_loads
 
     @property
     def bears_loads(self) -> bool:
-        """Whether tissue is to grow, or forces pull at it."""
+        """True if the study has growth or forces."""
         motion = self.motion
         forces = any(motion.weight) or any(rule.action in FORCES for rule in motion.rules)
         return forces or any(row.grows for row in self.tissue.materials)
 
     def named(self, *parts: str) -> str:
-        """What people call a part: the first of these that has a name."""
+        """Return the user's name of the first of these parts that has one."""
         return next((self.names[part] for part in parts if part in self.names), parts[0])
 
     def same_as(self, other: Study) -> bool:
-        """Whether a field of the other would be the same, and move the same image."""
+        """Return whether the other study has the same field and image."""
         return (
             self.grid == other.grid
             and self.prior == other.prior
@@ -475,15 +476,15 @@ class Study:
         )
 
     def lies_as(self, other: Study) -> bool:
-        """Whether the other differs in its drawing, in how it is solved, or in nothing."""
+        """Return whether the other study differs at most in its drawing and its optimizer."""
         motion = replace(self.motion, drawing=other.motion.drawing)
         return replace(self, motion=motion, optimizer=other.optimizer).same_as(other)
 
     @contextmanager
     def naming(self, drawn: bool = True) -> Iterator[None]:
-        """Let errors about the inputs of a problem name the parts that these came from.
+        """Make errors about the inputs of a problem name the parts that these came from.
 
-        Of what holds and moves that is the drawing, if there is any, unless nothing is `drawn` yet.
+        For boundary conditions the part is the drawing, if there is one, unless `drawn` is False.
         """
         names = self.names
         marks = self.motion.drawing.marks
@@ -503,11 +504,11 @@ class Study:
             yield
 
     def in_words(self, error: Exception) -> Exception:
-        """An error, said of the parts that people know."""
+        """Return an error that uses the user's names of the parts."""
         try:
             with self.naming():
                 raise error
-        except Exception as named:  # noqa: BLE001 - that is what is wanted
+        except Exception as named:  # noqa: BLE001 - any error is reworded
             return named
 
 
@@ -516,7 +517,7 @@ def _listed(parts: Iterable[str]) -> str:
 
 
 def is_same(one: Any, other: Any) -> bool:
-    """Whether arrays are one and the same; all else is compared by value."""
+    """Return whether arrays are identical objects, or other values are equal."""
     return one is other or not (hasattr(one, "dtype") or hasattr(other, "dtype") or one != other)
 
 

@@ -1,9 +1,8 @@
-"""From painted labels and two small tables to the images the method takes.
+"""Conversion of painted labels and their tables to the input images of the method.
 
-A *material* says how stiff the tissue under a label is, and how it grows; a *boundary rule* says
-how the tissue under a label was seen to move and how sure that is, or what presses or pulls there.
-Both tables belong to integer label images, as napari's Labels layers hold them; nothing here needs
-napari.
+A *material* defines the stiffness and growth of the tissue under a label; a *boundary rule* defines
+the observed motion of the tissue under a label and its confidence, or a force there. Both tables
+belong to integer label images such as napari's Labels layers; nothing here needs napari.
 """
 
 from __future__ import annotations
@@ -23,45 +22,45 @@ from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.solver.problem import FloatArray, as_numbers
 
 Action = Literal["fixed", "move", "expand", "press", "pull"]
-#: Those that are forces, and observe nothing.
+#: Actions that are forces rather than observed displacements.
 FORCES: tuple[Action, ...] = "press", "pull"
-#: In all directions, or along each axis of the image.
+#: One strain for all directions, or one along each axis of the image.
 Growth = float | tuple[float, ...]
 
-#: The common choice for soft tissue, where nothing better is known.
+#: The usual Poisson's ratio of soft tissue, if nothing better is known.
 USUAL_POISSON = 0.45
-#: The stiffness of a body that moves as one, such as bone or an implant.
+#: The stiffness of a rigid body, such as bone or an implant.
 RIGID = math.inf
 _RIGID = "rigid"
-#: The name of label 0, and the stiffness of a new tissue where nothing is known.
+#: The name of label 0.
 UNPAINTED = "everything unpainted"
+#: The stiffness of a new tissue if there is no deformable one to copy.
 _STIFFNESS = 20.0
-#: Ten times longer: more is a number in per cent.
+#: Largest growth, a strain; larger values were probably given in per cent.
 _LARGEST_GROWTH = 10.0
-#: Single precision holds no larger one: it would come out as rigid.
+#: Largest value in single precision; a larger stiffness would become infinite, that is, rigid.
 LARGEST_STIFFNESS = float(np.finfo(np.float32).max)
 
 
 @dataclass(frozen=True)
 class Material:
-    """What a tissue label means.
+    """Material of a tissue label.
 
     Attributes
     ----------
     label : int
-        Its value in the label image; 0 is what was left unpainted.
+        Value in the label image; 0 is unpainted.
     name : str
-        For people.
+        Name for display.
     stiffness : float
         Young's modulus in any unit, the same for all materials: only ratios matter. 0 is void (no
-        tissue: air, or whatever does not hold on to its surroundings); `RIGID`, which is infinite,
-        moves as one, and only an `ElasticPrior` takes it.
+        tissue, such as air or anything that does not adhere to its surroundings); `RIGID`, which is
+        infinite, moves as a rigid body, and only an `ElasticPrior` supports it.
     poisson : float
-        Poisson's ratio, 0 to 0.499; only elastic tissue knows it, and neither void nor what is
-        rigid has one.
+        Poisson's ratio, 0 to 0.499; used by elastic models only, and not for void or rigid tissue.
     growth : float or tuple of float
-        How much longer it would be if it were free: 0.1 is a tenth. In all directions, or along
-        (row, col), in a volume (plane, row, col); neither void nor what is rigid grows.
+        Relative change of length of free tissue: 0.1 is a tenth longer. In all directions, or along
+        (row, col), in a volume (plane, row, col); void and rigid tissue do not grow.
 
     Raises
     ------
@@ -81,56 +80,57 @@ class Material:
 
     @property
     def is_rigid(self) -> bool:
-        """Whether it moves as one."""
+        """True if the material moves as a rigid body."""
         return real(self.stiffness) == RIGID
 
     @property
     def is_deformable(self) -> bool:
-        """Whether it is tissue that changes its shape: neither void nor rigid."""
+        """True if the material is tissue that can deform: neither void nor rigid."""
         return 0 < real(self.stiffness) < RIGID
 
     @property
     def grows(self) -> bool:
-        """Whether it is to become longer, or shorter, by itself."""
+        """True if the material has growth or shrinkage."""
         return self.is_deformable and bool(np.any(self.growth))
 
     def as_row(self) -> dict[str, Any]:
-        """The material in JSON types, which have no infinite number: the stiffness is "rigid"."""
+        """Convert to JSON types; an infinite stiffness, which JSON does not have, is "rigid"."""
         row = asdict(self)
-        if not self.grows:  # so that earlier versions read it
+        if not self.grows:  # so that earlier versions can read the row
             del row["growth"]
         return {**row, "stiffness": _RIGID} if self.is_rigid else row
 
     @classmethod
     def of_row(cls, **row: Any) -> Material:
-        """The material that `as_row` said."""
+        """Return the material of a row made by `as_row`."""
         return cls(**{**row, "stiffness": read_stiffness(row["stiffness"])})
 
 
 @dataclass(frozen=True)
 class BoundaryRule:
-    """What a boundary label means.
+    """Boundary condition of a boundary label.
 
     Attributes
     ----------
     label : int
-        Its value in the label image, above 0: what is unpainted is not observed.
+        Value in the label image, above 0: unpainted tissue is not observed.
     action : {"fixed", "move", "expand", "press", "pull"}
-        The tissue under the label stays where it is, moves by `vector`, or moves outward by
-        `amount` (inward where negative): all of a ring, but only the rim of a patch. Or it is free,
-        and its surface under the label, where tissue ends, is pressed on by `amount`, or pulled at
-        by `vector`.
+        "fixed": the tissue under the label stays where it is. "move": it moves by `vector`.
+        "expand": it moves outward by `amount` (inward if negative), all of a ring, but only the rim
+        of a patch. "press" and "pull": the tissue is free, and its surface under the label, where
+        tissue ends, bears a pressure of `amount`, or a traction of `vector`.
     vector : tuple of float
-        Displacement in (row, col) direction, in the unit of the pixel spacing; in a volume across
-        no plane, unless it is (plane, row, col). Of a pull a force per area, in that of stiffness.
+        Displacement along (row, col), or (plane, row, col) in a volume, in the unit of the pixel
+        spacing; by default the plane component is 0. For "pull" a force per area, in the unit of
+        stiffness.
     amount : float
-        Displacement along the outward normal, in the unit of the pixel spacing; of a pressure a
-        force per area against it, in the unit of stiffness.
+        Displacement along the outward normal, in the unit of the pixel spacing; for "press" a force
+        per area against the normal, in the unit of stiffness.
     confidence : tuple of float
-        How sure the (row, col) component is, from 0 (not observed) to 1 (complete); in a volume
-        that across planes is as sure as the surer of these, unless it is (plane, row, col).
+        Confidence of the (row, col) components, or (plane, row, col) in a volume, from 0 (not
+        observed) to 1 (complete); by default the plane component has the larger of the two.
     name : str
-        For people.
+        Name for display.
     """
 
     label: int
@@ -143,7 +143,7 @@ class BoundaryRule:
 
 
 def default_material(label: int, known: Iterable[Material]) -> Material:
-    """A new tissue behaves as the first known one that is not rigid, until told otherwise."""
+    """Return the default material of a new tissue: that of the first deformable known one."""
     name = UNPAINTED if label == 0 else f"tissue {label}"
     first = next((material for material in known if material.is_deformable), None)
     if first is None:
@@ -152,28 +152,28 @@ def default_material(label: int, known: Iterable[Material]) -> Material:
 
 
 def default_rigid(label: int) -> Material:
-    """What moves as one, to be painted."""
+    """Return the default rigid material, to be painted."""
     return Material(label, "bone or implant", RIGID)
 
 
 def default_rule(label: int) -> BoundaryRule:
-    """A new boundary stays where it is, until told otherwise."""
+    """Return the default rule of a new boundary: fixed."""
     return BoundaryRule(label, "fixed", name=f"boundary {label}")
 
 
 def is_growth(strain: Any) -> bool:
-    """Whether tissue can grow by that: it does not shrink to nothing, nor is it a slip of 100."""
+    """Return whether a strain is a valid growth: above -1, and not mistakenly in per cent."""
     return -1 < real(strain) <= _LARGEST_GROWTH
 
 
 def read_stiffness(value: Any) -> Any:
-    """Take the word "rigid", however it is spelt, as `RIGID`; anything else is left as it is."""
+    """Convert the word "rigid", in any case, to `RIGID`; return anything else unchanged."""
     is_word = isinstance(value, str) and value.strip().casefold() == _RIGID
     return RIGID if is_word else value
 
 
 def stiffness_in_words(stiffness: float, unit: str = "") -> str:
-    """Say a stiffness for people: "20 kPa", or "rigid"."""
+    """Format a stiffness for display: "20 kPa", or "rigid"."""
     return _RIGID if stiffness == RIGID else f"{stiffness:g} {unit}".rstrip()
 
 
@@ -184,7 +184,7 @@ def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> Flo
     ----------
     labels : array_like of int, shape ([D,] H, W)
     materials : iterable of Material
-        One for each value in `labels`, 0 included; more do no harm.
+        One for each value in `labels`, 0 included; others are ignored.
 
     Returns
     -------
@@ -194,8 +194,8 @@ def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> Flo
     Raises
     ------
     ProblemError
-        If a label has no material or two, or a stiffness is neither `RIGID` nor a number of 0 or
-        more that single precision holds.
+        If a label has no material or two, or a stiffness is neither `RIGID` nor a number of at
+        least 0 that fits single precision.
     """
     image, present, table = _read("stiffness", "materials", Material, labels, materials)
     for material in table.values():
@@ -216,8 +216,8 @@ def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float
     Returns
     -------
     float or ndarray, shape ([D,] H, W), float32
-        `poisson` of an `ElasticPrior`: one number if all tissue has the same. 0 in void and in
-        what is rigid, which have none.
+        `poisson` of an `ElasticPrior`: one number if it is the same for all tissue. 0 in void and
+        rigid tissue, which have none.
 
     Raises
     ------
@@ -249,16 +249,16 @@ def boundary_images(
 ) -> tuple[FloatArray, FloatArray]:
     """Give every painted pixel the displacement and the confidence of its rule.
 
-    Each connected part of a label that expands moves along the outward normal of the outline that
-    encloses it (its holes filled): a painted rim of a tumour moves radially, and so does the rim of
-    a tumour painted full, whose inside follows as tissue does.
+    Each connected part of an expanding label moves along the outward normal of its outer outline
+    (holes filled): the painted rim of a tumour moves radially, and so does the rim of a completely
+    painted tumour, whose inside is free and follows.
 
     Parameters
     ----------
     labels : array_like of int, shape ([D,] H, W)
         0 where nothing is observed.
     rules : iterable of BoundaryRule
-        One for each value in `labels` above 0; more do no harm.
+        One for each value in `labels` above 0; others are ignored.
     spacing : sequence of float, shape (n,), optional
         Size of a pixel along each axis, in the unit of the displacements; by default 1.
 
@@ -267,14 +267,14 @@ def boundary_images(
     observed : ndarray, shape ([D,] H, W, n), float32
         Material displacement in the order of the axes, in the unit of `spacing`.
     confidence : ndarray, shape ([D,] H, W, n), float32
-        Confidence per component; 0 where nothing is painted or a force acts, inside a patch that
-        expands, and on an expanding spot so small that it has no direction.
+        Confidence per component; 0 where nothing is painted or a force acts, inside an expanding
+        patch, and on an expanding spot too small to have a direction.
 
     Raises
     ------
     ProblemError
-        If a label has no rule or two, a rule holds numbers out of range, or an open line is to
-        expand (which of its sides is outside, nobody can say).
+        If a label has no rule or two, if a rule has numbers out of range, or if an expanding label
+        is an open line (which has no outside).
     """
     image, present, table = _read("observed", "rules", BoundaryRule, labels, rules)
     n = image.ndim
@@ -301,7 +301,7 @@ def boundary_images(
 def _read(
     field: str, what: str, kind: type, labels: npt.ArrayLike, rows: Iterable[Any]
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any], dict[int, Any]]:
-    """Labels as an image, those in it, and their rows by label."""
+    """Return the label image, the labels present in it, and the rows by label."""
     image = as_numbers(field, labels)
     if image.dtype.kind not in "biu" or image.ndim not in (2, 3):
         raise ProblemError(
@@ -327,7 +327,7 @@ def _read(
         raise ProblemError(
             field,
             f"has labels without a {'rule' if kind is BoundaryRule else 'stiffness'}: "
-            f"{', '.join(missing[:10])}. Give each one in the table, or erase what is painted so.",
+            f"{', '.join(missing[:10])}. Give each one in the table, or erase its pixels.",
         )
     return image, present, table
 
@@ -340,7 +340,7 @@ def _check_rule(rule: BoundaryRule, n: int) -> None:
     lengths = (*vector, real(rule.amount))
     sure = all(0 <= value <= 1 for value in confidence)
     for field, right, needed in (
-        ("observed", rule.label > 0, "a label above 0: 0 is what is unpainted"),
+        ("observed", rule.label > 0, "a label above 0: 0 is unpainted"),
         (
             "observed",
             is_one_of(rule.action, get_args(Action)),
@@ -354,27 +354,27 @@ def _check_rule(rule: BoundaryRule, n: int) -> None:
 
 
 def _wrong_stiffness(material: Material) -> ProblemError:
-    """Return the error for a stiffness that no tissue has."""
+    """Return the error for an invalid stiffness."""
     return ProblemError(
         "stiffness",
         f"gives {quoted(material)} a stiffness of {shown(material.stiffness)}. Give a number above "
-        f"0 (up to {LARGEST_STIFFNESS:.2g}), 0 where there is no tissue, or 'rigid' for what moves "
-        "as one.",
+        f"0 (up to {LARGEST_STIFFNESS:.2g}), 0 where there is no tissue, or 'rigid' for a rigid "
+        "body.",
     )
 
 
 def quoted(row: Material | BoundaryRule) -> str:
-    """Which row of a table it is, by its label and its name."""
+    """Format the label and name of a row of a table."""
     return f"label {row.label} ({row.name})" if row.name else f"label {row.label}"
 
 
 def unlisted(labels: npt.ArrayLike, rows: Iterable[Any]) -> list[int]:
-    """List the labels that are somewhere, and in no row of a table."""
+    """List the labels of an image that have no row in a table."""
     return sorted({*np.unique(labels).tolist()} - {row.label for row in rows})
 
 
 def _at_labels(
     image: npt.NDArray[Any], present: npt.NDArray[Any], values: Sequence[float]
 ) -> FloatArray:
-    """Give every pixel the value of its label, one of those `present`, which are in order."""
+    """Give every pixel the value of its label; `present` must be sorted and complete."""
     return np.asarray(values, dtype=np.float32)[np.searchsorted(present, image)]

@@ -1,4 +1,4 @@
-"""The dark surroundings of a picture, which are no tissue, or soft."""
+"""Detection of the dark surroundings of a picture, which are void or soft."""
 
 from __future__ import annotations
 
@@ -10,36 +10,37 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.normals import outside_of
 
-# Of how far what is bright is from air, so much must what is dark be apart to be two things.
+# Dark surroundings are of two kinds if their means differ by this fraction of the contrast between
+# the bright pixels and air.
 _APART = 0.35
-# And each of them so much of the surroundings.
+# Each kind must also cover this fraction of the surroundings.
 _PART = 0.02
-# Of how many pictures the border is known.
+# Number of pictures whose border is cached.
 _KEPT = 4
 _known: list[tuple[weakref.ref[Any], npt.NDArray[np.bool_]]] = []
-# What is dark surrounds something from this part of the picture's edge on.
+# Dark pixels surround something if they cover at least this fraction of the picture's edge.
 _AROUND = 0.75
-# So far above what surrounds it tissue begins, on the way to its usual intensity.
+# Position of the void threshold between the intensity of air (0) and the usual one of tissue (1).
 _ABOVE = 0.01
 
 
 def background_of(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bool_]:
-    """Tell the dark surroundings of a picture from what is in it.
+    """Find the dark surroundings of a picture.
 
-    Dark is what Otsu's threshold says; surroundings are what hangs together with the edge of the
-    picture, so that dark places inside stay tissue. Where those are clearly of two kinds, as air
-    and fat are in a CT, only the darker one is air.
+    Otsu's threshold defines dark pixels; those connected to the edge of the picture are
+    surroundings, so that dark places inside stay tissue. If the surroundings are clearly of two
+    kinds, such as air and fat in a CT, only the darker kind is air.
 
     Parameters
     ----------
     picture : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
     axes : int
-        How many of it are not colours: 3 of a volume.
+        Number of axes without channels: 3 for a volume.
 
     Returns
     -------
     ndarray of bool, shape ([D,] H, W)
-        Nothing, if the picture is of one value.
+        All False if the picture is constant.
     """
     from skimage.filters import threshold_otsu
 
@@ -48,7 +49,7 @@ def background_of(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bo
     if not values.size or values.min() == values.max():
         return np.zeros(grey.shape, dtype=bool)
     threshold = threshold_otsu(values)
-    found = outside_of(grey > threshold)  # what is no number is dark
+    found = outside_of(grey > threshold)  # NaN counts as dark
     around = grey[found & np.isfinite(grey)].astype(np.float64)
     if around.size and around.min() < around.max():
         below = threshold_otsu(around)
@@ -61,15 +62,15 @@ def background_of(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bo
 
 
 def dark_border(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bool_]:
-    """What is dark around a picture, if it surrounds something; else nothing.
+    """Return the dark surroundings of a picture, or an empty mask if they surround nothing.
 
-    Of a picture that cannot be written to it is found once.
+    The result is cached for read-only pictures.
 
     Parameters
     ----------
     picture : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
     axes : int
-        How many of it are not colours: 3 of a volume.
+        Number of axes without channels: 3 for a volume.
     """
     known = next((mask for image, mask in _known if image() is picture), None)
     if known is None:
@@ -81,12 +82,12 @@ def dark_border(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bool
 
 
 def surrounds(dark: npt.NDArray[np.bool_]) -> bool:
-    """Whether what is dark in a picture surrounds something: in a photograph it is a shadow.
+    """Return whether dark pixels surround something; in a photograph they may be a shadow.
 
     Parameters
     ----------
     dark : ndarray of bool, shape ([D,] H, W)
-        Of `background_of`.
+        From `background_of`.
     """
     edge = np.concatenate(
         [dark.take(end, axis).ravel() for axis in range(dark.ndim) for end in (0, -1)]
@@ -104,19 +105,19 @@ def void_threshold(picture: npt.NDArray[Any]) -> float | None:
     Returns
     -------
     float or None
-        None if nothing dark surrounds anything.
+        None if no dark pixels surround anything.
     """
     dark, known = background_of(picture), np.isfinite(picture)
     air, inside = picture[dark & known], picture[~dark & known]
     if not (surrounds(dark) and air.size and inside.size):
         return None
-    # Just above nearly all of it: dark places inside, such as fluid, stay tissue.
+    # Just above nearly all values of air, so that dark places inside, such as fluid, stay tissue.
     darkest, usual = float(np.percentile(air, 99)), float(np.median(inside))
     return float(f"{darkest + _ABOVE * (usual - darkest):.4g}")
 
 
 def air_that_is_tissue(picture: npt.NDArray[Any], tissue: npt.NDArray[np.bool_]) -> str:
-    """Say so where most of what is dark around a picture counts as tissue, as a clause.
+    """Return a clause if most of the dark surroundings of a picture count as tissue, or "".
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the compute thread finds, handed over to the window's thread."""
+"""Handover of results from the compute thread to the GUI thread."""
 
 from __future__ import annotations
 
@@ -18,19 +18,20 @@ from napari_hmrf.wording import in_words_of
 
 _log = logging.getLogger("napari_hmrf")
 _Answer = Callable[[Any], None]
-# What those who wait for an errand are told.
+# Description of an errand for other jobs' messages, after "waiting for".
 _DOING = "a picture that is being drawn"
 
 
 class Newest(QObject):
-    """What is put here from any thread is answered on the window's, and what is replaced never.
+    """Mailbox that delivers only the latest value, on the GUI thread.
 
-    It has no parent, as that would end it while another thread puts something in.
+    Any thread may put a value; a replaced value is never delivered. The object has no parent,
+    because a parent could delete it while another thread puts a value.
 
     Parameters
     ----------
     answer : callable
-        Called on the thread this was made on, by its event loop.
+        Called with the value on the thread that created this object, by its event loop.
     """
 
     _came = Signal()
@@ -44,7 +45,7 @@ class Newest(QObject):
         self._came.connect(self._on_came, Qt.ConnectionType.QueuedConnection)
 
     def put(self, value: Any) -> None:
-        """Have this answered instead of what waits; returns at once."""
+        """Replace the pending value, without waiting for its delivery."""
         with self._lock:
             if self._released:
                 return
@@ -53,20 +54,20 @@ class Newest(QObject):
 
     @property
     def waits(self) -> bool:
-        """Whether something is not answered yet."""
+        """True if a value is pending."""
         return bool(self._waiting)
 
     def forget(self) -> None:
-        """Drop what waits."""
+        """Drop the pending value."""
         with self._lock:
-            # Who was told finds nothing.
+            # A queued callback then finds no value.
             self._waiting = []
 
     def release(self) -> None:
-        """Answer nothing any more; what is put from now on is dropped."""
+        """Drop the pending value and every value that is put later."""
         with self._lock:
             self._released, self._waiting = True, []
-        with suppress(RuntimeError):  # at the end of the program Qt may have ended it already
+        with suppress(RuntimeError):  # at exit Qt may have deleted the object already
             self.deleteLater()
 
     def _on_came(self) -> None:
@@ -77,23 +78,23 @@ class Newest(QObject):
 
 
 class _Errand(NamedTuple):
-    """What was sent."""
+    """Submitted background task."""
 
     kind: str
     answer: _Answer
-    #: Set when nobody wants its answer any more.
+    #: Set when the answer is no longer needed.
     forgotten: threading.Event
 
 
 class Errands:
-    """Small work on the compute thread; of those of a kind that wait, only the newest is ever run.
+    """Background tasks on the compute thread; only the newest queued task of each kind runs.
 
-    Work must hold copies only, and nothing of Qt's: whoever sent it may be gone when it ends.
+    Tasks must hold copies only and no Qt objects: their sender may be gone when they end.
 
     Parameters
     ----------
     refuse : callable
-        Given what was wrong, in words, with work that raised an error.
+        Called with the message of the error that a task raised.
     """
 
     def __init__(self, refuse: Callable[[str], object]) -> None:
@@ -102,9 +103,9 @@ class Errands:
         self._ended = Newest(self._on_ended)
 
     def send(self, kind: str, work: Callable[[], Any], answer: _Answer) -> None:
-        """Have work done; `answer` is called with what it returns, unless newer work replaces it.
+        """Submit a task; `answer` is called with its return value, unless a newer task replaces it.
 
-        What is being computed already is shown, too, so that something moves while one drags.
+        A task that is running already is answered, too, so that the picture moves during a drag.
         """
         for future in self._of(kind):
             if future.cancel():
@@ -120,17 +121,17 @@ class Errands:
         future.add_done_callback(self._ended.put)
 
     def busy(self, kind: str | None = None) -> bool:
-        """Whether an errand of a kind, or any, is not answered yet."""
+        """Return whether a task of a kind, or any task, is not answered yet."""
         return bool(self._of(kind))
 
     def forget(self, kind: str | None = None) -> None:
-        """Answer nothing of a kind, or of all, that was sent; what runs stops at its next look."""
+        """Discard the tasks of a kind, or all; a running task stops at its next checkpoint."""
         for future in self._of(kind):
             self._sent.pop(future).forgotten.set()
             future.cancel()
 
     def release(self) -> None:
-        """Answer nothing any more."""
+        """Discard all tasks, and answer none from now on."""
         self.forget()
         self._ended.release()
 
@@ -138,14 +139,14 @@ class Errands:
         return [future for future, errand in self._sent.items() if kind in (None, errand.kind)]
 
     def _on_ended(self, _: Future[Any]) -> None:
-        """Answer all that has ended: of what was put meanwhile only the newest is told."""
+        """Answer every task that has ended, as only the newest of several signals is delivered."""
         for future in self._of(None):
             if not future.done() or future not in self._sent:
-                continue  # an answer may have had others forgotten
+                continue  # an earlier answer may have discarded this task
             kind, answer = self._sent.pop(future)[:2]
             try:
                 found = future.result(timeout=0)
-            except Exception as error:  # noqa: BLE001 - whatever it is, the user is told
+            except Exception as error:  # noqa: BLE001 - every error is reported to the user
                 _log.debug("%s failed", kind, exc_info=True)
                 self._refuse(in_words_of("window", in_words(error)))
             else:
@@ -153,15 +154,15 @@ class Errands:
 
 
 class Repainted(QObject):
-    """Tells, once asked, when the window has painted and has heard of the mouse since.
+    """Callback after the next painting of the window and the mouse events that follow it.
 
-    Qt posts itself a request to paint, of low priority: what is posted with a lower one comes after
-    it. What the mouse has done meanwhile is heard next, and then timers without a delay ring.
+    Qt posts its request to paint with low priority, so that an event posted with a lower one comes
+    after it. Pending mouse events are processed next, and then timers without a delay fire.
 
     Parameters
     ----------
     answer : callable
-        Called on the thread this was made on, by its event loop.
+        Called on the thread that created this object, by its event loop.
     """
 
     _KIND = QEvent.Type(QEvent.registerEventType())
@@ -172,19 +173,19 @@ class Repainted(QObject):
         self._timer = single_shot(self, 0, answer)
 
     def ask(self) -> None:
-        """Have the answer called after the next painting."""
+        """Schedule the callback after the next painting."""
         QCoreApplication.postEvent(self, QEvent(self._KIND), self._PRIORITY)
 
     def event(self, event: QEvent | None) -> bool:
-        """What was asked for has been painted."""
+        """Start the timer of the callback, as the requested painting is done."""
         if event is not None and event.type() == self._KIND:
             self._timer.start()
             return True
         return bool(super().event(event))
 
     def release(self) -> None:
-        """Tell nothing any more."""
-        with suppress(RuntimeError):  # at the end of the program Qt may have ended it already
+        """Cancel the callback, and delete this object."""
+        with suppress(RuntimeError):  # at exit Qt may have deleted the object already
             QCoreApplication.removePostedEvents(self)
             self._timer.stop()
             self.deleteLater()

@@ -1,4 +1,4 @@
-"""The study that a dock works on, as it is now, and the tissue that follows it."""
+"""Current study of a dock, and the tissue that follows it."""
 
 from __future__ import annotations
 
@@ -37,21 +37,21 @@ from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.warning_chip import WarningChip
 
 _log = logging.getLogger("napari_hmrf")
-#: How often it is asked how far a solve is, in milliseconds.
+#: Interval between updates of the progress of a solve, in milliseconds.
 _POLL = 30
-#: How long there must be no answer until it is said that there is none yet, in seconds.
+#: Time without a result after which progress is shown, in seconds.
 _PATIENCE = 0.4
-#: How long tissue must rest until all layers of a result are drawn, in milliseconds.
+#: Time at rest after which all layers of a result are drawn, in milliseconds.
 _REST = 200
-#: How close large motion is while a hand moves it, in pixels.
+#: Tolerance while dragging in the large-motion model, in pixels.
 _NEAR = 0.1
-#: Sites on which a volume, or an image in large motion, is solved while a hand moves it: several
-#: pictures a second. Images of up to so many times these are followed on all of theirs.
+#: Sites on which a volume, or an image in large motion, is solved during a drag: several pictures
+#: a second. Images up to the second factor larger are solved at full resolution.
 GLANCED, _FOLLOWED = 100_000, 4
 
 
 class LiveStudy:
-    """Reads what is chosen, has the tissue follow it, and shows what comes of that.
+    """Reader of the dock's choices that keeps the tissue up to date and shows the results.
 
     Parameters
     ----------
@@ -59,35 +59,35 @@ class LiveStudy:
         The dock.
     viewer : napari.Viewer or ViewerModel
     form, choices, pointer : DockForm, Choices, Pointer
-        What there is to read; kept as attributes, for those who look after it.
+        Inputs to read; kept as attributes, for the other parts of the dock.
 
     Attributes
     ----------
     study : Study or None
-        As it was read last; None if it cannot be read.
+        Study that was read last; None if it cannot be read.
     source : napari.layers.Layer or None
-        What is deformed.
+        Layer that is deformed.
     settling : bool
-        Whether a study is solved from nothing.
+        Whether a cold-start solve is in progress.
     curve_layer : CurveLayer
-        Shows the curve by which tissue is made, if it is.
+        Shows the stiffness curve of the tissue, if it has one.
     chip : WarningChip
-        Says what is to be known of the latest result.
+        Warns of problems of the latest result.
     """
 
-    #: The tissue as it is seen from now on: a `Deformation`.
+    #: The visible state of the tissue has changed: a `Deformation`.
     seen = Signal(object)
-    #: Tissue has come to rest, and all layers of the result are drawn: `Outputs`.
+    #: The tissue is at rest, and all layers of the result are drawn: `Outputs`.
     followed = Signal(object)
-    #: Solving from nothing has ended: `Outputs`, or None if it was cancelled or failed.
+    #: A cold-start solve has ended: `Outputs`, or None if it was cancelled or failed.
     finished = Signal(object)
-    #: What there is to say; "" if what was said is over.
+    #: Status message; "" clears the one before.
     said = Signal(str)
-    #: Why what was asked for cannot be done.
+    #: Reason why a request cannot be carried out.
     refused = Signal(str)
-    #: What goes on, to be said until it is over; then "".
+    #: Progress message, shown until the work ends; then "".
     doing = Signal(str)
-    #: Another slice or image is worked on.
+    #: The current slice or image has changed.
     moved_on = Signal(Study)
 
     def __init__(
@@ -103,7 +103,7 @@ class LiveStudy:
         self._follower = Follower(self._on_seen, self._on_done)
         self._asked: Study | None = None
         self._since = 0.0
-        # Why the tissue cannot follow, what came out last, and what was said of both.
+        # Reason why the tissue cannot follow, report of the last result, and last message of both.
         self._failed = self._report = self._told = ""
         self._looking = single_shot(native, 0, self.look)
         self._resting = single_shot(native, _REST, self.complete)
@@ -114,41 +114,41 @@ class LiveStudy:
         self.chip = WarningChip(viewer, form, lambda: self._latest_here)
         self.chip.said.connect(lambda sentence: self.said.emit(sentence))
 
-    # What there is
+    # State
 
     @property
     def latest(self) -> Done | None:
-        """The latest result of what is deformed that has come to rest."""
+        """Latest result at rest of the deformed layer, or None."""
         return None if self.source is None else self._done.get(self.source)
 
     @property
     def _latest_here(self) -> Done | None:
-        """The latest result, if it is of the slice or the volume that is worked on."""
+        """Latest result, if it belongs to the current slice or volume; else None."""
         latest, study = self.latest, self.study
         here = latest is not None and study is not None and latest.moved.study.grid == study.grid
         return latest if here else None
 
     @property
     def loose(self) -> str:
-        """That nothing holds the tissue of the latest result; "" if something does."""
+        """Warning that nothing holds the tissue of the latest result; "" if it is held."""
         return "" if (done := self._latest_here) is None else messages.loose(done.notes)
 
     @property
     def busy(self) -> bool:
-        """Whether anything that was asked for is not seen yet."""
-        # What is drawn at rest waits for as long as a drag is held.
+        """True if a requested change is not shown yet."""
+        # The layers of a result at rest are not drawn before a drag ends.
         resting = self._resting.isActive() and not self.pointer.hand.holding
         words = self._poll.isActive()
         return self._looking.isActive() or resting or words or self._follower.at_work
 
     @property
     def fresh(self) -> bool:
-        """Whether the latest result is of the study as it is."""
+        """True if the latest result belongs to the current study."""
         latest, study = self.latest, self.study
         return latest is not None and study is not None and latest.moved.study.same_as(study)
 
     def request(self) -> Request:
-        """All that is chosen, with the slice that is shown and what is drawn on it.
+        """Return the current choices, with the visible slice and its drawing.
 
         Raises
         ------
@@ -160,33 +160,33 @@ class LiveStudy:
         return replace(request, drawing=self.pointer.drawing if here else Drawing())
 
     def read(self, request: Request) -> Study:
-        """Read what is chosen, and how it is to be solved."""
+        """Read the study of a request, with the chosen model and solver settings."""
         model = self.form.model
         study = read_study(request, self._copies)
         return replace(study, prior=model.prior, optimizer=model.optimizer)
 
     def first_curve(self) -> StiffnessCurve:
-        """Guess by which curve the slice's brightness says how stiff tissue is.
+        """Guess the curve from the brightness of the slice to stiffness.
 
         Raises
         ------
         HmrfError
-            If it cannot be read, or is of one value.
+            If the slice cannot be read, or has a single value.
         """
         image = self.form.image.value
         study = self.read(Request(image=image, view=self.form.view(), drawing=Drawing()))
         assert study.intensities is not None
         return first_curve(study.intensities)
 
-    # What can be done
+    # Actions
 
     def touch(self, *_: Any) -> None:
-        """Something was edited: look what, when Qt has nothing more urgent to do."""
+        """Schedule a refresh on the next idle event."""
         if not self._over:
             self._looking.start()
 
     def look(self) -> bool:
-        """Read what is chosen, and have the tissue follow; whether it could be read."""
+        """Read the current choices and update the tissue; return whether they could be read."""
         if self._over:
             return False
         self._looking.stop()
@@ -194,7 +194,7 @@ class LiveStudy:
             study = self._read_chosen()
         except Exception as error:  # noqa: BLE001 - a layer may raise anything
             if not isinstance(error, HmrfError | ValueError):
-                _log.exception("what is chosen could not be read")
+                _log.exception("the current choices could not be read")
             self._asked = None
             self.curve_layer.show(None)
             self._cannot(error)
@@ -207,7 +207,7 @@ class LiveStudy:
         return True
 
     def settle(self) -> None:
-        """Solve from nothing; `finished` is emitted at the end."""
+        """Solve from a cold start; `finished` is emitted at the end."""
         self._looking.stop()
         self.form.footer.show_work(True)
         self._copies.forget()  # a script may have changed an array in place
@@ -221,7 +221,7 @@ class LiveStudy:
         self._poll.start()
 
     def cancel(self) -> None:
-        """Stop; nothing is changed, and all is idle at once, whatever the thread does."""
+        """Cancel the work, with nothing changed; idle at once, even if the thread still runs."""
         settling, going_on = self.settling, self._follower.busy
         self._follower.forget()
         self._asked = None
@@ -234,7 +234,7 @@ class LiveStudy:
             self.finished.emit(None)
 
     def complete(self, *_: Any) -> None:
-        """Have image and arrows of the latest result drawn, once nothing is held or on its way."""
+        """Draw image and arrows of the latest result, once no drag or solve is in progress."""
         if self.study is None:
             return
         if self.pointer.hand.holding or self._follower.busy:
@@ -242,7 +242,7 @@ class LiveStudy:
             return
         moved = self.pointer.display.moved
         if moved is not None and (moved.glance or moved.study.optimizer != self.study.optimizer):
-            self._asked = None  # a drag is over
+            self._asked = None  # solve at full accuracy after a drag
             self._follow(self.study)
         else:
             self._resting.stop()
@@ -250,17 +250,17 @@ class LiveStudy:
             self._follower.complete()
 
     def show_before(self, before: bool) -> None:
-        """Show the image as it was before it moved, or as it has moved again."""
+        """Show the undeformed image, or the deformed one again."""
         result = self.pointer.display.result
         if result is not None:
             result.show_before(before)
 
     def forget(self) -> None:
-        """Work on nothing."""
+        """Clear the current study."""
         self._looking.stop()
         self._resting.stop()
         self._follower.forget()
-        self._copies.forget()  # nobody listens to layers any more
+        self._copies.forget()  # changes of layers are no longer noticed
         self._poll.stop()
         self.curve_layer.show(None)
         self.study = self.source = self._asked = None
@@ -269,24 +269,27 @@ class LiveStudy:
         self.chip.look()
 
     def release(self) -> None:
-        """Follow nothing any more."""
+        """Stop following edits for good."""
         self._over = True
         self._follower.release()
 
-    # How it goes on
+    # Solving and showing
 
     def _read_chosen(self, unpainted: bool = True) -> Study:
-        """Read what is chosen, and work on it; a boundary may be unpainted while one draws."""
+        """Read the current choices as the current study.
+
+        A boundary layer without paint is accepted if `unpainted`, as while the user draws.
+        """
         request = self.request()
         assert request.drawing is not None
         if not (unpainted or request.drawing.marks or request.boundary is None):
-            request = replace(request, drawing=None)  # it is refused in words of its own
+            request = replace(request, drawing=None)  # refused with a message of its own
         study = self.read(request)
         refuse_unknown(study)
         return self._stand_on(study, request.layers[0])
 
     def _stand_on(self, study: Study, source: Any) -> Study:
-        """Work on a study; returns it, with what is drawn on its slice."""
+        """Make a study the current one; return it with the drawing of its slice."""
         before = self.study
         self.pointer.tissue = self.form.tissue.layer
         place, self.study = study.grid, study
@@ -305,13 +308,13 @@ class LiveStudy:
         return self._with_drawing(study)
 
     def _with_drawing(self, study: Study) -> Study:
-        """Work on a study with what is drawn on its slice."""
+        """Make a study with the drawing of its slice the current one."""
         motion = replace(study.motion, drawing=self.pointer.drawing)
         self.study = replace(study, motion=motion)
         return self.study
 
     def _on_drawn(self) -> None:
-        """The drawing is another: nothing else has to be read."""
+        """Follow a changed drawing, without reading the layers again."""
         if self.study is not None:
             self._follow(self._with_drawing(self.study))
 
@@ -329,7 +332,7 @@ class LiveStudy:
             self._poll.start()
 
     def _glanced_at(self, study: Study) -> Glance | None:
-        """What is looked at while a hand moves tissue; None: all of it."""
+        """Return the coarse grid to solve on during a drag; None: the full grid."""
         shape = study.grid.shape
         quick = study.model_name != "large motion" or math.prod(shape) <= _FOLLOWED * GLANCED
         if not self.pointer.hand.holding or (len(shape) == 2 and quick):
@@ -338,7 +341,7 @@ class LiveStudy:
         return Glance(CoarseGrid.of_at_most(GLANCED, shape), *seen)
 
     def _as_followed(self, study: Study) -> Study:
-        """A study as it is solved: a frame of a drag need not be nearer than can be seen."""
+        """Return the study to solve: during a drag only to a visible tolerance."""
         optimizer = study.optimizer
         near = _NEAR if study.model_name == "large motion" else TOLERANCE
         if not self.pointer.hand.holding or not isinstance(optimizer, Multigrid):
@@ -356,7 +359,7 @@ class LiveStudy:
         self.pointer.show(seen)
         if moved.error is not None:
             self._asked = None
-            if not self.pointer.active:  # else it has said so
+            if not self.pointer.active:  # else the pointer has reported the error
                 self._cannot(moved.error)
             return
         self.seen.emit(moved)
@@ -368,7 +371,7 @@ class LiveStudy:
         study = self.study
         if study is None or done.moved.study.grid != study.grid:
             return
-        if self._looking.isActive():  # what was edited since is known first
+        if self._looking.isActive():  # read pending edits first
             self.look()
         self._done[self.source], self._failed = done, ""
         self._report = messages.report(done)
@@ -385,13 +388,13 @@ class LiveStudy:
             self.finished.emit(done.outputs)
 
     def _show(self, done: Done | None) -> None:
-        """Show a result that has come to rest, or none; its layers say whether it is up to date."""
+        """Show a result at rest, or none; its layers record whether it is up to date."""
         for made in () if done is None else done.outputs.layers.values():
             made.attributes["metadata"][METADATA]["inputs_changed"] = not self.fresh
         self.pointer.display.finish(done)
 
     def _go_back(self) -> None:
-        """Show the latest result again, in place of what there was of a study that is given up."""
+        """Show the latest result again, in place of the partial result of a cancelled study."""
         moved = self.pointer.display.moved
         if moved is not None and moved.solution is not None:
             self._resting.stop()
@@ -414,7 +417,7 @@ class LiveStudy:
 
     @property
     def _state(self) -> str:
-        """What there is to say of the study as it is; "" if nothing."""
+        """Message about the current study; "" if there is none."""
         latest, study = self.latest, self.study
         if self._failed:
             stays = "" if latest is None else messages.STAYS
@@ -426,21 +429,21 @@ class LiveStudy:
         return messages.CHANGED
 
     def _tell(self, anew: bool = False) -> None:
-        """Say how the study is, once, unless that is to be said anew."""
+        """Emit the message about the study if it has changed; with `anew` in any case."""
         before, self._told = self._told, self._state
         if anew or self._told != before:
             self.said.emit(self._told)
 
     def _cannot(self, error: Exception) -> None:
-        """The tissue does not follow; the last result stays."""
+        """Report why the tissue does not follow; the last result stays."""
         sentence = messages.in_short(error)
-        # With nothing chosen nobody has done anything yet.
+        # Without a chosen image there is nothing that could fail to follow.
         self._failed = "" if sentence in (messages.WELCOME, messages.CHOOSE) else sentence
         self.chip.look()
         self._tell(anew=sentence == messages.WELCOME)
 
     def _come_to_rest(self) -> None:
-        """Nothing is held or moved: all is where it was, and there is nothing to say of it."""
+        """Reset to the undeformed state, without a result or its report."""
         before, self._failed = self._done.pop(self.source, None), ""
         self._report = self._report if before is None else messages.STILL
         self.chip.look()
@@ -449,13 +452,13 @@ class LiveStudy:
     def _refuse(self, error: Exception) -> None:
         self._stop()
         self.refused.emit(messages.in_short(error))
-        # A warning goes by itself; an error would still be there beside the next good result.
+        # A warning disappears by itself; an error would stay beside the next good result.
         show = show_warning if isinstance(error, HmrfError | ValueError) else show_error
         show(messages.in_short(error))
         self.finished.emit(None)
 
     def _stop(self) -> None:
-        """Show that nothing goes on any more."""
+        """Show that no work is in progress."""
         self.settling = False
         self.form.footer.show_work(False)
         self.doing.emit("")

@@ -1,4 +1,4 @@
-"""What the widget says about a result, and while there is none yet."""
+"""Messages of the widget about a result, and before there is one."""
 
 from __future__ import annotations
 
@@ -23,22 +23,24 @@ READY = "Press Deform."
 STILL = "Nothing moves yet: take a tool and drag tissue, or paint what moves."
 PAINT = "Paint in {}: click a row of a table, then paint with its label."
 CURVE = "A first guess: the brighter, the stiffer. Drag the points of the curve."
-MEANWHILE = "What was deformed is hidden while you paint."
+MEANWHILE = "The deformed image is hidden while you paint."
 CHANGED = "Changed since the last result: press Deform."
 CANCELLED = "Cancelled; nothing was changed."
 STAYS = "The last result stays."
 BEHIND = "Cancelled: picture and warnings lack what was edited since: press Deform, or go on."
 NOT_CHOSEN = "'{}' is not chosen, as work has begun on another image: choose it above to go over."
-_NO_IMAGE = "No image is chosen. What came of the last one is seen again when you choose it."
-_HIDDEN = "Hidden, to show '{}': {}. Click an eye in the list of layers to see that again."
+_NO_IMAGE = "No image is chosen. Choose the last one again to see its result."
+_HIDDEN = "Hidden, to show '{}': {}. Click an eye in the list of layers to see that layer again."
 EDGE_GOES = (
-    "The edge is held no more, as '{}' says how tissue moves: tick 'hold the edge of the tissue' "
-    "to hold what of it that leaves out."
+    "The edge is no longer held, as '{}' sets the motion: tick 'hold the edge of the tissue' to "
+    "hold the parts of the edge that the layer leaves out."
 )
-#: What goes with a layer that was deleted.
-DRAWING_GONE = "'{name}' is gone, and what was drawn on it: napari brings no layer back."
-TISSUE_GONE = "'{name}' is gone, with all it said of stiffness: napari brings no layer back."
-BOUNDARY_GONE = "'{name}' is gone: it holds and moves nothing any more. napari brings none back."
+#: Messages about the data that is lost with a deleted layer.
+DRAWING_GONE = "'{name}' is gone, and the drawing on it: napari cannot restore a deleted layer."
+TISSUE_GONE = "'{name}' is gone, with its stiffness values: napari cannot restore a deleted layer."
+BOUNDARY_GONE = (
+    "'{name}' is gone: it holds and moves nothing any more. napari cannot restore a deleted layer."
+)
 
 MODELS: dict[ModelName, str] = {
     "elastic": "elastic: as finite elements",
@@ -46,28 +48,28 @@ MODELS: dict[ModelName, str] = {
     "paper": "paper's: 70 sweeps per level",
     "paper, converged": "paper's, computed to the end",
 }
-#: What another model is offered for.
+#: Labels of the button that offers another model.
 OFFERS: dict[ModelName, str] = {
     "large motion": "Take large motion, which never folds",
     "elastic": "Take the elastic model",
 }
 PLANES: dict[Plane, str] = {"stress": "free to bulge", "strain": "held at its faces"}
-#: What people can do something about, or have to wait for.
+#: Beginnings of the progress messages that the user sees: waiting and compiling.
 _WAITS = ("waiting for", "compiling", "starting to compile")
 _WARNINGS: dict[Mark, str] = {
     "folds": "the tissue is pushed through itself (it folds), which no tissue does. Move it less; "
-    "far from all that is held also by a wider patch or boundary.",
-    "overlaps": "one part of the tissue has moved onto another and hides it; parts do not feel "
-    "each other across a gap.",
+    "far from held tissue, a wider patch or boundary helps, too.",
+    "overlaps": "one part of the tissue has moved onto another and hides it; there is no "
+    "contact between parts across a gap.",
 }
-#: Where a volume is seen now.
+#: Message after the view has moved to another slice of a volume.
 MOST = "The slice that is seen now has most of them: {}."
-#: So few folded pixels are noise of the rounding, and nothing to warn of.
+#: Up to this number, folded pixels are rounding noise and cause no warning.
 HANDFUL = 5
 
 
 def report(done: Done) -> str:
-    """What came out, in a sentence."""
+    """Describe the largest displacement of a result in a sentence."""
     place, solution = done.moved.study.grid.known_place, done.outputs.solution
     far = as_seen(float(magnitude(solution.displacement).max()), solution.spacing)
     if not far:
@@ -78,7 +80,7 @@ def report(done: Done) -> str:
 
 
 def warnings_of(done: Done, seen: str) -> tuple[str, str]:
-    """What to beware of, in sentences; and what a click shows after what is `seen`, in short."""
+    """Return the warnings of a result, and the label of the next click after the overlay `seen`."""
     sites = "voxels" if len(done.moved.study.grid.shape) == 3 else "pixels"
     found = marks_of(done.outputs)
     parts = [f"Warning: at {number} {sites} {_WARNINGS[mark]}" for mark, number in found.items()]
@@ -89,18 +91,18 @@ def warnings_of(done: Done, seen: str) -> tuple[str, str]:
 
 
 def can_unfold(done: Done) -> bool:
-    """Whether tissue folds that would not in large motion."""
+    """Return whether the tissue folds and would not in the large-motion model."""
     flat = len(done.moved.study.grid.shape) == 2
     return flat and "folds" in marks_of(done.outputs) and done.moved.study.model_name == "elastic"
 
 
 def marks_of(outputs: Outputs) -> dict[Mark, int]:
-    """At how many sites tissue does what is to be marked; of what is noise, nothing."""
+    """Count the sites of each mark; leave out marks that are only noise."""
     return {mark: number for mark in MARKS if (number := getattr(outputs, mark)) > HANDFUL}
 
 
 def loose(notes: Sequence[str]) -> str:
-    """That nothing holds the tissue, in a sentence; "" if none of the notes says so."""
+    """Return the note that nothing holds the tissue, as a sentence; "" if there is none."""
     return next((_sentence(note) for note in notes if note.startswith(LOOSE)), "")
 
 
@@ -110,13 +112,13 @@ def _sentence(clause: str) -> str:
 
 
 def next_mark(outputs: Outputs, seen: str) -> Mark | None:
-    """What is marked after what is seen: folds, then overlaps, then neither."""
+    """Return the mark that follows the overlay `seen`: folds, then overlaps, then None."""
     marks = [*marks_of(outputs)]
     return next(iter(marks[marks.index(seen) + 1 :] if seen in marks else marks), None)
 
 
 def in_short(error: Exception) -> str:
-    """Why there is no result, as one sentence or two."""
+    """Explain in one or two sentences why there is no result."""
     if isinstance(error, ConvergenceError):
         return in_words_of("window", f"No result: {str(error).rstrip('.')}.")
     if isinstance(error, HmrfError | ValueError | OSError):
@@ -125,20 +127,20 @@ def in_short(error: Exception) -> str:
 
 
 def progress(monitor: Monitor, what: str = "Deforming") -> str:
-    """How far the work is, in words for all; `monitor` has the others."""
+    """Describe the progress in plain words; `monitor` has the technical ones."""
     if monitor.message.startswith(_WAITS):
         return f"{what}: {monitor.message}."
-    percent = round(100 * monitor.fraction)  # once it is solved, it has to be drawn
+    percent = round(100 * monitor.fraction)  # at 100 % the result must still be drawn
     return f"{what}: {percent} %" if 0 < percent < 100 else f"{what} ..."
 
 
 def chosen(image: Any, hidden: Sequence[Any]) -> str:
-    """What became of the picture when an image was chosen, or none; "" if no layer was hidden."""
+    """Report the layers hidden for the chosen image, or a missing choice; "" if none is hidden."""
     names = ", ".join(f"'{layer.name}'" for layer in hidden)
     return _NO_IMAGE if image is None else names and _HIDDEN.format(image.name, names)
 
 
 def saved_study(name: str, solved: bool, pairs: str) -> str:
-    """Of a study's file, and of a layer with pairs that are not in it."""
+    """Report a saved study, and the layer of landmark pairs that are not in its file."""
     apart = f" Landmarks of '{pairs}' are not in it: press 'Take as landmarks'." if pairs else ""
     return f"Saved {name}{'' if solved else ', without a field: press Deform to have one'}.{apart}"

@@ -1,4 +1,4 @@
-"""The part of the dock that says what tissue is taken to be, and how that is solved in detail."""
+"""Form for the model of the tissue and its solver settings."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.forms import Prose, align_labels, menu, narrow
 
-#: Of the picture of a plane, in pixels.
+#: Size of the picture on a plane's button, in pixels.
 _PICTURE = QSize(64, 32)
 
 
 class DetailsForm(Container):
-    """A field for each of `SolverDetails`; those are seen that a model asks for."""
+    """Form with a field for each of `SolverDetails`; only those of the chosen model are visible."""
 
     def __init__(self) -> None:
         hints = get_type_hints(SolverDetails)
@@ -45,7 +45,7 @@ class DetailsForm(Container):
 
     @property
     def details(self) -> SolverDetails:
-        """What is chosen."""
+        """Chosen solver settings."""
         return SolverDetails(**self.asdict())
 
     @details.setter
@@ -54,7 +54,7 @@ class DetailsForm(Container):
 
 
 class _PlaneChoice(RadioButtons):
-    """Buttons with a picture each; whenever it is put elsewhere magicgui makes them anew."""
+    """Radio buttons with pictures; magicgui recreates the buttons when the widget is moved."""
 
     def reset_choices(self, *_: Any) -> None:
         super().reset_choices()
@@ -65,18 +65,19 @@ class _PlaneChoice(RadioButtons):
 
 
 class ModelForm(Container):
-    """One of the models, with a sentence of when to take which.
+    """Form for the model, with a sentence of advice on its use.
 
     Attributes
     ----------
     model : ComboBox
-        A `ModelName`. Whoever chooses the paper's has its own numbers, too.
+        A `ModelName`. Choosing the paper's model also restores its own numbers.
     plane : RadioButtons
-        Of the elastic model: "stress" or "strain".
+        Plane of the elastic model: "stress" or "strain".
     poisson : FloatSpinBox
-        Of the elastic model, where the tissue is an image of stiffness; labels have a table.
+        Poisson's ratio of the elastic model if the tissue is an image of stiffness; labels have
+        theirs in a table.
     in_detail : DetailsForm
-        To be put elsewhere.
+        Solver settings; the dock places this form elsewhere.
     """
 
     def __init__(self) -> None:
@@ -84,7 +85,7 @@ class ModelForm(Container):
         self.model = menu(
             "model",
             messages.MODELS,
-            "What tissue is taken to be. The paper's brings its own numbers back under Advanced",
+            "Model of the tissue. The paper's restores its own numbers under Advanced",
             name="model",
         )
         narrow(self.model)
@@ -93,13 +94,13 @@ class ModelForm(Container):
             label="slice is",
             choices=[(words, plane) for plane, words in messages.PLANES.items()],
             value="stress",
-            tooltip="What lies around the slice: nothing (plane stress), or tissue (plane strain)",
+            tooltip="Surroundings of the slice: nothing (plane stress), or tissue (plane strain)",
         )
         self.poisson = FloatSpinBox(
             name="poisson",
             label="Poisson's ratio",
             min=low,
-            max=1.0,  # what is too much is refused in words, and not turned into 0
+            max=1.0,  # a larger ratio gets an error message instead of becoming 0
             step=0.05,
             value=USUAL_POISSON,
             tooltip=ABOUT_POISSON,
@@ -110,19 +111,19 @@ class ModelForm(Container):
         form.margins = (0, 0, 0, 0)
         align_labels(form)
         self.poisson.native.setDecimals(3)
-        self.poisson.native.setKeyboardTracking(False)  # "0." is no ratio yet
+        self.poisson.native.setKeyboardTracking(False)  # "0." is not a complete ratio
         self.in_detail = DetailsForm()
         self._tissue: Any = None
         self._volume = False
         self.model.changed.connect(self._on_model)
-        # A menu tells of no change where what is chosen already is chosen again.
+        # A menu emits no change when the current model is chosen again.
         self.model.native.activated.connect(lambda _: self._on_model(self.model.value))
         self.plane.changed.connect(self._show)
         self._show()
 
     @property
     def values(self) -> dict[str, Any]:
-        """All that is chosen, by name."""
+        """All choices, by name."""
         return {**self._form.asdict(), "details": self.in_detail.details}
 
     @values.setter
@@ -132,28 +133,28 @@ class ModelForm(Container):
 
     @property
     def is_elastic(self) -> bool:
-        """Whether Poisson's ratios count."""
+        """True if Poisson's ratios apply."""
         return self.model.value in ELASTIC
 
     @property
     def prior(self) -> Prior:
-        """The energy chosen; where tissues are labels, Poisson's ratios are still to come."""
+        """Chosen energy; for labelled tissues, without their Poisson's ratios."""
         details = self.in_detail.details
         return prior_of(self.model.value, details, self.plane.value, self.poisson.value)
 
     @property
     def optimizer(self) -> Optimizer:
-        """How it is minimised."""
+        """Optimizer that minimises the energy."""
         return optimizer_of(self.model.value, self.in_detail.details)
 
     def tissue_is(self, layer: Any) -> None:
-        """Tell what the tissue is read from: an image has one Poisson's ratio for all of it."""
+        """Set the layer that defines the tissue: an image has a single Poisson's ratio."""
         if layer is not self._tissue:
             self._tissue = layer
             self._show()
 
     def extent_is(self, volume: bool) -> None:
-        """Tell whether a volume is deformed, which lies in no plane."""
+        """Set whether a volume is deformed, for which there is no plane to choose."""
         self._volume = volume
         self._show()
 
@@ -164,7 +165,7 @@ class ModelForm(Container):
         self._show()
 
     def _show(self, *_: Any) -> None:
-        """Show what applies."""
+        """Show the fields that apply."""
         model = self.model.value
         self._when.say(when_to_take(model, None if self._volume else self.plane.value))
         self.plane.visible = self.is_elastic and not self._volume

@@ -1,4 +1,4 @@
-"""The dock widget *Soft tissue*: what is where, how it moves, and what comes of it."""
+"""Dock widget *Soft tissue*: the tissue, its motion, and the result."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ from napari_hmrf.ui.viewer_watch import ViewerWatch
 
 
 class SoftTissue(Dock):
-    """Say which tissue is where and how it moves, and see all of it follow.
+    """Dock widget that defines tissue and its motion, and shows all of the tissue follow.
 
-    Everything the user can do a script can do too: choose layers (`image`, `tissue`, `boundary`,
-    ...), fill the tables (`materials`, `rules`), set `model`, `settings` and `drawing`. While
-    `live`, the tissue follows every edit; `deform` solves from nothing, and `finished` is emitted
-    with what came out. `result`, `percent`, `overlay` and the like say what of it is seen.
+    A script can do everything the user can: choose layers (`image`, `tissue`, `boundary`, ...),
+    fill the tables (`materials`, `rules`), set `model`, `settings` and `drawing`. While `live` is
+    True, the tissue follows every edit; `deform` solves from a cold start and emits `finished`
+    with the result. `result`, `percent`, `overlay` and similar attributes control the display.
 
     Parameters
     ----------
@@ -63,87 +63,88 @@ class SoftTissue(Dock):
     Attributes
     ----------
     image : napari.layers.Image or None
-        What to deform. Where there is no image at all, the motion of painted tissue is seen alone.
+        Image to deform. If there is no image at all, only the motion of painted tissue is shown.
     extent : {"slice", "volume"}
-        Whether the slice that is shown is deformed as if it had no neighbours, or all of a volume.
+        Deform the visible slice as if it had no neighbours, or the whole volume.
     tissue : napari.layers.Labels, Image, "brightness" or None
-        Labels of tissues, an image of stiffness, or the image's brightness by its curve; without,
-        tissue is what the image shows.
+        Labels of tissues, an image of stiffness, or the image's brightness through its curve;
+        None: the content of the image is tissue.
     boundary : napari.layers.Labels, Vectors or None
-        Labels of what holds and moves, or observed displacements.
+        Labels of held and moved regions, or observed displacements.
     confidence : napari.layers.Image, Labels, "edges" or None
-        Of Vectors as boundary; without, 1 everywhere.
+        Confidence of the Vectors chosen as boundary; None: 1 everywhere.
     materials, rules : tuple of Material, tuple of BoundaryRule
-        How stiff each tissue label is, and what each boundary label does.
+        Stiffness of each tissue label, and effect of each boundary label.
     curve : StiffnessCurve or None
-        From intensity to stiffness, if the tissue is made by one; to be set, too.
+        Curve from intensity to stiffness, if the tissue is defined by one; can be set.
     hold_edge, without_border : bool
-        Whether the outer edge of the tissue stays where it is, and whether what is dark around the
-        image and unpainted is no tissue.
+        Whether the outer edge of the tissue is held in place, and whether the dark, unpainted
+        border of the image is excluded from the tissue.
     model, plane : str
-        What tissue is taken to be: "elastic", "paper" or "paper, converged"; and of what is
-        elastic "stress" or "strain". The paper's brings its own numbers into `settings`.
+        Model of the tissue: "elastic", "paper" or "paper, converged"; and, for elastic tissue,
+        "stress" or "strain". The paper's model sets its own numbers in `settings`.
     poisson : float
-        Of elastic tissue that is an image of stiffness; labels have it in `materials`.
+        Poisson's ratio of elastic tissue given as an image of stiffness; labels have theirs in
+        `materials`.
     settings : SolverDetails
-        How to solve, in detail: a value, as in `dock.settings = replace(dock.settings, sweeps=7)`.
+        Solver settings: a value, as in `dock.settings = replace(dock.settings, sweeps=7)`.
     fields, history : ToolFields, History
-        How the tools draw; and the drawing of the slice that is shown, with its steps.
+        Settings of the tools; and the drawing of the visible slice, with its undo steps.
     active, playing : bool
-        Whether the mouse draws, and whether the deformation goes back and forth by itself.
+        Whether the mouse draws, and whether the deformation is played back and forth.
     result : napari.layers.Vectors or None
-        The arrows that hold the result that is looked at: the newest, or one whose arrows were
-        selected since; to be set, too.
+        Arrows that hold the displayed result: the newest, or one whose arrows were selected
+        since; can be set.
     percent, before : int, bool
-        How much of the deformation is seen, from 0 to 100; and whether the image is, as it was,
-        without its result.
+        Displayed part of the deformation, from 0 to 100; and whether the undeformed image is
+        shown, without its result.
     overlay : str
-        What lies over the image: "nothing"; moving with the tissue a `Quantity`, "grid", "labels",
-        "difference" (from the reference), "folds", "overlaps", "stiffness" or "confidence"; where
-        it was, "observed".
+        Overlay on the image: "nothing"; moving with the tissue, a `Quantity`, "grid", "labels",
+        "difference" (from the reference), "folds", "overlaps", "stiffness" or "confidence"; at the
+        original position, "observed".
     reference, comparison : napari.layers.Vectors or None, Comparison or None
-        A field or another result, and how far this one is from it, once that is computed.
+        A field or another result, and the difference of this one from it, once computed.
     more : ResultMenu
         Measures the result, saves its field and a film, and moves other layers along.
     live : bool
-        Whether the tissue follows every edit; by default unless the image is large.
+        Whether the tissue follows every edit; by default True unless the image is large.
     status, invitation, warning : str
-        The sentence at the bottom, what can be done next, and what is to be known of the tissue
-        that is seen.
+        Sentence at the bottom, hint at the next step, and warning about the visible tissue.
     seen, followed : Signal(Deformation), Signal(Outputs)
         Emitted with every new state of the tissue, and when it is at rest and all layers are drawn.
     finished, saved : Signal(object)
         Emitted when `deform` ends: `Outputs`, or None if it was cancelled or failed; and when
-        pictures are written: a list of `Path`.
+        pictures were written: a list of `Path`.
     unsaved, ask : bool, callable
-        Whether something was done that no file holds; and who answers "save", "discard" or
-        "cancel" before a window closes on that: by default a person.
+        Whether there is work that is in no file; and the function that answers "save", "discard"
+        or "cancel" before a window with such work closes: by default a dialog.
     compare_with, residual : napari.layers.Image or None, str
-        A second image over the one that moves, and how far landmarks are from where they belong.
+        A second image over the deformed one, and the distance of landmarks from their targets.
     at : callable
-        Given a point of the world, says what happens to the tissue that is seen there: a `Probe`;
-        None beside it.
+        Given a point of the world, returns the deformation of the visible tissue there, a `Probe`;
+        None outside tissue.
     undo, redo : callable
-        Take back what was done last, and do again what was taken back.
+        Undo the last step, and redo the step undone last.
     remove, clear : callable
-        Remove what is selected, and all that is drawn on the slice that is shown.
+        Remove the selected mark, and all marks of the visible slice.
     play, pause : callable
-        Go back and forth between 0 and 100 % until `pause`, and stay at what is seen.
+        Play back and forth between 0 and 100 %, and pause at the displayed state.
     save_study, save_materials : callable
         Given a path, save all of `study`, and its field if that is up to date, as
         `napari_hmrf.save_study`; and the table of tissues, as `material_tables.save_materials`.
-        They return the `Path` that was written.
+        Both return the `Path` of the file.
     take_materials : callable
         Fill the table of the Labels layer chosen as tissue, as `MaterialMenu.take`: given a
         `Preset`, another Labels layer, or a file's path.
     cancel : callable
-        Stop; nothing is changed, and the dock is idle at once, whatever the thread does.
+        Cancel the work, with nothing changed; the dock is idle at once, even if the thread still
+        runs.
     touch : callable
-        Something was edited in a way that nobody is told of: have the tissue follow.
+        Update the tissue after an edit that emits no event.
     say : callable
-        Given a sentence, say it at the bottom.
+        Show a sentence at the bottom.
     sides : Sides
-        Which side of the patient lies at each edge of the canvas, where an image knows: "R", say.
+        Side of the patient at each edge of the canvas, such as "R", if an image records it.
     """
 
     image = Part[Any]("_form.image.value")
@@ -204,7 +205,7 @@ class SoftTissue(Dock):
         viewer, steps = self._viewer, steps_of(self._viewer)
         self._steps = steps
         self._taken: tuple[Landmark, ...] = ()
-        # Whether a tool was taken up by itself, and nobody has used it yet.
+        # True if a tool was activated automatically and has not been used yet.
         self._unused = False
         self._form = form = DockForm(self, viewer)
         remember(form.model.in_detail["device"])
@@ -222,11 +223,11 @@ class SoftTissue(Dock):
         self._connect()
         self._choices.choose_first()
 
-    # What there is to see
+    # State
 
     @property
     def study(self) -> Study:
-        """What is chosen, painted, drawn and set, as it is now.
+        """Current study: the choices, paint, drawing and settings.
 
         Raises
         ------
@@ -237,34 +238,34 @@ class SoftTissue(Dock):
 
     @property
     def solution(self) -> Solution | None:
-        """Of the latest result that has come to rest."""
+        """Solution of the latest result at rest, or None."""
         latest = self._live_study.latest
         return None if latest is None else latest.outputs.solution
 
     @property
     def shown(self) -> Study | None:
-        """What the latest result was made from."""
+        """Study of the latest result, or None."""
         latest = self._live_study.latest
         return None if latest is None else latest.moved.study
 
     @property
     def details(self) -> str:
-        """What ran to make the latest result, how long and how well."""
+        """Method, duration and accuracy of the latest result; "" if there is none."""
         return "" if self.solution is None else repr(self.solution)
 
     @property
     def idle(self) -> bool:
-        """Whether no deformation from nothing goes on."""
+        """True if no cold-start solve is in progress."""
         return not self._live_study.settling
 
     @property
     def busy(self) -> bool:
-        """Whether anything that was asked for is not seen yet."""
+        """True if a requested change is not shown yet."""
         return self._live_study.busy or self._view.busy
 
     @property
     def tool(self) -> str:
-        """What the mouse does: "pull", "landmark", or what it paints, an action of a `Stroke`."""
+        """Tool of the mouse: "pull", "landmark", or an action of a `Stroke` that it paints."""
         return self._pointer.tool.name
 
     @tool.setter
@@ -273,7 +274,7 @@ class SoftTissue(Dock):
 
     @property
     def drawing(self) -> Drawing:
-        """What is drawn on the slice that is shown."""
+        """Drawing of the visible slice."""
         return self._pointer.drawing
 
     @drawing.setter
@@ -282,36 +283,36 @@ class SoftTissue(Dock):
         by_itself = self._choices.by_itself
         self._pointer.set_drawing(drawing, "" if by_itself else "took over a drawing")
 
-    # What can be done
+    # Actions
 
     def start(self) -> bool:
-        """Have the mouse draw with the tool in the hand; whether it does from now on."""
+        """Start drawing with the current tool; return whether the mouse draws now."""
         if self._viewer.dims.ndisplay != 2 or self.image is None:
             self._guide.invite()
         elif self._live_study.look():
             self._pointer.take()
             self._watch.hide_paint()
-            self.touch()  # what is drawn on is followed, live or not
+            self.touch()  # tissue follows its drawing, live or not
         self._watch.look_at_mouse()
         return self.active
 
     def stop(self) -> None:
-        """Have the mouse move the view again; what is drawn stays."""
+        """Stop drawing, so that the mouse moves the view again; the drawing stays."""
         if self.active and self.image in self._viewer.layers:
             self._viewer.layers.selection = {self.image}
 
     def save_pictures(self, folder: str | Path) -> None:
-        """Write pictures into a folder that exists; `saved` is emitted when they are there."""
+        """Write pictures into an existing folder; `saved` is emitted when they are written."""
         attempt(partial(self.more.save_pictures, folder), self.say)
 
     def open_study(self, path: str | Path) -> None:
-        """Add the layers of a saved study, and set all as it was; errors are of `load_study`."""
+        """Add the layers of a saved study, and restore its settings; errors as in `load_study`."""
         self._unsaved.open(path)
         if self.drawing.marks:
-            self._unused = self.start()  # so that they are seen
+            self._unused = self.start()  # makes the marks visible
 
     def deform(self) -> None:
-        """Solve from nothing; the layers are copied now, and `finished` is emitted at the end."""
+        """Solve from a cold start; the layers are copied now, `finished` is emitted at the end."""
         if self.idle and not self.away:
             for table in self._form.tables:
                 table.look()
@@ -321,28 +322,28 @@ class SoftTissue(Dock):
     def make_layers(self) -> None:
         """Add a tissue and a boundary layer on the pixels of the image, and choose them.
 
-        What is chosen there already stays; so does tissue by the image's brightness.
+        Layers that are chosen already are kept, as is tissue defined by the image's brightness.
 
         Raises
         ------
         HmrfError
-            If no image is chosen, or it is not where the viewer looks.
+            If no image is chosen, or the image is not in the visible slice.
         """
         if self.image is None:
             raise HmrfError(messages.WELCOME)
         by_itself = self.curve is not None
         chosen = (self.image if by_itself else self.tissue, self.boundary)
         made = add_missing(self._viewer, self.image, *chosen, self._form.view())
-        with self._choices.nobody_chooses():  # undo would not take the layers away
+        with self._choices.nobody_chooses():  # undo would not remove the layers
             self.tissue, self.boundary = BRIGHTNESS if by_itself else made[0], made[1]
         painted = (f"'{layer.name}'" for layer in made if isinstance(layer, Labels))
         self.say(messages.PAINT.format(" and ".join(painted)))
 
     def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> StiffnessCurve:
-        """Have the image's intensity say how stiff tissue is; returns the curve by which it does.
+        """Define the stiffness of tissue by the image's intensity; return the curve.
 
-        The `curve` is by default the one that there is for this image, or else a first guess; a
-        `HmrfError` is raised if no image is chosen, or no curve can be made for it.
+        The `curve` is by default the existing one of this image, or else a first guess. Raises
+        `HmrfError` if no image is chosen, or no curve can be made for it.
         """
         if self.image is None:
             raise HmrfError(messages.WELCOME)
@@ -355,10 +356,10 @@ class SoftTissue(Dock):
         return curve
 
     def take_landmarks(self, where: Any, should: Any = None, **how: float) -> None:
-        """Have points of two layers, or lines of a Shapes layer, be landmarks of the drawing.
+        """Take points of two layers, or lines of a Shapes layer, as landmarks of the drawing.
 
-        Those that were taken before are replaced. Arguments (`radius` and `confidence` among them)
-        and errors are those of `read_landmarks`.
+        Landmarks that were taken before are replaced. Arguments (`radius` and `confidence` among
+        them) and errors are those of `read_landmarks`.
         """
         if self.image is None or not self._live_study.look():
             raise HmrfError(messages.WELCOME if self.image is None else self.status)
@@ -371,7 +372,7 @@ class SoftTissue(Dock):
         self.start()
 
     def hand_brush(self, layer: Any) -> None:
-        """Have a layer painted on next: seen, active, on the image as it was before it moved."""
+        """Prepare a layer for painting: make it visible and active, on the undeformed image."""
         if layer in self._viewer.layers:
             self._viewer.layers.selection.active = layer
             layer.visible = True
@@ -395,7 +396,7 @@ class SoftTissue(Dock):
         form.footer.cancel.changed.connect(lambda _: self.cancel())
         for table in form.tables:
             table.picked.connect(self.hand_brush)
-            # What comes of something typed is seen, with a brush in the hand, too.
+            # Show the effect of a typed value even while the brush is active.
             table.changed.connect(lambda by_itself: None if by_itself else live.show_before(False))
         pointer.changed.connect(self._show_tool)
         pointer.begun.connect(partial(setattr, self, "_unused", False))
@@ -405,7 +406,7 @@ class SoftTissue(Dock):
 
     def _show_tool(self) -> None:
         motion, pointer = self._form.motion, self._pointer
-        if not pointer.hand.holding:  # a drag changes none of it
+        if not pointer.hand.holding:  # a drag changes none of these
             motion.show_tool(pointer.tool.name if pointer.active else "")
             motion.remove.enabled = pointer.hand.selected is not None
             motion.clear.enabled = bool(pointer.drawing.marks)
@@ -418,10 +419,10 @@ class SoftTissue(Dock):
         self._guide.refuse(why)
         show_warning(why)
 
-    # What is pressed, and what is said
+    # Buttons and events
 
     def _on_tool(self, name: str) -> None:
-        """The button of a tool takes it, and puts it down again."""
+        """Switch to the tool of a button; a second press puts it down."""
         unused, self._unused = self._unused, False
         if self.active and self.tool == name and not unused:
             self.stop()
@@ -432,20 +433,20 @@ class SoftTissue(Dock):
         self._show_tool()
 
     def _on_finished(self, outputs: object) -> None:
-        """Have the result be seen that was asked for, and not what was painted on it."""
+        """Show the requested result without the paint on it."""
         if outputs is not None and self.image is not None:
             self._live_study.show_before(False)
             for tissue in (self._form.tissue.layer, self._live_study.curve_layer.layer):
                 if tissue is not None:
-                    tissue.visible = False  # it would tint what was deformed
+                    tissue.visible = False  # would tint the deformed image
 
     def on_window(self, window: Any) -> None:
-        """The dock is in a window of napari's."""
+        """Connect to the napari window that the dock was added to."""
         window.installEventFilter(self._unsaved)
         self._sides.begin(window)
 
     def on_over(self, closed: bool) -> None:
-        """The dock was closed, or the window is gone."""
+        """Release all parts, as the dock was closed or its window is gone."""
         if closed:
             self._live_study.cancel()
             self._live_study.forget()

@@ -1,4 +1,4 @@
-"""Work that is in no file yet: asked for before its window closes, and kept against a crash."""
+"""Unsaved work: prompt before its window closes, and crash recovery."""
 
 from __future__ import annotations
 
@@ -47,18 +47,18 @@ from napari_hmrf.ui.remembered_settings import settings
 Answer = Literal["save", "discard", "cancel"]
 Attempt = Callable[[Callable[[], object]], None]
 _log = logging.getLogger("napari_hmrf")
-#: What file names do not hold everywhere.
+#: Characters that not every system allows in file names.
 _NO_FILE_NAME = re.compile(r'[\\/:*?"<>|]')
-#: How long nothing must be edited until it is kept against a crash, in milliseconds.
+#: Time without an edit after which the work is kept against a crash, in milliseconds.
 _REST = 1000
-#: Those of all docks there are.
+#: Instances of all open docks.
 _all: weakref.WeakSet[Unsaved] = weakref.WeakSet()
 
 
 class Unsaved(QObject):
-    """Saves and opens the studies of a dock, and lets none of what was done be lost by accident.
+    """Keeper of a dock's studies: saves and opens them, and protects unsaved work.
 
-    A script that closes its viewer is not asked.
+    There is no prompt when a script closes its viewer.
 
     Parameters
     ----------
@@ -66,12 +66,12 @@ class Unsaved(QObject):
     viewer : napari.Viewer or ViewerModel
     live : LiveStudy
     attempt : callable
-        Given what to do, does it or says why not.
+        Runs a given action, and reports the error if it fails.
 
     Attributes
     ----------
     ask : callable
-        Given a question, answers "save", "discard" or "cancel"; by default a person does.
+        Given a question, returns "save", "discard" or "cancel"; by default from a dialog.
     """
 
     def __init__(self, dock: Any, viewer: Any, live: Any, attempt: Attempt) -> None:
@@ -89,13 +89,13 @@ class Unsaved(QObject):
 
     @property
     def there(self) -> bool:
-        """Whether something was done that no file holds."""
+        """True if there is work that is in no file."""
         return bool(self._work.slices)
 
-    # What is done with files
+    # Files
 
     def save(self, path: str | Path) -> Path:
-        """Save the study as it is, and its field if that is up to date."""
+        """Save the current study, and its field if that is up to date."""
         solution, study = self._dock.solution if self._live.fresh else None, self._dock.study
         written = save_study(path, study, solution)
         apart = self._landmarks_apart(study)
@@ -104,7 +104,7 @@ class Unsaved(QObject):
         return written
 
     def _landmarks_apart(self, study: Study) -> str:
-        """The layer that is chosen as *landmarks at*, if a pair of it was not taken; else ""."""
+        """Return the name of the *landmarks at* layer if a pair of it was not taken; else ""."""
         form, grid = self._live.form, study.grid
         where, should = form.motion.boundary.landmarks.pair
         taken = [ends_of(mark, grid.spacing) for mark in study.motion.drawing.marks]
@@ -112,7 +112,7 @@ class Unsaved(QObject):
             return ""
         try:
             chosen = read_landmarks(where, should, grid.known_place, grid.shape, form.view())
-        except HmrfError:  # it is said when they are taken
+        except HmrfError:  # reported when the landmarks are taken
             return ""
         return where.name if any((mark.target, mark.source) not in taken for mark in chosen) else ""
 
@@ -129,12 +129,12 @@ class Unsaved(QObject):
             self.save(chosen)
 
     def open(self, path: str | Path) -> None:
-        """Add the layers of a saved study; what was drawn on others stays on them."""
+        """Add the layers of a saved study; drawings on other layers stay."""
         self._add(path)
         self._settle(self._pointer.history.slot, Path(path))
 
     def _add(self, path: str | Path) -> None:
-        """Have what a file holds be in the viewer; undo would not take its layers away."""
+        """Add the content of a file to the viewer; undo would not remove its layers."""
         study, dock = load_study(path).study, self._dock
         layers = study_layers(study)
         with self._choices.nobody_chooses():
@@ -161,15 +161,15 @@ class Unsaved(QObject):
                 raise HmrfError(f"{Path(path).name} cannot be shown here: {dock.status}")
             dock.drawing = study.motion.drawing
         if (brightness := self._live.curve_layer.layer) is not None and study.moves:
-            brightness.visible = False  # as all paint of what moves
+            brightness.visible = False  # as all paint on moving tissue
 
     def _on_edited(self, slot: Slot, _: Any, before: Any) -> None:
         others = slot.what == PAINT and slot.layer not in self._choices.values.values()
         if slot.what in (CHOICE, MODEL) or others:
-            return  # made again in a moment, or no part of the study
+            return  # recreated in a moment, or not part of the study
         edits = self._steps.edits
         here = slot if slot.what == DRAWING else self._pointer.history.slot
-        # What changes with something else, as a choice that follows new layers does, is no step.
+        # A change that follows from another, such as a choice after new layers, is no undo step.
         steps = (edits.next_undo, edits.next_redo)
         by_hand = any(step is not None and step.slot == slot for step in steps)
         if isinstance(here, Slot) and by_hand:
@@ -177,7 +177,7 @@ class Unsaved(QObject):
             self._resting.start()
 
     def _settle(self, here: Any, path: Path | None = None) -> None:
-        """A slice needs to be kept no more."""
+        """Stop keeping a slice, which was saved or discarded, against a crash."""
         self._work.save(here)
         if path is not None:
             self._work.paths[here] = path
@@ -189,11 +189,11 @@ class Unsaved(QObject):
     # Before the window closes
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
-        """Hear of the closing of a window of napari's before napari does."""
+        """Handle the closing of a napari window before napari does."""
         if event.type() != QEvent.Type.Close or self not in _all:
             return False
         if watched.findChild(QtViewer).isHidden():
-            # A script closes it, or napari does after another window: too late to stay.
+            # A script closes it, or napari does after another window: too late to keep it open.
             if QThread.currentThread().loopLevel() == 0:
                 self._discard()
             return False
@@ -210,13 +210,13 @@ class Unsaved(QObject):
         return False
 
     def may_close(self) -> bool:
-        """Ask what to do with what no file holds; whether nothing of it is wanted any more."""
+        """Ask what to do with unsaved work; return whether the window may close."""
         slices, paths = self._work.slices, self._work.paths
         names = [f"'{_name(slot)}'" for slot in slices]
         replaced = [f"'{paths[slot].name}'" for slot in slices if slot in paths]
         answer = self.ask(
             f"What was done on {' and '.join(names)} is in no file yet. Save it before closing?"
-            + (f" That replaces {' and '.join(replaced)}." if replaced else "")
+            + (f" Saving replaces {' and '.join(replaced)}." if replaced else "")
         )
         if answer == "discard":
             self._discard()
@@ -226,12 +226,12 @@ class Unsaved(QObject):
         return answer != "cancel" and not self.there
 
     def _save_slice(self, slot: Slot) -> None:
-        """Go to a slice, and save it where it is known to be, or where somebody says."""
+        """Go to a slice, and save it to its known path, or else to a path the user chooses."""
         self._dock.image = slot.layer
         self._steps.go_to(slot, turn=True)
         self._live.look()
         known = self._work.paths.get(slot)
-        if self._pointer.history.slot == slot:  # else what is seen is another
+        if self._pointer.history.slot == slot:  # else another slice is visible
             self._try(self.save_as if known is None else partial(self.save, known))
 
     def _ask_person(self, question: str) -> Answer:
@@ -247,47 +247,47 @@ class Unsaved(QObject):
         for slot in {*self._work.slices, *self._work.kept}:
             self._settle(slot)
 
-    # Against a crash
+    # Crash recovery
 
     def _keep(self) -> None:
-        """Write the slice that is worked on, once nothing moves."""
+        """Write the current slice to a recovery file, once no edit is in progress."""
         here = self._pointer.history.slot
         held = QApplication.mouseButtons() != Qt.MouseButton.NoButton
         if held or self._steps.edits.in_progress is not None or self._writer.is_alive():
             self._resting.start()
         elif here not in self._work.slices:
-            self._settle(here)  # all of it was taken back
+            self._settle(here)  # all edits were undone
         else:
             try:
                 study = self._dock.study
                 file = self._work.kept.get(here) or recovery.new_file(folder())
             except (HmrfError, ValueError, OSError):
-                return  # it cannot be saved as it is: what was kept before stays
+                return  # the current state cannot be saved: the earlier file stays
             self._work.kept[here] = file
             self._writer = threading.Thread(target=_write, args=(file, study), daemon=True)
             self._writer.start()
 
     def _take_up(self, file: Path) -> None:
-        """Open what was left behind; it is kept until somebody saves it."""
+        """Open a file that was left behind; it is kept until the work is saved."""
         self._add(file)
         here = self._pointer.history.slot
         self._work.note(here)
         self._work.kept[here] = recovery.take_over(file)
 
     def release(self) -> None:
-        """The dock is closed, or its window is gone."""
+        """Disconnect from edits, as the dock was closed or its window is gone."""
         _all.discard(self)
         self._heard.release()
         self._resting.stop()
 
 
 class LeftBehind(Container):
-    """Says that work was found which was not saved when napari ended, and what can be done.
+    """Notice of work that was not saved when napari ended, with buttons to open or discard it.
 
     Parameters
     ----------
     take_up : callable
-        Opens a file, which then is no more among those that were left behind.
+        Opens a file, which then is no longer among those that were left behind.
     """
 
     def __init__(self, take_up: Callable[[Path], None]) -> None:
@@ -300,7 +300,7 @@ class LeftBehind(Container):
         self.look()
 
     def look(self) -> None:
-        """Speak of the newest file that was left behind, if there is one."""
+        """Show the newest file that was left behind, if there is one."""
         files, said = recovery.left_behind(folder()), ""
         if files:
             self._file = files[0]
@@ -317,18 +317,18 @@ class LeftBehind(Container):
 
 
 def _discard(file: Path) -> None:
-    """Put a file where the system keeps what was thrown away, if it does."""
+    """Move a file to the system's trash, or delete it if there is none."""
     if not QFile(str(file)).moveToTrash():
         file.unlink(missing_ok=True)
 
 
 def folder() -> Path:
-    """Where work is kept against a crash: beside what is remembered for good."""
+    """Return the folder of the recovery files, beside the file of remembered settings."""
     return Path(settings().fileName()).parent / "unsaved"
 
 
 def _name(slot: Slot) -> str:
-    """Of an image and its slice, if it has several."""
+    """Return the name of an image, with its slice if it has several."""
     return f"{slot.layer.name} {'' if slot.place is None else slot.place.name}".strip()
 
 
@@ -336,4 +336,4 @@ def _write(file: Path, study: Study) -> None:
     try:
         save_study(file, study)
     except (OSError, TypeError, ValueError):
-        _log.exception("what is not saved yet could not be kept against a crash")
+        _log.exception("unsaved work could not be kept against a crash")

@@ -1,4 +1,4 @@
-"""The chip that warns: what is to be known of the tissue that is seen, and what helps."""
+"""Warning chip: warns of problems of the visible tissue, and offers a remedy."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from napari_hmrf.ui.result.result_messages import NOTHING
 
 
 class WarningChip:
-    """Warns of a result, shows where, and offers the model that would mend it.
+    """Chip that warns of problems of a result, shows where, and offers a better model.
 
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
     form : DockForm
     latest : callable
-        The latest result of what is worked on, or None.
+        Returns the latest result of the current study, or None.
     """
 
-    #: What there is to say.
+    #: Message for the user.
     said = Signal(str)
 
     def __init__(self, viewer: Any, form: DockForm, latest: Callable[[], Done | None]) -> None:
@@ -38,14 +38,14 @@ class WarningChip:
             told.connect(self.look)
 
     def look(self, *_: Any) -> None:
-        """Say of the latest result what is to be known, and offer what helps."""
+        """Update the warnings of the latest result, and the offer of another model."""
         done, seen, other = self._latest(), self._form.result.overlay.value, self._other
         self._form.footer.warn(*(("",) if done is None else messages.warnings_of(done, seen)))
         self._form.footer.offer(messages.OFFERS[other] if other else "")
 
     @property
     def _other(self) -> ModelName | None:
-        """The model that would mend what is wrong with the one there is."""
+        """Model that would solve the problems of the chosen one, or None."""
         done, chosen = self._latest(), self._form.model.model.value
         if chosen == "large motion":
             return "elastic" if self._form.extent.is_volume else None
@@ -55,7 +55,7 @@ class WarningChip:
         self._form.model.model.value = self._other or self._form.model.model.value
 
     def _on_chip(self) -> None:
-        """Say what there is to know, and mark folds, then overlaps, then neither."""
+        """Emit the warning, and mark folds, then overlaps, then neither."""
         overlay, latest, went = self._form.result.overlay, self._latest(), ""
         mark = None if latest is None else messages.next_mark(latest.outputs, overlay.value)
         if latest is not None and mark is not None:
@@ -66,7 +66,7 @@ class WarningChip:
         self.said.emit(f"{self._form.footer.warning} {went}".rstrip())
 
     def _go_to_most(self, latest: Done, mark: Mark) -> str:
-        """Show the slice of a volume in which most sites are marked, and say which that is."""
+        """Go to the slice of a volume with most marked sites; return a message that names it."""
         dims, place, view = (
             self._viewer.dims,
             latest.moved.study.grid.known_place,

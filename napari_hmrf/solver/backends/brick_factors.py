@@ -1,8 +1,8 @@
 """A direct solver on a small grid of voxels, in double precision: SuperLU by nested dissection.
 
-A plane of sites in the middle of a box leaves two boxes that know nothing of each other: what lies
-in it is eliminated last (nested dissection: George, SIAM J. Numer. Anal. 10, 1973). On n x n x n
-sites that is about n^6 work and n^4 memory, so that it is for small volumes only.
+A plane of sites in the middle of a box separates the two halves, which do not couple directly, so
+the plane is eliminated last (nested dissection: George, SIAM J. Numer. Anal. 10, 1973). On
+n x n x n sites that is about n^6 work and n^4 memory, which suits small volumes only.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from napari_hmrf.solver.backends.dissection import HELD, Singular
 Float64Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-# A box of so many sites along its longest axis is not divided.
+# Boxes with at most this many sites along the longest axis are not divided.
 _SMALLEST = 3
 # SuperLU objects dropped on a thread that cannot free them; the next factorization frees them.
 _dropped: deque[Any] = deque()
@@ -30,8 +30,8 @@ _dropped: deque[Any] = deque()
 class _ThreadBound:
     """SuperLU object that is freed on the thread that made it."""
 
-    # SciPy keeps its allocations in a table of the thread: what another thread drops, such as the
-    # garbage collector or the owner of an exception, is never given back.
+    # SciPy keeps the allocations in a table of the thread: memory that another thread drops, such
+    # as the garbage collector's or the one that holds an exception, is never returned.
 
     def __init__(self, factors: Any) -> None:
         self.factors, self._thread = factors, threading.get_ident()
@@ -42,18 +42,18 @@ class _ThreadBound:
 
 
 class BrickFactors:
-    """The factors of a matrix.
+    """Factors of a matrix.
 
     Parameters
     ----------
     elements : callable
-        Gives the matrices (d, h, w, n, n) of elements in a range along each axis.
+        Returns the matrices (d, h, w, n, n) of elements in a range along each axis.
     moves : ndarray of bool, shape (D, H, W, C)
-        Which components are unknown. The others are 0.
+        Components that are unknowns. The others are 0.
     progress : callable
-        Is told which part of the work is done.
+        Called with the completed fraction of the work.
     springs : ndarray, shape (D, H, W, C), optional
-        What is added to the diagonal.
+        Values added to the diagonal.
 
     Raises
     ------
@@ -95,7 +95,7 @@ class BrickFactors:
     def _assembled(
         self, elements: Callable[..., Float64Array], grid: tuple[int, ...]
     ) -> scipy.sparse.csr_array:
-        """The matrix of what moves, in the order of elimination."""
+        """Return the matrix of the unknowns, in the order of elimination."""
         size, fields = len(self._moving), self._shape[-1]
         place = np.full(int(np.prod(self._shape)), -1)
         place[self._moving] = np.arange(size)
@@ -124,7 +124,7 @@ class BrickFactors:
 
 
 def elimination_order(grid: tuple[int, ...]) -> Index:
-    """Numbers of the sites of a grid: those of a middle plane after what is on either side."""
+    """Return the numbers of a grid's sites, each middle plane after the two halves beside it."""
 
     def ordered(box: Index) -> list[Index]:
         axis = int(np.argmax(box.shape))

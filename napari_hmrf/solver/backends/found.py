@@ -1,7 +1,7 @@
-"""What a solve begins with, and how good that is known to be.
+"""Start of a solve, and the known quality of that start.
 
 A system is linear: a sum of its solutions solves it for the same sum of observations and loads, and
-is wrong by no more than the sum of what each is wrong by.
+its error is at most the sum of the errors of its parts.
 """
 
 from __future__ import annotations
@@ -26,26 +26,26 @@ class Met(NamedTuple):
     Attributes
     ----------
     least : float
-        The least eigenvalue that they have met; 1 if none did.
+        The least eigenvalue that they have met; 1 if they have met none.
     error : float
-        How far their sum is from the sum of converged fields, in pixels, as estimated.
+        Estimated error of their sum, in pixels: distance from the sum of converged fields.
     """
 
     least: float
     error: float
 
 
-# Displacements with the least eigenvalue and the error of each: on the compute thread.
+# Displacements, each with its least eigenvalue and error; used on the compute thread only.
 _met: list[tuple[weakref.ref[Any], Met]] = []
 
 
 def remember(displacement: npt.NDArray[Any], met: Met) -> None:
-    """Remember what the solve of a displacement has met.
+    """Remember the least eigenvalue and the error of the solve of a displacement.
 
     Parameters
     ----------
     displacement : ndarray
-        The array itself: it is kept alive by its owner alone.
+        The array itself; only a weak reference is kept.
     met : Met
     """
     _met[:] = [each for each in _met if each[0]() is not None]
@@ -53,10 +53,10 @@ def remember(displacement: npt.NDArray[Any], met: Met) -> None:
 
 
 def met_by(start: Beginning) -> Met:
-    """Return what the solves of a beginning have met.
+    """Return the combined knowledge of the solves of a start.
 
-    A warm start is close to converged but for motions that cycles hardly see, so that its own
-    iteration meets them late: its estimate alone would be too small.
+    A warm start is close to converged except for motions that cycles hardly reduce, so its own
+    iteration meets them late, and its estimate alone would be too small.
 
     Parameters
     ----------
@@ -70,25 +70,25 @@ def met_by(start: Beginning) -> Met:
     return Met(least, error)
 
 
-# By so much may a residual be larger than it is known to be, as what is stored is rounded.
+# A residual may exceed its known value by this factor, as stored fields are rounded.
 _ROUNDED = 1.1
 
 
 @dataclass(frozen=True, eq=False)
 class Beginning:
-    """A sum of displacements, which is formed where it is needed.
+    """Sum of displacements, computed only when needed.
 
     Attributes
     ----------
     displacements : tuple of ndarray, each of shape (H, W, 2)
         At least one.
     shares : tuple of float
-        How often each is taken.
+        Factor of each displacement.
     unit : float
-        The length of a pixel in their unit.
+        Length of a pixel in the unit of the displacements.
     missing : float
-        How far the sum is from what is observed, at most, in pixels; or what pulls from the same
-        sum of loads, as a part of the largest motion.
+        Largest distance of the sum from the observations, in pixels; or of its loads from the
+        given ones, as a part of the largest motion.
     """
 
     displacements: tuple[FloatArray, ...]
@@ -98,47 +98,47 @@ class Beginning:
 
     @property
     def weighted(self) -> list[tuple[FloatArray, float]]:
-        """The parts, each with its weight in a sum in pixels."""
+        """The displacements, each with its factor in a sum in pixels."""
         weights = (share / self.unit for share in self.shares)
         return list(zip(self.displacements, weights, strict=True))
 
 
 class Quality(NamedTuple):
-    """How far a displacement is from the solution.
+    """Error and residual of a displacement.
 
     Attributes
     ----------
     error : float
-        Of any site at most, in pixels, as estimated.
+        Estimated largest error of any site, in pixels.
     residual : float
-        The norm of what it leaves of the load, in the model's units.
+        Norm of the load that the displacement leaves unbalanced, in the model's units.
     """
 
     error: float
     residual: float
 
     def suffices(self, tolerance: float, residual: float) -> bool:
-        """Whether that is within a tolerance, in pixels, and the residual found is as known."""
+        """Return whether the error is within a tolerance, in pixels, and the residual as known."""
         return self.error <= tolerance and residual <= _ROUNDED * self.residual
 
 
 class Found:
-    """What was found for one system: displacements, for as long as somebody has them, and more.
+    """Results for one system: displacements, as long as the caller keeps them, and more.
 
     Attributes
     ----------
     doubt : float or None
-        How much less cycles report than is true, where that has been tried.
+        Factor by which cycles underestimate the error, where a rehearsal has measured it.
     least : float
-        The least eigenvalue that cycles have met.
+        Least eigenvalue that cycles have met.
     slow : bool
-        True if cycles have met a motion that they see so badly that the tissue is not mild.
+        True if cycles have met a motion that they reduce so badly that the tissue is not mild.
     care : int
-        How often cycles had to smooth more for that.
+        Number of times that cycles had to smooth more for that reason.
     factors : Factors or None
-        Of the system, where cycles cannot be trusted.
+        Factors of the system, where cycles cannot be trusted.
     entrained : Entrained or None
-        What rigid bodies take along, where there are any.
+        Motions that rigid bodies induce in the tissue around them, if there are any bodies.
     """
 
     def __init__(self) -> None:
@@ -151,12 +151,12 @@ class Found:
         self._known: list[tuple[weakref.ref[Any], Quality]] = []
 
     def add(self, displacement: FloatArray, quality: Quality) -> None:
-        """Remember a displacement, itself and no copy of it."""
+        """Remember a displacement, by weak reference."""
         self._known = [each for each in self._known if each[0]() is not None]
         self._known.append((weakref.ref(displacement), quality))
 
     def quality(self, start: Beginning) -> Quality | None:
-        """How good a sum is where it is what is observed; None if a part of it is not known."""
+        """Return the quality of a sum that matches the observations; None if a part is unknown."""
         parts = [self._of(each) for each in start.displacements]
         error = residual = 0.0
         for share, part in zip(start.shares, parts, strict=True):

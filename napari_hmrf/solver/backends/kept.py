@@ -1,4 +1,4 @@
-"""Loops that are kept on disk: in which folder, and the marks that say which of them are there."""
+"""Cache of compiled loops on disk: its folder, and the marks of loops that are compiled."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from pathlib import Path
 
 _LOOPS = Path(__file__).parent / "cpu"
 _PACKAGE = "napari_hmrf"
-#: The modules of loops that move pictures.
+#: Modules of loops that move pictures.
 PICTURES = (f"{_PACKAGE}.field.interpolation", f"{_PACKAGE}.field.triangle_raster")
-#: The job of `napari_hmrf.compiling` that brings what solves volumes.
+#: Job of `napari_hmrf.compiling` that compiles the loops for volumes.
 VOLUMES = "volume"
-#: Its jobs that are done only for those who ask for them.
+#: Jobs that run only on request.
 APART = (VOLUMES, "volume-schedule", "volume-converged")
-#: What tells numba where to keep loops.
+#: Environment variable with numba's cache folder.
 _TOLD = "NUMBA_CACHE_DIR"
-#: Bytes on a disk that all loops fit in, and bytes that are written to see if any can be.
+#: Free bytes that are enough for all loops, and bytes that are written to test a folder.
 _ROOM, _PROBE = 2**27, 2**16
-#: The modules of all loops that move something.
+#: Modules of all loops that move anything.
 _MOTION = (
     *PICTURES,
     f"{_PACKAGE}.field.tetrahedron_raster",
@@ -35,7 +35,7 @@ _MOTION = (
 
 @cache
 def modules() -> tuple[str, ...]:
-    """The names of all modules that may have loops."""
+    """Return the names of all modules that may have loops."""
     solver = f"{__package__}.{_LOOPS.name}"
     return (
         *_MOTION,
@@ -44,18 +44,18 @@ def modules() -> tuple[str, ...]:
 
 
 def _files(folder: Path) -> list[Path]:
-    """The files of loops in a folder."""
+    """Return the source files of loops in a folder."""
     return [path for path in sorted(folder.glob("*.py")) if b"numba" in path.read_bytes()]
 
 
 @cache
 def sources(folder: Path = _LOOPS) -> bytes:
-    """A digest of all files of loops."""
+    """Return a digest of all source files of loops."""
     return hashlib.sha256(b"".join(path.read_bytes() for path in _files(folder))).digest()
 
 
 def mark(job: str = "") -> Path:
-    """The file that says that loops of this version are compiled, for this machine.
+    """Return the file that marks the loops of this version as compiled, for this machine.
 
     Parameters
     ----------
@@ -66,13 +66,13 @@ def mark(job: str = "") -> Path:
 
 
 def compiled(job: str) -> bool:
-    """Whether the loops of a job are compiled, or all that anybody may need."""
+    """Return whether the loops of a job are compiled, by the job itself or by a full run."""
     return (job not in APART and mark().exists()) or mark(job).exists()
 
 
 @cache
 def folder() -> Path:
-    """Return where numba keeps loops; if numba would choose a place without room, redirect it."""
+    """Return numba's cache folder; redirect numba if it would choose a place without room."""
     told, beside = os.environ.get(_TOLD), _LOOPS / "__pycache__"
     caches = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
     if told and _writable(Path(told)):
@@ -81,8 +81,8 @@ def folder() -> Path:
         _redirect_numba("")
     if _writable(beside):
         return beside
-    if _writable(caches / _PACKAGE):  # numba has a folder of its own there
-        if beside.is_dir():  # numba would choose it, though its disk is full
+    if _writable(caches / _PACKAGE):  # numba makes a subfolder there
+        if beside.is_dir():  # numba would choose this folder, though its disk is full
             _redirect_numba(str(caches / _PACKAGE))
         return caches / _PACKAGE
     found = _temporary()
@@ -91,14 +91,14 @@ def folder() -> Path:
 
 
 def _redirect_numba(folder: str) -> None:
-    """Let numba keep loops in a folder, in this process and in those that it starts."""
+    """Let numba keep loops in a folder, in this process and in its child processes."""
     os.environ[_TOLD] = folder
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_DIR = folder
 
 
 def _writable(folder: Path) -> bool:
-    """Return whether a folder, which is made if need be, can be written to and has room."""
+    """Return whether a folder, which is created if needed, can be written to and has room."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as file:
@@ -109,7 +109,7 @@ def _writable(folder: Path) -> bool:
 
 
 def _temporary() -> Path:
-    """A folder for this user alone, as loops that others could write would be run as they are."""
+    """Return a folder for this user alone: loops that others could write would be executed."""
     who = getattr(os, "getuid", lambda: "user")()
     found = Path(tempfile.gettempdir()) / f"napari-hmrf-{who}"
     with suppress(OSError):
@@ -122,14 +122,14 @@ def _temporary() -> Path:
 
 @cache
 def _key() -> str:
-    """What loops are compiled from, by and for."""
+    """Return a digest of the sources of loops, their compiler and the system."""
     made = hashlib.sha256(sources())
     for name in _MOTION:
         made.update(_LOOPS.parents[3].joinpath(*name.split(".")).with_suffix(".py").read_bytes())
     for package in ("numba", "llvmlite", "numpy"):
         with suppress(PackageNotFoundError):
             made.update(version(package).encode())
-    # Without docstrings the code of a loop is another one.
+    # The flag is part of the key: without docstrings the code of a loop differs.
     system = (sys.version, str(sys.flags.optimize), platform.machine(), platform.node())
     made.update("\n".join((*system, str(_LOOPS))).encode())
     return made.hexdigest()[:16]

@@ -1,4 +1,4 @@
-"""What an optimizer is given and what it gives back."""
+"""Input and output of an optimizer."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from napari_hmrf.solver.problem import Problem
 
 @dataclass(frozen=True)
 class Monitor:
-    """One report of a running schedule: what is being done and how much of the work is behind.
+    """Progress report of a running schedule.
 
     Attributes
     ----------
     message : str
-        In words, for a progress bar.
+        Current step in words, for a progress bar.
     fraction : float
         Work done, 0 to 1.
     """
@@ -36,14 +36,14 @@ Report = Callable[[Monitor], None]
 
 
 def part_done(first: float, now: float, tolerance: float) -> float:
-    """How much of the way from a first error to a tolerance is behind, in orders of magnitude."""
+    """Return the progress from a first error to a tolerance, in orders of magnitude, 0 to 1."""
     way = math.log(max(first / tolerance, 1 + 1e-9))
     return min(max(1 - math.log(max(now / tolerance, 1.0)) / way, 0.0), 1.0)
 
 
 @dataclass(frozen=True)
 class LevelRun:
-    """What happened on one scale level."""
+    """Record of the iterations on one scale level."""
 
     number: int
     shape: tuple[int, ...]
@@ -52,18 +52,18 @@ class LevelRun:
 
 @dataclass(frozen=True)
 class Convergence:
-    """How close to the converged field an iteration ended.
+    """Distance from the converged field at the end of an iteration.
 
     Attributes
     ----------
     error : float
-        How far any site may be from the converged field, in pixels: an estimate.
+        Estimated largest distance of any site from the converged field, in pixels.
     residual : float
-        The norm of the forces that are left over, over that of all forces of the tissue, in double
+        Norm of the remaining forces, relative to that of all forces of the tissue, in double
         precision.
     way : {"cycles", "factors"}
-        Whether cycles over the levels led there or, where they cannot be trusted, the factors of
-        the whole system.
+        Whether cycles over the levels solved the system, or its factors, where cycles cannot be
+        trusted.
     """
 
     error: float
@@ -73,25 +73,25 @@ class Convergence:
 
 @dataclass(frozen=True)
 class Reach:
-    """How far large motion got: nothing is folded, and what cannot be met is met as far as it goes.
+    """Extent to which large motion meets the observations; no tissue is folded.
 
-    Crushed tissue may creep on: `unbalanced` says how far, and `unbalanced_at` where.
+    Crushed tissue may creep on: `unbalanced` says by how much, and `unbalanced_at` where.
 
     Attributes
     ----------
     least_jacobian : float
-        The least Jacobian at any corner of a pixel: above 0. A pixel of 0.5 has half its area.
+        Least Jacobian at any corner of a pixel: above 0. A pixel of 0.5 has half its area.
     part : float
-        Which part of its way the site has come that is furthest from what was observed: 1 if all
-        of it was met.
+        Completed part of the motion of the site that is furthest from its observation: 1 if all
+        observations were met.
     missing : float
-        How far that site is from what was observed, in the unit of the spacing.
+        Distance of that site from its observation, in the unit of the spacing.
     where : tuple of int, or None
-        That site; None if all of it was met.
+        That site; None if all observations were met.
     sites : int
-        How many sites are not where they were observed.
+        Number of sites that are not at their observed positions.
     grown : float
-        By which part of its growth tissue has grown: 1 but where it would have been crushed.
+        Completed part of the growth of tissue: below 1 where tissue would have been crushed.
     unbalanced : float
         Estimated largest distance of any site from its place of balance, in the unit of the
         spacing; 0 if the field converged to the tolerance.
@@ -111,20 +111,20 @@ class Reach:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a schedule brings back, in pixels.
+    """Result of a schedule, in pixels.
 
     Attributes
     ----------
     displacement : ndarray, shape (H, W, 2)
     energy : ndarray, shape (iterations,) or (1,)
         Mean total energy per site of tissue after each iteration, coarse to fine, pixels squared;
-        that of what it began with, if nothing was left to do.
+        the initial energy if there was nothing to do.
     levels : tuple of LevelRun
-        In the order they were run; their iterations add up to ``len(energy)``, or to 0.
+        In the order of their runs; their iterations add up to ``len(energy)``, or to 0.
     convergence : Convergence or None
-        None where the schedule does not look.
+        None if the schedule does not measure convergence.
     reach : Reach or None
-        Of large motion.
+        For large motion only.
     """
 
     displacement: npt.NDArray[np.floating]
@@ -147,15 +147,15 @@ class Optimizer(Protocol):
     ) -> Outcome:
         """Run the schedule; on the compute thread only.
 
-        `start` is a displacement to begin with.
+        `start` is the initial displacement.
         """
         ...
 
     def rehearsal(self) -> Optimizer:
-        """Return the shortest schedule that runs the same kernels, to have them compiled."""
+        """Return the shortest schedule that runs the same kernels, to compile them."""
         ...
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """What it would take to run it again, for the record (JSON types only)."""
+        """Parameters of the schedule, for the record (JSON types only)."""
         ...

@@ -1,14 +1,14 @@
-"""Observations that slip, by an interior point: slower than exchanging states, and always there.
+"""Interior-point method for observations that may slip: slower than exchanging states, but robust.
 
 The energy 1/2 d^T A d + sum of p |y - d| is convex. With y - d = a - b, a and b >= 0, and forces f
-of observations between -p and p, its least has
+of observations between -p and p, the minimum satisfies
 
     A d = f,   a (p - f) = 0,   b (p + f) = 0,
 
-and f is a point of the dual problem: sum of a (p - f) + b (p + f) bounds how far the energy is
-from its least (the duality gap). Mehrotra's predictor and corrector go there along a path on which
-these products are equal (Wright, Primal-Dual Interior-Point Methods, 1997). Each step takes the
-factors of A + W, where W >= 0 are springs on all that is observed, so that nothing is ever free.
+and f is a point of the dual problem: sum of a (p - f) + b (p + f) bounds the distance of the energy
+from its minimum (the duality gap). Mehrotra's predictor and corrector follow a path on which these
+products are equal (Wright, Primal-Dual Interior-Point Methods, 1997). Each step takes the factors
+of A + W, where W >= 0 are springs on all observed components, so that no motion is ever free.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ from napari_hmrf.solver.optimizers.slip_states import ActiveSet
 Vector = npt.NDArray[np.float64]
 
 _MOST_STEPS = 100
-# How far a step goes towards where something would vanish.
+# Part of the distance to the boundary of the feasible set that a step may take.
 _FRACTION = 0.9995
-# At the end: no product is more than this part of limit times passage; no less than that is aimed
-# at; and no more than that is good enough where rounding ends the way.
+# Largest product at the end, as a part of limit times passage; the least product that is aimed at;
+# and the largest one that is accepted where rounding ends the iteration.
 _GAP, _LEAST_GAP, _CLOSE = 1e-19, 1e-22, 1e-8
-# What the last step moves, in units of what is observed; and steps after which what still moves is
-# rounding.
+# Largest motion in the last step, in units of the observations; and number of steps with a closed
+# gap after which any remaining motion is rounding.
 _STILL, _ROUNDED = 1e-10, 8
 _LEAST_SCALE = 1e-3
-# Springs to where tissue is, as a part of the diagonal, the weakest that rounding allows: they
-# change steps, not where these lead.
+# Springs that hold tissue in place, as a part of the diagonal; the weakest that rounding allows is
+# taken: they change the steps, not the limit.
 _PROXIMAL = tuple(10.0**power for power in range(-16, -10))
-# Corrections of a step, at most; and which part of it needs none.
+# Largest number of corrections of a step; and the part of it that needs no correction.
 _CORRECTIONS, _EXACTLY = 10, 1e-9
 _SIDE = np.array([[1.0], [-1.0]])
 
 
 def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> None:
-    """Move `d` in place to the least energy, and find the states that go with it.
+    """Move `d` in place to the least energy, and find the corresponding states.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> N
         scale = max(scale, float(np.abs(d).max()))
     d.ravel()[at] = y
     low, force = np.zeros_like(d), np.zeros(len(at))
-    # What is past its mark on either side, and how far the force is from either limit.
+    # Passage beyond the mark on either side, and distance of the force from either limit.
     past, slack = np.full((2, len(at)), scale), np.stack([p, p])
     far = gap = np.inf
     closed = 0
@@ -122,7 +122,7 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> N
 def _factors(
     model: LinearModel, moves: HeldPlanes, at: npt.NDArray[np.intp], weight: Vector
 ) -> Factors | None:
-    """The factors of the model on springs where it is observed; None if rounding forbids."""
+    """Return the factors of the model with springs on observations; None if rounding forbids."""
     for proximal in _PROXIMAL:
         springs = proximal * model.steepness
         springs.ravel()[at] += weight
@@ -134,6 +134,6 @@ def _factors(
 
 
 def _room(values: Vector, steps: Vector) -> float:
-    """How often a step can be taken until a value vanishes."""
+    """Return the factor of a step at which the first value vanishes."""
     ends = np.divide(-values, steps, out=np.full_like(values, np.inf), where=steps < 0)
     return float(ends.min(initial=np.inf))

@@ -1,4 +1,4 @@
-"""Krylov iterations, preconditioned by a V-cycle, and what they learn on the way."""
+"""Krylov iterations, preconditioned by a V-cycle, with estimates of the spectrum."""
 
 from __future__ import annotations
 
@@ -17,37 +17,38 @@ from napari_hmrf.solver.backends.linear import Balance, Planes, Steps, Unsymmetr
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers.cycle import Cycle
 
-# How far single precision is trusted to reduce a residual before it is computed again in double;
-# and how far double is.
+# Reduction of a residual within single precision, before it is computed again in double; and within
+# double precision.
 _INNER, _INNER_DOUBLE = 1e-5, 1e-12
-# Below this a residual in single precision is rounding, and so is an eigenvalue.
+# Residual, relative to the first, that is rounding in single precision; and eigenvalues that are
+# rounding in single and in double precision.
 _ROUNDING = 1e-7
 _LEAST, _LEAST_DOUBLE = 1e-6, 1e-12
-# A residual of this part of the solution is as small as single precision can tell.
+# A residual of this part of the solution is at the limit of single precision.
 _ATTAINED = 3e-7
-# What an iteration is trusted to be at most: how fast errors fall in a step, and how well the cycle
-# sees what is left.
+# Bounds on what an iteration is trusted with: the fastest fall of errors in a step, and the largest
+# least eigenvalue before enough steps are taken.
 _FASTEST = 0.2
 _USUAL_LEAST = 0.4
-# A run that has met an eigenvalue of up to so many times an expected one has met that.
+# Ratio to an expected eigenvalue up to which a met eigenvalue counts as that one.
 _MET = 1.2
-# Steps after which the least eigenvalue has been met well enough.
+# Number of steps after which the least eigenvalue is known well enough.
 _ENOUGH = 5
 
 
 @dataclass(frozen=True)
 class Step:
-    """What is known after one step of an iteration, in the units of the residual it began with.
+    """Estimates after one step of an iteration, in the units of the initial residual.
 
     Attributes
     ----------
     reach : float
-        How far any site is from the solution, per unit of the residual's norm: an estimate, from
-        what the last cycle corrected and from the least eigenvalue met so far.
+        Estimated largest distance of any site from the solution, per unit of the residual's norm:
+        from the correction of the last cycle and the least eigenvalue met so far.
     rest : float
-        The norm of the residual now.
+        Present norm of the residual.
     gain : float
-        How much energy the step took.
+        Decrease of the energy in the step.
     """
 
     reach: float
@@ -56,51 +57,51 @@ class Step:
 
     @property
     def error(self) -> float:
-        """How far any site is from the solution, as estimated."""
+        """Estimated largest distance of any site from the solution."""
         return self.reach * self.rest
 
 
-#: Looks at each step; True ends the iteration.
+#: Callback after each step; True ends the iteration.
 Watch = Callable[[Step], bool]
 
 
 class ConjugateGradients:
-    """The iteration for symmetric models; what it learns of the spectrum lasts from run to run.
+    """Conjugate gradients for symmetric models; the spectrum learnt lasts from run to run.
 
     Parameters
     ----------
     cycle : Cycle
     exactly : callable, optional
-        Gives the finest level in double precision; None if there is none.
+        Returns the finest level in double precision, or None if there is none.
     """
 
     def __init__(self, cycle: Cycle, exactly: Callable[[], Any] = lambda: None) -> None:
         self._cycle, self._exactly = cycle, exactly
         self._spectrum, self._expected = _Spectrum(), 1.0
-        #: What its vectors are of, if it runs in double precision.
+        #: Finest level in double precision, if the iteration runs in it.
         self._double: Any = None
-        #: What cycles do not see of rigid bodies, if there are any.
+        #: Motions induced by rigid bodies, which cycles miss, if there are any bodies.
         self.entrained: Entrained | None = None
 
     @property
     def steps(self) -> tuple[Steps, Steps]:
-        """What cycles smooth with."""
+        """Smoothing steps of the cycles."""
         return self._cycle.steps
 
     @property
     def care(self) -> int:
-        """How often it has gone over to better cycles, or to double precision."""
+        """Number of changes to better cycles, or to double precision."""
         return self._cycle.care + self.in_double
 
     @property
     def in_double(self) -> bool:
-        """Whether it runs in double precision."""
+        """True if the iteration runs in double precision."""
         return self._double is not None
 
     def take_care(self) -> bool:
-        """Take better cycles from now on, or double precision; False if there is neither.
+        """Switch to better cycles or to double precision; return False if neither is left.
 
-        Of what comes then nothing is known.
+        The spectrum must then be learnt again.
         """
         if not self._cycle.smooth_more():
             if self.in_double:
@@ -112,12 +113,12 @@ class ConjugateGradients:
         return True
 
     def _steepest(self, rest: Any) -> Any:
-        """What a cycle makes of a residual."""
+        """Return the correction that a cycle computes from a residual."""
         return self._cycle.run(self._double.rounded(rest) if self.in_double else rest)
 
     @property
     def least(self) -> float:
-        """The least eigenvalue met, in any run."""
+        """Least eigenvalue met in any run."""
         return self._spectrum.least
 
     @least.setter
@@ -126,11 +127,11 @@ class ConjugateGradients:
 
     @property
     def met(self) -> float:
-        """The least eigenvalue met in the present run."""
+        """Least eigenvalue met in the present run."""
         return self._spectrum.met
 
     def expect(self, least: float) -> None:
-        """Expect an eigenvalue that the solves of a warm start have met, if it is less than met.
+        """Set the expected least eigenvalue to one that the solves of a warm start have met.
 
         Parameters
         ----------
@@ -141,9 +142,9 @@ class ConjugateGradients:
 
     @np.errstate(over="ignore", invalid="ignore")
     def run(self, balance: Balance, d: Planes, enough: Watch) -> None:
-        """Move `d` in place by a correction for what it leaves of a load.
+        """Add to `d`, in place, a correction for the residual of a load.
 
-        Changes what is left. If numbers overflow, `d` stays as good as it was.
+        Overwrites the residual. If numbers overflow, `d` is still valid.
 
         Raises
         ------
@@ -195,7 +196,7 @@ class ConjugateGradients:
             if not (down > 0 and bend > 0):
                 if after > 0 and self._cycle.be_careful():
                     level.free(direction)
-                    direction = None  # its memory, first
+                    direction = None  # drop it before a new one is allocated
                     direction = level.vector()
                     before = None
                     self._spectrum.restart()
@@ -214,27 +215,27 @@ class ConjugateGradients:
         level.free(direction, image)
 
     def _judged(self, far: float, first: float, before: float, after: float, gain: float) -> Step:
-        """What is known after a step whose cycle corrected `far`, from squares of residuals."""
-        # At first residuals fall faster than errors, as jumps beside what is held are smoothed, and
+        """Return the estimates after a step whose cycle corrected `far`, from squared residuals."""
+        # At first residuals fall faster than errors, as jumps next to held sites are smoothed, and
         # the least eigenvalues have not been met yet.
         rounding = _INNER_DOUBLE if self.in_double else _ROUNDING
         rest = max(math.sqrt(after), rounding * math.sqrt(first))
         least = self._spectrum.least
-        # One step may fall faster than this, but the next ones make up for it.
+        # One step may be faster than this, but the next ones are slower.
         lasting = (1 - math.sqrt(least)) / (1 + math.sqrt(least))
         fall = max(math.sqrt(after / before), _FASTEST, lasting)
         if self._spectrum.met > _MET * self._expected:
-            fall = max(fall, 1 - self._expected)  # cycles alone have reduced the slow motion
+            fall = max(fall, 1 - self._expected)  # only the cycles have reduced the slow motion
         if self._spectrum.steps < _ENOUGH:
             least = min(least, _USUAL_LEAST)
         return Step(far * fall / least / rest, rest, gain)
 
 
 class StabilisedGradients:
-    """Stabilised biconjugate gradients: the iteration for models that are not symmetric.
+    """Stabilised biconjugate gradients, for models that are not symmetric.
 
-    Two cycles to a step. What a step tells of the residual is its largest value; how far the
-    solution is from there, the iteration does not know.
+    Each step takes two cycles, and reports the largest value of the residual; the iteration has no
+    estimate of the error of the solution.
 
     Parameters
     ----------
@@ -276,7 +277,7 @@ class StabilisedGradients:
                 raise FloatingPointError
             most, far, square, again = values
             step = Step(math.inf, most, 0.0)
-            # A residual this small beside the solution is rounding: it must be computed anew.
+            # A residual this small relative to the solution is rounding: it must be recomputed.
             small = square <= _INNER**2 * first or most <= _ATTAINED * far
             if enough(step) or small or again == 0:
                 break
@@ -285,7 +286,7 @@ class StabilisedGradients:
 
 
 class _Spectrum:
-    """The least eigenvalue that conjugate gradients have met (their Lanczos matrix has it)."""
+    """Least eigenvalue met by conjugate gradients, from their Lanczos matrix."""
 
     def __init__(self, rounding: float = _LEAST) -> None:
         self.least, self._rounding = 1.0, rounding
@@ -293,19 +294,19 @@ class _Spectrum:
 
     @property
     def steps(self) -> int:
-        """How many steps the present run has taken."""
+        """Number of steps in the present run."""
         return len(self._diagonal)
 
     def restart(self) -> None:
-        """Begin a new run; what was learnt stays."""
+        """Begin a new run; the least eigenvalue of all runs is kept."""
         self._diagonal: list[float] = []
         self._beside: list[float] = []
         self._length = 0.0
-        #: The least of the present run.
+        #: Least eigenvalue of the present run.
         self.met = 1.0
 
     def add(self, length: float, turn: float) -> None:
-        """Take in a step: its length along the direction, and the direction's turn before it."""
+        """Add a step: its length along the direction, and the direction's update before it."""
         self._diagonal.append(1 / length + (turn / self._length if self._length else 0.0))
         if self._length:
             self._beside.append(math.sqrt(turn) / self._length)

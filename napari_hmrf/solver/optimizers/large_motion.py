@@ -1,4 +1,4 @@
-"""Large motion: where Newton's method begins, and what its field met of what was observed."""
+"""Large motion: start of Newton's method, growth in steps, and report of unmet observations."""
 
 from __future__ import annotations
 
@@ -32,17 +32,18 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import grip
 
 _TINY = 1e-300
-# What a beginning keeps of each corner's Jacobian on the way from one field to another.
+# Part of each corner's Jacobian that the extrapolation of a start must keep.
 _KEPT = 0.25
 # Part of the least Jacobian that a returned field keeps when its unit is changed.
 _LEFT = 0.5
-# What is this near, as a part of the tolerance, was met.
+# Distance up to which an observation counts as met, as a part of the tolerance.
 _MET = 1.0
-# Of what is held less firmly than this cycles take long to see how it turns; or too long. From this
-# contrast on they hardly see how stiff parts turn, and from this one not at all.
+# Grips below which cycles are slow to turn tissue, and too slow. Contrasts of stiffness from which
+# cycles hardly turn stiff parts, and from which they do not turn them at all.
 _GRASP, _LOOSE, _STIFF, _CONTRAST = 5e-3, 1e-4, 50.0, 1.2e3
-# The logarithm of a growth of area that tissue takes at once, how close to balance it is then, in
-# pixels, after how many steps it takes less, and the least part that is tried by itself.
+# Logarithm of the growth of area that tissue takes in one step, its distance from balance after
+# such a step, in pixels, the number of Newton steps after which the growth step is halved, and the
+# least growth step that is still halved.
 _GROWTH, _ROUGHLY, _GROWTH_STEPS, _LEAST_GROWTH = math.log(4.0), 0.1, 80, 0.05
 
 
@@ -64,9 +65,9 @@ def converge(
     model = backend.finite_model(material)
     observed, held = host.prescribed(problem)
     load, limit = given(problem, prior).pulls, prior.limit(problem)
-    # Observations that may slip do not stop rigid bodies.
+    # Observations that may slip do not stop the motion of rigid bodies.
     stops = held if limit is None else held & np.isinf(host.planes(limit))
-    # Other sites of a rigid body that is held have no target of their own.
+    # Sites of a held rigid body that are not observed have no target of their own.
     poses, has_target = model.poses(stops), held.copy()
     poses.hold(observed, held)
     d = _beginning(model, poses, start, observed, held)
@@ -116,8 +117,8 @@ def _returned(
 ) -> tuple[npt.NDArray[np.floating], float, float]:
     """Return a displacement in pixels, its rounding error, and the least Jacobian of any corner.
 
-    It has single precision only where that carries the tolerance and folds nothing, in the unit of
-    the spacing, too.
+    The result is in single precision only if that is within the tolerance and folds nothing, also
+    after the conversion to the unit of the spacing.
 
     Raises
     ------
@@ -154,7 +155,7 @@ def _grow(
     d: Planes,
     tolerance: float,
 ) -> float:
-    """Move tissue to balance, in place, as its growth goes on; which part of that it takes."""
+    """Move tissue to balance, in place, as it grows in steps; return the completed growth."""
     if material.growth is None:
         settle(tolerance)
         return 1.0
@@ -171,7 +172,7 @@ def _grow(
                 continue
             if done == 0:
                 raise
-            # What it has grown by so far was reached before, roughly.
+            # This growth was reached before, roughly.
             model.assemble(material.grown(done))
             with suppress(ConvergenceError):
                 settle(tolerance)
@@ -188,7 +189,7 @@ def _beginning(
     observed: Planes,
     held: HeldPlanes,
 ) -> Planes:
-    """A field that is not folded: as near to what was found before as may be, or nothing."""
+    """Return an unfolded initial field: as close to the start as possible, or 0."""
     nothing: Planes = np.zeros(observed.shape)
     if start is None:
         return nothing
@@ -196,10 +197,10 @@ def _beginning(
     poses.settle(last)
     if not model.energy(last)[1] >= LEAST_JACOBIAN:
         last = nothing
-    # How a drag went on before it will go on: but for where that would fold.
+    # Extrapolate a drag linearly, unless that would fold tissue.
     way = combined - last
     if len(start.displacements) == 1:
-        # Before the first frame tissue was at rest.
+        # Before the first frame tissue was at rest, so the field is scaled.
         there = last[held]
         square = float((there**2).sum())
         share = float((there * observed[held]).sum()) / square if square > 0 else 1.0
@@ -218,7 +219,7 @@ def _reach(
     least: float,
     grown: float,
 ) -> Reach:
-    """How far what was observed was met, and where not."""
+    """Return the extent to which observations were met, and the worst site."""
     far = np.linalg.norm(missing, axis=-1)
     sites = far > _MET * tolerance
     if not sites.any():

@@ -1,7 +1,7 @@
-"""Large motion of tissue whose observations may slip: what is held, what slips, and the field.
+"""Large motion with observations that may slip: search for the held and the slipping ones.
 
-First the kink of each observation's energy is rounded, ever less; then it is plain what is held and
-what slips, and that is solved for as it is, without any rounding.
+First the kink of each observation's energy is rounded, less and less; the result separates held
+from slipping observations, and the problem with these states is then solved without rounding.
 """
 
 from __future__ import annotations
@@ -14,34 +14,34 @@ from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
 from napari_hmrf.solver.optimizers.newton import Newton
 from napari_hmrf.solver.optimizers.outside import Outside, SoftObservations
 
-# The widths of the kink, in pixels: of where it begins as a part of the longest way, how much less
-# each is than the one before, and the last as a part of the tolerance.
+# Widths of the kink, in pixels: the first as a part of the longest distance to go, the factor from
+# each to the next, and the last as a part of the tolerance.
 _BEGIN, _LESS, _LAST = 0.2, 0.1, 0.1
-# What is this many widths away slips.
+# Distance, in widths, from which an observation counts as slipping.
 _SLIPS = 30.0
-# By which part of its limit what is held may need more, and how often states are exchanged.
+# Part of its limit by which a held observation may exceed it, and largest number of exchanges.
 _MORE, _EXCHANGES = 1e-3, 8
 
 
 class LargeSlip:
-    """The search for what slips.
+    """Search for the observations that slip.
 
     Parameters
     ----------
     newton : Newton
     y : ndarray, planes
-        What was observed, in pixels.
+        Observed displacement, in pixels.
     limit : ndarray, planes
-        The greatest force of each component; infinite where it never slips.
+        Largest force of each component; infinite if the component never slips.
     load : ndarray, planes, or None
-        Other forces.
+        Given forces.
     """
 
     def __init__(self, newton: Newton, y: Planes, limit: Planes, load: Planes | None) -> None:
         self._newton, self._y, self._limit, self._load = newton, y, limit, load
         self._observed: HeldPlanes = limit > 0
         self._fixed: HeldPlanes = np.isinf(limit)
-        #: The limits of observations that may slip; 0 elsewhere.
+        #: Limits of observations that may slip; 0 elsewhere.
         self._yielding = np.where(self._fixed, 0.0, limit)
 
     def run(self, d: Planes, tolerance: float, warm: bool = False) -> None:
@@ -51,9 +51,9 @@ class LargeSlip:
         ----------
         d : ndarray, planes
         tolerance : float
-            In pixels.
+            Largest error of the field, in pixels.
         warm : bool
-            Whether `d` is nearly that: then forces there tell what slips.
+            Whether `d` is close to the result, so that its forces show which observations slip.
 
         Raises
         ------
@@ -67,7 +67,7 @@ class LargeSlip:
         try:
             self._soften(d, tolerance)
         except ConvergenceError:
-            # Large forces may crush tissue on the way. Where all observations are met they are
+            # Large forces may crush tissue on the way. With all observations met the forces are
             # small, and grow as the tissue gives way.
             np.copyto(d, begun)
             self._newton.outside = Outside(self._load)
@@ -76,13 +76,13 @@ class LargeSlip:
                 raise
 
     def _slipping(self, d: Planes) -> npt.NDArray[np.float64]:
-        """Return the side to which each component would slip by the forces there; 0 if held."""
+        """Return the side to which the present force makes each component slip; 0 if held."""
         needed = self._needed(d, self._observed)
         slips = np.abs(needed) >= (1 - _MORE) * self._limit
         return np.where(slips, np.sign(needed), 0.0)
 
     def _soften(self, d: Planes, tolerance: float) -> None:
-        """Move `d` in place to the field of least energy, by kinks that are rounded ever less."""
+        """Move `d` in place to the field of least energy, through less and less rounded kinks."""
         newton = self._newton
         far = float(np.abs(np.where(self._yielding > 0, self._y - d, 0.0)).max())
         last = _LAST * tolerance
@@ -99,13 +99,13 @@ class LargeSlip:
         sides = np.where(np.abs(off) > _SLIPS * width, np.sign(off), 0.0)
         found, known = d.copy(), newton.distance
         if not self._sharpen(d, sides, tolerance):
-            # Then that is as near as can be told.
+            # The rounded solution is the best available.
             np.copyto(d, found)
             newton.outside = soft
             newton.distance = known
 
     def _sharpen(self, d: Planes, sides: npt.NDArray[np.float64], tolerance: float) -> bool:
-        """Solve for what slips to one side or the other, in place; whether that is consistent."""
+        """Solve for given slipping sides, in place; return whether the result is consistent."""
         newton = self._newton
         for _ in range(_EXCHANGES):
             held, pulls = self._observed & (sides == 0), sides * self._yielding
@@ -124,6 +124,6 @@ class LargeSlip:
         return False
 
     def _needed(self, d: Planes, held: HeldPlanes) -> Planes:
-        """The force that it takes to keep components where they are; 0 elsewhere."""
+        """Return the force that keeps held components in place; 0 elsewhere."""
         self._newton.outside = None if self._load is None else Outside(self._load)
         return np.where(held, self._newton.forces(d), 0.0)

@@ -1,4 +1,4 @@
-"""What loads do: their work, and whether what holds tissue can bear them."""
+"""Loads: their forces and work, and checks that the constraints can bear them."""
 
 from __future__ import annotations
 
@@ -17,15 +17,14 @@ from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, Seil
 from napari_hmrf.solver.problem import MAX_REACH, Problem
 from napari_hmrf.solver.rigid_modes import free_motions
 
-# Forces that are this part of all of them, or less, are rounding.
+# Share of all forces up to which a force counts as rounding.
 _NOTHING = 1e-9
-# How much more observations may be asked for than they bear: programs of linear inequalities are
-# solved to no less.
+# Part by which loads may exceed the limits of observations: the accuracy of linear programs.
 _AT_LIMIT = 1e-6
 
 
 class Given(NamedTuple):
-    """What loads pull with, and the energy of tissue that grows and does not move."""
+    """Forces of loads, and the energy of tissue that grows but does not move."""
 
     pulls: Planes | None
     energy: float
@@ -37,7 +36,7 @@ class _Known(NamedTuple):
     given: Given
 
     def serves(self, problem: Problem, prior: ElasticPrior | NeoHookeanPrior) -> bool:
-        """Whether tissue and loads are the same again, whatever is observed."""
+        """Return whether tissue and loads are unchanged; observations may differ."""
         mine = self.problem
         return (
             prior == self.prior
@@ -47,12 +46,12 @@ class _Known(NamedTuple):
         )
 
 
-# The last of an image: as tissue is dragged, they stay the same.
+# Loads of the last image: they stay the same while tissue is dragged.
 _last: list[_Known] = []
 
 
 def given(problem: Problem, prior: Prior) -> Given:
-    """What the loads of a problem are for multigrid; not to be written to."""
+    """Return the loads of a problem in the form that multigrid takes; not to be written to."""
     if isinstance(prior, SeilerPrior) or problem.loads is None:
         return Given(None, 0.0)
     if _last and _last[0].serves(problem, prior):
@@ -66,14 +65,14 @@ def given(problem: Problem, prior: Prior) -> Given:
 
 
 def work_of(load: Planes | None, d: Planes) -> float:
-    """The work that forces do on a displacement."""
-    # `einsum`, as the threads that a larger product wakes in BLAS would go on to wait for more, on
-    # the cores that the solve needs.
+    """Return the work that forces do on a displacement."""
+    # `einsum`: a larger product would wake threads of BLAS, which then spin on the cores that the
+    # solve needs.
     return 0.0 if load is None else float(np.einsum("i,i->", load.ravel(), d.ravel()))
 
 
 def check_reach(d: Planes, problem: Problem) -> None:
-    """Refuse loads that move tissue far beyond the image, mostly of a wrong unit.
+    """Refuse loads that move tissue far beyond the image, usually because of a wrong unit.
 
     Raises
     ------
@@ -99,25 +98,25 @@ def check_balanced(
     load: Planes | None,
     fixed: npt.NDArray[np.bool_],
 ) -> None:
-    """Refuse loads that are more than observations that may slip can hold.
+    """Refuse loads that exceed the holding forces of observations that may slip.
 
     Parameters
     ----------
     problem : Problem
     at : ndarray of int
-        The components of flat planes that may slip.
+        Components of flat planes that may slip.
     limit : ndarray
-        The greatest force of each.
+        Largest force of each component.
     load : ndarray, planes
     fixed : ndarray of bool, shape (H, W, 2)
-        The components that are held exactly.
+        Components that are held exactly.
 
     Raises
     ------
     ProblemError
     """
     if load is None or problem.loads is None or problem.loads.force is None:
-        return  # growth pulls as much one way as the other
+        return  # growth is balanced in itself
     total = np.abs(load).sum()
     for ways in free_motions(problem, fixed):
         motions = [host.planes(way) for way in ways]
@@ -136,17 +135,17 @@ def check_balanced(
 
 
 def _can_hold(stops: npt.NDArray[np.float64], asked: npt.NDArray[np.float64]) -> bool:
-    """Whether some parts of all limits, from -1 to 1, balance what is asked."""
+    """Return whether fractions of the limits, each from -1 to 1, balance the demanded work."""
     size = np.abs(stops).sum(axis=1)
     if (np.abs(asked) > size).any():
         return False
-    # Mostly parts that are as small as can be, in their squares, are small enough.
+    # The least-squares fractions usually are small enough.
     square = np.einsum("an,bn->ab", stops, stops)
     shares = np.linalg.lstsq(square, asked)[0]
     apart = np.abs(square @ shares - asked).max()
     if apart <= _NOTHING * np.abs(asked).max() and np.abs(shares @ stops).max() <= 1:
         return True
-    # The greatest multiple of what is asked that can be had.
+    # The largest multiple of the demand that can be balanced.
     matrix = np.column_stack([stops / size[:, None], -asked / size])
     cost = np.zeros(matrix.shape[1])
     cost[-1] = -1.0

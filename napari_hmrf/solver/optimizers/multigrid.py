@@ -1,7 +1,7 @@
 """The converged field: a Krylov iteration, preconditioned by a V-cycle over the hierarchy.
 
 Work per pixel does not depend on the size of the image: each level removes the error that its own
-pixels can see.
+pixels resolve.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import grip
 
 _TINY = 1e-300
-# What is this part of the tolerance, or less, is as good as nothing.
+# Part of the tolerance up to which a distance is negligible.
 _NOTHING = 0.01
-# What holds a volume less firmly may be less than coarse levels see.
+# A weaker grip on a volume may escape the coarse levels.
 _MILD_GRIP = 0.05
 
 
@@ -42,25 +42,24 @@ _MILD_GRIP = 0.05
 class Multigrid:
     """A Krylov iteration with a V-cycle, Chebyshev-Jacobi smoothing, and refinement.
 
-    The iteration runs in single precision; the residual that decides is computed in double. It is
-    that of conjugate gradients for a prior with an energy to be least: `ElasticPrior`, and
-    `SeilerPrior` in its blanket reading. For its centred reading, which is not symmetric, it is
-    that of stabilised biconjugate gradients (`napari_hmrf.solver.optimizers.centred`). For
-    `NeoHookeanPrior` it solves the steps of Newton's method
-    (`napari_hmrf.solver.optimizers.newton`).
+    The iteration runs in single precision; the residual that decides is computed in double.
+    Conjugate gradients solve priors with an energy: `ElasticPrior`, and `SeilerPrior` in its
+    blanket reading. Stabilised biconjugate gradients solve the centred reading, which is not
+    symmetric (`napari_hmrf.solver.optimizers.centred`). For `NeoHookeanPrior` conjugate gradients
+    solve the steps of Newton's method (`napari_hmrf.solver.optimizers.newton`).
 
     Parameters
     ----------
     tolerance : float
         Stop when no site is estimated to be further than this from the converged field, in
-        pixels. The estimate is what the last cycle corrected, times the residual it left, over
-        the least eigenvalue of the preconditioned system as the iteration has come to know it;
-        where tissue is not mild, a rehearsal shows whether that can be believed, and if not the
-        system is factorised. In the centred reading it is a bound, by a maximum principle.
+        pixels. The estimate is the correction of the last cycle, times the residual it left, over
+        the least eigenvalue of the preconditioned system met by the iteration; where tissue is not
+        mild, a rehearsal shows whether the estimate can be trusted, and if not the system is
+        factorised. In the centred reading it is a bound, by a maximum principle.
     max_iterations : int
-        Give up after so many cycles, with an error. Where observations may slip, that many for
-        each set of those that do; of a volume that takes double precision, eight times as many.
-        Large motion gives up after so many steps as no tissue has been found to need.
+        Number of cycles after which the solve fails with an error. Where observations may slip, the
+        number for each set of slipping ones; in a volume that needs double precision, eight times
+        as many. Large motion fails after a fixed number of steps that no tested tissue has needed.
     """
 
     tolerance: float = 1e-3
@@ -76,11 +75,11 @@ class Multigrid:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """The parameters, by name."""
+        """Parameters by name."""
         return {"name": "Multigrid", **asdict(self)}
 
     def rehearsal(self) -> Multigrid:
-        """Return an iteration that is sure to end, with the same kernels."""
+        """Return an iteration with the same kernels that is sure to end."""
         return Multigrid()
 
     def run(
@@ -91,7 +90,7 @@ class Multigrid:
         report: Report,
         start: Beginning | None = None,
     ) -> Outcome:
-        """Solve; lengths are in pixels from here on."""
+        """Solve the problem; lengths are in pixels from here on."""
         if isinstance(prior, SeilerPrior) and prior.conditional == "centred":
             return centred.converge(
                 self.tolerance, self.max_iterations, problem, prior, backend, report, start
@@ -141,7 +140,7 @@ class Multigrid:
         energies = np.array(refinement.energies) / max(1, np.count_nonzero(problem.tissue))
         displacement, rounding = host.gathered(d, self.tolerance)
         if problem.is_volume:
-            rounding *= 3  # so is what its model knows of tissue
+            rounding *= 3  # the model's knowledge of the tissue is rounded, too
         host.reuse(d, observed)
         if limit is None:
             model.found.add(displacement, Quality(refinement.estimate, refinement.residual))
@@ -158,7 +157,7 @@ class Multigrid:
         )
 
     def _known(self, start: Beginning | None, model: LinearModel) -> Quality | None:
-        """How good what a solve begins with is, if it is all that is observed."""
+        """Return the quality of the start, or None if it misses observations."""
         if start is None or start.missing > _NOTHING * self.tolerance:
             return None
         return model.found.quality(start)

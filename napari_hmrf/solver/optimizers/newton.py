@@ -1,10 +1,10 @@
-"""Newton's method for tissue that moves far: no field it accepts is folded anywhere.
+"""Newton's method for large motion: no accepted field is folded anywhere.
 
-Each step solves a linear model of the tissue as it is, with the V-cycle and conjugate gradients,
-and closes the gap of what is held within the same step. How far it goes the corners tell: the
-Jacobian of each is quadratic along a step, and none may lose more than three quarters of it. Where
-that stops a pull the tissue relaxes before it is pulled again, and what cannot be pulled any
-further stays where it got to.
+Each step solves a linear model of the tissue in its present state, with the V-cycle and conjugate
+gradients, and closes the gap of held components within the same step. The corners limit its length:
+the Jacobian of each is quadratic along a step, and none may lose more than three quarters of it.
+Where that cuts a pull short, the tissue relaxes before the next pull; components that cannot be
+pulled any further stay where they are.
 """
 
 from __future__ import annotations
@@ -30,56 +30,57 @@ from napari_hmrf.solver.optimizers.doubt import BELIEVABLE, Rehearsal
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
 from napari_hmrf.solver.optimizers.outside import Outside
 
-# What every corner keeps of its Jacobian in a step; of a pull that this cuts short, the part that
-# is gone; and the Jacobian below which nothing is pulled any further.
+# Part of its Jacobian that every corner keeps in a step; part of a shortened pull that is taken;
+# and the Jacobian below which tissue is pulled no further.
 _KEPT, _SHARE, _FLOOR = 0.25, 0.85, 1e-5
-# What is left of a linear system's error, as a part of it and of the tolerance, or of its residual,
-# which is as far as single precision goes.
+# Error left in a linear system, as a part of its first error and of the tolerance; and the
+# residual, relative to the load, at the limit of single precision.
 _INNER, _OF_TOLERANCE, _ROUNDED = 0.03, 0.3, 2e-5
-# Cycles after which a system is factorised, of so few sites, and of more: there that takes longer.
+# Cycles after which a system with up to this many sites is factorised, and a larger one, whose
+# factorisation takes longer.
 _CYCLES, _FEW, _MORE_CYCLES = 40, 20_000, 200
-# A step that gets hardly further than this part of its way is tried without what buckles.
+# Part of a step below which the step without buckling terms is tried.
 _HARDLY = 0.1
-# Of the fall of energy that a step promises; what is rounding, of energy and for each component;
-# and how often a step is halved.
+# Part of the promised fall of energy that a step must reach; rounding of the energy, and for each
+# component; and largest number of halvings of a step.
 _ARMIJO, _ROUNDING, _OF_SITE, _HALVINGS = 1e-4, 1e-12, 1e-3, 12
-# Tissue is relaxed when it is this close to balance, in pixels, or after so many steps; and before
-# it is said that it cannot be pulled.
+# Distance from balance, in pixels, at which tissue counts as relaxed, and largest number of steps
+# to get there; and the same before tissue counts as stuck.
 _RELAXED, _RELAXATIONS = 0.3, 6
 _AT_EASE, _MORE_RELAXATIONS = 0.02, 25
-# A pull is stuck that goes less than this part of its way and so little, in pixels, so often in a
-# row; then what stands in its way is what would stop this much more.
+# A pull that goes less than this part of its way, and less than this distance in pixels, so often
+# in a row, is stuck; elements obstruct it that limit the step to less than the last number.
 _STUCK, _STUCK_PIXELS, _PATIENCE, _IN_THE_WAY = 0.05, 0.1, 2, 0.3
-# How much the ways of what is pulled as one piece may differ, as a part of them.
+# Largest relative spread of the motions of sites that are pulled as one piece.
 _AS_ONE = 0.2
-# Steps after which nothing is pulled any more, and after which it is given up.
+# Steps after which pulling ends, and after which the run fails.
 _MOST_PULLS, _MOST_STEPS = 150, 400
-# Tissue creeps that in so many steps loses this part of its energy only; that is as good as at rest
-# this close to balance, in pixels.
+# Tissue creeps if so many steps lower its energy by this part only; closer to balance than this
+# distance, in pixels, that counts as balanced.
 _LONG, _LITTLE, _CREEPS = 30, 1e-7, 0.1
-# The least part to leave out of what lets tissue buckle, but none, and how many times more next.
+# Least non-zero share of the buckling terms to leave out, and factor to the next share.
 _LEAST, _MORE = 0.05, 2.0
-# A short step, in tolerances.
+# Length of a short step, in tolerances.
 _SHORT = 10.0
-#: Least Jacobian of any corner of a field: far above what rounding in double precision takes.
+#: Least Jacobian of any corner of a field: far above rounding in double precision.
 LEAST_JACOBIAN = 1e-9
 
 
 class Strategy(NamedTuple):
-    """How an iteration goes about some tissue.
+    """Choices of an iteration for some tissue.
 
     Attributes
     ----------
     doubtful : bool
-        Whether there may be motions that cycles hardly see: the last step must be a short one, and
-        cycles are rehearsed.
+        Whether cycles may miss motions: the last step must then be a short one, and cycles are
+        rehearsed.
     stiff : bool
-        Whether parts of it are so stiff, or all of it so loose, that they must be free to turn, and
-        that rounding there looks like buckling.
+        Whether parts are so stiff, or the grip is so loose, that parts must be free to turn, and
+        rounding there resembles buckling.
     by_factors : bool
-        Whether cycles are not tried at all.
+        Whether factors are used without trying cycles.
     steps : int
-        Steps after which a run is given up.
+        Steps after which a run fails.
     """
 
     doubtful: bool
@@ -115,19 +116,19 @@ class Distance(NamedTuple):
 
 
 class _Linear(NamedTuple):
-    """A step of the linear model: where to, how far for a unit of residual, and how far at most."""
+    """Step of the linear model: its displacement, error per unit of residual, and length."""
 
     way: Planes
     reach: float
     far: float
-    #: How much of what lets the tissue buckle was left out for it.
+    #: Share of the buckling terms that was left out.
     positive: float = 0.0
-    #: What it was found by, if not by cycles.
+    #: Factors that solved for the step; None if cycles did.
     factors: Factors | None = None
 
 
 class Newton:
-    """The iteration.
+    """Newton iteration.
 
     Parameters
     ----------
@@ -136,9 +137,9 @@ class Newton:
     report : Report
     strategy : Strategy
     poses : Poses
-        Those of rigid bodies, with what is held of them.
+        Poses of rigid bodies, with their held components.
     outside : Outside or None
-        What pulls besides tissue.
+        Forces from outside the tissue.
     """
 
     def __init__(
@@ -152,39 +153,39 @@ class Newton:
     ) -> None:
         self._model, self._smoothing, self._report = model, smoothing, report
         self._strategy, self._poses = strategy, poses
-        #: What pulls besides tissue.
+        #: Forces from outside the tissue.
         self.outside = outside
         self._tolerance = math.inf
         #: Distance of the field from balance.
         self.distance = Distance()
-        #: The energy after each step.
+        #: Energy after each step.
         self.energies: list[float] = []
         self.cycles = 0
         self.by_factors = strategy.by_factors
         self._first = 0.0
-        # After how many steps it was pulled last.
+        # Number of steps before the last pull.
         self._pulled = 0
-        # Whether all that is held can be met, as far as is known.
+        # True until some held component turns out to be out of reach.
         self._met = True
-        # How much of what lets the tissue buckle was left out last, or a little less; and whether
-        # cycles have met a direction in which it does.
+        # Share of the buckling terms that was left out last, or a little less; and whether cycles
+        # have met a direction in which the tissue buckles.
         self._positive = 0.0
         self._buckles = False
 
     def run(self, d: Planes, y: Planes, held: HeldPlanes, tolerance: float) -> None:
-        """Move `d`, which is not folded, to balance, with what is held as near `y` as may be.
+        """Move the unfolded field `d` to balance, with held components as near `y` as possible.
 
         Parameters
         ----------
         d, y : ndarray, planes
         held : ndarray of bool, planes
         tolerance : float
-            In pixels.
+            Largest distance from balance, in pixels.
 
         Raises
         ------
         ConvergenceError
-            If the field is far from balance though nothing is in its way, or if its distance from
+            If the field is far from balance though no tissue is crushed, or if its distance from
             balance is unknown.
         """
         self._tolerance, self._met = tolerance, True
@@ -205,7 +206,7 @@ class Newton:
             before, known = d.copy(), self.distance
             step = self._step(d, gap if pulls else None, held)
             if step is None:
-                # Crushed so far that nothing solves it any more, it is as far as it goes.
+                # The tissue is crushed beyond what the linear model can solve: it goes no further.
                 self._met = self._met and (left == 0 or math.isinf(self.distance.estimate))
                 break
             if pulls:
@@ -222,7 +223,7 @@ class Newton:
                 step, taken = self._relax(d, held, step)
                 relaxations = max(relaxations - 1, 0)
             if not self._judge(d, step):
-                # The last field that is one stands; a pull ends there.
+                # Return to the last valid field; a pull ends there.
                 np.copyto(d, before)
                 self.distance = known
                 self._met = self._met and left == 0
@@ -236,7 +237,7 @@ class Newton:
                 far = max(self.distance.estimate, step.far)
                 self.distance = self.distance._replace(estimate=far)
                 break
-        # Crushed, tissue creeps: it is as far as it goes.
+        # Crushed tissue creeps: it goes no further.
         estimate = self.distance.estimate
         if not math.isfinite(estimate) or (self._met and estimate > _CREEPS):
             self._give_up()
@@ -254,9 +255,9 @@ class Newton:
         )
 
     def _judge(self, d: Planes, step: _Linear) -> bool:
-        """Measure the distance from balance after a step; return whether the field is one.
+        """Measure the distance from balance after a step; return whether the field is valid.
 
-        A field is none if a corner folds, or if its energy or its distance is not a number.
+        A field is invalid if a corner folds, or if its energy or its distance is not a number.
         """
         energy, least = self._energy(d)
         if not (math.isfinite(energy) and least >= LEAST_JACOBIAN):
@@ -266,7 +267,7 @@ class Newton:
         residual = norm(rest)
         estimate, remaining = step.reach * residual, rest * self._model.levels[0].inverse
         if step.factors is not None:
-            # A solve by known factors costs next to nothing.
+            # With known factors another solve is cheap.
             left = step.factors.solve(rest)
             self._model.project(left)
             far = float(np.abs(left).max())
@@ -279,19 +280,19 @@ class Newton:
         return True
 
     def _is_balanced(self, d: Planes, held: HeldPlanes, step: _Linear) -> bool:
-        """Whether tissue is as near to balance as it is asked to be, as far as can be told."""
+        """Return whether tissue is within the tolerance of balance, as far as known."""
         if self.distance.estimate > self._tolerance:
             return False
         if not self._strategy.doubtful:
             return True
-        # What does not let tissue buckle does not let stiff parts of it turn.
+        # Leaving out the buckling terms also keeps stiff parts from turning.
         if self._strategy.stiff and step.positive > 0:
             return False
         if step.factors is not None:
             return True
         if step.far > _SHORT * self._tolerance:
             return False
-        # Such tissue was rehearsed as it was pulled before, or is now.
+        # Such tissue was rehearsed at an earlier pull, or is rehearsed now.
         model, known = self._model, self._model.rehearsed
         if known is None or not np.array_equal(known[0], held):
             model.linearise(d, held, self.forces(d), 1.0, model.springs)
@@ -310,7 +311,7 @@ class Newton:
     def _step(
         self, d: Planes, gap: Planes | None, held: HeldPlanes, positive: float = 0.0
     ) -> _Linear | None:
-        """Where the linear model would go from here, all of the gap closed; None if unknown."""
+        """Return the step of the linear model, which closes the gap; None if it has none."""
         forces = self.forces(d)
         springs = None if self.outside is None else self.outside.springs(d)
         if gap is not None:
@@ -321,7 +322,7 @@ class Newton:
             if gap is not None:
                 rest -= self._model.image(gap)
             found = None if self.by_factors else self._iterate(rest)
-            # What looks like buckling may be the rounding of a large contrast.
+            # With a large contrast, apparent buckling may be rounding.
             sure = stiff == 1 or not self._buckles or self._strategy.stiff
             if found is None and sure and Factors.fit(self._model.shape):
                 found = self._solve(rest)
@@ -332,7 +333,7 @@ class Newton:
         return None
 
     def _iterate(self, load: Planes) -> _Linear | None:
-        """A correction for a load by cycles; None if they did not get there."""
+        """Return a correction for a load by cycles; None if they did not converge."""
         self._buckles = False
         balance, way = self._model.balance(load), np.zeros_like(load)
         if balance.most == 0:
@@ -357,7 +358,7 @@ class Newton:
         except FloatingPointError:
             self._model.clear()
             return None
-        # Else it has met a direction in which the tissue buckles, or that it does not get out of.
+        # Otherwise cycles have met a direction in which the tissue buckles, or have stalled.
         if latest is not None and latest.rest * balance.unit <= _ROUNDED * balance.norm:
             done = True
         self._buckles = not done and count < patience
@@ -366,7 +367,7 @@ class Newton:
         return _Linear(way, latest.reach, float(np.abs(way).max()))
 
     def _solve(self, load: Planes) -> _Linear | None:
-        """The same by factors; None if what is solved is not positive."""
+        """Return a correction for a load by factors; None if the matrix is not positive."""
 
         def tell(part: float) -> None:
             self._report(Monitor(f"factorising, {part:.0%}", part))
@@ -387,18 +388,18 @@ class Newton:
         return _Linear(way, far / most if most > 0 else 0.0, far, factors=factors)
 
     def _creeps(self, far: float) -> bool:
-        """Whether short steps have led on for long, and to hardly less energy."""
+        """Return whether steps have been short for long, and the energy hardly falls."""
         late = self.energies[self._pulled :][-_LONG:]
         short = len(late) == _LONG and far <= _CREEPS
         return short and late[0] - late[-1] <= _LITTLE * abs(late[-1])
 
     def _energy(self, d: Planes) -> tuple[float, float]:
-        """All energy there is, and the least Jacobian of any corner."""
+        """Return the total energy, and the least Jacobian of any corner."""
         energy, least = self._model.energy(d)
         return energy if self.outside is None else energy + self.outside.energy(d), least
 
     def forces(self, d: Planes) -> Planes:
-        """The derivative of all energy there is; valid until the next call."""
+        """Return the derivative of the total energy; valid until the next call."""
         forces = self._model.forces(d)
         return forces if self.outside is None else forces + self.outside.forces(d)
 
@@ -410,7 +411,7 @@ class Newton:
             np.copyto(d, start + taken * way)
             if taken == 1.0:
                 np.copyto(d, y, where=held)
-            # Rigid bodies turn although the step is straight.
+            # Rigid bodies turn, although the step is straight.
             self._poses.settle(d)
             energy, least = self._model.energy(d)
             if math.isfinite(energy) and least >= LEAST_JACOBIAN:
@@ -420,7 +421,7 @@ class Newton:
         return 0.0
 
     def _relax(self, d: Planes, held: HeldPlanes, step: _Linear) -> tuple[_Linear, float]:
-        """Go downwards by a step or, if that leads nowhere, by one without what buckles."""
+        """Take a step downhill or, if it hardly moves, one without the buckling terms."""
         taken = self._descend(d, step.way)
         if taken < _HARDLY and step.positive < 1:
             again = self._step(d, None, held, positive=1.0)
@@ -429,7 +430,7 @@ class Newton:
         return step, taken
 
     def _descend(self, d: Planes, way: Planes) -> float:
-        """Go along a way as far as the energy falls, in place; which part of it that was."""
+        """Move along a step while the energy falls, in place; return the part moved."""
         before = d.copy()
         taken = self._fall(d, way)
         if self.outside is not None and taken > 0:
@@ -437,7 +438,7 @@ class Newton:
         return taken
 
     def _fall(self, d: Planes, way: Planes) -> float:
-        """Go along a way as far as the energy falls, in place; which part of it that was."""
+        """Move along a step while the energy falls, in place; return the part moved."""
         before, _ = self._energy(d)
         slope = float((self.forces(d) * way).sum())
         length, _ = self._model.length(d, way, _KEPT, LEAST_JACOBIAN)
@@ -454,17 +455,17 @@ class Newton:
         return 0.0
 
     def _let_be(self, d: Planes, y: Planes, held: HeldPlanes, way: Planes) -> None:
-        """Leave what is held where it is if it stands in the way of the rest."""
+        """Stop pulling held components that stand in the way of the rest."""
         self._met = False
         _, lengths = self._model.length(d, way, _KEPT, _FLOOR, each=True)
         sites = around_sites(lengths < _IN_THE_WAY, np.logical_or)
         pulled = (held & (y != d)).any(axis=0)[2:-2, 2:-2]
         stops = sites & pulled
         if not stops.any():
-            # Free tissue is in the way of all: what is left of it cannot be met.
+            # Free tissue obstructs all pulls: the remaining gaps cannot be closed.
             np.copyto(y, d)
             return
-        # What is pulled as one piece stops as one, or it would be crushed in itself.
+        # A part that is pulled as one piece stops as one, or it would be crushed in itself.
         pieces, _ = scipy.ndimage.label(pulled, structure=np.ones((3, 3)))
         gap = (y - d)[:, 2:-2, 2:-2]
         for number in np.unique(pieces[stops]):
@@ -486,7 +487,7 @@ class Newton:
 
 
 def _shares(first: float) -> Iterator[float]:
-    """How much to leave out of what lets tissue buckle, until it does not."""
+    """Yield increasing shares of the buckling terms to leave out, up to all of them."""
     share = first
     while share < 1:
         yield share
@@ -495,5 +496,5 @@ def _shares(first: float) -> Iterator[float]:
 
 
 def norm(values: Planes) -> float:
-    """The norm; without the threads of a larger product, which would go on to wait for more."""
+    """Return the norm; BLAS would start threads, which then spin and slow the solve."""
     return math.sqrt(float(np.square(values).sum()))

@@ -1,4 +1,4 @@
-"""The motions that cost a model nothing, or next to nothing, found from its factors."""
+"""Null space of a model: motions at no cost, or almost none, computed from its factors."""
 
 from __future__ import annotations
 
@@ -19,36 +19,36 @@ from napari_hmrf.solver.rigid_modes import FreeMotion, refusal
 
 Float64Array = npt.NDArray[np.float64]
 
-# The springs that make the model invertible, as a part of its diagonal; up to which part of it a
-# motion costs next to nothing; and nothing.
+# Springs that make the model invertible, as a part of its diagonal; relative cost below which a
+# motion is soft; and relative cost below which it is free.
 _SPRINGS, _LITTLE, _NOTHING = 1e-13, 1e-11, 1e-28
 _ITERATIONS = 4
 _FIRST, _MOST = 8, 64
 _EXACT, _FLOOR = 1e-12, 1e-14
 _BALANCINGS = 4
-# How far, in pixels where tissue moves by one, a motion may still be from rest after that; and
-# which part of a load may be left over in one that costs nothing.
+# Largest distance of a motion from balance, in pixels where tissue moves by one; and the part of
+# a load that may remain in a free motion.
 _ASTRAY, _BALANCED = 1e-6, 1e-9
 _MIXINGS = 2
-# Motions at next to no cost that a refusal looks at, at most: more take seconds to tell apart.
+# Largest number of soft motions that a refusal analyses: more take seconds to separate.
 _EXPLAINED = 16
-# Sites that move by more than this part of the largest motion belong to it.
+# Part of the largest displacement above which a site belongs to a motion.
 _TAKES_PART = 0.1
 
 
 class Play(NamedTuple):
-    """How tissue can move at next to no cost, and what of it has to be held to stop that.
+    """Soft motions of tissue, and components that stop them if held.
 
     Attributes
     ----------
     pins : ndarray of bool, planes
-        Components that, held, stop all of these motions.
+        Components that stop all of these motions if they are held.
     ways : ndarray, shape (ways, planes)
-        Those that cost something.
+        The motions that cost something.
     cost : ndarray, shape (ways, ways)
         Their second derivatives of the energy.
     free : list of ndarray, each of shape (ways, H, W, 2)
-        Those that cost nothing: one item, if there are any.
+        The motions that cost nothing: one item, if there are any.
     """
 
     pins: HeldPlanes
@@ -59,14 +59,14 @@ class Play(NamedTuple):
     def balance(
         self, model: LinearModel, refinement: Refinement, d: Planes, load: Planes, tolerance: float
     ) -> None:
-        """Move `d` in place to where tissue and load balance: pins, too, if that costs anything.
+        """Move `d` in place to where tissue and load balance, including pins that cost something.
 
-        Energies, unlike forces, tell how far these have to go: they are sums of squares.
+        The lengths come from energies, which unlike forces are sums of squares and stay accurate.
 
         Raises
         ------
         ConvergenceError
-            If double precision does not tell where that is.
+            If double precision is too coarse for that.
         """
         refinement.run(d, load, tolerance)
         size = np.sqrt(np.diagonal(self.cost).clip(1e-300))
@@ -81,10 +81,10 @@ class Play(NamedTuple):
             d += go
             refinement.run(d, load, tolerance)
         if far > _ASTRAY * max(1.0, float(np.abs(d).max())):
-            raise ConvergenceError("what moves at next to no cost does not come to rest")
+            raise ConvergenceError("soft motions of the tissue do not reach balance")
 
     def adrift(self, load: Planes) -> Planes | None:
-        """Return a motion that costs nothing and that a load does work in, if there is one."""
+        """Return a free motion on which a load does work, or None."""
         for ways in self.free:
             for way in ways:
                 motion = host.planes(way)
@@ -97,16 +97,16 @@ class Play(NamedTuple):
 def why_unsolvable(
     model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report
 ) -> ProblemError | ConvergenceError:
-    """Return the error that says why a system without factors has no answer.
+    """Return the error that explains why a system without factors has no solution.
 
-    Either some tissue can move at no cost, or at so little that the answer depends on digits that
-    double precision does not have.
+    Either some tissue can move at no cost, or at so little that the solution depends on digits
+    beyond double precision.
 
     Parameters
     ----------
     model : LinearModel
     held : ndarray of bool, planes
-        The components that are observed.
+        Observed components.
     refinement : Refinement
     report : callable
     """
@@ -130,14 +130,14 @@ def why_unsolvable(
     if cost < _NOTHING:
         return refusal(motion)
     return ConvergenceError(
-        f"the tissue around {motion.centre} is held by next to nothing: it can move at {cost:.0e} "
-        f"of what its sites cost one by one, and double precision tells no less than {HELD:.0e}. "
+        f"the tissue around {motion.centre} is barely held: it can move at {cost:.0e} of what its "
+        f"sites cost one by one, and double precision resolves no less than {HELD:.0e}. "
         "Hold more of it, or bring the softest and the stiffest tissue closer together"
     )
 
 
 def _as_free_motion(motion: Float64Array) -> FreeMotion:
-    """Return a motion (H, W, 2), with the tissue that takes part in it."""
+    """Return a motion (H, W, 2) as a `FreeMotion`, with the tissue that takes part in it."""
     sizes = np.abs(motion)
     axis = int(np.argmax(sizes.max(axis=tuple(range(motion.ndim - 1)))))
     piece = sizes[..., axis] > _TAKES_PART * sizes[..., axis].max()
@@ -146,9 +146,9 @@ def _as_free_motion(motion: Float64Array) -> FreeMotion:
 
 
 def find_play(model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report) -> Play:
-    """Find how tissue could move at next to no cost if only so much were held.
+    """Find the soft motions of tissue that is held at some components only.
 
-    By iterating on a few random motions at once with the inverse of the model on weak springs.
+    Inverse iteration with the model on weak springs, for a few random motions at once.
     """
     steep = model.steepness
     moves = (steep > 0) & ~held
@@ -167,7 +167,7 @@ def find_play(model: LinearModel, held: HeldPlanes, refinement: Refinement, repo
         way.ravel()[pin] = 1.0
         refinement.run(way, None, _EXACT)
     for _ in range(_MIXINGS):
-        # Products lose what is small beside the cost of other motions: not once they are apart.
+        # Products lose small costs beside those of other motions, until the motions are separated.
         ways /= np.sqrt((steep * ways**2).sum(axis=every, keepdims=True))
         cost = _costs(model, ways)
         _, mixes = np.linalg.eigh(cost)
@@ -181,17 +181,17 @@ def find_play(model: LinearModel, held: HeldPlanes, refinement: Refinement, repo
 
 
 def _costs(model: LinearModel, ways: Float64Array) -> Float64Array:
-    """The products of all motions."""
+    """Return the products of all pairs of motions."""
     return np.array([[_product(model, one, two) for two in ways] for one in ways])
 
 
 def _product(model: LinearModel, one: Planes, two: Planes) -> float:
-    """The product of two motions by which an energy is half a square."""
+    """Return the inner product of two motions in the energy (an energy is half a square)."""
     return (model.work(one + two)[0] - model.work(one - two)[0]) / 2
 
 
 def _soft(model: LinearModel, moves: HeldPlanes, weights: Float64Array) -> Float64Array:
-    """Return the motions, times roots of the diagonal, that cost little: (components, motions)."""
+    """Return the soft motions, scaled by roots of the diagonal: (components, motions)."""
     if not len(weights):
         return np.zeros((0, 0))
     springs = np.where(moves, _SPRINGS * model.steepness, 0.0)
@@ -199,7 +199,7 @@ def _soft(model: LinearModel, moves: HeldPlanes, weights: Float64Array) -> Float
         factors = Factors(model.material, moves, lambda part: None, springs)
     except Singular:
         raise ConvergenceError(
-            "how tissue can move at no cost is more than double precision tells. Hold more of it, "
+            "double precision cannot resolve how tissue moves at no cost. Hold more of it, "
             "or bring the softest and the stiffest tissue closer together"
         ) from None
     random, count = np.random.default_rng(0), _FIRST

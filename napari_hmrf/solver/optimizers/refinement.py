@@ -1,7 +1,8 @@
-"""Solving one linear system to a tolerance: by cycles, and by factors where cycles cannot be sure.
+"""Solution of a linear system to a tolerance, by cycles, or by factors where cycles are unreliable.
 
-Where tissue is not mild, the iteration first *rehearses* (`doubt`). If what it reports is true
-of that, it is trusted with the problem; if not, or if it stalls, the system is factorised.
+Where tissue is not mild, the iteration is first *rehearsed* (`doubt`) on a known solution. If its
+estimate is right there, it is trusted with the problem; if not, or if the iteration stalls, the
+system is factorised.
 """
 
 from __future__ import annotations
@@ -26,35 +27,35 @@ from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 from napari_hmrf.solver.volume_memory import IN_DOUBLE, ORDINARY, fits
 
-#: The refusal of a system that has no factors in double precision.
+#: Message for a system that has no factors in double precision.
 HELD_BY_NOTHING = (
-    "a part of the tissue is held by next to nothing, as far as double precision tells. Hold more "
+    "a part of the tissue is barely held, beyond the reach of double precision. Hold more "
     "of it, or bring the softest and the stiffest closer together"
 )
-# In double precision a rehearsal goes on for longer, until it has met what costs next to nothing.
+# Tolerance of a rehearsal in double precision, which must reach the softest motions.
 _REHEARSED_DOUBLE = 1e-5
-# So many times as many cycles may take, as there is no shorter way.
+# Factor on the number of cycles in double precision, as there are no factors to turn to.
 _IN_DOUBLE = 8
-# How much more doubtful a problem may be than its rehearsal was, and any volume is.
+# Safety factor on the underestimate that a rehearsal has measured, and for any volume.
 _MARGIN = 4.0
-# And how much more one is that is not mild.
+# Further factor for a volume that is not mild.
 _VOLUME_MARGIN = 1.5
-# Eigenvalues that cycles do not meet in images of mild tissue, compressible or not: where they meet
-# smaller ones, they may miss others.
+# Eigenvalues below those that cycles meet in images of mild tissue, compressible or not: cycles
+# that meet smaller ones may miss others.
 _MILD_LEAST, _MILD_LEAST_INCOMPRESSIBLE = 0.1, 0.05
-# How much more doubtful tissue is that is not mild, whatever its rehearsal has shown.
+# Least safety factor for tissue that is not mild, whatever its rehearsal has shown.
 _LEAST_MARGIN = 1.5
-# How much more doubtful a warm start is, which is close to converged but for what cycles see least;
-# and how much more than its estimate a cold one reports, up to the tolerance.
+# Safety factor for a warm start, which is converged except for the slowest motions; and factor on
+# the reported estimate of a cold start, up to the tolerance.
 _WARM_MARGIN, _COLD_MARGIN = 1.5, 2.0
-# Sites whose factors take no longer than a rehearsal and a few cycles.
+# Number of sites up to which factors take no longer than a rehearsal and a few cycles.
 _FEW = 1024
-# Motions of touching parts of bodies that factors do not know to cost anything, at most.
+# Largest number of free motions at hinges between touching parts of bodies, in factors.
 _MOST_HINGES = 40
-# A correction by factors must be smaller than the one before it by this factor.
+# Largest ratio of a correction by factors to the one before.
 _FALL = 0.25
-# One of this many pixels, where tissue moves by one, need only be smaller at all; and one of so
-# many is as small as they get, if it is not.
+# Size of a correction, in pixels where tissue moves by one, from which any decrease is enough; and
+# size up to which a correction that does not decrease is final.
 _ROUNDING, _STALLED = 1e-15, 1e-7
 
 
@@ -63,30 +64,30 @@ class _TurnedOutSlow(Exception):
 
 
 class Refinement:
-    """An iteration in single precision, begun anew from each residual in double, or factors.
+    """Iteration in single precision, restarted from each residual in double, or factors.
 
     Parameters
     ----------
     max_iterations : int
-        Cycles after which a run gives up.
+        Cycles after which a run fails.
     model : LinearModel
     smoothing : Smoothing
     report : callable
     firm : bool
-        Whether what is held stops all motions about equally well.
+        Whether the held sites stop all motions about equally well.
     met : Met, optional
         Knowledge from the solves of a warm start; None for a cold start.
 
     Attributes
     ----------
     estimate : float
-        How far the field is from converged, in pixels, as far as is known.
+        Estimated distance of the field from convergence, in pixels.
     residual : float
-        The norm of the forces that are left over, in double precision.
+        Norm of the remaining forces, in double precision.
     energies : list of float
-        The total energy after each cycle; at the beginning, if there is none.
+        Total energy after each cycle; the initial energy if there was no cycle.
     cycles : int
-        How many there were; a solution by factors counts as one.
+        Number of cycles; a solution by factors counts as one.
     """
 
     def __init__(
@@ -100,8 +101,8 @@ class Refinement:
     ) -> None:
         self._most, self._model, self._report, self._met = max_iterations, model, report, met
         self._mild = model.mild and firm
-        # No method of this object: a cycle of references would keep the model's factors until the
-        # garbage collector comes.
+        # Not a method of this object: a cycle of references would keep the model's factors until
+        # garbage collection.
         self._iteration = ConjugateGradients(Cycle(model, smoothing), partial(_exactly, model))
         self._patience = smoothing.patience
         self.estimate = math.inf
@@ -115,20 +116,20 @@ class Refinement:
         self._factors_tried = False
 
     def pull(self, d: Planes) -> Planes:
-        """What tissue pulls with where the last run has left it: more digits than `d` carries."""
+        """Return the forces of the tissue after the last run, with more digits than `d` carries."""
         return self._model.pull(d, self._low).copy()
 
     def doubt_again(self) -> None:
-        """Rehearse once more if something else is held: what holds less may move otherwise."""
+        """Require a new rehearsal after a change of held sites: weaker constraints may differ."""
         if self._doubt is not None and self._doubt <= BELIEVABLE:
             self._doubt = None
 
     def run(
         self, d: Planes, load: Planes | None, tolerance: float, known: Quality | None = None
     ) -> None:
-        """Move `d` in place to where tissue and load balance, but for `tolerance` pixels.
+        """Move `d` in place to where tissue and load balance, within `tolerance` pixels.
 
-        If `d` is known to be that good, it stays, once its residual has been seen to be as known.
+        If `d` is known to be that good, it is kept after a check of its residual.
 
         Raises
         ------
@@ -147,25 +148,25 @@ class Refinement:
 
     @property
     def least(self) -> float:
-        """Least eigenvalue met by cycles, with those that the warm start had met."""
+        """Least eigenvalue met by cycles, including those of the warm start."""
         return self._iteration.least
 
     @property
     def by_factors(self) -> bool:
-        """Whether the last run needed factors."""
+        """True if the last run needed factors."""
         return self._model.found.factors is not None
 
     def settle(self, energy: float) -> None:
-        """Take the total energy that the last run ended with, and know those before."""
+        """Set the total energy after the last run, from which those of earlier cycles follow."""
         gains = self._gains or [0.0]
         self.energies += list(energy + np.cumsum([0.0, *gains[:0:-1]])[::-1])
         self._gains = []
 
     def _iterate(self, d: Planes, load: Planes | None, tolerance: float, balance: Balance) -> bool:
-        """Go to the tolerance by cycles; whether it can be said that they arrived."""
+        """Reduce the error to the tolerance by cycles; return whether they certainly did."""
         found, before = self._model.found, math.inf
         self._mild = self._mild and not found.slow
-        # An iteration that is given up leaves an image as it was, as its first run has not ended.
+        # The watch ends only a first run, before the image is changed.
         watch = self._mild and len(self._model.shape) == 2
         if not self._mild and self._factors_first and factors_fit(self._model):
             self._factors_tried = True
@@ -181,7 +182,7 @@ class Refinement:
                     self._doubt = self._rehearse(d.shape)
                     while self._doubt > BELIEVABLE and self._take_care():
                         self._doubt = self._rehearse(d.shape)
-                    balance = self._model.balance(d, load)  # what it was is overwritten
+                    balance = self._model.balance(d, load)  # the rehearsal overwrote the old one
             found.doubt = self._doubt
             found.least = self._iteration.least
             found.care = self._iteration.care
@@ -192,7 +193,7 @@ class Refinement:
             self._iteration.expect(self._met.least)
         model, volume = self._model, len(self._model.shape) == 3
         moves = found.entrained
-        # What bodies do on their own is seen for certain, but not what lies between close ones.
+        # Motions of single bodies are certain to be met, but not those between close bodies.
         sees_bodies = model.bodies is None or (moves is not None and not moves.close)
         sure = self._mild and not volume and model.material.compressible and sees_bodies
         doubt = 1.0 if sure else max(_MARGIN * found.doubt, _MARGIN if volume else _LEAST_MARGIN)
@@ -243,12 +244,12 @@ class Refinement:
 
     @property
     def _is_slow(self) -> bool:
-        """True if the present run has met a motion that no cycle on mild tissue meets."""
+        """True if the present run has met a motion that does not occur in mild tissue."""
         mild = self._model.material.compressible
         return self._iteration.met < (_MILD_LEAST if mild else _MILD_LEAST_INCOMPRESSIBLE)
 
     def _begin_again(self, d: Planes, load: Planes | None, tolerance: float) -> bool:
-        """Iterate anew, now that tissue has turned out not to be mild."""
+        """Restart the iteration for tissue that has turned out not to be mild."""
         found = self._model.found
         found.slow, found.doubt, self._doubt = True, None, None
         self._iteration.least = 1.0
@@ -257,21 +258,21 @@ class Refinement:
         return self._iterate(d, load, tolerance, self._model.balance(d, load))
 
     def _least_error(self) -> float:
-        """Return what the error may be at least, whatever residuals say."""
+        """Return a lower limit for the reported error, whatever residuals say."""
         if self._met is None or self._met.least == 1:
             return _COLD_MARGIN * self.estimate
-        # Of the error of a warm start each cycle is sure to take only so much.
+        # Each cycle certainly removes only this part of the error of a warm start.
         return self._met.error * (1 - self._iteration.least) ** len(self._gains)
 
     def _take_care(self) -> bool:
-        """Go over to a better iteration, if there is any, and begin it with numbers."""
+        """Switch to a better iteration, with cleared arrays; return False if there is none."""
         more = self._iteration.take_care()
         if more:
             self._model.clear()
         return more
 
     def _entrain(self) -> bool:
-        """Find what bodies take along; False if that cannot be told."""
+        """Compute the motions that bodies induce; return False if they are uncertain."""
         model = self._model
         if model.bodies is None or not model.iterates:
             return True
@@ -283,24 +284,24 @@ class Refinement:
 
     @property
     def _factors_first(self) -> bool:
-        """Whether cycles would be in vain, or take longer than factors do."""
+        """True if cycles would be in vain, or slower than factors."""
         few, laced = math.prod(self._model.shape) <= _FEW, self._model.material.laced
-        # Where observations slip, systems follow each other that are next to the same: what cycles
-        # have left to do is less each time, and what factors do is not.
+        # Slipping observations give a sequence of similar systems: the work of cycles decreases
+        # from one to the next, that of factors does not.
         return few or laced or (self._model.slow and not self._factors_tried)
 
     @property
     def _too_long(self) -> bool:
-        """Whether factors are the shorter way from here."""
+        """True if factors are the faster way from here."""
         return len(self._gains) >= self._patience and factors_fit(self._model)
 
     @property
     def _cycles_at_most(self) -> int:
-        """After how many cycles a run gives up."""
+        """Number of cycles after which a run fails."""
         return self._most * (_IN_DOUBLE if self._iteration.in_double else 1)
 
     def _rehearse(self, shape: tuple[int, ...]) -> float:
-        """How far off a known answer is, over how far off it is said to be."""
+        """Return the true error of a rehearsal, relative to its estimate."""
         error = host.noise(shape)
         compute_thread.look()
         error[~self._model.moves] = 0
@@ -317,7 +318,7 @@ class Refinement:
             self._model.bodies.project(d)
 
     def _solve(self, d: Planes, load: Planes | None, tolerance: float) -> None:
-        """Go to the tolerance by factors."""
+        """Reduce the error to the tolerance by factors."""
         known = f": all that they tell is that it is within {self.estimate:.2g} px"
         factors = factorise(self._model, self._report, known if self.estimate < math.inf else "")
         before = math.inf
@@ -345,7 +346,7 @@ class Refinement:
             rest = self._left(d, load)
             self.residual, self.estimate = float(np.linalg.norm(rest)), far
             last, before = before, far
-            # What is left is smaller still: by as much as this one was smaller than the last.
+            # The remaining error is smaller still, by the ratio of the last two corrections.
             if far <= tolerance:
                 return
             if stays:
@@ -354,14 +355,14 @@ class Refinement:
         self.estimate = 0.0
 
     def _left(self, d: Planes, load: Planes | None) -> Planes:
-        """What `d` leaves of a load."""
+        """Return the part of a load that `d` leaves unbalanced."""
         rest = self.pull(d) if load is None else self.pull(d) + load
         rest[~self._model.moves] = 0
         self._project(rest)
         return rest
 
     def _say(self, estimate: float, tolerance: float) -> None:
-        """Report, count, and give up in time."""
+        """Report progress, count the cycle, and fail after too many."""
         self.cycles += 1
         cycles = len(self._gains)
         self._first = self._first or estimate
@@ -375,7 +376,7 @@ class Refinement:
 
 
 class _Ways:
-    """Conjugate directions: parts of a body that only touch are hinged in factors."""
+    """Conjugate directions; factors treat touching parts of a body as hinged."""
 
     def __init__(self, model: LinearModel) -> None:
         self._model = model
@@ -384,11 +385,11 @@ class _Ways:
 
     @property
     def exhausted(self) -> bool:
-        """Whether there have been as many as such motions could need."""
+        """True if the directions are as many as such hinges could need."""
         return self._left <= 0
 
     def next(self, correction: Planes, rest: Planes) -> Planes:
-        """How far to go for a correction that factors have found for a rest."""
+        """Return a correction by factors, made conjugate to the last and scaled."""
         self._left -= 1
         if self._last is not None:
             way, image, bend = self._last
@@ -402,9 +403,9 @@ class _Ways:
 
 
 def add(d: Planes, low: Planes, way: Planes) -> None:
-    """Add a way to a field in two parts, in place: `low` is what rounding takes from `d`.
+    """Add a step to a field in two parts, in place: `low` holds the rounding error of `d`.
 
-    Forces come from differences between neighbours, and stiff tissue multiplies what rounding adds.
+    Forces come from differences between neighbours, and stiff tissue amplifies rounding.
     """
     change = low + way
     total = d + change
@@ -414,27 +415,27 @@ def add(d: Planes, low: Planes, way: Planes) -> None:
 
 
 def _exactly(model: LinearModel) -> Any:
-    """Return the finest level in double precision, or None where factors are the shorter way."""
+    """Return the finest level in double precision, or None where factors are faster."""
     if factors_fit(model) or not fits(model.shape, IN_DOUBLE - ORDINARY):
         return None
     return model.exactly
 
 
 def factors_fit(model: LinearModel) -> bool:
-    """Whether factors are a way; of volumes in the paper's model there are none."""
+    """Return whether factors are available; volumes in the paper's model have none."""
     there = len(model.shape) == 2 or not isinstance(model.material, SeilerMaterial)
     return there and Factors.fit(model.shape)
 
 
 def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
-    """Return the factors of a model with what is held now; they are kept for the next time.
+    """Return the factors of a model for the presently held sites; they are cached.
 
-    `known` is said beside a refusal.
+    `known` is appended to a refusal.
 
     Raises
     ------
     ConvergenceError
-        If there is no memory for them, or if double precision cannot tell what holds the tissue.
+        If memory is too small for them, or if double precision cannot tell what holds the tissue.
     """
     if model.found.factors is None:
         if len(model.shape) == 3 and not factors_fit(model):

@@ -1,4 +1,4 @@
-"""The converged field where observations may slip: from states to states, to exactly one answer."""
+"""The converged field where observations may slip: exchange of states down to exact agreement."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ from napari_hmrf.solver.rigid_modes import free_motion, free_motions
 
 Float64Array = npt.NDArray[np.float64]
 
-# The states of what is observed are found at so many times the tolerance, and then confirmed.
+# Factor on the tolerance at which states are first exchanged, before they are confirmed.
 _ROUGHLY = 10.0
-# How exactly, in pixels where tissue moves by one; by how many times more a wrong state is
-# contradicted; and by how many times more where it is known which others could be.
+# Accuracy of the final exchange, in pixels where tissue moves by one; factor on it from which a
+# component contradicts its state; and the same where alternative states are known.
 _EXACT = 1e-11
 _ABOVE, _PASSED = 10.0, 10.0
-# With which part less than its limit a component is held for certain; and with which part that
-# needs no closer look.
+# Margin below its limit with which a component is certainly held; and the margin that makes closer
+# inspection unnecessary.
 _AT_LIMIT, _NEAR_LIMIT = 1e-9, 1e-4
-# By which part of its limit a held component may need more.
+# Part of its limit by which a held component may exceed it.
 _SHARE = 1e-9
-# Exchanges of states after which they are found another way, and of many at a time.
+# Exchanges after which another method takes over, and after which only one state changes at a time.
 _MOST_EXCHANGES, _AT_ONCE = 100, 30
 
 
 class Slip:
-    """The search for the states of observations, and for the field that goes with them.
+    """Search for the states of observations, and for the corresponding field.
 
-    A state that is wrong by little can lead far, where many are or little holds: so in the end
-    none may be, as far as numbers tell.
+    A state that is wrong by little can change the field much, with many states or a weak grip; so
+    at the end no state may be wrong within numerical accuracy.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class Slip:
         self._steepness = model.steepness
 
     def run(self, d: Planes, tolerance: float) -> float:
-        """Move `d` in place to the field of least energy; returns the norm of its forces."""
+        """Move `d` in place to the field of least energy; return the norm of its forces."""
         exact = _EXACT * max(1.0, float(np.abs(d).max()))
         try:
             if self._free(self._states.held) is not None:
@@ -90,8 +90,8 @@ class Slip:
             if self._states.contradicted(d, pull, self._steepness, _ABOVE * exact, _SHARE):
                 raise ConvergenceError("what is let go of would leave tissue free")
         except ConvergenceError:
-            # Exchanges of states went on and on, or led to where nothing holds tissue any more. Is
-            # there anything that does?
+            # Exchanges did not end, or led to states that leave tissue free. First check that the
+            # observations can hold the tissue at all.
             self._model.hold(self._states.every)
             if self._model.moves.any():
                 self._check_held()
@@ -100,7 +100,7 @@ class Slip:
         return self._settle(d)
 
     def _check_held(self) -> None:
-        """Refuse tissue that what is observed does not hold, with the reason."""
+        """Refuse tissue that the observations do not hold, with the reason."""
         model, every = self._model, self._states.every
         try:
             factorise(model, self._report)
@@ -110,16 +110,16 @@ class Slip:
             raise why_unsolvable(model, every, self._refinement, self._report) from None
 
     def _pull(self, d: Planes) -> Planes:
-        """What pulls at each component where the last run has left it, but for observations."""
+        """Return the forces after the last run, without those of observations."""
         return self._states.with_given(self._refinement.pull(d))
 
     def _free(self, held: HeldPlanes) -> Planes | None:
-        """How tissue could move at no cost if only so much were held."""
+        """Return a free motion of tissue that is held at some components only, or None."""
         found = self._motion(self._problem, host.field(held))
         return None if found is None else host.planes(found.motion)
 
     def _exchange(self, d: Planes, tolerance: float, near: float) -> None:
-        """Solve in place for ever other states, until none is contradicted by more than `near`."""
+        """Exchange states and solve, in place, until no contradiction is above `near`."""
         model, states, bound = self._model, self._states, self._model.bounds[1]
 
         def pull(at: Planes) -> Planes:
@@ -134,7 +134,7 @@ class Slip:
             if before is not None:
                 way = d - before
                 far, pulls = float(np.abs(way).max()), pull(before).copy()
-                # How a way within the tolerance goes on is left to chance.
+                # Within the tolerance the direction is random.
                 arrived = states.step(d, before, way, pulls, model.pull(way)) or far <= near
             elif states.lost:
                 states.follow(d)
@@ -157,7 +157,7 @@ class Slip:
         raise ConvergenceError(f"which observations slip is open after {_MOST_EXCHANGES} attempts")
 
     def _confirm(self, d: Planes, exact: float) -> None:
-        """Solve for the states that were found, and exchange those that are wrong after all."""
+        """Solve for the states that were found, and exchange those that turn out wrong."""
         states, model, refinement = self._states, self._model, self._refinement
         for number in range(_MOST_EXCHANGES):
             play = self._play(states.held)
@@ -181,8 +181,7 @@ class Slip:
         refinement.settle(energy + states.cost(d))
 
     def _settle(self, d: Planes) -> float:
-        """Of fields of the same energy take that of least motion, in place."""
-        # Returns the norm of its forces.
+        """Choose the field of least motion among those of least energy; return its force norm."""
         states, pull = self._states, self._pull(d)
         if not np.array_equal(states.certain(pull, _AT_LIMIT), states.held):
             known = self._refinement.estimate, self._refinement.residual
@@ -192,22 +191,22 @@ class Slip:
         return forces
 
     def _clear(self, d: Planes) -> HeldPlanes:
-        """Which components are held whatever a closer look would say."""
+        """Return the components that are certainly held, without closer inspection."""
         noise = _EXACT * max(1.0, float(np.abs(d).max())) * self._steepness
         return self._states.certain(self._pull(d), _NEAR_LIMIT, noise)
 
     def _motions(self, held: HeldPlanes) -> list[Float64Array]:
-        """All ways in which tissue could move at no cost if only so much were held."""
+        """Return all free motions of tissue that is held at some components only."""
         if self._elastic:
             return list(free_motions(self._problem, host.field(held)))
         return self._play(held).free
 
     def _play(self, held: HeldPlanes) -> Play:
-        """All ways in which tissue could move at next to no cost if only so much were held."""
+        """Return all soft motions of tissue that is held at some components only."""
         return find_play(self._model, held, self._refinement, self._report)
 
     def _least(self, d: Planes, pull: Planes, motions: list[Float64Array]) -> None:
-        """Of all fields that differ by motions take that of least motion, in place."""
+        """Choose the field of least motion among those that differ by motions, in place."""
         if motions:
             moved, off, side = map(host.field, (d, *self._states.sides(d, pull)))
             least_motion.settle(moved, off, side, motions, self._problem.tissue)

@@ -1,12 +1,12 @@
-"""The L1 data term (eq. 19), solved exactly: which observed components are held, and which slip.
+"""The L1 data term (eq. 19), solved exactly by finding held and slipping observed components.
 
-An observation pulls with a force of at most p = K c. Where less is needed to keep a component at
-what was observed, it is *held* there; elsewhere it *slips* and is pulled with p towards it. Which
-is which is found by exchanging all components that contradict their state, then solving again
-(a semismooth Newton method). Where that does not lead anywhere, the states are those that a few
-proximal gradient steps lead to, and the field goes from there only as far towards the one for these
-states as the energy falls (a truncated nonsmooth Newton method: Gräser and Kornhuber, J. Comput.
-Math. 27, 2009). That ends for certain: the energy is convex, and each state has one least energy.
+An observation pulls with a force of at most p = K c. If less is enough to keep a component at its
+observed position, the component is *held* there; otherwise it *slips* and is pulled towards it
+with p. The states are found by exchanging all components that contradict their state, then solving
+again (a semismooth Newton method). Where that makes no progress, the states come from a few
+proximal gradient steps, and the field moves towards the one for these states only as far as the
+energy falls (a truncated nonsmooth Newton method: Gräser and Kornhuber, J. Comput. Math. 27, 2009).
+That is sure to end: the energy is convex, and each set of states has one least energy.
 """
 
 from __future__ import annotations
@@ -21,42 +21,42 @@ import numpy.typing as npt
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
 from napari_hmrf.solver.optimizers.loading import work_of
 
-#: Says how tissue could move at no cost if only so much were held: planes, or None.
+#: Returns a motion at no cost if only the given components are held (planes), or None.
 FreeMotion = Callable[[HeldPlanes], Planes | None]
 
-# Exchanges of whole blocks that may pass without fewer contradictions than ever before.
+# Exchanges of whole blocks without a new least number of contradictions.
 PATIENCE = 6
-# What is this close to its mark, in pixels, has come to rest there.
+# Distance from its mark, in pixels, up to which a component counts as there.
 _ON_THE_MARK = 1e-7
-# A part of a way that is none.
+# Part of a step below which it counts as none.
 _NO_WAY = 1e-6
-# Steps of all components at once, each on its own.
+# Number of proximal steps, each on all components separately.
 _SWEEPS = 10
 
 
 class States:
-    """Which observed components are held, and which slip.
+    """States of the observed components: held or slipping.
 
     Parameters
     ----------
     observed : ndarray of bool, planes
-        Which components are observed.
+        Components that are observed.
     y : ndarray, planes
-        What was observed, in pixels.
+        Observed displacement, in pixels.
     limit : ndarray, planes
-        What pulls at those that slip, in units of the model's residuals; infinite where a component
+        Force on slipping components, in units of the model's residuals; infinite where a component
         never slips.
     d : ndarray, planes
-        Where the components are: those elsewhere than observed slip from the beginning.
+        Displacement; components away from their observed position slip from the start.
 
     Attributes
     ----------
     fixed : ndarray of bool, planes
         Observed components that never slip.
     at : ndarray of int
-        The other observed components, of flat planes.
+        The other observed components, as indices into flat planes.
     y, limit : ndarray
-        Of these.
+        Values at these components.
     """
 
     def __init__(self, observed: HeldPlanes, y: Planes, limit: Planes, d: Planes) -> None:
@@ -66,7 +66,7 @@ class States:
         self._fixed_y = y.ravel()[self._fixed_at]
         self.at = np.flatnonzero(observed & ~self.fixed)
         self.y, self.limit = y.ravel()[self.at], limit.ravel()[self.at]
-        # The sign of the force of those that slip; 0 where held.
+        # Sign of the force on slipping components; 0 where held.
         self._slips: npt.NDArray[Any] = np.sign(self.y - d.ravel()[self.at])
         self._fewest = len(self.at) + 1
         self._patience = PATIENCE
@@ -80,44 +80,44 @@ class States:
 
     @property
     def any_slip(self) -> bool:
-        """Whether there is a load at all."""
+        """True if any component slips."""
         return bool(self._slips.any())
 
     @property
     def load(self) -> Planes:
-        """The forces on those that slip."""
+        """Forces on the slipping components."""
         made = np.zeros(self._grid)
         made.ravel()[self.at] = self._slips * self.limit
         return made
 
     def hold_all(self) -> None:
-        """Hold all that is observed."""
+        """Hold all observed components."""
         self._slips = np.zeros_like(self._slips)
 
     def slip_as(self, sides: npt.NDArray[Any]) -> None:
-        """Let components slip that are on one side (1) or the other (-1) of y; 0 is held."""
+        """Set states: components slip on one side of y (1) or the other (-1); 0 is held."""
         self._slips = sides
 
     def place(self, d: Planes) -> None:
-        """Move the held components to what was observed, in place."""
+        """Move the held components to their observed position, in place."""
         here = self._slips == 0
         d.ravel()[self.at[here]] = self.y[here]
         self.place_fixed(d)
 
     def place_fixed(self, d: Planes) -> None:
-        """Move the components that never slip to what was observed, in place."""
+        """Move the components that never slip to their observed position, in place."""
         d.ravel()[self._fixed_at] = self._fixed_y
 
 
 class ActiveSet(States):
-    """The states of observations of a model that has an energy: `limit` is p of each component.
+    """States of observations of a model with an energy; `limit` is p of each component.
 
     Parameters
     ----------
     given : ndarray, planes, optional
-        Forces that pull whatever is observed.
+        Forces that do not depend on the observations.
     stored : float
-        The energy of tissue that does not move.
+        Energy of tissue that does not move.
     """
 
     def __init__(
@@ -135,47 +135,47 @@ class ActiveSet(States):
 
     @property
     def load(self) -> Planes:
-        """The forces on those that slip, and all that are given."""
+        """Forces on the slipping components, and given forces."""
         made = super().load
         return made if self.given is None else made + self.given
 
     def with_given(self, pull: Planes) -> Planes:
-        """What tissue pulls with, and what else does but observations."""
+        """Return forces of the tissue, with the given forces added."""
         return pull if self.given is None else pull + self.given
 
     @property
     def lost(self) -> bool:
-        """Whether exchanges alone have led nowhere for a while: from then on, for good."""
+        """True once exchanges alone have made no progress for a while; stays True."""
         return self._patience == 0
 
     def cost(self, d: Planes) -> float:
-        """The energy of the observations, sum of p |y - d|, less the work of given forces."""
+        """Return the energy of observations, sum of p |y - d|, less the work of given forces."""
         of_observations = float((self.limit * np.abs(self.y - d.ravel()[self.at])).sum())
         return of_observations + self._stored - work_of(self.given, d)
 
     def exchange(
         self, d: Planes, pull: Planes, steepness: Planes, tolerance: float, free: FreeMotion
     ) -> bool:
-        """Let go of what needs a greater force than it has, and hold what has passed its mark.
+        """Release held components whose force is above the limit, and hold those past their mark.
 
         Parameters
         ----------
         d : ndarray, planes
-            The displacement for the present states. Where tissue would be let go of altogether, it
-            slides to where something holds it again, in place.
+            Displacement for the present states. If the release would free tissue altogether, the
+            tissue slides in place to where an observation holds it again.
         pull : ndarray, planes
-            The force of the tissue on each component, with what is given.
+            Force of the tissue on each component, including given forces.
         steepness : ndarray, planes
-            The model's diagonal: a force over it is the motion it causes.
+            The model's diagonal: a force divided by it is the motion it causes.
         tolerance : float
             Contradictions of less than this, in pixels, do not count.
         free : callable
-            Finds a motion that costs tissue nothing if only so much is held, or None.
+            Returns a motion at no cost if only the given components are held, or None.
 
         Returns
         -------
         bool
-            Whether any state has changed.
+            True if any state has changed.
         """
         needed = -pull.ravel()[self.at]
         excess = self._excess(pull, steepness)
@@ -195,7 +195,7 @@ class ActiveSet(States):
                 break
             if len(let_go) == 1:
                 return self.slide(d, motion) or int(wrong.sum()) > 1
-            # Too much at once: only of what needs most.
+            # Released too many: keep only those with the largest excess.
             wrong[let_go[np.argsort(excess[let_go])[: len(let_go) // 2]]] = False
         return count > 0
 
@@ -207,9 +207,9 @@ class ActiveSet(States):
         tolerance: float,
         share: float = math.inf,
     ) -> bool:
-        """Whether any component contradicts its state; parameters as for `exchange`.
+        """Return whether any component contradicts its state; parameters as for `exchange`.
 
-        So does one that needs more than its limit by this `share` of it, however stiff it is.
+        A force above the limit by this `share` of it is also a contradiction, at any stiffness.
         """
         more = np.abs(pull.ravel()[self.at]) - self.limit
         over = (self._slips == 0) & (more > share * self.limit)
@@ -225,23 +225,23 @@ class ActiveSet(States):
     def relax(
         self, d: Planes, pull_at: Callable[[Planes], Planes], steepness: Planes, free: FreeMotion
     ) -> bool:
-        """Move all components, each as if alone, to where it would have less energy, in place.
+        """Move each component, as if alone, to its position of least energy, in place.
 
         Parameters
         ----------
         d : ndarray, planes
-            The displacement.
+            Displacement.
         pull_at : callable
-            Gives the force of the tissue on each component for a displacement, with what is given.
+            Returns the force of the tissue on each component, including given forces.
         steepness : ndarray, planes
-            The model's diagonal, times a bound of its spectrum over that.
+            The model's diagonal, times a bound of its spectrum relative to the diagonal.
         free : callable
             As for `exchange`.
 
         Returns
         -------
         bool
-            Whether that was done: not if tissue would be let go of altogether.
+            True if the components were moved; False if tissue would be freed altogether.
         """
         steep = steepness.ravel()[self.at]
         moved, before = d.copy(), self._slips
@@ -258,21 +258,21 @@ class ActiveSet(States):
         return True
 
     def _excess(self, pull: Planes, steepness: Planes) -> npt.NDArray[Any]:
-        """By how much more each component would have to be held, as the motion that causes."""
+        """Return the force of each component above its limit, as the motion that it causes."""
         more = np.abs(pull.ravel()[self.at]) - self.limit
         return np.asarray(more / steepness.ravel()[self.at])
 
     def _wrong(
         self, d: Planes, excess: npt.NDArray[Any], tolerance: float
     ) -> npt.NDArray[np.bool_]:
-        """Which components contradict their state, by more than so many pixels."""
+        """Return the components that contradict their state by more than `tolerance` pixels."""
         passed = self._slips * (d.ravel()[self.at] - self.y)
         return np.asarray(np.where(self._slips == 0, excess, passed) > tolerance)
 
     def certain(self, pull: Planes, margin: float, noise: Planes | float = 0.0) -> HeldPlanes:
         """Return the components that are held with less than their limit.
 
-        Less by this part of the limit, and by the uncertainty of forces.
+        The margin is a part of the limit; `noise`, the uncertainty of forces, is subtracted, too.
         """
         made: HeldPlanes = self.fixed.copy()
         some = np.broadcast_to(noise, self._grid).ravel()[self.at]
@@ -283,10 +283,10 @@ class ActiveSet(States):
     def correct(
         self, d: Planes, pull: Planes, tolerance: float, share: float, singly: bool
     ) -> bool:
-        """Exchange what contradicts its state by so many pixels, or by this share of its limit.
+        """Exchange components that contradict their state by `tolerance` or by `share` of a limit.
 
-        Returns whether there was any. `singly`, only the last of these: that ends for certain
-        (Murty's rule).
+        Returns whether there were any. If `singly`, only the last of them is exchanged, which is
+        sure to end (Murty's rule).
         """
         force, held = -pull.ravel()[self.at], self._slips == 0
         passed = self._slips * (d.ravel()[self.at] - self.y)
@@ -297,7 +297,7 @@ class ActiveSet(States):
         return bool(wrong.any())
 
     def sides(self, d: Planes, pull: Planes) -> tuple[Planes, Planes]:
-        """How far components are from what was observed, y - d, and on which side it must stay."""
+        """Return the distances y - d of components, and the sides on which they must stay."""
         off, side = np.zeros((2, *self._grid))
         off.ravel()[self.at] = np.where(self._slips == 0, 0.0, self.y - d.ravel()[self.at])
         needed = -pull.ravel()[self.at]
@@ -305,21 +305,21 @@ class ActiveSet(States):
         return off, side
 
     def step(self, d: Planes, before: Planes, way: Planes, pull: Planes, change: Planes) -> bool:
-        """Go only as far from `before` along `way` as the energy falls: changes d, in place.
+        """Move `d` from `before` along `way` only as far as the energy falls, in place.
 
-        Returns whether that is the whole way.
+        Returns whether that is the whole step.
 
         Parameters
         ----------
         d : ndarray, planes
-            The end of the way.
+            End of the step.
         before, way : ndarray, planes
         pull, change : ndarray, planes
-            The force of the tissue at `before`, with what is given, and how it changes on the way.
+            Force of the tissue at `before`, including given forces, and its change over the step.
         """
         slope, bend = -float((pull * way).sum()), -float((change * way).sum())
         part = self._lowest(before, way, slope, bend)
-        # What was let go of against the way stays held until there is some progress.
+        # Components that were released against this direction stay held until there is progress.
         slipped = self._slips != 0
         if part < 1:
             np.copyto(d, before + part * way)
@@ -328,15 +328,15 @@ class ActiveSet(States):
         return part >= 1
 
     def follow(self, d: Planes) -> None:
-        """Hold what is at its mark, and let the rest slip."""
+        """Hold components at their mark, and let the others slip."""
         off = self.y - d.ravel()[self.at]
         self._slips = np.where(np.abs(off) <= _ON_THE_MARK, 0.0, np.sign(off))
         self.place(d)
 
     def slide(self, d: Planes, motion: Planes) -> bool:
-        """Move tissue at no cost of its own to where observations want it most, in place.
+        """Move tissue along a free motion to the least energy of the observations, in place.
 
-        Something holds it there again. Were there no such place, what was let go is held as before.
+        An observation holds it there. Without such a place, released components are held again.
         """
         for way in (motion, -motion):
             part = self._lowest(d, way, -work_of(self.given, way), 0.0)
@@ -349,8 +349,8 @@ class ActiveSet(States):
         return False
 
     def _lowest(self, d: Planes, way: Planes, slope: float, bend: float) -> float:
-        """How many times `way` from `d` the energy is least."""
-        # That of the tissue has this slope and bend; that of the observations is added here.
+        """Return the multiple of `way` from `d` at which the energy is least."""
+        # `slope` and `bend` are those of the tissue; the observations are added here.
         off, moves = d.ravel()[self.at] - self.y, way.ravel()[self.at]
         off[self._slips == 0] = 0
         at = np.divide(-off, moves, out=np.full_like(off, -1.0), where=moves != 0)
@@ -358,7 +358,7 @@ class ActiveSet(States):
         slope += float((self.limit * signs * moves).sum())
         if slope >= 0:
             return 0.0
-        # Where an observation passes its mark, the slope grows at once.
+        # The slope jumps where an observation passes its mark.
         for k in np.argsort(at):
             if at[k] <= 0:
                 continue

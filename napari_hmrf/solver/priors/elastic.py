@@ -1,4 +1,4 @@
-"""Linear elasticity on the pixel grid: its energy, in NumPy and float64, and its oracle.
+"""Linear elasticity on the pixel grid: reference energy and forces, in NumPy and float64.
 
 Every 2 x 2 block of tissue sites is an *element*, a clique of four sites, within which displacement
 is bilinear. With the mean stiffness of its sites and Poisson's ratio it has the energy
@@ -8,8 +8,8 @@ is bilinear. With the mean stiffness of its sites and Poisson's ratio it has the
 so that the most probable field is the finite-element solution, with the pixels as its mesh. In a
 volume elements are blocks of 2 x 2 x 2 sites (`priors.hexahedra`), and all six strains count.
 
-Where tissue grows, the strain that counts is what is left once that of growth (`priors.growth`) is
-taken from it; and forces do work, which is taken from the energy. Both are linear in displacement.
+Growth strain (`priors.growth`) is subtracted from the strain in the energy, and the work of forces
+is subtracted from the energy. Both are linear in displacement.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ from napari_hmrf.solver.rigid_modes import check_held
 
 Plane = Literal["stress", "strain"]
 
-#: K of eq. 19 for doubted observations where no penalty is given: a force of 1 strains a pixel of
+#: K of eq. 19 for doubted observations if no penalty is given: a force of 1 strains a pixel of
 #: the stiffest tissue by 1.
 DOUBTED_PENALTY = 1.0
-#: Poisson's ratios beyond which the energy is not that of a stable, compressible tissue.
+#: Range of Poisson's ratio in which the energy is that of a stable, compressible tissue.
 POISSON_RANGE = (0.0, 0.499)
-#: Penalties beyond which products of forces leave double precision.
+#: Range of penalties in which products of forces stay within double precision.
 PENALTY_RANGE = (1e-30, 1e30)
 
 
@@ -57,15 +57,15 @@ class ElasticPrior:
     ----------
     poisson : float or array_like, shape (H, W) or (D, H, W)
         Poisson's ratio, 0 to 0.499, of all tissue or of each site: how much tissue bulges when
-        compressed. 0.5 would be incompressible; soft tissue is 0.45 to 0.499. Values in void do
-        not matter.
+        compressed. 0.5 would be incompressible; soft tissue is 0.45 to 0.499. Values in void are
+        ignored.
     plane : {"stress", "strain"}
         ``"stress"``: a thin slice, free to bulge out of the image. ``"strain"``: a slice held
-        between its neighbours. There the twist of an element is not counted as a change of
-        volume (selective reduced integration); counted, it would lock nearly incompressible
-        tissue. A volume has no plane: it is strained in all directions, whatever is said here.
+        between its neighbours. The twist of an element then does not count as a change of volume
+        (selective reduced integration), because counting it would lock nearly incompressible
+        tissue. Ignored in a volume, which is strained in all directions.
     penalty : float, optional
-        How firmly observations hold. By default by their confidence c: c = 1 is certain and held
+        Strength of observations. By default their confidence c decides: c = 1 is certain and held
         exactly; 0 < c < 1 is doubted and holds with a force of at most c per component, where a
         force of 1 strains a pixel of the stiffest tissue by 1. Where tissue pulls harder, the
         observation slips. Beside rigid tissue nothing can slip: all observations are held exactly.
@@ -91,7 +91,7 @@ class ElasticPrior:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """The parameters, by name (JSON types only); of a map of ratios, its range and digest."""
+        """Parameters by name (JSON types only); a map of ratios by its shape and digest."""
         nu: Any = self.poisson
         if isinstance(nu, np.ndarray):
             digest = hashlib.sha256(nu.tobytes()).hexdigest()
@@ -112,7 +112,7 @@ class ElasticPrior:
 
     @property
     def kernels(self) -> str:
-        """The kernels of this prior once it is `resolved`, as a key.
+        """Kernels of this prior once it is `resolved`, as a key.
 
         A map of Poisson's ratio and observations that may slip have kernels of their own.
         """
@@ -120,7 +120,7 @@ class ElasticPrior:
         return f"elastic{', mapped' * mapped}{', slipping' * slips}"
 
     def rehearsal(self, shape: tuple[int, ...]) -> ElasticPrior:
-        """Return a prior that takes the same kernels, for a small problem of this shape."""
+        """Return a prior with the same kernels, for a small problem of this shape."""
         mapped, slips = isinstance(self.poisson, np.ndarray), self.penalty != math.inf
         poisson = np.full(shape, 0.45, np.float32) if mapped else 0.45
         return ElasticPrior(poisson, plane=self.plane, penalty=1.0 if slips else math.inf)
@@ -128,7 +128,7 @@ class ElasticPrior:
     def resolved(self, problem: Problem) -> ElasticPrior:
         """Check that the problem has one answer, and return the prior in force.
 
-        Without a penalty it gets ``inf`` where no observation of this problem may slip.
+        The penalty becomes ``inf`` if none was given and no observation of this problem may slip.
 
         Raises
         ------
@@ -159,7 +159,7 @@ class ElasticPrior:
         return bool(doubted.any()) and not problem.rigid.any()
 
     def limit(self, problem: Problem) -> Float64Array | None:
-        """Return the greatest force P of every component (H, W, 2), or None if none may slip.
+        """Return the largest force P of every component (H, W, 2), or None if none may slip.
 
         Infinite where the component is held exactly.
         """
@@ -172,28 +172,28 @@ class ElasticPrior:
         return limit
 
     def material(self, problem: Problem) -> ElasticMaterial:
-        """What the kernels need to know of a problem's tissue."""
+        """Return the properties of a problem's tissue that the kernels need."""
         shape = self.shape(problem.spacing)
         return ElasticMaterial(problem.stiffness, self.poisson, self._strain(problem), shape)
 
     def _strain(self, problem: Problem) -> bool:
-        """Whether tissue is free to bulge in no direction."""
+        """Return whether tissue can bulge in no direction."""
         return self.plane == "strain" or problem.stiffness.ndim == 3
 
     def lame(self, problem: Problem, sites: slice = slice(None)) -> Lame:
-        """Lame's parameters of each element, from the means of its sites; 0 if void or rigid.
+        """Return Lame's parameters of elements, from the means of sites; 0 if void or rigid.
 
-        Of all elements, or of those between the sites in a range of the first axis.
+        For all elements, or for those between the sites in a range of the first axis.
         """
         m = problem.stiffness[sites] / np.float64(stiffest(problem.stiffness))
         nu = self.poisson if isinstance(self.poisson, float) else self.poisson[sites]
         if problem.rigid.any():
-            # Rigid tissue does not stretch: it has no energy, as what is void has none.
+            # Rigid tissue does not stretch, so like void it has no energy.
             m = np.where(np.isinf(m), 0.0, m)
         return lame_parameters(m, nu, self._strain(problem))
 
     def shape(self, spacing: tuple[float, ...]) -> ElementShape | BrickShape:
-        """The constants of an element of this size of pixel; only the pixel's shape matters."""
+        """Return the constants of an element for a pixel size; only the pixel's shape matters."""
         if len(spacing) == 3:
             return brick_shape(spacing)
         row, col = spacing
@@ -203,11 +203,11 @@ class ElasticPrior:
         )
 
     def force_unit(self, problem: Problem) -> float:
-        """What a force of 1 is, in the unit of `Loads`: it strains a pixel of the stiffest by 1."""
+        """Return a force of 1, in the unit of `Loads`: it strains a pixel of the stiffest by 1."""
         return stiffest(problem.stiffness) * problem.unit ** (len(problem.shape) - 1)
 
     def load(self, problem: Problem) -> Load | None:
-        """What the loads of a problem add to its energy; None if it has none."""
+        """Return the contribution of a problem's loads to its energy; None without loads."""
         loads, grid = problem.loads, problem.shape
         if loads is None or (loads.growth is None and loads.force is None):
             return None
@@ -224,16 +224,16 @@ class ElasticPrior:
         return made
 
     def energy(self, problem: Problem, displacement: npt.ArrayLike) -> float:
-        """U, in pixels squared, of a displacement (H, W, 2) in the unit of ``problem.spacing``.
+        """Return U, in pixels squared, for a displacement (H, W, 2) in units of ``spacing``.
 
-        What tissue stores, less the work of forces.
+        U is the energy stored in tissue, less the work of forces.
         """
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
         stored, load = self._stored(problem, d), self.load(problem)
         return stored if load is None else stored + load.energy - float((load.forces * d).sum())
 
     def _stored(self, problem: Problem, d: Float64Array) -> float:
-        """The energy of a displacement in pixels, without any load."""
+        """Return the energy of a displacement in pixels, without loads."""
         (first, shear), k = self.lame(problem), self.shape(problem.spacing)
         if isinstance(k, BrickShape):
             return k.energy(Lame(first, shear), d)
@@ -248,9 +248,9 @@ class ElasticPrior:
         return float((volume + strain + slide + twist).sum() / 2)
 
     def forces(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
-        """The derivative of the energy by each site's displacement (H, W, 2), in pixels.
+        """Return the derivative of the energy by each site's displacement (H, W, 2), in pixels.
 
-        What tissue resists with, less what loads pull with.
+        These are the forces with which tissue resists, less those of loads.
         """
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
         shape, load, forces = self.shape(problem.spacing), self.load(problem), np.zeros(d.shape)
@@ -260,14 +260,14 @@ class ElasticPrior:
 
 
 def _checked_poisson(value: Any) -> float | npt.NDArray[np.float32]:
-    """Poisson's ratio as one float, or as an array of its own that nobody can change."""
+    """Return Poisson's ratio as a float, or as a read-only copy of an array."""
     low, high = POISSON_RANGE
     given = as_numbers("poisson", value)
     if given.ndim == 0:
         right = low <= float(given) <= high
         refuse_unless(right, "poisson", value, f"from {low:g} to {high:g}")
         return float(given)
-    with np.errstate(over="ignore"):  # what is too large is out of range
+    with np.errstate(over="ignore"):  # values that overflow are refused as out of range
         made = np.array(given, dtype=np.float32, order="C")
     if made.ndim not in (2, 3):
         raise ArgumentError(

@@ -1,7 +1,7 @@
-"""Tissue that moves far without folding: finite strain on the pixel grid, and its oracle.
+"""Large motion without folding: finite strain on the pixel grid, in a reference implementation.
 
-Every 2 x 2 block of tissue sites is an element, as of `ElasticPrior`, but one that may turn and
-stretch as far as it likes: `finite_strain` has its energy.
+Every 2 x 2 block of tissue sites is an element, as in `ElasticPrior`, but one that may turn and
+stretch without limit: `finite_strain` has its energy.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from napari_hmrf.solver.real_arrays import first_index
 
 @dataclass(frozen=True, eq=False)
 class NeoHookeanPrior:
-    """Neo-Hookean tissue, of an image: it may move far, turns without strain, and never folds.
+    """Neo-Hookean tissue of an image: it may move far, turns without strain, and never folds.
 
-    For small motion it is `ElasticPrior`. Take that one where tissue moves by less than a tenth of
-    the distances over which it does: it takes a tenth of the time.
+    For small motion it equals `ElasticPrior`, which takes a tenth of the time. Take that prior if
+    displacements are less than a tenth of the distances over which they vary.
 
     Parameters
     ----------
     poisson : float or array_like, shape (H, W)
-        Poisson's ratio of tissue that is hardly strained, 0 to 0.499, of all or of each site.
+        Poisson's ratio at small strain, 0 to 0.499, of all tissue or of each site.
     plane : {"stress", "strain"}
-        As of `ElasticPrior`.
+        As for `ElasticPrior`.
     penalty : float, optional
-        As of `ElasticPrior`.
+        As for `ElasticPrior`.
     """
 
     poisson: float | npt.NDArray[np.float32] = 0.45
@@ -55,12 +55,12 @@ class NeoHookeanPrior:
 
     @property
     def at_rest(self) -> ElasticPrior:
-        """What it is for small motion."""
+        """The prior for small motion."""
         return ElasticPrior(self.poisson, plane=self.plane, penalty=self.penalty)
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """The parameters, by name (JSON types only); of a map of ratios, its digest."""
+        """Parameters by name (JSON types only); a map of ratios by its shape and digest."""
         return {**self.at_rest.parameters, "name": "NeoHookeanPrior"}
 
     def __eq__(self, other: object) -> bool:
@@ -71,11 +71,11 @@ class NeoHookeanPrior:
 
     @property
     def kernels(self) -> str:
-        """Which kernels it takes."""
+        """Kernels of this prior, as a key."""
         return "large motion"
 
     def rehearsal(self, shape: tuple[int, ...]) -> NeoHookeanPrior:
-        """Return a prior that takes the same kernels, for a small problem of this shape."""
+        """Return a prior with the same kernels, for a small problem of this shape."""
         return NeoHookeanPrior(0.3, plane=self.plane)
 
     def resolved(self, problem: Problem) -> NeoHookeanPrior:
@@ -84,7 +84,7 @@ class NeoHookeanPrior:
         Raises
         ------
         ProblemError
-            Of a volume, of growth that turns tissue inside out, and as of `ElasticPrior`.
+            For a volume, for growth that turns tissue inside out, and as for `ElasticPrior`.
         """
         if problem.is_volume:
             raise ProblemError(
@@ -105,13 +105,13 @@ class NeoHookeanPrior:
         return self.at_rest.can_slip(problem)
 
     def material(self, problem: Problem) -> FiniteMaterial:
-        """What the kernels need to know of a problem's tissue."""
+        """Return the properties of a problem's tissue that the kernels need."""
         same = self.at_rest.material(problem)
         growth = None if problem.loads is None else problem.loads.growth
         return FiniteMaterial(same.m, same.poisson, same.strain, same.shape, growth)
 
     def moduli(self, problem: Problem) -> Moduli:
-        """What each element resists with; 0 in void and where it is rigid."""
+        """Return the moduli of each element; 0 in void and in rigid tissue."""
         return self.material(problem).moduli()
 
     def limit(self, problem: Problem) -> Float64Array | None:
@@ -119,38 +119,38 @@ class NeoHookeanPrior:
         return self.at_rest.limit(problem)
 
     def force_unit(self, problem: Problem) -> float:
-        """As of `ElasticPrior`."""
+        """Return the force unit of `ElasticPrior.force_unit`."""
         return self.at_rest.force_unit(problem)
 
     def load(self, problem: Problem) -> Load | None:
-        """What pulls at each site, whatever becomes of it: dead loads; None if nothing does."""
+        """Return the dead loads, forces that do not depend on the motion; None without any."""
         if problem.loads is None or problem.loads.force is None:
             return None
         return Load(problem.loads.force / np.float64(self.force_unit(problem)), 0.0)
 
     def energy(self, problem: Problem, displacement: npt.ArrayLike) -> float:
-        """U, in pixels squared, of a displacement (H, W, 2) in the unit of ``problem.spacing``.
+        """Return U, in pixels squared, for a displacement (H, W, 2) in units of ``spacing``.
 
-        What tissue stores, less the work of forces.
+        U is the energy stored in tissue, less the work of forces.
         """
         d, load = _pixels(problem, displacement), self.load(problem)
         stored = self._elements(problem).energy(d)
         return stored if load is None else stored - float((load.forces * d).sum())
 
     def forces(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
-        """The derivative of the energy by each site's displacement (H, W, 2), in pixels."""
+        """Return the derivative of the energy by each site's displacement (H, W, 2), in pixels."""
         load = self.load(problem)
         forces = self._elements(problem).forces(_pixels(problem, displacement))
         return forces if load is None else forces - load.forces
 
     def tangents(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
-        """The second derivatives by the differences of each element, (H - 1, W - 1, 6, 6)."""
+        """Return second derivatives by the differences of each element, (H - 1, W - 1, 6, 6)."""
         return self._elements(problem).tangents(_pixels(problem, displacement))
 
     def corner_jacobians(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
-        """The Jacobian at the four corners of each element, (4, H - 1, W - 1); 1 in void.
+        """Return the Jacobian at the four corners of each element, (4, H - 1, W - 1); 1 in void.
 
-        What has grown to twice its area has 2.
+        It includes growth: tissue that has grown to twice its area has 2.
         """
         return self._elements(problem).corner_jacobians(_pixels(problem, displacement))
 
@@ -164,7 +164,7 @@ class NeoHookeanPrior:
 
 
 def _check_growth(problem: Problem) -> None:
-    """Refuse tensors of which nothing would be left in some direction."""
+    """Refuse growth tensors that shrink tissue to nothing in some direction."""
     growth = None if problem.loads is None else problem.loads.growth
     if growth is None:
         return

@@ -1,7 +1,7 @@
-"""The energies, as the equations say them.
+"""The energies of the paper, equation by equation.
 
-This is the readable definition, in NumPy and float64, of what the kernels of both backends compute,
-and their oracle in the tests. Lengths are in pixels (``Problem.unit``).
+This is the readable reference, in NumPy and float64, for the kernels of both backends; the tests
+compare the kernels with it. Lengths are in pixels (``Problem.unit``).
 
 Three sites s - t - u in a line, t in the middle, make a clique; there are four directions of lines
 (figure 2): vertical, horizontal and the two diagonals. In a volume there are thirteen: the three
@@ -40,9 +40,9 @@ Float64Array = npt.NDArray[np.float64]
 Conditional = Literal["centred", "blanket"]
 
 # K in uniform tissue, by the number of axes: one pixel of deviation then weighs as much as 200
-# pixels from the neighbours.
+# pixels of difference from the neighbours.
 _UNIFORM_PENALTY = {2: 1e4, 3: 3e4}
-# Beyond this float32 energies overflow.
+# Range of penalties: float32 energies overflow beyond it.
 _SMALLEST_PENALTY, _LARGEST_PENALTY = 1e-30, 1e30
 
 
@@ -60,18 +60,18 @@ class SeilerPrior:
     Parameters
     ----------
     penalty : float, optional
-        K of eq. 19: the greatest force with which a site of confidence 1 is held at what
-        was observed; where tissue needs more it slips. In the unit of the energy: what a pixel of
-        deviation costs. By default 10^4 in uniform tissue (3 x 10^4 in volumes, where three times
-        as many cliques pull), and as much more as the energy is steeper at the observed site that
-        has the steepest, so that boundaries hold whatever they lie between.
+        K of eq. 19: the largest force with which a site of confidence 1 is held at its observed
+        position; where tissue needs more, it slips. In the unit of the energy: the cost of a pixel
+        of deviation. By default 10^4 in uniform tissue (3 x 10^4 in volumes, where three times as
+        many cliques pull), times the ratio by which the energy at the steepest observed site is
+        steeper than in uniform tissue, so that boundaries hold between any tissues.
     conditional : {"centred", "blanket"}
-        Which cliques count when a site chooses its displacement (line 8 of the algorithm):
-        ``"centred"``, those whose middle it is; ``"blanket"``, all that contain it, which is the
-        textbook reading of eq. 7, for images only. See docs/method.md for what either means for
+        Cliques that count when a site chooses its displacement (line 8 of the algorithm):
+        ``"centred"``, those with the site in the middle; ``"blanket"``, all that contain the site,
+        which is the textbook reading of eq. 7, for images only. docs/method.md compares their
         accuracy.
     damping : float, optional
-        Fraction of the way a site goes towards its best displacement when all sites move at once.
+        Fraction of the step to its best displacement that a site takes, as all sites move at once.
         By default 1 for centred; 0.6 for blanket, which diverges undamped (below 2/3 is safe for
         any stiffness).
     """
@@ -92,31 +92,31 @@ class SeilerPrior:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """The parameters, by name (JSON types only)."""
+        """Parameters by name (JSON types only)."""
         return {"name": "SeilerPrior", **asdict(self)}
 
     @property
     def kernels(self) -> str:
-        """Which kernels it takes: those of its reading."""
+        """Kernels of this prior, as a key: its reading."""
         return self.conditional
 
     def rehearsal(self, shape: tuple[int, ...]) -> SeilerPrior:
-        """Return a prior that takes the same kernels, for a small problem of this shape."""
+        """Return a prior with the same kernels, for a small problem of this shape."""
         return self
 
     @property
     def relaxation(self) -> float:
-        """The damping in force."""
+        """Damping in force."""
         if self.damping is not None:
             return self.damping
         return 1.0 if self.conditional == "centred" else 0.6
 
     def penalty_for(self, problem: Problem) -> float:
-        """K for a problem: the one given, or one that holds its boundaries."""
+        """Return K for a problem: the given penalty, or a value that holds its boundaries."""
         if self.penalty is not None:
             return self.penalty
         weights = line_weights(problem.spacing)
-        # Component by component: NumPy takes ten times longer along an axis so short.
+        # Component by component: NumPy takes ten times as long to reduce such a short axis.
         seen = reduce(np.logical_or, np.moveaxis(problem.known, -1, 0))
         steepest = max(
             _steepest(sampled(problem.stiffness, level), sampled(seen, level), weights)
@@ -132,12 +132,12 @@ class SeilerPrior:
         Raises
         ------
         ProblemError
-            If there is rigid tissue, or a volume is to be read as blanket, or there are loads.
+            If there is rigid tissue, the blanket reading is used for a volume, or there are loads.
         """
         if problem.loads is not None:
             raise ProblemError(
                 "loads",
-                "are there, but the paper's prior knows ratios of stiffness only, and no forces. "
+                "are there, but the paper's prior uses only ratios of stiffness and has no forces. "
                 "Take ElasticPrior, or leave them out.",
             )
         if problem.is_volume and self.conditional == "blanket":
@@ -155,18 +155,18 @@ class SeilerPrior:
         return replace(self, penalty=self.penalty_for(problem))
 
     def limit(self, problem: Problem) -> Float64Array:
-        """P = K c of every component (H, W, 2) or (D, H, W, 3)."""
+        """Return P = K c of every component (H, W, 2) or (D, H, W, 3)."""
         limit: Float64Array = self.penalty_for(problem) * problem.confidence.astype(np.float64)
         return limit
 
     def material(self, problem: Problem) -> SeilerMaterial:
-        """What the kernels of multigrid need to know of a problem's tissue."""
+        """Return the properties of a problem's tissue that the kernels of multigrid need."""
         square = len(set(problem.spacing)) == 1
         blanket = self.conditional == "blanket"
         return SeilerMaterial(problem.stiffness, line_weights(problem.spacing), square, blanket)
 
     def site_energy(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
-        """Each site's share of U_total (eq. 7): the cliques it is the middle of, and its data term.
+        """Return each site's share of U_total (eq. 7): cliques centred on it, and its data term.
 
         Parameters
         ----------
@@ -190,11 +190,11 @@ class SeilerPrior:
         return energy
 
     def mean_energy(self, problem: Problem, displacement: npt.ArrayLike) -> float:
-        """U_total divided by the number of sites of tissue, in pixels squared."""
+        """Return U_total divided by the number of sites of tissue, in pixels squared."""
         return float(self.site_energy(problem, displacement).sum() / problem.tissue.sum())
 
     def site_parabola(self, problem: Problem, displacement: npt.ArrayLike) -> SiteParabola:
-        """The prior energy that each site minimises, given its neighbours.
+        """Return the prior energy that each site minimises, given its neighbours.
 
         Returns
         -------
@@ -213,19 +213,19 @@ class SeilerPrior:
         return SiteParabola(curvature, (d + way) * problem.unit)
 
     def _cliques_of(self, problem: Problem, d: Float64Array) -> Cliques:
-        """Look at the cliques of a problem, for a displacement (H, W, 2) in pixels."""
+        """Evaluate the cliques of a problem for a displacement (H, W, 2) in pixels."""
         planes = np.pad(np.moveaxis(d, -1, 0), ((0, 0), *[(2, 2)] * len(problem.shape)))
         weights, blanket = line_weights(problem.spacing), self.conditional == "blanket"
         return cliques(planes, np.pad(problem.stiffness, 2), weights, blanket)
 
 
 def _inside(problem: Problem) -> Slices:
-    """Where padded arrays are the grid, and not its ring."""
+    """Return the slices of the grid in a padded array."""
     return (slice(2, -2),) * len(problem.shape)
 
 
 def in_cliques(problem: Problem) -> npt.NDArray[np.bool_]:
-    """Which sites are in a clique that carries each component, (H, W, 2)."""
+    """Return a mask of the sites in a clique that carries each component, (H, W, 2)."""
     found = np.zeros(problem.observed.shape, dtype=np.bool_)
     carried = line_weights(problem.spacing) > 0
     for line, sites in _cliques(problem.shape):
@@ -238,7 +238,7 @@ def in_cliques(problem: Problem) -> npt.NDArray[np.bool_]:
 def _steepest(
     m: npt.NDArray[np.float32], sites: npt.NDArray[np.bool_], weights: Float64Array
 ) -> float:
-    """The largest curvature of the centred energy at any of these sites."""
+    """Return the largest curvature of the centred energy at any of these sites."""
     padded, at = np.pad(m, 1), np.argwhere(sites) + 1
 
     def stiffness(sites: npt.NDArray[np.int_]) -> Float64Array:
@@ -255,7 +255,7 @@ def _steepest(
 
 
 def _cliques(shape: tuple[int, ...]) -> Iterator[tuple[int, tuple[Slices, Slices, Slices]]]:
-    """All cliques of a grid, line by line, as three views (s, t, u) of equal shape."""
+    """Yield all cliques of a grid, line by line, as three views (s, t, u) of equal shape."""
     for line, step in enumerate(line_steps(len(shape))):
         views = [
             tuple(

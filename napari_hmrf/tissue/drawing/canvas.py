@@ -1,4 +1,4 @@
-"""The images that are drawn on, and how a mark changes them."""
+"""Canvas, the images that marks are drawn on, and the painting of marks."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from napari_hmrf.tissue.drawing.marks import (
 )
 
 FloatArray = npt.NDArray[np.float32]
-#: What a part of an image has along each axis; it ends where it begins if it has no pixels.
+#: Box of an image, one slice per axis; an empty box has slices that end where they begin.
 Box = tuple[slice, ...]
 
-#: Numbers of what strokes do, in `Canvas.kinds`; what becomes tissue is seen in the labels.
+#: Values of the actions of strokes in `Canvas.kinds`; painted tissue is stored in the labels.
 KINDS: dict[Action, int] = {"pin": 1, "free": 2, "move": 3, "expand": 4, "confidence": 5}
 
 
@@ -42,10 +42,10 @@ class Canvas:
     confidence : ndarray, shape ([D,] H, W, n), float32
         Confidence per component, 0 to 1.
     labels : ndarray of int, shape ([D,] H, W)
-        Which tissue, for strokes that paint tissue.
+        Tissue labels, for strokes that paint tissue.
     kinds : ndarray of uint8, shape ([D,] H, W)
-        What was painted last, by its number in `KINDS`; 0 where nothing was, or confidence alone.
-        For people to look at.
+        Last painted action by its number in `KINDS`; 0 where nothing but confidence was painted.
+        For display only.
     spacing : tuple of float, shape (n,)
         Size of a pixel along each axis.
     """
@@ -63,7 +63,7 @@ class Canvas:
         spacing: Sequence[float] | None = None,
         labels: npt.NDArray[Any] | None = None,
     ) -> Canvas:
-        """Nothing is observed yet, and without `labels` all is of one tissue."""
+        """Return a canvas without observations; without `labels` it has a single tissue."""
         n = len(shape)
         y, kinds = np.zeros((*shape, n), dtype=np.float32), np.zeros(shape, dtype=np.uint8)
         tissue = kinds.copy() if labels is None else labels
@@ -82,16 +82,16 @@ class Canvas:
 
     @property
     def images(self) -> tuple[npt.NDArray[Any], ...]:
-        """All of them, always in one order."""
+        """All images, always in the same order."""
         return self.observed, self.confidence, self.labels, self.kinds
 
     def copy(self) -> Canvas:
-        """The same images, to be drawn on."""
+        """Return a deep copy."""
         return deepcopy(self)
 
 
 def box_of(mark: Mark, spacing: Sequence[float], whole: Box) -> Box:
-    """The pixels of an image a mark may change; empty where it lies outside."""
+    """Return the box of pixels that a mark may change; empty if the mark lies outside."""
     reach = [brush_reach(mark.radius, spacing) / size for size in spacing]
     points = np.array([point for line in mark.lines for point in line])
     low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
@@ -103,17 +103,17 @@ def box_of(mark: Mark, spacing: Sequence[float], whole: Box) -> Box:
 
 
 def is_empty(box: Box) -> bool:
-    """Whether there are no pixels in it."""
+    """Return whether a box has no pixels."""
     return any(side.start >= side.stop for side in box)
 
 
 def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
-    """Draw a mark over what is beneath, in place; pixels outside the window stay.
+    """Draw a mark over the canvas in place, leaving pixels outside the window unchanged.
 
     Raises
     ------
     ProblemError
-        If a stroke that is to expand is an open line.
+        If an expanding stroke is an open line.
     """
     box = box_of(mark, canvas.spacing, window)
     if is_empty(box):
@@ -136,7 +136,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
         sides = zip(box, region, strict=True)
         at = tuple(slice(side.start - of.start, side.stop - of.start) for side, of in sides)
         moves = normals[at][where]
-        # The inside of a patch is free, whatever is beneath.
+        # The inside of a patch is free, even over earlier marks.
         y[where] = np.float32(mark.amount) * moves[:, which]
         c[where] = mark.confidence * moves.any(axis=-1, keepdims=True)
     elif mark.action == "confidence":
@@ -150,29 +150,29 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     kinds = canvas.kinds[box]
     if isinstance(mark, Arrow):
         kinds[where] = 0
-    elif mark.action != "confidence":  # what is pinned, moved or freed stays so
+    elif mark.action != "confidence":  # confidence does not change the kind
         kinds[where] = KINDS[mark.action]
 
 
 def refuse_open_line(stroke: Stroke, spacing: tuple[float, ...], shape: tuple[int, ...]) -> None:
-    """Refuse a stroke that is to expand and has no outside.
+    """Refuse an expanding stroke that has no outside.
 
     Raises
     ------
     ProblemError
-        If it is an open line.
+        If the stroke is an open line.
     """
     _outward(stroke, spacing, shape)
 
 
 def covered(mark: Mark, spacing: Sequence[float], box: Box) -> npt.NDArray[np.bool_]:
-    """Return the pixels of a box that a mark covers."""
+    """Return a mask of the pixels of a box that a mark covers."""
     reach = brush_reach(mark.radius, spacing)
     return distance_to(mark.lines, mark.radius, spacing, box) <= reach
 
 
 def covers(stroke: Stroke, point: Point, spacing: Sequence[float]) -> bool:
-    """Whether a place, in pixels, is under the brush of a stroke."""
+    """Return whether a place, in pixels, is under the brush of a stroke."""
     lines = [np.array(line) - point for line in stroke.lines]
     pixel = distance_to(lines, stroke.radius, spacing, (slice(0, 1),) * len(point))
     return bool(pixel.item() <= stroke.radius)
@@ -184,9 +184,9 @@ def distance_to(
     spacing: Sequence[float],
     window: Box,
 ) -> FloatArray:
-    """How far the pixels of a window are from lines; infinite well beyond a radius.
+    """Compute the distance of the pixels of a window to lines; infinite well beyond a radius.
 
-    Only the parts of the lines that come near the window are looked at.
+    Only the parts of the lines near the window are evaluated.
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ def distance_to(
 
 
 def brush_reach(radius: float, spacing: Sequence[float]) -> float:
-    """The radius, but at least that within which each place has a pixel."""
+    """Return the radius, enlarged if needed so that a brush always covers a pixel centre."""
     return max(radius, 0.5 * math.hypot(*spacing)) * (1 + 1e-6)
 
 
@@ -237,8 +237,8 @@ def brush_reach(radius: float, spacing: Sequence[float]) -> float:
 def _outward(
     stroke: Stroke, spacing: tuple[float, ...], shape: tuple[int, ...]
 ) -> tuple[FloatArray, Box]:
-    """The normals of all that a stroke covers, on which each depends, and where that lies."""
-    # A region that leaves the image has its outline out there, but not endlessly far.
+    """Return the outward normals of the region covered by a stroke, and the box of that region."""
+    # The region may leave the image, so the box extends one image size beyond each side.
     box = box_of(stroke, spacing, tuple(slice(-size, 2 * size) for size in shape))
     normals = outward_normals(covered(stroke, spacing, box), spacing, "a brush stroke")
     normals.setflags(write=False)

@@ -1,4 +1,4 @@
-"""A drawing: marks in the order in which they were made, and the images with them on top."""
+"""Drawing: marks in the order of their creation, and their rendering on top of images."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _VERSION = 1
 
 
 class Hit(NamedTuple):
-    """What of a drawing is at a place: a mark's number, and by which of its ends."""
+    """A mark found at a place: its number, and the end that was hit."""
 
     number: int
     part: Literal["head", "base"]
@@ -39,17 +39,17 @@ class Hit(NamedTuple):
 
 @dataclass(frozen=True)
 class Drawing:
-    """What was drawn on an image; a value, which every edit leaves as it is.
+    """Immutable sequence of marks drawn on an image; an edit returns a new drawing.
 
     Attributes
     ----------
     marks : tuple of Arrow, Landmark or Stroke
-        In the order they were made. Where they overlap, the later ones win.
+        In the order of their creation. Where marks overlap, the later ones win.
 
     Raises
     ------
     ArgumentError
-        If they are no tuple or list of marks.
+        If `marks` is not a tuple or list of marks.
     """
 
     marks: tuple[Mark, ...] = ()
@@ -83,18 +83,18 @@ class Drawing:
             The places of tissue before and after the motion, (row, col) or (plane, row, col) in
             pixels; `Grid.to_pixels` converts the mm of landmark files.
         radius : float
-            Of the patch that moves with each landmark, in the unit of the pixel spacing.
+            Radius of the patch that moves with each landmark, in the unit of the pixel spacing.
         confidence : float
             Confidence in each pair, from above 0 to 1 (certain).
         shape : sequence of int, optional
-            Of the image: with it, sources outside are refused. Without it, `solve_study` notes
-            them.
+            Shape of the image. If given, sources outside are refused; otherwise `solve_study`
+            notes them.
 
         Raises
         ------
         ProblemError
-            If there are no pairs or not as many targets as sources, if a value is no number, if two
-            sources lie in one pixel, or if one lies outside the image.
+            If there are no pairs or not as many targets as sources, if a value is NaN or infinite,
+            if two sources lie in the same pixel, or if one lies outside the image.
         """
         sources, targets = _points("source", source), _points("target", target)
         if sources.shape != targets.shape:
@@ -129,11 +129,11 @@ class Drawing:
         return cls(tuple(Landmark(tuple(at), tuple(to), radius, confidence) for at, to in pairs))
 
     def with_mark(self, mark: Mark) -> Drawing:
-        """The drawing with a mark on top."""
+        """Return the drawing with a mark added on top."""
         return Drawing((*self.marks, mark))
 
     def replaced(self, number: int, mark: Mark) -> Drawing:
-        """The drawing with another mark in the place of one.
+        """Return the drawing with one mark replaced.
 
         Raises
         ------
@@ -144,7 +144,7 @@ class Drawing:
         return Drawing((*self.marks[:number], mark, *self.marks[number + 1 :]))
 
     def without(self, number: int) -> Drawing:
-        """The drawing without one of its marks.
+        """Return the drawing without one of its marks.
 
         Raises
         ------
@@ -162,15 +162,15 @@ class Drawing:
         point : tuple of float
             (row, col) or (plane, row, col) in pixels.
         reach : float
-            How near is near enough, in the unit of `spacing`.
+            Largest distance of a hit, in the unit of `spacing`.
         spacing : sequence of float
             Size of a pixel along each axis.
 
         Returns
         -------
         Hit or None
-            The nearest; of several equally near ones a head before a base, and a later mark before
-            an earlier one.
+            The nearest end. If several are equally near, heads come before bases, and later marks
+            before earlier ones.
         """
         ends = (
             (math.hypot(*between(point, end, spacing)), order, -number)
@@ -181,7 +181,7 @@ class Drawing:
         return Hit(-number, "base" if order else "head") if away <= reach else None
 
     def painted_at(self, point: Point, spacing: Sequence[float]) -> int | None:
-        """Find the stroke that lies uppermost at a place; None if none does.
+        """Find the uppermost stroke at a place; None if there is none.
 
         Parameters
         ----------
@@ -197,12 +197,12 @@ class Drawing:
         return None
 
     def render(self, base: Canvas) -> Canvas:
-        """Draw all marks on top of images, which stay as they are.
+        """Draw all marks on a copy of the images.
 
         Parameters
         ----------
         base : Canvas
-            What was observed otherwise, and the tissues.
+            Observations and tissues beneath the drawing.
 
         Returns
         -------
@@ -211,7 +211,7 @@ class Drawing:
         Raises
         ------
         ProblemError
-            If a stroke that is to expand is an open line.
+            If an expanding stroke is an open line.
         """
         canvas = base.copy()
         for mark in self.marks:
@@ -219,17 +219,17 @@ class Drawing:
         return canvas
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain JSON types, to be kept with a project or a solution."""
+        """Convert to JSON types, to be stored with a project or a solution."""
         return {"version": _VERSION, "marks": [mark_as_dict(mark) for mark in self.marks]}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Drawing:
-        """The inverse of `as_dict`.
+        """Restore a drawing from the output of `as_dict`.
 
         Raises
         ------
         ValueError
-            If it is not what `as_dict` made, or by a newer version.
+            If the values are not from `as_dict`, or from a newer version.
         """
         try:
             version, marks = values["version"], tuple(values["marks"])
@@ -248,20 +248,20 @@ class Drawing:
 
 
 class Rendering:
-    """The images with a drawing on top; an edit rewrites only the pixels it may have changed.
+    """Images with a drawing on top; an edit rewrites only the pixels that it may have changed.
 
     Parameters
     ----------
     base : Canvas
-        What is beneath the drawing; not changed, and not to be changed meanwhile.
+        Images beneath the drawing; must not be modified while in use.
 
     Attributes
     ----------
     base : Canvas
     canvas : Canvas
-        The images with the drawing; written to in place.
+        Images with the drawing; updated in place.
     drawing : Drawing
-        The one shown.
+        The drawing that is shown.
     """
 
     def __init__(self, base: Canvas) -> None:
@@ -270,7 +270,7 @@ class Rendering:
         self.drawing = Drawing()
 
     def show(self, drawing: Drawing) -> Box | None:
-        """Bring the images up to date.
+        """Update the images to show a drawing.
 
         Parameters
         ----------
@@ -279,12 +279,12 @@ class Rendering:
         Returns
         -------
         Box or None
-            The pixels that may have changed; None if none did.
+            Box of the pixels that may have changed; None if none did.
 
         Raises
         ------
         ProblemError
-            As `Drawing.render`; the images are then those of the drawing before.
+            As in `Drawing.render`; the images then still show the previous drawing.
         """
         window = self._changed(drawing)
         if window is not None:
@@ -304,7 +304,7 @@ class Rendering:
             paint(mark, canvas, window)
 
     def _changed(self, drawing: Drawing) -> Box | None:
-        """The box of all marks that are not in both drawings, at the same place in the order."""
+        """Return the box of all marks that differ from their counterpart in the other drawing."""
         canvas, pairs = self.canvas, zip_longest(self.drawing.marks, drawing.marks)
         marks = [mark for pair in pairs if pair[0] != pair[1] for mark in _differing(*pair)]
         boxes = [box_of(mark, canvas.spacing, canvas.whole) for mark in marks]
@@ -331,7 +331,7 @@ def _points(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 
 def ends_of(mark: Mark, spacing: Sequence[float]) -> tuple[Point, ...]:
-    """Head and base of what has them."""
+    """Return the head and base of an arrow or landmark; empty for other marks."""
     if isinstance(mark, Arrow):
         return mark.head(spacing), mark.at
     if isinstance(mark, Landmark):
@@ -340,7 +340,7 @@ def ends_of(mark: Mark, spacing: Sequence[float]) -> tuple[Point, ...]:
 
 
 def _differing(gone: Mark | None, come: Mark | None) -> tuple[Mark, ...]:
-    """Those of two marks that there are; of a stroke that only went on, the part that is new."""
+    """Return the marks of a differing pair, or only the new part of a continued stroke."""
     if isinstance(gone, Stroke) and isinstance(come, Stroke) and come.action != "expand":
         added = come.added_to(gone)
         if added is not None:

@@ -1,4 +1,4 @@
-"""The layers that show a drawing, and the picture that has moved as it says."""
+"""Layers that show a drawing, and the image deformed by it."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from napari_hmrf.ui.follower import Done, Seen
 from napari_hmrf.ui.motion.arrows import ArrowsLayer
 from napari_hmrf.ui.motion.hands import Hand
 
-#: Touches of the brush are shown with the tissue that follows them, one painting rather than two;
-#: if that takes longer than so many milliseconds, they go ahead.
+#: Brush strokes are painted together with the tissue that follows them, once rather than twice;
+#: if the tissue takes longer than this, in milliseconds, the strokes are painted first.
 _AHEAD = 80
 
 
 class Display:
-    """Shows what is drawn on a slice of an image, and what comes of it.
+    """View of the drawing on a slice of an image, and of the deformation it causes.
 
     Parameters
     ----------
@@ -39,30 +39,30 @@ class Display:
         The dock.
     viewer : napari.Viewer or ViewerModel
     told : Pointer
-        Who is told what the mouse and the keys do.
+        Receiver of the mouse and key events.
 
     Attributes
     ----------
     arrows : ArrowsLayer
     seen : Seen or None
-        The tissue as it is seen.
+        Visible state of the tissue.
     tissues : dict of int to colour
-        Of the tissues that can be painted.
+        Colours of the paintable tissues, by label.
     quiet : bool
-        Whether layers come and go by our own doing.
+        Whether the program itself is adding or removing layers.
     """
 
     def __init__(self, native: Any, viewer: Any, told: Any) -> None:
         self.arrows = ArrowsLayer(viewer, told)
         self.seen: Seen | None = None
-        # What was painted, as it has moved, and what is being painted, which lies on top.
+        # Paint, deformed with the tissue, and the current stroke, which lies on top.
         self._painted: npt.NDArray[np.uint8] | None = None
         self._stroke: Stroke | None = None
         self.tissues: dict[int, Any] = {}
         self._viewer = viewer
         self._results = shared(viewer, ResultLayers)
         self._image: Any = None
-        # The image as it was seen last, and whether it is our own copy, put together of slices.
+        # Image as shown last, and whether it is a private copy, assembled from slices.
         self._whole: Any = None
         self._pieced = False
         self.quiet = False
@@ -70,19 +70,19 @@ class Display:
 
     @property
     def moved(self) -> Deformation | None:
-        """The tissue as it is seen."""
+        """Visible deformation, or None."""
         return None if self.seen is None else self.seen.moved
 
     @property
     def result(self) -> Result | None:
-        """The layers of the result of what is shown."""
+        """Result layers of the visible slice, or None."""
         moved = self.moved
         if moved is None or self._image is None:
             return None
         return self._results.at(self._image, moved.study.grid.known_place.slice_name)
 
     def stand_on(self, study: Study | None, image: Any, drawn: bool) -> None:
-        """Go over to another slice, of which nothing has moved yet; or to none."""
+        """Switch to another slice, in its undeformed state; or to none."""
         self._stroke_waits.stop()
         before, moved = self.result, self.moved
         self._image = image
@@ -92,7 +92,7 @@ class Display:
             if before is not None and moved is not None:
                 before.drop_paint()
                 if moved.ground is not None and not moved.moves:
-                    before.remove()  # its picture is shown although nothing has moved
+                    before.remove()  # its picture shows no motion
             if study is not None:
                 self.seen = Seen(Deformation(study, image=study.pictures.image))
                 self.arrows.place(study.grid.known_place, study.grid.shape, drawn)
@@ -100,7 +100,7 @@ class Display:
 
     @property
     def covering(self) -> Any:
-        """The image of somebody else's that hides the place the mouse is at; else None."""
+        """Image layer, not of this result, that covers the cursor; or None."""
         image, result = still_there(self._viewer, self._image), self.result
         picture = None if result is None else result.layer("image")
         lowest = picture if picture is not None and picture.visible else image
@@ -108,26 +108,26 @@ class Display:
         return None if lowest is None else image_covering(self._viewer, lowest, place)
 
     def show(self, seen: Seen, hand: Hand) -> None:
-        """Show another state of the tissue."""
+        """Show a new state of the tissue."""
         moved, result = seen.moved, self.result
         picture = self._picture_of(moved)
         self.seen = seen
         self._take_paint(seen, hand)
         with self.own_doing():
-            # What has not moved yet is shown, too, so that the first movement finds its layer.
+            # Show undeformed tissue, too, so that the first motion finds its layer.
             if picture is not None and (moved.moves or self.arrows.active):
                 study = moved.study
                 run = {"prior": study.prior.parameters, "optimizer": study.optimizer.parameters}
                 made = picture_layer(study.grid.known_place, study.pictures, picture, run)
                 self._show_result({"image": made}, moving=moved.solution is not None)
             elif not moved.moves and result is not None:
-                # Hidden, not removed: where no lines are left napari 0.7 can end the program.
+                # Hide, not remove: napari 0.7 can crash when no lines are left.
                 self._show_result({}, moving=False)
             else:
                 self._show_painting()
 
     def _picture_of(self, moved: Deformation) -> Any:
-        """The image as it has moved; of a volume a slice may be newer than the rest of it."""
+        """Return the deformed image; one slice of a volume may be newer than the rest."""
         if moved.glance is None or moved.glance.axis is None:
             self._whole, self._pieced = moved.image, False
         elif moved.image is not None:
@@ -137,7 +137,7 @@ class Display:
         return self._whole
 
     def finish(self, done: Done | None) -> None:
-        """Show all layers of a state that has come to rest; None: the image as it was alone."""
+        """Show all layers of a state at rest; with None, only the undeformed image."""
         seen = self.seen
         assert seen is not None
         image, layers = seen.moved.study.pictures.image, {} if done is None else done.outputs.layers
@@ -150,7 +150,7 @@ class Display:
             self.arrows.raise_up()
 
     def _show_result(self, layers: Mapping[Kind, LayerData], moving: bool = False) -> None:
-        """Show layers of the result, with what was painted."""
+        """Show layers of the result, with the paint."""
         seen, result = self.seen, self.result
         assert seen is not None
         place, shown = seen.moved.study.grid.known_place, dict[Any, LayerData](layers)
@@ -163,19 +163,19 @@ class Display:
         self._results.show(self._image, place, shown, moving=moving)
 
     def show_painted(self, seen: Seen, hand: Hand) -> None:
-        """Show what is painted."""
+        """Show the paint."""
         self._take_paint(seen, hand)
         with self.own_doing():
             self._show_painting()
 
     def _take_paint(self, seen: Seen, hand: Hand) -> None:
         self._stroke_waits.stop()
-        if seen.moved.glance is None:  # else it stays as it was until all has followed
+        if seen.moved.glance is None:  # else the paint stays until the whole tissue has followed
             self._painted = None if seen.marks is None else seen.moved.overlay[0]
         self._stroke = hand.mark if hand.holding and isinstance(hand.mark, Stroke) else None
 
     def _picture(self) -> npt.NDArray[np.uint8] | None:
-        """What was painted and what is being painted, where it is seen."""
+        """Return the paint and the current stroke, deformed with the tissue."""
         moved, stroke, painted = self.moved, self._stroke, self._painted
         if moved is None or stroke is None:
             return painted
@@ -199,7 +199,7 @@ class Display:
             result.put(PAINTED, painted_layer(place, picture, self.tissues), show=False)
 
     def touch(self, hand: Hand, first: bool) -> None:
-        """Show where the brush is: at once if it was put down, else as soon as that is worth it."""
+        """Show the stroke of the brush: at once if it has just begun, else after a short delay."""
         self._stroke = hand.mark if isinstance(hand.mark, Stroke) else None
         if first:
             self._show_stroke()
@@ -212,7 +212,7 @@ class Display:
             self._show_painting()
 
     def draw(self, drawing: Drawing, hand: Hand) -> None:
-        """Show arrows, landmarks, and the marks of what is painted."""
+        """Show arrows, landmarks, and the marks of the paint."""
         below: list[Lines] = []
         seen, stroke = self.seen, hand.mark
         if seen is not None and seen.marks is not None:
@@ -222,13 +222,13 @@ class Display:
         self.arrows.show(drawing, hand.selected, below, quick=hand.holding)
 
     def leave(self) -> None:
-        """Take away what nobody answers any more."""
+        """Remove the layer that no longer responds to the mouse."""
         with self.own_doing():
             self.arrows.remove()
 
     @contextmanager
     def own_doing(self) -> Iterator[None]:
-        """Layers that come and go meanwhile do so by our own doing."""
+        """Mark changes of layers within this context as made by the program."""
         before, self.quiet = self.quiet, True
         try:
             yield

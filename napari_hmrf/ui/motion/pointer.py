@@ -1,4 +1,4 @@
-"""What draws on the slice that is shown: the tool in the hand, and what the mouse and keys do."""
+"""Drawing on the visible slice: the current tool, and its mouse and key actions."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from napari_hmrf.ui.motion.hands import Hand, Pull
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS, Tool, tool_of
 
-#: In a drag the arrows are drawn with the tissue that follows them, one painting rather than two;
-#: if that takes longer than so many milliseconds, they go ahead.
+#: In a drag the arrows are painted together with the tissue that follows them, once rather than
+#: twice; if the tissue takes longer than this, in milliseconds, the arrows are painted first.
 _AHEAD = 250
-#: By how much a key makes the brush larger.
+#: Factor by which a key enlarges the brush.
 _LARGER = 1.25
 
 
 class Pointer:
-    """Draws on each slice of each image its own drawing; told by the layer *Motion*.
+    """Editor of the drawing of each slice of each image, driven by events of the layer *Motion*.
 
     Parameters
     ----------
@@ -43,47 +43,47 @@ class Pointer:
         The dock.
     viewer : napari.Viewer or ViewerModel
     fields : ToolFields
-        How the tools draw.
+        Settings of the tools.
     steps : ViewerSteps
-        Of the viewer.
+        Undo steps of the viewer.
 
     Attributes
     ----------
     history : History
-        Of the slice that is shown.
+        History of the visible slice.
     tool : Tool
-        In the hand.
+        Current tool.
     hand : Hand
-        What holds it, and what of the drawing is selected; another for each tool and slice.
+        Drag and selection state of the tool; replaced for each tool and slice.
     tissue : napari.layers.Labels or Image, optional
-        What it says about tissue is painted in its colours.
+        Layer whose colours the painted tissue takes.
     display : Display
-        What is seen.
+        View of the drawing and the tissue.
     """
 
-    #: The drawing is another.
+    #: The drawing has changed.
     drawn = Signal()
-    #: What is drawn, what can be undone or what is selected is another, or another tool is taken,
-    #: or the mouse draws with it or no longer does.
+    #: The drawing, the undo steps, the selection or the tool has changed, or the mouse starts or
+    #: stops drawing.
     changed = Signal()
-    #: What there is to say, in words; "": what can be done next.
+    #: Status message; "" shows what the user can do next.
     said = Signal(str)
-    #: Why what was done with a tool comes to nothing.
+    #: Reason why an action of a tool has no effect.
     refused = Signal(str)
-    #: Something new is begun: what was said of what came before is over.
+    #: A new action begins: earlier messages are out of date.
     begun = Signal()
 
     def __init__(self, native: Any, viewer: Any, fields: ToolFields, steps: ViewerSteps) -> None:
         self._fields, self._steps = fields, steps
         self.history = History()
         self.tool: Tool = BY_NAME["pull"]
-        # Whether what is selected was picked up, and not just made.
+        # True if the selected mark was picked up, rather than just made.
         self._picked = False
-        # What was held when the button was pressed.
+        # Mark that was held when the button was pressed.
         self._pressed: Mark | None = None
         self.display = Display(native, viewer, self)
         self._open_hand()
-        # The text in a corner of the canvas, and what we said there.
+        # Text overlay in a corner of the canvas, and the text last written there by this object.
         self._corner, self._in_corner = text_of(viewer), ""
         self._drawing_waits = single_shot(native, _AHEAD, self.draw)
         self.tissue: Any = None
@@ -92,21 +92,21 @@ class Pointer:
         steps.edits.changed.connect(self._on_drawn)
         fields.changed.connect(self._on_field)
 
-    # What there is
+    # State
 
     @property
     def drawing(self) -> Drawing:
-        """What is drawn on the slice that is shown."""
+        """Drawing of the visible slice."""
         return self.history.drawing
 
     @property
     def active(self) -> bool:
-        """Whether the mouse draws."""
+        """True if the mouse draws."""
         return self.display.seen is not None and self.display.arrows.active
 
     @property
     def keys(self) -> dict[str, Callable[[], object]]:
-        """What the keys do while the mouse draws."""
+        """Actions of the keys while the mouse draws."""
         return {
             "Delete": self.remove,
             "Backspace": self.remove,
@@ -116,17 +116,17 @@ class Pointer:
             **{tool.key: partial(self.take_up, tool.name) for tool in TOOLS},
         }
 
-    # What can be done
+    # Actions
 
     def stand_on(self, study: Study | None, image: Any = None) -> None:
-        """Go over to the drawing of another slice, or of none.
+        """Switch to the drawing of another slice, or of none.
 
         Parameters
         ----------
         study : Study or None
-            None: there is nothing to draw on.
+            None if there is nothing to draw on.
         image : napari.layers.Image, optional
-            What is drawn on.
+            Image to draw on.
         """
         self.release()
         if study is None:
@@ -139,12 +139,12 @@ class Pointer:
         self.draw()
 
     def take_up(self, name: str) -> None:
-        """Have a tool in the hand, which has nothing selected.
+        """Switch to a tool, with nothing selected.
 
         Raises
         ------
         ValueError
-            If there is none of that name.
+            If there is no tool of that name.
         """
         if name not in BY_NAME:
             raise ValueError(f"there is no tool {name!r}, only {', '.join(BY_NAME)}")
@@ -161,7 +161,7 @@ class Pointer:
             self.said.emit("")
 
     def take(self) -> None:
-        """Have the mouse draw."""
+        """Start drawing with the mouse."""
         seen = self.display.seen
         if seen is None:
             return
@@ -176,14 +176,14 @@ class Pointer:
         self.say_tool()
 
     def say_tool(self) -> None:
-        """Say on the canvas which tool the mouse has, if any; what others wrote there stays."""
+        """Show the current tool on the canvas while the mouse draws; text of other origin stays."""
         corner = self._corner
         if not corner.visible or corner.text == self._in_corner:
             self._in_corner = corner.text = self._fields.words if self.active else ""
             corner.visible = self.active
 
     def set_drawing(self, drawing: Drawing, word: str) -> None:
-        """Have another drawing, as one step; without a word it is none."""
+        """Replace the drawing, as an undo step named `word`; if that is "", without a step."""
         self.release()
         if word:
             self.history.do(drawing, word)
@@ -191,18 +191,18 @@ class Pointer:
             self.history.edits.amend(self.history.slot, drawing)
 
     def clear(self) -> None:
-        """Remove all that is drawn."""
+        """Remove all marks of the drawing."""
         self.set_drawing(Drawing(), "removed all")
         self.said.emit(motion_messages.REMOVED_ALL)
 
     def draw(self) -> None:
-        """Show what is drawn as it is."""
+        """Show the current drawing."""
         self._drawing_waits.stop()
         self.display.draw(self.history.drawing, self.hand)
         self.changed.emit()
 
     def show(self, seen: Seen) -> None:
-        """Show the tissue as it follows what is drawn."""
+        """Show the tissue as it follows the drawing."""
         ground = seen.moved.ground
         if seen.moved.error is not None:
             self._show_error(seen)
@@ -216,27 +216,27 @@ class Pointer:
         if self._drawing_waits.isActive():
             self.draw()
         elif seen.marks is not None or (before is not None and before.marks is not None):
-            self.display.draw(self.history.drawing, self.hand)  # its marks are of what is seen
+            self.display.draw(self.history.drawing, self.hand)  # its marks follow the tissue
         if (known is None and self.active) or self._in_error:
             self._in_error = False
             self.said.emit("")
 
     def leave(self) -> None:
-        """Draw no more; take away the layers that nobody answers. What is drawn stays."""
+        """Stop drawing, and remove the layers that no longer respond; the drawing stays."""
         self.stand_on(None)
         self.display.leave()
         self.say_tool()
 
     def end(self) -> None:
-        """Feel nothing any more."""
+        """Disconnect from the undo steps, and end any drag."""
         self.display.arrows.end_drag()
         self._steps.said.disconnect(self._on_step)
         self._steps.edits.changed.disconnect(self._on_drawn)
 
-    # What the mouse and the keys do on the canvas
+    # Mouse and key actions on the canvas
 
     def press(self, point: Point, reach: float) -> None:
-        """Take hold of tissue, or of an arrow, or put the brush down."""
+        """Take hold of tissue or of an arrow, or begin a stroke of the brush."""
         moved = self.display.moved
         if moved is None or moved.ground is None:
             self.said.emit(motion_messages.PREPARING)
@@ -266,7 +266,7 @@ class Pointer:
         self.draw()
 
     def pick(self, point: Point, reach: float) -> None:
-        """Select what is drawn at a place, and take the tool it was made with."""
+        """Select the mark at a point, and switch to the tool that made it."""
         moved = self.display.moved
         if moved is None:
             return
@@ -283,13 +283,13 @@ class Pointer:
         self.draw()
 
     def move(self, point: Point) -> None:
-        """Go on pulling or painting."""
+        """Continue to pull or to paint."""
         self.hand.move(point)
         if self.tool.is_brush and self.hand.holding:
             self.display.touch(self.hand, first=False)
 
     def release(self) -> None:
-        """Let go."""
+        """End the pull or the stroke."""
         self.display.arrows.end_drag()
         held, done = self.hand.holding, ""
         try:
@@ -301,14 +301,14 @@ class Pointer:
             mark = self.hand.mark
             self._show_how()
             pushed = isinstance(mark, Stroke) and mark.action == "move" and not mark.moves_nowhere
-            if pushed:  # nothing more is waited for
+            if pushed:  # the stroke needs no further input
                 self.said.emit("")
             elif done and isinstance(mark, Landmark) and mark == self._pressed:
                 self.said.emit(motion_messages.NO_WAY)
             self.draw()
 
     def turn(self) -> None:
-        """Another slice is looked at; of a volume what is held goes along."""
+        """Respond to a change of the visible slice; in a volume the drag continues there."""
         moved = self.display.moved
         if moved is None or len(moved.study.grid.shape) == 2:
             self.release()
@@ -316,7 +316,7 @@ class Pointer:
             self.draw()
 
     def cancel(self) -> None:
-        """Give up the drag that goes on; without one, select nothing."""
+        """Cancel the current drag; without a drag, clear the selection."""
         self.display.arrows.end_drag()
         if self.hand.cancel():
             self.said.emit(motion_messages.CANCELLED)
@@ -326,20 +326,20 @@ class Pointer:
         self.draw()
 
     def remove(self) -> None:
-        """Remove what is selected."""
+        """Remove the selected mark."""
         self.release()
         removed = self.hand.remove()
         self.said.emit(motion_messages.REMOVED if removed else motion_messages.NOTHING_SELECTED)
 
     def resize(self, factor: float) -> None:
-        """Have the brush be so many times larger."""
+        """Multiply the radius of the brush by a factor."""
         radius = self._fields.radius
         radius.value = min(max(float(f"{radius.value * factor:.3g}"), radius.min), radius.max)
 
-    # What follows
+    # Reactions to changes
 
     def _open_hand(self) -> None:
-        """Hold the tool, with nothing selected."""
+        """Create the hand of the current tool, with nothing selected."""
         moved = self.display.moved
         grid = () if moved is None else (moved.study.grid.spacing, moved.study.grid.shape)
         self.hand: Hand = (Brush if self.tool.is_brush else Pull)(self.history, *grid)
@@ -359,7 +359,7 @@ class Pointer:
             self._drawing_waits.start()
 
     def _on_step(self, _: str, step: Step | None) -> None:
-        """Select what undo or redo has changed or brought back, if the tool in the hand made it."""
+        """Select the mark that undo or redo changed or restored, if the current tool made it."""
         if step is None or step.slot != self.history.slot:
             return
         marks = self.drawing.marks
@@ -373,7 +373,7 @@ class Pointer:
         how = self._fields.how
         self.display.arrows.show_radius(how.radius)
         self.say_tool()
-        # A tissue is chosen for what is painted next; of the others the last is adjusted, too.
+        # A new choice of tissue applies to the next stroke; other tools also adjust the last mark.
         if self.tool.name == "tissue" and not self._picked:
             return
         self.hand.change(how)

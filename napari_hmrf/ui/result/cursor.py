@@ -1,4 +1,4 @@
-"""What is under the cursor, for the status bar."""
+"""Values of the result under the cursor, for the status bar."""
 
 from __future__ import annotations
 
@@ -20,43 +20,43 @@ from napari_hmrf.ui.result.result_messages import FULL
 
 
 class UnderCursor:
-    """Reads a result at the cursor, and says it behind what napari's status bar says.
+    """Reader of a result at the cursor, which appends the values to napari's status text.
 
-    Nothing is computed but for the one pixel. Napari asks its layers in a thread of its own, at
-    most as fast as that can answer; here one lookup is added to each of its answers.
+    Only the one pixel is computed. Napari queries its layers in a thread of its own, at most as
+    fast as that can answer; this class adds one lookup to each answer.
 
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
     shown : callable
-        Returns the result that is looked at, or None.
+        Returns the displayed result, or None.
     """
 
     def __init__(self, viewer: Any, shown: Callable[[], MovingLayers | None]) -> None:
         self._viewer, self._shown = viewer, shown
-        # What is said behind what napari says.
+        # Text that was appended to napari's status.
         self._line = ""
         viewer.events.status.connect(self.say)
 
     def release(self) -> None:
-        """Listen no more."""
+        """Stop listening to the status bar."""
         self._viewer.events.status.disconnect(self.say)
 
     def look(self) -> None:
-        """What is seen is another, so that something else may be below a mouse that rests."""
+        """Refresh the values below a resting mouse, after the displayed tissue has changed."""
         cursor = self._viewer.cursor
         cursor.events.position(value=cursor.position)  # napari reads its layers again
         self.say()
 
     def at(self, position: Any) -> Probe | None:
-        """What happens to the tissue that is seen at a point of the world.
+        """Return the deformation of the visible tissue at a point of the world.
 
-        None beside it, and while it is on its way: the result there is was then seen before.
+        Returns None outside tissue, and while the tissue is moving: the result is then out of date.
 
         Parameters
         ----------
         position : sequence of float
-            As of `viewer.cursor.position`.
+            World coordinates, as in `viewer.cursor.position`.
         """
         shown = self._shown()
         arrows = None if shown is None else shown.layers.layer("arrows")
@@ -66,7 +66,7 @@ class UnderCursor:
         return None if place is None else shown.points.at(place, shown.layers.percent / FULL)
 
     def line_at(self, position: Any) -> str:
-        """The same in words; "" beside tissue."""
+        """Describe the deformation at a point of the world in words; "" outside tissue."""
         found, shown = self.at(position), self._shown()
         if found is None or shown is None:
             return ""
@@ -75,18 +75,18 @@ class UnderCursor:
         more = [_stiffness(shown, found)]
         if overlay is not None and overlay.picture is not None and overlay.name in QUANTITIES:
             title, unit = title_and_unit(overlay.name, answer.solution)
-            if unit == "%":  # the others are in each line anyway
+            if unit == "%":  # other quantities are in every line anyway
                 strain = rounded(float(overlay.picture[found.site]))
                 more.insert(0, f"{title} {strain:g} %")
         return at_point(answer.unit, found, ways, more, shown.percent)
 
     def say(self, *_: Any) -> None:
-        """Say what is under the cursor behind what napari has said last."""
+        """Append the values under the cursor to napari's latest status text."""
         status = self._viewer.status
         known = status if isinstance(status, dict) else {"coordinates": status}
         said = str(known.get("coordinates", "")).removesuffix(self._line)
-        # napari tells of its layers, too, before anybody has pointed at anything; and says nothing
-        # when the mouse leaves, before it knows that it has left.
+        # napari reports its layers even before the mouse was on the canvas; and when the mouse
+        # leaves, it reports an empty text before it updates `mouse_over_canvas`.
         pointed = bool(said) and self._viewer.mouse_over_canvas
         line = self.line_at(self._viewer.cursor.position) if pointed else ""
         self._line = f"  |  {line}" if line else ""
@@ -97,13 +97,13 @@ class UnderCursor:
 
 
 def _stiffness(shown: MovingLayers, found: Probe) -> str:
-    """The tissue that was solved and how stiff it was taken to be; "" if a file does not say."""
+    """Describe the solved tissue and its stiffness; "" if a file does not record them."""
     answer = shown.answer
     if answer.problem is None:
         return ""
     value, unit = answer.problem.stiffness[found.site], stiffness_unit(answer)
     labels, rows = answer.pictures.labels, tissue_recorded(shown.arrows)[0] or ()
-    # A brush may have made it other tissue than the label says.
+    # A brush may have painted another tissue than the label's.
     same = [row for row in rows if np.float32(row.stiffness) == value]
     same.sort(key=lambda row: labels is None or row.label != labels[found.site])
     if not same:
@@ -112,7 +112,7 @@ def _stiffness(shown: MovingLayers, found: Probe) -> str:
 
 
 def stiffness_of(name: str, stiffness: float, unit: str) -> str:
-    """The tissue and how stiff it is."""
+    """Describe a tissue and its stiffness."""
     amount = stiffness_in_words(stiffness, unit)
     if stiffness != RIGID:
         amount = f"stiffness {amount}" if unit else f"relative stiffness {amount}"

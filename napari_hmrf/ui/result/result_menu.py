@@ -1,4 +1,4 @@
-"""What else can be made of a result: pictures, numbers, fields, and other layers moved with it."""
+"""Further outputs of a result: pictures, numbers, fields, and other layers moved with it."""
 
 from __future__ import annotations
 
@@ -31,37 +31,37 @@ from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_form import ResultForm
 from napari_hmrf.ui.result.result_messages import NO_FORCES, NO_IMAGE, NO_RESULT, SAVING, saved
 
-# As wide as the layout is.
+# Full width of the layout.
 _ANYWHERE = Qt.AlignmentFlag(0)
 _FOR_IMAGES = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
 _FOR_POINTS = "Fields (*.mha *.nrrd *.nii.gz)"
 _FILMS = "Films (*.gif *.mp4)"
-_BACK = "For SimpleITK, ANTs, elastix and Slicer: where what is seen came from"
-_FORTH = "The same the other way: where tissue goes. The file says so to those who open it"
+_BACK = "For SimpleITK, ANTs, elastix and Slicer: maps deformed positions to original ones"
+_FORTH = "The opposite direction: maps original positions to deformed ones, as the file records"
 _FILM = "The image as it moves, there and back: .gif, or .mp4 with imageio-ffmpeg"
 _WITH_IT = (
-    "A new layer, moved with the tissue. Of a volume in its place the slice of this result moves; "
-    "of a film, of channels, and of a stack without units all slices do"
+    "A new layer, moved with the tissue. In a volume at the same place only the slice of this "
+    "result moves; in a film, in channels, and in a stack without units all slices move"
 )
 
 
 class ResultMenu:
-    """What else can be made of the result that is looked at, by a menu or a button.
+    """Menu and buttons for further outputs of the displayed result.
 
-    What takes long is done while the window lives; what comes of it is said.
+    Long tasks run while the window stays responsive; their outcome is reported as a message.
 
     Parameters
     ----------
     form : ResultForm
-        With the buttons.
+        Form with the buttons.
     viewer : napari.Viewer or ViewerModel
     shown : callable
-        The result that is looked at, or None.
+        Returns the displayed result, or None.
     say : callable
-        Given what there is to say.
+        Called with each message.
     """
 
-    #: Pictures are written: a list of `Path`.
+    #: Pictures were written: a list of `Path`.
     saved = Signal(object)
 
     def __init__(
@@ -78,11 +78,11 @@ class ResultMenu:
 
     @property
     def busy(self) -> bool:
-        """Whether something that was asked for is not done yet."""
+        """True if a requested output is not finished."""
         return self._errands.busy()
 
     def measure(self) -> tuple[Measurement, ...]:
-        """Measure what happened to each tissue; where none is told from others, to all of it.
+        """Measure the deformation of each tissue, or of all tissue if there are no labels.
 
         Raises
         ------
@@ -93,14 +93,14 @@ class ResultMenu:
         answer = shown.answer
         labels, rows = answer.pictures.labels, tissue_recorded(shown.arrows)[0] or ()
         layer = tissue_labels(self._viewer.layers, answer) if labels is None else None
-        if layer is not None:  # of a result from a file
+        if layer is not None:  # a result from a file has no labels of its own
             labels, rows = picture_of(layer, answer), rows_of(layer, TISSUE)
         if labels is None:
             return answer.solution.measure(np.ones(answer.shape, int), names={1: "tissue"})
         return answer.solution.measure(labels, names={row.label: row.name for row in rows})
 
     def save_pictures(self, folder: str | Path, own_folder: bool = False) -> None:
-        """Write pictures, perhaps into a new folder in that one; then `saved` is emitted.
+        """Write pictures into a folder, or into a new one inside it; then `saved` is emitted.
 
         Raises
         ------
@@ -115,12 +115,12 @@ class ResultMenu:
         self._errands.send(f"{folder}", partial(save_result_pictures, *what), self._on_saved)
 
     def save_field(self, path: str | Path, *, forward: bool = False) -> None:
-        """Write the field for other tools; how good its inverse is is said."""
+        """Write the field for other tools; a message gives the accuracy of its inverse."""
         field = FieldFile.of(self._shown.answer.solution)
         self._errands.send(f"{path}", partial(save_field, path, field, forward=forward), self._say)
 
     def save_film(self, path: str | Path) -> None:
-        """Write the image as it moves, there and back; as `save_moving_picture`."""
+        """Write a film of the image as it moves, there and back; as `save_moving_picture`."""
         shown = self._shown
         if shown.image is None:
             raise HmrfError(NO_IMAGE)
@@ -129,12 +129,12 @@ class ResultMenu:
         self._errands.send(f"{path}", work, lambda file: self._say(f"Saved {file.name}."))
 
     def move_along(self, *layers: Any) -> None:
-        """Add other layers as they have moved with the tissue, each above its own.
+        """Add moved copies of other layers, each above its original.
 
         Raises
         ------
         HmrfError
-            If there is no result, or a layer cannot lie on its tissue.
+            If there is no result, or a layer cannot be placed on its tissue.
         """
         movers = [mover(layer, self._shown.answer) for layer in layers]
 
@@ -144,11 +144,11 @@ class ResultMenu:
             names = ", ".join(f"'{each.attributes['name']}'" for each in made)
             self._say(f"Moved along: {names}.")
 
-        kind = f"{[layer.name for layer in layers]} moved along"  # of others these stay
+        kind = f"{[layer.name for layer in layers]} moved along"  # one kind per selection
         self._errands.send(kind, lambda: [move() for move in movers], add)
 
     def release(self) -> None:
-        """Answer nothing any more."""
+        """Discard all pending tasks."""
         self._errands.release()
 
     @property
@@ -158,7 +158,7 @@ class ResultMenu:
         return shown
 
     def _add(self, layer: Any, made: LayerData) -> None:
-        """Show a layer that was moved in place of the one of an earlier result."""
+        """Show a moved layer in place of the one of an earlier result."""
         layers, name = self._viewer.layers, made.attributes["name"]
         with same_selection(self._viewer):
             if name in layers and known_of(layers[name]).get("kind") == MOVED:
@@ -167,14 +167,14 @@ class ResultMenu:
             layers.insert(at, layer.create(*made))
 
     def _fill(self) -> None:
-        """Fill the menu with what there is now."""
+        """Fill the menu with the entries that apply now."""
         menu, shown = self._button.menu(), self._look()
         menu.clear()
-        about = "How far each tissue moved, how its area changed, and its strain"
+        about = "Displacement, change of area, and strain of each tissue"
         measure = partial(attempt, self._show_measurements, self._say)
         add_entry(menu, "Measurements ...", about, measure)
         forces = partial(attempt, self._show_forces, self._say)
-        add_entry(menu, "Forces ...", "What it takes to hold tissue, and to pull it", forces)
+        add_entry(menu, "Forces ...", "Forces that hold tissue, and that pull it", forces)
         along = menu.addMenu("Move along")
         along.setToolTipsVisible(True)
         source = None if shown is None else shown.source
@@ -194,7 +194,7 @@ class ResultMenu:
             add_entry(menu, f"Save {title} ...", about, ask)
 
     def _on_save(self, *_: Any) -> None:
-        title = "Where to make a folder of pictures"
+        title = "Choose where to create a folder of pictures"
         chosen = QtWidgets.QFileDialog.getExistingDirectory(self._button, title)
         if chosen:
             attempt(partial(self.save_pictures, chosen, own_folder=True), self._say)
@@ -210,13 +210,13 @@ class ResultMenu:
         words = measurements_in_words(rows, unit, volume=volume)
         note = strain_note(answer.solution)
         below = [QtWidgets.QLabel(f"Note: {note}.", wordWrap=True)] if note else []
-        self._show_table("What happened to each tissue", words, *below, button)
+        self._show_table("Measurements of each tissue", words, *below, button)
         save = partial(save_measurements, rows=rows, unit=unit, volume=volume)
         ask = partial(self._ask, save, "Save measurements", "measurements.csv", "Tables (*.csv)")
         button.clicked.connect(lambda _: ask())
 
     def _show_forces(self) -> None:
-        """Show what it takes to hold and to move tissue, once that is computed."""
+        """Show the forces that hold and move tissue, once they are computed."""
         answer = self._shown.answer
         if answer.forces is None:
             raise HmrfError(NO_FORCES)
@@ -231,7 +231,7 @@ class ResultMenu:
     def _show_table(
         self, title: str, words: tuple[list[str], list[list[str]]], *below: QtWidgets.QWidget
     ) -> None:
-        """Show numbers in a window of their own, with a note and buttons below."""
+        """Show a table in a separate window, with a note and buttons below."""
         seen = QtWidgets.QDialog(self._button.window(), windowTitle=title)
         seen.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         table, layout = _table_of(*words), QtWidgets.QVBoxLayout(seen)
@@ -249,7 +249,7 @@ class ResultMenu:
 
 
 def _table_of(titles: list[str], cells: list[list[str]]) -> QtWidgets.QTableWidget:
-    """Measurements in a table that stays as it is."""
+    """Make a read-only table of texts."""
     table = QtWidgets.QTableWidget(len(cells), len(titles))
     table.setObjectName("measurements")
     table.setHorizontalHeaderLabels(titles)

@@ -1,4 +1,4 @@
-"""What is said of a result."""
+"""Messages about a result."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from napari_hmrf.layers.result_layers import Answer, Name
 NO_RESULT = "There is no result to look at yet: drag tissue, or press Deform."
 LOST = (
     "The result was in the layer '{layer}', which was deleted. Press Deform, or pull again, to "
-    "make it anew. To hide arrows, close their layer's eye."
+    "create it again. To hide arrows, click the eye of their layer."
 )
 NO_IMAGE = (
     "There is no image on the pixels of this result, so none can be moved. Open the image it was "
-    "made from; arrows, and what 'show' offers, are here all the same."
+    "made from; the arrows, and the choices of 'show', work without it."
 )
 NO_FORCES = (
     "Forces are known of elastic tissue and of large motion, while the result is worked on: press "
@@ -46,8 +46,11 @@ _ABOUT: dict[Name, str] = {
     "observed": "given: motion",
     "confidence": "given: confidence",
 }
-_FROM_A_FILE = "What was given is not in the file of a result. Press Deform to make it anew."
-#: Why there may be nothing to see of what was asked for.
+_FROM_A_FILE = (
+    "The given stiffness, motion and confidence are not in the file of a result. Press Deform to "
+    "solve again."
+)
+#: Reasons why a requested overlay may have nothing to show.
 LACKING: dict[Name, str] = {
     "labels": "No labels of tissue have moved with this result.",
     "folds": "The tissue folds nowhere.",
@@ -55,7 +58,7 @@ LACKING: dict[Name, str] = {
     **dict.fromkeys(("stiffness", "observed", "confidence"), _FROM_A_FILE),
 }
 OVERLAY_TIP = (
-    "What lies over the image and moves with the tissue, its values those of what is seen.\n"
+    "Overlay on the image that moves with the tissue; its values belong to the visible tissue.\n"
     "Jacobian: by which factor its area changes; purple shrinks, orange grows, yellow folds.\n"
     "Strain: elastic, without growth, in per cent, squeeze below 0; equivalent: von Mises's, in\n"
     "all three directions. The paper's model has total strain, within the image.\n"
@@ -66,7 +69,7 @@ OVERLAY_TIP = (
 def overlay_choices(
     unit: str, ways: Directions = _UPRIGHT, compared: bool = False
 ) -> list[tuple[str, str]]:
-    """What can lie over the image, in words, and the name of it; `compared`: with a reference."""
+    """List the overlays as pairs of label and name; `compared` adds that of the reference."""
     rows, columns = (
         f"{ways.both(axis)} ({name})" if ways.both(axis) else f"along {name}"
         for axis, name in enumerate(("rows", "columns"))
@@ -79,7 +82,7 @@ def overlay_choices(
 def how_far(
     result: Answer, longest: float, percent: int, compared: Comparison | None = None
 ) -> str:
-    """How much of the deformation is seen, and of which slice; how far it is from others."""
+    """Describe the displayed deformation, its slice, and its distance to a reference."""
     far = as_seen(longest * percent / FULL, result.solution.spacing)
     where = f" in {result.frame.slice_seen}" if result.frame.slice_seen else ""
     moved = f"{percent} %: tissue moved up to {far:.3g} {result.unit}{where}"
@@ -89,5 +92,5 @@ def how_far(
 
 
 def saved(paths: Sequence[Path]) -> str:
-    """What was written, and where."""
+    """Report which pictures were written, and where."""
     return f"Saved in {paths[0].parent}: {', '.join(path.name for path in paths)}."

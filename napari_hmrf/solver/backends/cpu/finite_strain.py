@@ -1,11 +1,12 @@
-"""Neo-Hookean tissue as compiled loops in double precision: energy, forces, lengths.
+"""Neo-Hookean tissue as compiled loops in double precision: energy, forces, step lengths.
 
 `solver.priors.finite_strain` has the equations and the names. Displacements are planes of pixels,
-and an element has the number of its first site. `solid` has seven numbers of each, in the order of
-`Moduli`: mu, 0 in elements that do not exist; Lame's lambda as of a volume; what resists a change
-of volume at rest; what resists half the square of a twist; and what takes growth off the sides, RR,
-RC and CC. `about` is half of one over the sides of a pixel, whether tissue may bulge out of the
-plane, and the strength and the beginning of the barrier.
+and an element has the index of its first site. `solid` has seven numbers of each element, in the
+order of `Moduli`: mu, 0 in elements that do not exist; Lame's lambda as for a volume; the
+resistance to a change of volume at rest; the resistance to half the square of a twist; and the
+components RR, RC and CC of the matrix that removes growth from the sides. `about` is
+half of one over the sides of a pixel, whether tissue may bulge out of the plane, and the strength
+and the start of the barrier.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -18,13 +19,13 @@ from numba import prange
 
 from napari_hmrf.solver.backends.cpu.compiled import callee, inline, parallel
 
-# What is known of an element, in this order.
+# Indices of the numbers of an element.
 SHEAR, FIRST, WHOLE, TWIST, RR, RC, CC = np.arange(7)
 
 
 @inline
 def deformed(d, i, j, rows, cols):
-    """What the sides (per pixel) and the twist of element (i, j) have become."""
+    """Return the deformed sides (per pixel) and the twist of element (i, j)."""
     left_0, right_0 = d[0, i + 1, j] - d[0, i, j], d[0, i + 1, j + 1] - d[0, i, j + 1]
     left_1, right_1 = d[1, i + 1, j] - d[1, i, j], d[1, i + 1, j + 1] - d[1, i, j + 1]
     top_0, low_0 = d[0, i, j + 1] - d[0, i, j], d[0, i + 1, j + 1] - d[0, i + 1, j]
@@ -41,7 +42,7 @@ def deformed(d, i, j, rows, cols):
 
 @inline
 def volumes(a0, a1, b0, b1, x0, x1, rows, cols):
-    """The mean Jacobian, and what it gains towards the next row and the next column of sites."""
+    """Return the mean Jacobian, and its increments towards the next row and the next column."""
     return (
         a0 * b1 - a1 * b0,
         cols * (a0 * x1 - a1 * x0),
@@ -51,7 +52,7 @@ def volumes(a0, a1, b0, b1, x0, x1, rows, cols):
 
 @inline
 def elastic(a0, a1, b0, b1, solid, i, j):
-    """The sides less growth, and what growth leaves of a Jacobian."""
+    """Return the sides without growth, and the factor that growth leaves of a Jacobian."""
     rr, rc, cc = solid[RR, i, j], solid[RC, i, j], solid[CC, i, j]
     return (
         rr * a0 + rc * b0,
@@ -64,7 +65,7 @@ def elastic(a0, a1, b0, b1, solid, i, j):
 
 @inline
 def bulk(j, mu, lam, whole, bulges):
-    """The first and the second derivative of the energy of a change of volume."""
+    """Return the first and the second derivative of the energy of a change of volume."""
     if bulges:
         thick = mu + 0.5 * lam * j * j
         return -whole * mu / (j * thick), whole * mu * (thick + lam * j * j) / (j * thick) ** 2
@@ -73,7 +74,7 @@ def bulk(j, mu, lam, whole, bulges):
 
 @inline
 def barrier(j, start):
-    """The barrier of one corner: its value, and two derivatives."""
+    """Return the barrier of one corner and its first two derivatives."""
     if j >= start:
         return 0.0, 0.0, 0.0
     below, log = j - start, math.log(j / start)
@@ -102,7 +103,7 @@ def _energy_part(d, solid, about, row_energy, row_least, first, last):
             a0, a1, b0, b1, gain = elastic(a0, a1, b0, b1, solid, i, j)
             mean, down, right, low = gain * mean, gain * down, gain * right, gain * low
             lam, whole = solid[FIRST, i, j], solid[WHOLE, i, j]
-            # From that of rest: of what remains more digits are left.
+            # Relative to the energy at rest: the difference keeps more digits.
             stretch = (a0 * a0 + a1 * a1 + b0 * b0 + b1 * b1) - 2.0
             if bulges:
                 thick = (shear + 0.5 * lam * mean * mean) / whole
@@ -126,9 +127,9 @@ def _energy_part(d, solid, about, row_energy, row_least, first, last):
 
 @parallel
 def energy(d, solid, about, row_energy, row_least, count):
-    """The energy of each row of elements, and its least corner Jacobian, that of growth included.
+    """Compute the energy of each row of elements, and its least corner Jacobian, with growth.
 
-    Elements that have folded count as if they had no energy.
+    Folded elements count with zero energy.
     """
     height = len(row_energy)
     for number in prange(count):
@@ -138,7 +139,7 @@ def energy(d, solid, about, row_energy, row_least, count):
 
 @callee
 def _element_row(d, solid, about, i, out):
-    """What row i of elements pulls with along D_r, D_c, D_x."""
+    """Compute the forces of row i of elements along D_r, D_c, D_x."""
     rows, cols, bulges, strength, start = about
     for j in range(2, d.shape[2] - 2):
         shear = solid[SHEAR, i, j]
@@ -191,7 +192,7 @@ def _forces_part(d, solid, about, out, first, last):
 
 @parallel
 def forces(d, solid, about, out, count):
-    """The derivative of the energy by each site's displacement."""
+    """Compute the derivative of the energy by each site's displacement."""
     height = d.shape[1] - 4
     for number in prange(count):
         first, last = number * height // count, (number + 1) * height // count
@@ -200,9 +201,10 @@ def forces(d, solid, about, out, count):
 
 @inline
 def _until(now, slope, bend, part, floor):
-    """Return how far a corner keeps a part of its Jacobian, now + slope t + bend t^2, and a floor.
+    """Return the step at which a corner's Jacobian now + slope t + bend t^2 falls to its bound.
 
-    A corner that is below the floor already keeps all of its Jacobian.
+    The bound is a part of the present Jacobian, and at least a floor; a corner that is below the
+    floor already keeps all of its Jacobian.
     """
     c = now - max(part * now, min(now, floor))
     if c <= 0:
@@ -259,9 +261,9 @@ def _length_part(d, way, solid, about, part, floor, row_length, first, last, eac
 
 @parallel
 def length(d, way, solid, about, part, floor, row_length, each, count):
-    """How far along a way each row of elements keeps a part of its corners' Jacobians, and a floor.
+    """Compute the longest step of each row of elements that keeps a part of its corner Jacobians.
 
-    Where there are elements in `each`, it gets that of each of them.
+    The Jacobians also stay above a floor. If `each` has elements, it gets the step of each element.
     """
     height = len(row_length)
     for number in prange(count):
