@@ -208,7 +208,7 @@ def test_notes_of_the_shell_name_its_own_options(files, capsys):
 def test_a_case_in_which_nothing_is_asked_to_move_is_refused(files, capsys):
     code, _, err = run("solve image.png --hold-edge -o out", capsys)
     assert code == 1
-    assert "nothing is asked to move" in err
+    assert "nothing moves" in err
     assert "--boundary" in err
 
 

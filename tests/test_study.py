@@ -146,7 +146,7 @@ def test_what_is_painted_as_another_tissue_is_so_many_times_as_stiff():
     [
         (lambda: pulled(tissue=Tissue(stiffness=np.ones((4, 4)))), r"tissue.*\(4, 4\).*\(20, 26\)"),
         (lambda: pulled(pictures=Pictures(np.ones((20, 25)))), r"image.*\(20, 25\)"),
-        (lambda: Motion(observed=np.zeros((*SHAPE, 2))), "how sure"),
+        (lambda: Motion(observed=np.zeros((*SHAPE, 2))), "its confidence"),
         (
             lambda: Tissue(labels=np.ones(SHAPE), stiffness=np.ones(SHAPE)),
             "labels and by its stiff",
@@ -172,7 +172,7 @@ def test_values_that_are_no_numbers_are_said():
     pictures = Pictures(image=image, name="MR")
     study = Study(GRID, by_brightness, pictures=pictures, names={"image": "MR"})
     with pytest.raises(
-        ProblemError, match=r"'MR' has values at 3 pixels that are NaN .* \(3, 4\), where its"
+        ProblemError, match=r"'MR' has values at 3 pixels that are NaN .* \(3, 4\), but its"
     ):
         Ground.of(study)
     even = replace(study, tissue=Tissue())
