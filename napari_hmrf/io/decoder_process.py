@@ -94,9 +94,9 @@ class _Watch:
                 used = times.user + times.system
                 before = used if before < 0 else before
                 if used - before > self._seconds:
-                    self.reason = "reading it does not come to an end"
+                    self.reason = "decoding it did not finish, so it is probably damaged"
                 elif decoder.memory_info().rss > self._memory:
-                    self.reason = "reading it takes more memory than it can hold"
+                    self.reason = "decoding it takes more memory than a file of its size should"
                 elif time.monotonic() - started > self._patience:
                     self.reason = "its disk does not answer"
                 if self.reason:
@@ -232,7 +232,7 @@ class DecoderProcess:
             if watch.reason:
                 raise Undecodable(watch.reason, fatal=True)
             if code or fresh:
-                raise Undecodable("reading it crashes", fatal=True)
+                raise Undecodable("decoding it crashes, so it is probably damaged", fatal=True)
             # An idle decoder exited while the request was on its way.
         raise AssertionError("a fresh decoder answers or fails")
 
