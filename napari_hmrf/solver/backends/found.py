@@ -139,6 +139,9 @@ class Found:
         Of the system, where cycles cannot be trusted.
     entrained : Entrained or None
         What rigid bodies take along, where there are any.
+    idle : ndarray of int or None
+        Places in planes of tissue that is not observed and that nothing pulls at; None if they
+        have not been looked for.
     """
 
     def __init__(self) -> None:
@@ -148,6 +151,7 @@ class Found:
         self.care = 0
         self.factors: Factors | None = None
         self.entrained: Entrained | None = None
+        self.idle: npt.NDArray[np.intp] | None = None
         self._known: list[tuple[weakref.ref[Any], Quality]] = []
 
     def add(self, displacement: FloatArray, quality: Quality) -> None:
