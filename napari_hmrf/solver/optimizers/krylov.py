@@ -227,6 +227,7 @@ class ConjugateGradients:
             fall = max(fall, 1 - self._expected)  # cycles alone have reduced the slow motion
         if self._spectrum.steps < _ENOUGH:
             least = min(least, _USUAL_LEAST)
+            fall = max(fall, 1 - least)  # so far, each cycle takes its part of a slow motion
         return Step(far * fall / least / rest, rest, gain)
 
 

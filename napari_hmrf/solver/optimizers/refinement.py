@@ -42,11 +42,13 @@ _VOLUME_MARGIN = 1.5
 # Eigenvalues that cycles do not meet in images of mild tissue, compressible or not: where they meet
 # smaller ones, they may miss others.
 _MILD_LEAST, _MILD_LEAST_INCOMPRESSIBLE = 0.1, 0.05
-# How much more doubtful tissue is that is not mild, whatever its rehearsal has shown.
-_LEAST_MARGIN = 1.5
-# How much more doubtful a warm start is, which is close to converged but for what cycles see least;
-# and how much more than its estimate a cold one reports, up to the tolerance.
-_WARM_MARGIN, _COLD_MARGIN = 1.5, 2.0
+# Least doubt of any estimate: it is of single components, and of the eigenvalues met so far.
+_LEAST_MARGIN = 2.0
+# How much more doubtful a warm start is where tissue is not mild: it is close to converged but for
+# the motions that cycles see least.
+_WARM_MARGIN = 1.5
+# Ratio of the reported error to the estimate that ends an iteration, up to the tolerance.
+_REPORTED = 1.5
 # Sites whose factors take no longer than a rehearsal and a few cycles.
 _FEW = 1024
 # Motions of touching parts of bodies that factors do not know to cost anything, at most.
@@ -195,12 +197,14 @@ class Refinement:
         # What bodies do on their own is seen for certain, but not what lies between close ones.
         sees_bodies = model.bodies is None or (moves is not None and not moves.close)
         sure = self._mild and not volume and model.material.compressible and sees_bodies
-        doubt = 1.0 if sure else max(_MARGIN * found.doubt, _MARGIN if volume else _LEAST_MARGIN)
+        doubt = _LEAST_MARGIN
+        if not sure:
+            doubt = max(_MARGIN * found.doubt, _MARGIN if volume else _LEAST_MARGIN)
         if volume and not self._mild:
             doubt *= _VOLUME_MARGIN
         if moves is not None and moves.close:
             doubt *= _MARGIN
-        if self._met is not None:
+        if self._met is not None and not sure:
             doubt *= _WARM_MARGIN
         while True:
             step: Step | None = None
@@ -257,11 +261,13 @@ class Refinement:
         return self._iterate(d, load, tolerance, self._model.balance(d, load))
 
     def _least_error(self) -> float:
-        """Return what the error may be at least, whatever residuals say."""
+        """Return the least error to report, whatever residuals say."""
+        reported = _REPORTED * self.estimate
         if self._met is None or self._met.least == 1:
-            return _COLD_MARGIN * self.estimate
+            return reported
         # Of the error of a warm start each cycle is sure to take only so much.
-        return self._met.error * (1 - self._iteration.least) ** len(self._gains)
+        left = self._met.error * (1 - self._iteration.least) ** len(self._gains)
+        return max(reported, left)
 
     def _take_care(self) -> bool:
         """Go over to a better iteration, if there is any, and begin it with numbers."""
