@@ -28,11 +28,11 @@ _ATTAINED = 3e-7
 # What an iteration is trusted to be at most: how fast errors fall in a step, and how well the cycle
 # sees what is left.
 _FASTEST = 0.2
-_USUAL_LEAST = 0.4
+_USUAL_LEAST = 0.3
 # A run that has met an eigenvalue of up to so many times an expected one has met that.
 _MET = 1.2
 # Steps after which the least eigenvalue has been met well enough.
-_ENOUGH = 5
+_ENOUGH = 6
 
 
 @dataclass(frozen=True)
@@ -77,6 +77,8 @@ class ConjugateGradients:
     def __init__(self, cycle: Cycle, exactly: Callable[[], Any] = lambda: None) -> None:
         self._cycle, self._exactly = cycle, exactly
         self._spectrum, self._expected = _Spectrum(), 1.0
+        #: Number of steps in all runs.
+        self._taken = 0
         #: What its vectors are of, if it runs in double precision.
         self._double: Any = None
         #: What cycles do not see of rigid bodies, if there are any.
@@ -227,6 +229,8 @@ class ConjugateGradients:
             fall = max(fall, 1 - self._expected)  # cycles alone have reduced the slow motion
         if self._spectrum.steps < _ENOUGH:
             least = min(least, _USUAL_LEAST)
+        self._taken += 1
+        if self._taken < _ENOUGH:
             fall = max(fall, 1 - least)  # so far, each cycle takes its part of a slow motion
         return Step(far * fall / least / rest, rest, gain)
 

@@ -43,7 +43,7 @@ _VOLUME_MARGIN = 1.5
 # smaller ones, they may miss others.
 _MILD_LEAST, _MILD_LEAST_INCOMPRESSIBLE = 0.1, 0.05
 # Least doubt of any estimate: it is of single components, and of the eigenvalues met so far.
-_LEAST_MARGIN = 2.0
+_LEAST_MARGIN = 1.5
 # How much more doubtful a warm start is where tissue is not mild: it is close to converged but for
 # the motions that cycles see least.
 _WARM_MARGIN = 1.5
