@@ -189,7 +189,10 @@ def judge(seed: int, sequence: int) -> list[Answer]:
     ----------
     seed, sequence : int
     """
-    start = start_of(seed, sequence)
+    try:
+        start = start_of(seed, sequence)
+    except HmrfError:
+        return []  # the tissue that was drawn touches none of the edges that hold it
     dice = np.random.default_rng([seed, sequence, 1])
     updates: list[Update] = []
     steps: list[tuple[str, State, Update]] = []

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from napari_hmrf import ElasticPrior, Multigrid, Problem, phantom, solve
+from napari_hmrf import ElasticPrior, Multigrid, NeoHookeanPrior, Problem, phantom, solve
 from napari_hmrf.solver.warm_start import beginning
 
 WITHIN = Multigrid(0.01)
@@ -162,3 +162,19 @@ def test_shares_add_up_to_one_and_bring_the_patch_where_it_is_to_be():
     assert begin.shares[1:] == pytest.approx((3, -2), abs=1e-3)
     assert begin.missing < 1e-4
     assert beginning(solutions[0], pushed(3)).missing == pytest.approx(3, rel=1e-5)
+
+
+@pytest.mark.parametrize("prior", [PRIOR, NeoHookeanPrior()])
+def test_thin_tissue_that_is_not_observed_any_more_is_at_rest_as_in_a_cold_start(prior):
+    y, c = np.zeros((2, 40, 40, 2))
+    m = np.zeros((40, 40))
+    m[:30], m[32:36, 5] = 1, 1
+    c[0], c[29] = 1, 1
+    y[29, :, 0] = 0.5
+    c[32:36, 5], y[32:36, 5] = 1, 2
+    before = solve(Problem(y, c, m), prior, optimizer=WITHIN, backend="cpu")
+    assert (before.displacement[32:36, 5] == 2).all()
+    c[32:36] = 0
+    after = solve(Problem(y, c, m), prior, optimizer=WITHIN, backend="cpu", initial=before)
+    assert (after.displacement[32:36] == 0).all()
+    assert after.displacement[29, 0, 0] == pytest.approx(0.5, abs=1e-6)

@@ -93,6 +93,8 @@ def test_an_extreme_penalty_is_answered(penalty):
         pytest.param((2, 49), id="a slow motion that a warm start hides"),
         pytest.param((3, 119), id="an undo that leaves an earlier error"),
         pytest.param((5, 49), id="mild tissue that cycles see badly"),
+        pytest.param((5, 295), id="slow motions that early cycles do not tell"),
+        pytest.param((9, 1177), id="much tissue that hangs at a few pixels"),
     ],
 )
 def test_live_answers_agree_with_cold_ones(sequence):

@@ -139,6 +139,9 @@ class Found:
         Factors of the system, where cycles cannot be trusted.
     entrained : Entrained or None
         Motions that rigid bodies induce in the tissue around them, if there are any bodies.
+    idle : ndarray of int or None
+        Indices in planes of tissue that is not observed and bears no load; None before they are
+        searched for.
     """
 
     def __init__(self) -> None:
@@ -148,6 +151,7 @@ class Found:
         self.care = 0
         self.factors: Factors | None = None
         self.entrained: Entrained | None = None
+        self.idle: npt.NDArray[np.intp] | None = None
         self._known: list[tuple[weakref.ref[Any], Quality]] = []
 
     def add(self, displacement: FloatArray, quality: Quality) -> None:

@@ -73,7 +73,7 @@ def converge(
             model.hold(states.held)
             reach = refinement.run(d, states.load if states.any_slip else None, states.exact)
             pull = model.pull(d)
-            if not states.exchange(d, pull, _CONTRADICTION * tolerance / max(reach, 1.0)):
+            if not states.exchange(d, pull, _CONTRADICTION * refinement.within / max(reach, 1.0)):
                 if states.exact or model.mild or states.firm(d, pull):
                     break
                 states.be_exact()
@@ -82,7 +82,8 @@ def converge(
                 f"which observations slip is open after {_MOST_EXCHANGES} attempts. Raise the "
                 "penalty, or hold more of the tissue"
             )
-        refinement.estimate = max(reach * refinement.most, max(reach, 1.0) * states.off(d, pull))
+        off = max(reach * refinement.most, max(reach, 1.0) * states.off(d, pull))
+        refinement.estimate = tolerance / refinement.within * off
         energy, forces = model.work(d)
         way = "cycles" if model.found.factors is None else "factors"
     except ConvergenceError:
@@ -208,6 +209,8 @@ class _Refinement:
     ) -> None:
         self._tolerance, self._max_iterations, self._report = tolerance, max_iterations, report
         self._model = model
+        #: Tolerance of single components, which bounds are of: a site may be further off.
+        self.within = tolerance / math.sqrt(len(model.shape))
         self._iteration = StabilisedGradients(Cycle(model, AVERAGING))
         self._barrier: Planes | None = None
         self.cycles = 0
@@ -225,7 +228,7 @@ class _Refinement:
             self._say(f"{scale * reach * step.rest:.2g} px to go", scale * reach * step.rest)
             return scale * step.rest <= target
 
-        most = target = self._tolerance / reach if reach > 0 else math.inf
+        most = target = self.within / reach if reach > 0 else math.inf
         if exactly:
             target = min(most, _EXACT)
         self.most, self.residual = self._solve(d, load, most, enough, target)
@@ -281,7 +284,7 @@ class _Refinement:
         done = 0.0
         if math.isfinite(estimate):
             self._first = self._first or estimate
-            done = part_done(self._first, estimate, self._tolerance)
+            done = part_done(self._first, estimate, self.within)
         self._report(Monitor(f"cycle {self.cycles}, {message}", done))
         if self.cycles - self._begun > self._max_iterations:
             self._give_up()

@@ -29,11 +29,11 @@ _ATTAINED = 3e-7
 # Bounds on what an iteration is trusted with: the fastest fall of errors in a step, and the largest
 # least eigenvalue before enough steps are taken.
 _FASTEST = 0.2
-_USUAL_LEAST = 0.4
+_USUAL_LEAST = 0.3
 # Ratio to an expected eigenvalue up to which a met eigenvalue counts as that one.
 _MET = 1.2
 # Number of steps after which the least eigenvalue is known well enough.
-_ENOUGH = 5
+_ENOUGH = 6
 
 
 @dataclass(frozen=True)
@@ -78,6 +78,8 @@ class ConjugateGradients:
     def __init__(self, cycle: Cycle, exactly: Callable[[], Any] = lambda: None) -> None:
         self._cycle, self._exactly = cycle, exactly
         self._spectrum, self._expected = _Spectrum(), 1.0
+        #: Number of steps in all runs.
+        self._taken = 0
         #: Finest level in double precision, if the iteration runs in it.
         self._double: Any = None
         #: Motions induced by rigid bodies, which cycles miss, if there are any bodies.
@@ -228,6 +230,9 @@ class ConjugateGradients:
             fall = max(fall, 1 - self._expected)  # only the cycles have reduced the slow motion
         if self._spectrum.steps < _ENOUGH:
             least = min(least, _USUAL_LEAST)
+        self._taken += 1
+        if self._taken < _ENOUGH:
+            fall = max(fall, 1 - least)  # so far, each cycle takes its part of a slow motion
         return Step(far * fall / least / rest, rest, gain)
 
 

@@ -19,6 +19,7 @@ from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.found import Beginning
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 from napari_hmrf.solver.backends.poses import Poses
+from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Reach, Report
 from napari_hmrf.solver.optimizers.cycle import smoothing_of
 from napari_hmrf.solver.optimizers.large_slip import LargeSlip
@@ -70,7 +71,7 @@ def converge(
     # Sites of a held rigid body that are not observed have no target of their own.
     poses, has_target = model.poses(stops), held.copy()
     poses.hold(observed, held)
-    d = _beginning(model, poses, start, observed, held)
+    d = _beginning(problem, model, poses, start, observed, held)
     outside, strategy = None if load is None else Outside(load), _strategy(problem, material)
     newton = Newton(model, smoothing_of(material), report, strategy, poses, outside)
     if limit is None:
@@ -183,6 +184,7 @@ def _grow(
 
 
 def _beginning(
+    problem: Problem,
     model: FiniteModel,
     poses: Poses,
     start: Beginning | None,
@@ -194,6 +196,9 @@ def _beginning(
     if start is None:
         return nothing
     last, combined = host.planes(start.displacements[0] / start.unit), host.combined(start)
+    idle = ~around_sites(in_elements(problem.stiffness), np.logical_or)
+    for field in last, combined:
+        host.inside(field)[:, idle] = 0  # no step moves it
     poses.settle(last)
     if not model.energy(last)[1] >= LEAST_JACOBIAN:
         last = nothing

@@ -17,7 +17,7 @@ from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.base import Backend
 from napari_hmrf.solver.backends.found import Beginning, Met, Quality, met_by, remember
-from napari_hmrf.solver.backends.linear import LinearModel
+from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.bending_modes import check_bent
 from napari_hmrf.solver.optimizers import centred, large_motion
@@ -34,7 +34,7 @@ from napari_hmrf.solver.rigid_modes import grip
 _TINY = 1e-300
 # Part of the tolerance up to which a distance is negligible.
 _NOTHING = 0.01
-# A weaker grip on a volume may escape the coarse levels.
+# Least grip on tissue whose turn coarse levels do not miss: they hold wider parts of it.
 _MILD_GRIP = 0.05
 
 
@@ -106,12 +106,15 @@ class Multigrid:
         else:
             check_bent(problem)
             model, smoothing = backend.seiler_model(prior.material(problem)), BENDING
-        firm = not problem.is_volume or grip(problem) >= _MILD_GRIP
+        holds = limit is None and isinstance(prior, ElasticPrior)
+        firm = not (problem.is_volume or holds) or grip(problem) >= _MILD_GRIP
         met = None if start is None else met_by(start)
         refinement = Refinement(self.max_iterations, model, smoothing, report, firm, met)
         try:
             if limit is None:
                 model.hold(observed)
+                if start is not None:
+                    _put_idle_to_rest(problem, model, observed, d)
                 if model.bodies is not None:
                     model.bodies.settle(d)
                 refinement.run(d, pulls, self.tolerance, self._known(start, model))
@@ -161,3 +164,19 @@ class Multigrid:
         if start is None or start.missing > _NOTHING * self.tolerance:
             return None
         return model.found.quality(start)
+
+
+def _put_idle_to_rest(
+    problem: Problem, model: LinearModel, observed: HeldPlanes, d: Planes
+) -> None:
+    """Set unobserved tissue that nothing pulls at to zero, in place, as a cold start does.
+
+    No cycle moves it: it would keep the motion of the solutions that a warm start begins with.
+    """
+    found = model.found
+    if found.idle is None:
+        idle = ~(model.moves | observed)
+        for plane in idle:
+            host.inside(plane[None])[0] &= problem.tissue
+        found.idle = np.flatnonzero(idle)
+    d.reshape(-1)[found.idle] = 0

@@ -43,11 +43,13 @@ _VOLUME_MARGIN = 1.5
 # Eigenvalues below those that cycles meet in images of mild tissue, compressible or not: cycles
 # that meet smaller ones may miss others.
 _MILD_LEAST, _MILD_LEAST_INCOMPRESSIBLE = 0.1, 0.05
-# Least safety factor for tissue that is not mild, whatever its rehearsal has shown.
+# Least safety factor of any estimate: it is of single components, and of the eigenvalues met so far.
 _LEAST_MARGIN = 1.5
-# Safety factor for a warm start, which is converged except for the slowest motions; and factor on
-# the reported estimate of a cold start, up to the tolerance.
-_WARM_MARGIN, _COLD_MARGIN = 1.5, 2.0
+# Safety factor for a warm start where tissue is not mild: it is converged except for the slowest
+# motions.
+_WARM_MARGIN = 1.5
+# Ratio of the reported error to the estimate that ends an iteration, up to the tolerance.
+_REPORTED = 1.5
 # Number of sites up to which factors take no longer than a rehearsal and a few cycles.
 _FEW = 1024
 # Largest number of free motions at hinges between touching parts of bodies, in factors.
@@ -196,12 +198,14 @@ class Refinement:
         # Motions of single bodies are certain to be met, but not those between close bodies.
         sees_bodies = model.bodies is None or (moves is not None and not moves.close)
         sure = self._mild and not volume and model.material.compressible and sees_bodies
-        doubt = 1.0 if sure else max(_MARGIN * found.doubt, _MARGIN if volume else _LEAST_MARGIN)
+        doubt = _LEAST_MARGIN
+        if not sure:
+            doubt = max(_MARGIN * found.doubt, _MARGIN if volume else _LEAST_MARGIN)
         if volume and not self._mild:
             doubt *= _VOLUME_MARGIN
         if moves is not None and moves.close:
             doubt *= _MARGIN
-        if self._met is not None:
+        if self._met is not None and not sure:
             doubt *= _WARM_MARGIN
         while True:
             step: Step | None = None
@@ -259,10 +263,12 @@ class Refinement:
 
     def _least_error(self) -> float:
         """Return a lower limit for the reported error, whatever residuals say."""
+        reported = _REPORTED * self.estimate
         if self._met is None or self._met.least == 1:
-            return _COLD_MARGIN * self.estimate
+            return reported
         # Each cycle certainly removes only this part of the error of a warm start.
-        return self._met.error * (1 - self._iteration.least) ** len(self._gains)
+        left = self._met.error * (1 - self._iteration.least) ** len(self._gains)
+        return max(reported, left)
 
     def _take_care(self) -> bool:
         """Switch to a better iteration, with cleared arrays; return False if there is none."""
