@@ -225,3 +225,8 @@ def test_so_they_are_by_shaders():
     require_opengl()
     run = trust.campaign([(number, "opengl") for number in range(6)])
     assert run.sound, trust.report(run)
+
+
+def test_states_that_let_go_of_too_much_are_passed_through():
+    """On the way some states move tissue by 367,727 px, where no residual reaches the tolerance."""
+    assert trust.judge(random_problem(301, 1482), "cpu").outcome == "answered"

@@ -50,6 +50,8 @@ _MOST_EXCHANGES = 2000
 _TINY = 1e-300
 # The residual of a field that is exact; and by how much one of two values is surely the larger.
 _EXACT, _SURE = 1e-12, 1e-11
+# Largest residual of a solution by factors, relative to the largest displacement.
+_ROUNDING = 1e-14
 # By which part of its limit something may be held that is held for certain.
 _FIRM = 0.5
 
@@ -84,6 +86,8 @@ def converge(
             )
         off = max(reach * refinement.most, max(reach, 1.0) * states.off(d, pull))
         refinement.estimate = tolerance / refinement.within * off
+        if reach * refinement.most > refinement.within:
+            refinement.give_up()
         energy, forces = model.work(d)
         way = "cycles" if model.found.factors is None else "factors"
     except ConvergenceError:
@@ -270,9 +274,11 @@ class _Refinement:
                     continue
             else:
                 if not cycles and not balance.most < 0.9 * least:
-                    if balance.most <= most:
+                    # Where states let go of too much, tissue moves far: then the residual is as
+                    # small as rounding lets it be, and the next states hold more.
+                    if balance.most <= max(most, _ROUNDING * float(np.abs(d).max())):
                         break
-                    self._give_up()
+                    self.give_up()
                 least = math.inf if cycles else balance.most
                 d += unit * factorise(self._model, self._report).solve(balance.rest)
             balance = self._model.balance(d, load, balance.most)
@@ -287,9 +293,10 @@ class _Refinement:
             done = part_done(self._first, estimate, self.within)
         self._report(Monitor(f"cycle {self.cycles}, {message}", done))
         if self.cycles - self._begun > self._max_iterations:
-            self._give_up()
+            self.give_up()
 
-    def _give_up(self) -> None:
+    def give_up(self) -> None:
+        """Raise the error of a field that is not sure to the tolerance."""
         raise ConvergenceError(
             f"the field is not sure to be within {self._tolerance:g} px of converged "
             f"after {self.cycles} cycles. Raise max_iterations, or bring the softest and the "
