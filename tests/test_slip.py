@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, solve
+from napari_hmrf import ElasticPrior, Multigrid, Problem, ProblemError, SeilerPrior, solve
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.cpu.elastic_model import CpuElasticModel
 from napari_hmrf.solver.rigid_modes import free_motions
@@ -77,3 +77,22 @@ def test_a_stiff_part_that_hangs_on_soft_tissue_is_where_its_weakest_side_allows
         ends.append(found.displacement[1, -1, 1] / penalty)
     # It slips, so it moves in proportion to the force.
     assert ends[1] == pytest.approx(ends[0], rel=1e-2)
+
+
+@pytest.mark.parametrize("penalty", [None, 0.01])
+def test_a_row_that_tilts_at_no_cost_is_refused_whatever_rounding_makes_of_it(penalty):
+    # Two sites hang on the middle one alone, and their tilt moves nothing else. Stiff tissue beside
+    # soft tissue rounds the factors so coarsely that the tilt seems to cost something.
+    stiff, soft = 25123.590, 0.014527673
+    m = np.array([[0, 1, 0], [1, 1, 1], [1, 1, 1], [0, 1, 1], [0, 0, 0]]) * stiff
+    m[3, 0] = m[4, 1] = soft
+    y, c = np.zeros((5, 3, 2)), np.zeros((5, 3, 2))
+    c[2, 0] = 1
+    y[2, 0] = (0.14, 0.03)
+    prior = SeilerPrior(penalty=penalty, conditional="blanket")
+    with pytest.raises(ProblemError, match=r"8 pixels around \(2, 1\) could still bend along col"):
+        solve(Problem(y, c, m), prior, optimizer=Multigrid(), backend="cpu")
+    # A second mark in the row stops it.
+    c[2, 2, 1] = 1
+    found = solve(Problem(y, c, m), prior, optimizer=Multigrid(), backend="cpu").displacement
+    np.testing.assert_allclose(found[1:4, 1, 1], found[2, [0, 2], 1].mean(), atol=1e-3)

@@ -207,6 +207,12 @@ def test_what_is_hardest_is_answered_too(number):
     assert verdict.outcome == "answered", verdict
 
 
+@campaign
+def test_an_interior_point_that_went_in_circles_arrives():
+    verdict = trust.judge(random_problem(7001, 2400), "cpu")
+    assert verdict.outcome == "answered", verdict
+
+
 def test_what_rounding_leaves_is_not_solved_for_again_and_again():
     drawn = random_problem(0, 3527)
     said = []

@@ -36,6 +36,9 @@ _GAP, _LEAST_GAP, _CLOSE = 1e-19, 1e-22, 1e-8
 # gap after which any remaining motion is rounding.
 _STILL, _ROUNDED = 1e-10, 8
 _LEAST_SCALE = 1e-3
+# Part of a step below which it is replaced by one that evens the products out; and the part of
+# their mean at which that step aims.
+_SHORT, _CENTRING = 0.1, 0.5
 # Springs that hold tissue in place, as a part of the diagonal; the weakest that rounding allows is
 # taken: they change the steps, not the limit.
 _PROXIMAL = tuple(10.0**power for power in range(-16, -10))
@@ -81,7 +84,7 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> N
         rest[~moves] = 0
         apart = y - d.ravel()[at] - low.ravel()[at] - (past[0] - past[1])
         aim = np.zeros_like(past)
-        for predicted in (True, False):
+        for stage in ("predict", "correct", "centre"):
             target = apart - (_SIDE * (aim / slack - past)).sum(axis=0)
             load = rest.copy()
             load.ravel()[at] += weight * target
@@ -97,13 +100,19 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> N
             stronger = weight * (target - way.ravel()[at])
             narrower = -_SIDE * stronger
             wider = (aim - past * slack - past * narrower) / slack
-            most = 1.0 if predicted else _FRACTION
+            most = 1.0 if stage == "predict" else _FRACTION
             part = min(1.0, most * _room(past, wider), most * _room(slack, narrower))
-            if predicted:
+            if stage == "predict":
                 then = (past + part * wider) * (slack + part * narrower) / (p * scale)
                 share = (max(float(then.mean()), 0.0) / float(products.mean())) ** 3
                 mean = max(float(products.mean()) * share, _LEAST_GAP)
                 aim = p * scale * mean - narrower * wider
+            elif part > _SHORT:
+                break
+            else:
+                # Corrections of second order may lead in circles from products that differ widely.
+                mean = max(_CENTRING * float(products.mean()), _LEAST_GAP)
+                aim = p * scale * mean
         if not np.isfinite(way).all():
             break
         add(d, low, part * way)

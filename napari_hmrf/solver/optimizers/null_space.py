@@ -30,6 +30,9 @@ _BALANCINGS = 4
 # a load that may remain in a free motion.
 _ASTRAY, _BALANCED = 1e-6, 1e-9
 _MIXINGS = 2
+# Least eigenvalue, where the diagonal is 1, that factors resolve; number of inverse iterations that
+# estimate it; and factor on it, for each root of an unknown, above which one iteration is enough.
+_RESOLVED, _ESTIMATES, _CLEAR = 1e-15, 3, 1e3
 # Largest number of soft motions that a refusal analyses: more take seconds to separate.
 _EXPLAINED = 16
 # Part of the largest displacement above which a site belongs to a motion.
@@ -92,6 +95,43 @@ class Play(NamedTuple):
                 if abs(work.sum()) > _BALANCED * np.abs(work).sum():
                     return motion
         return None
+
+
+def resolves(model: LinearModel) -> bool:
+    """Return whether a model's factors can tell its softest motion from a free one.
+
+    Pivots alone cannot: where stiff tissue hangs on soft tissue its last pivot is small, and the
+    rounding of that pivot passes for resistance in the pivots that follow.
+    """
+    factors, moves = model.found.factors, model.moves
+    weights = np.sqrt(model.steepness[moves])
+    if factors is None or not len(weights):
+        return True
+    load: Planes = np.zeros(moves.shape)
+    motion = np.random.default_rng(0).standard_normal(len(weights))
+    least = np.inf
+    for _ in range(_ESTIMATES):
+        load[moves] = motion / np.linalg.norm(motion) * weights
+        motion = factors.solve(load)[moves] * weights
+        least = 1 / float(np.linalg.norm(motion))
+        if least > _CLEAR * np.sqrt(len(weights)) * _RESOLVED:
+            break
+    return bool(least > _RESOLVED)
+
+
+def refuse_free(
+    model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report
+) -> None:
+    """Refuse tissue that moves at no cost although the model has factors.
+
+    Raises
+    ------
+    ProblemError
+        Naming the tissue.
+    """
+    free = find_play(model, held, refinement, report).free
+    if free:
+        raise refusal(_as_free_motion(free[0][0]))
 
 
 def why_unsolvable(

@@ -11,7 +11,13 @@ from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.solver.bending_modes import free_bend
 from napari_hmrf.solver.optimizers import interior, least_motion
 from napari_hmrf.solver.optimizers.base import Report
-from napari_hmrf.solver.optimizers.null_space import Play, find_play, why_unsolvable
+from napari_hmrf.solver.optimizers.null_space import (
+    Play,
+    find_play,
+    refuse_free,
+    resolves,
+    why_unsolvable,
+)
 from napari_hmrf.solver.optimizers.refinement import (
     HELD_BY_NOTHING,
     Refinement,
@@ -89,6 +95,10 @@ class Slip:
             pull = self._pull(d)
             if self._states.contradicted(d, pull, self._steepness, _ABOVE * exact, _SHARE):
                 raise ConvergenceError("what is let go of would leave tissue free")
+            if not self._resolved:
+                self._model.hold(self._states.every)
+                self._check_held()
+                self._confirm(d, exact)
         except ConvergenceError:
             # Exchanges did not end, or led to states that leave tissue free. First check that the
             # observations can hold the tissue at all.
@@ -108,6 +118,13 @@ class Slip:
             if str(error) != HELD_BY_NOTHING:
                 raise
             raise why_unsolvable(model, every, self._refinement, self._report) from None
+        if not self._resolved:
+            refuse_free(model, every, self._refinement, self._report)
+
+    @property
+    def _resolved(self) -> bool:
+        """True if the last solution is certain to be the only one; elastic tissue is checked."""
+        return self._elastic or resolves(self._model)
 
     def _pull(self, d: Planes) -> Planes:
         """Return the forces after the last run, without those of observations."""
