@@ -1,4 +1,4 @@
-"""The converged field of the paper's centred update, and how sure that is.
+"""Converged field of the paper's centred update, with a bound on its error.
 
 Where it has converged, each site is at the weighted mean q of its neighbours, at most p / 2 A from
 there towards what was observed at it (A is the curvature of its energy, p = K c), or at what was
@@ -38,21 +38,21 @@ from napari_hmrf.solver.optimizers.slip_states import PATIENCE, States
 from napari_hmrf.solver.priors import SeilerPrior
 from napari_hmrf.solver.problem import Problem
 
-# How far from 1 a barrier's w - q(w) may be, and how far it is aimed to be.
+# Largest distance of a barrier's w - q(w) from 1 that is accepted, and the one aimed for.
 _BARRIER = 0.5
 _BARRIER_AIM = 0.4
-# What may contradict a state, as a part of the tolerance.
+# Contradiction of a state that is ignored, as a part of the tolerance.
 _CONTRADICTION = 0.1
-# Cycles after which factors are the shorter way.
+# Cycles after which factors are faster.
 _CYCLES = 60
-# Exchanges of states after which there is no hope.
+# Exchanges of states after which the solve is refused.
 _MOST_EXCHANGES = 2000
 _TINY = 1e-300
-# The residual of a field that is exact; and by how much one of two values is surely the larger.
+# Residual of an exact field; and the difference above which one of two values is the larger.
 _EXACT, _SURE = 1e-12, 1e-11
 # Largest residual of a solution by factors, relative to the largest displacement.
 _ROUNDING = 1e-14
-# By which part of its limit something may be held that is held for certain.
+# Part of its limit below which a held observation is certain to be held.
 _FIRM = 0.5
 
 
@@ -111,10 +111,10 @@ def converge(
 def _beginning(
     problem: Problem, prior: SeilerPrior, model: LinearModel, start: Beginning | None
 ) -> tuple[Planes, _CentredStates]:
-    """The displacement to begin with, and the states of what is observed."""
+    """Return the initial displacement and the states of the observations."""
     d, observed = host.prescribed(problem)
     steep = model.steepness
-    # A site that is the middle of no clique stays where it is: nothing pulls at it.
+    # A site that is the middle of no clique stays in place: nothing pulls at it.
     states = _CentredStates(observed & (steep > 0), d, host.planes(prior.limit(problem)), steep)
     if start is not None:
         np.copyto(d, host.combined(start), where=~observed & (steep > 0))
@@ -122,7 +122,7 @@ def _beginning(
 
 
 class _CentredStates(States):
-    """Which observed components are held, and which slip: eq. 19 for the centred update."""
+    """States of the observed components, held or slipping: eq. 19 for the centred update."""
 
     # A component is held where q is within l = p / 2 A of what was observed, so that everywhere
     #
@@ -140,12 +140,12 @@ class _CentredStates(States):
         self._force = force.ravel()[self.at]
 
     def cost(self, d: Planes) -> float:
-        """The energy of the observations: sum of p |y - d|."""
+        """Return the energy of the observations: sum of p |y - d|."""
         return float((self._force * np.abs(d.ravel()[self.at] - self.y)).sum())
 
     def off(self, d: Planes, pull: Planes) -> float:
-        """How far any observed component is from where it would go next."""
-        # That is y + soft(q - y, p / 2A); `pull` is q - d.
+        """Return the largest step that the update would still take at an observed component."""
+        # The update goes to y + soft(q - y, p / 2A); `pull` is q - d.
         if not len(self.at):
             return 0.0
         away = d.ravel()[self.at] - self.y
@@ -154,7 +154,7 @@ class _CentredStates(States):
         return float(np.abs(away - target).max())
 
     def exchange(self, d: Planes, pull: Planes, tolerance: float) -> bool:
-        """Let go of what is pulled too far, and hold what has passed its mark."""
+        """Let components slip whose force exceeds its limit, and hold those that have passed y."""
         # `pull` is q - d. Returns whether any state has changed.
         off = d.ravel()[self.at] - self.y
         q = off + pull.ravel()[self.at]
@@ -176,7 +176,7 @@ class _CentredStates(States):
 
     @property
     def exact(self) -> bool:
-        """Whether solutions must be exact: exchanges have led nowhere, or may have by chance."""
+        """True if solutions must be exact, because exchanges do not end or may have ended by chance."""
         return self._patience == 0
 
     def be_exact(self) -> None:
@@ -184,9 +184,9 @@ class _CentredStates(States):
         self._patience = 0
 
     def firm(self, d: Planes, pull: Planes) -> bool:
-        """Whether all is held with much less than it could be."""
-        # Where stiff tissue slips that might as well be held, a residual that is small for the
-        # states found says nothing: with others all may be elsewhere.
+        """Return whether all components are held with much less than their limits."""
+        # A small residual proves nothing if stiff tissue slips that could equally be held: other
+        # states may have a quite different field.
         q = d.ravel()[self.at] - self.y + pull.ravel()[self.at]
         return not self.any_slip and bool((np.abs(q) < _FIRM * self.limit).all())
 
@@ -206,7 +206,7 @@ class _CentredStates(States):
 
 
 class _Refinement:
-    """An iteration in single precision, begun anew from each residual in double, and its proof."""
+    """Iteration in single precision, restarted from each residual in double, with its error bound."""
 
     def __init__(
         self, tolerance: float, max_iterations: int, model: LinearModel, report: Report
@@ -239,7 +239,7 @@ class _Refinement:
         return reach
 
     def _reach(self, shape: tuple[int, ...]) -> float:
-        """How far a site can be from the solution per unit of the largest residual."""
+        """Return the largest error of a site per unit of the largest residual."""
         if self._barrier is None:
             self._barrier = np.zeros(shape)
 
@@ -274,8 +274,8 @@ class _Refinement:
                     continue
             else:
                 if not cycles and not balance.most < 0.9 * least:
-                    # Where states let go of too much, tissue moves far: then the residual is as
-                    # small as rounding lets it be, and the next states hold more.
+                    # Tissue moves far if states let too much slip. Its residual cannot fall below
+                    # rounding then, and the next states hold more.
                     if balance.most <= max(most, _ROUNDING * float(np.abs(d).max())):
                         break
                     self.give_up()
@@ -285,7 +285,7 @@ class _Refinement:
         return balance.most, balance.norm
 
     def _say(self, message: str, estimate: float) -> None:
-        """Report, count, and give up in time."""
+        """Report a cycle, count it, and raise once there are too many."""
         self.cycles += 1
         done = 0.0
         if math.isfinite(estimate):

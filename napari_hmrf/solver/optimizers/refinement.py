@@ -43,7 +43,8 @@ _VOLUME_MARGIN = 1.5
 # Eigenvalues below those that cycles meet in images of mild tissue, compressible or not: cycles
 # that meet smaller ones may miss others.
 _MILD_LEAST, _MILD_LEAST_INCOMPRESSIBLE = 0.1, 0.05
-# Least safety factor of any estimate: it is of single components, and of the eigenvalues met so far.
+# Least safety factor of any estimate: estimates are of single components, and of the eigenvalues
+# met so far.
 _LEAST_MARGIN = 1.5
 # Safety factor for a warm start where tissue is not mild: it is converged except for the slowest
 # motions.
