@@ -176,7 +176,7 @@ class _CentredStates(States):
 
     @property
     def exact(self) -> bool:
-        """True if solutions must be exact, because exchanges do not end or may have ended by chance."""
+        """True if solutions must be exact: exchanges do not end, or may have ended by chance."""
         return self._patience == 0
 
     def be_exact(self) -> None:
@@ -206,7 +206,7 @@ class _CentredStates(States):
 
 
 class _Refinement:
-    """Iteration in single precision, restarted from each residual in double, with its error bound."""
+    """Iteration in single precision, restarted from residuals in double, with an error bound."""
 
     def __init__(
         self, tolerance: float, max_iterations: int, model: LinearModel, report: Report
