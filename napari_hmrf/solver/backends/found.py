@@ -70,8 +70,9 @@ def met_by(start: Beginning) -> Met:
     return Met(least, error)
 
 
-# By so much may a residual be larger than it is known to be, as what is stored is rounded.
-_ROUNDED = 1.1
+# A residual may be larger than it is known to be by this factor, as a stored field is rounded.
+_ROUNDED = 4.0
+_TINY = 1e-300
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +120,10 @@ class Quality(NamedTuple):
 
     def suffices(self, tolerance: float, residual: float) -> bool:
         """Whether that is within a tolerance, in pixels, and the residual found is as known."""
-        return self.error <= tolerance and residual <= _ROUNDED * self.residual
+        if residual > _ROUNDED * self.residual:
+            return False
+        # A larger residual is taken for a larger error, in proportion.
+        return self.error * max(1.0, residual / max(self.residual, _TINY)) <= tolerance
 
 
 class Found:

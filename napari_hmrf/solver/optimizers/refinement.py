@@ -48,7 +48,7 @@ _LEAST_MARGIN = 1.5
 # the motions that cycles see least.
 _WARM_MARGIN = 1.5
 # Ratio of the reported error to the estimate that ends an iteration, up to the tolerance.
-_REPORTED = 1.5
+_REPORTED = 1.0
 # Sites whose factors take no longer than a rehearsal and a few cycles.
 _FEW = 1024
 # Motions of touching parts of bodies that factors do not know to cost anything, at most.
