@@ -71,7 +71,8 @@ def met_by(start: Beginning) -> Met:
 
 
 # A residual may exceed its known value by this factor, as stored fields are rounded.
-_ROUNDED = 1.1
+_ROUNDED = 4.0
+_TINY = 1e-300
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +120,10 @@ class Quality(NamedTuple):
 
     def suffices(self, tolerance: float, residual: float) -> bool:
         """Return whether the error is within a tolerance, in pixels, and the residual as known."""
-        return self.error <= tolerance and residual <= _ROUNDED * self.residual
+        if residual > _ROUNDED * self.residual:
+            return False
+        # A larger residual is taken for a larger error, in proportion.
+        return self.error * max(1.0, residual / max(self.residual, _TINY)) <= tolerance
 
 
 class Found:
