@@ -1,8 +1,8 @@
 """Many cases are solved from a table; what fails or ends stops no other, and nothing is half."""
 
 import csv
-import multiprocessing
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
