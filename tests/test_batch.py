@@ -1,6 +1,7 @@
 """Many cases are solved from a table; what fails or ends stops no other, and nothing is half."""
 
 import csv
+import json
 import multiprocessing
 import os
 import signal
@@ -277,6 +278,24 @@ def test_a_case_whose_files_changed_is_solved_again(files, caplog):
     assert again[0] == first[0]
     assert [each.state for each in again] == ["done", "done", "failed"]
     assert "(the folder c still has an earlier result, which is not counted)" in again[2].error
+
+
+def test_a_finished_case_with_a_damaged_result_is_solved_again(files, caplog):
+    cases = read_cases(write_table(files, "a,image.tif", "b,image.tif"))
+    first = solve_cases(cases, files / "out", jobs=1)
+    assert {each.state for each in first} == {"done"}
+    saved = files / "out" / "a" / "image.study"
+    record = files / "out" / "a" / "case.json"
+    told = []
+    for is_old in (False, True):
+        if is_old:  # an earlier version recorded no digests of the result
+            record.write_text(json.dumps(json.loads(record.read_text()) | {"outputs": {}}))
+        saved.write_bytes(saved.read_bytes()[:-100])
+        again = solve_cases(cases, files / "out", jobs=1, resume=True, tell=told.append)
+        assert told.pop() == "solved again, as files of the result are damaged or missing: a"
+        assert not told
+        assert again[1] == first[1]
+        load_study(saved)
 
 
 HELD = """

@@ -1,5 +1,7 @@
 """Landmarks and maps of tissue in Python: drawings and tissue made of plain arrays."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -77,7 +79,6 @@ def maps(high=1.0):
     grey, white = np.zeros((2, *SHAPE))
     grey[:, :10], white[:, 8:20] = 0.9 * high, 0.95 * high
     grey[:, :3] = 0.4 * high  # "none" has more
-    white[0, 0] = np.nan
     if high != 1:
         white[1, 12] = high  # so that it is seen what is certain
     return {"grey matter": grey, "white matter": white}
@@ -100,7 +101,7 @@ def test_python_and_the_shell_read_the_same_tissue_from_maps(tmp_path):
     names = []
     for name, values in maps().items():
         names.append(tmp_path / f"{name}.tif")
-        save_image(names[-1], ImageFile(np.nan_to_num(values).astype(np.float32)))
+        save_image(names[-1], ImageFile(values.astype(np.float32)))
     save_image(tmp_path / "a.tif", ImageFile(np.ones(SHAPE, np.uint8)))
     of_shell = read_case(Case(tmp_path / "a.tif", maps=names, hold_edge=True))
     tissue = Tissue.from_maps(
@@ -131,15 +132,51 @@ def test_published_values_are_taken_by_name_and_unknown_names_refused():
     [
         ({}, None, "has no maps"),
         ({"a": np.ones((2, 3)), "b": np.ones((3, 2))}, {"a": 1, "b": 1}, r"map 2 has shape \(3, 2"),
-        ({"a": -np.ones((2, 3))}, {"a": 1}, "negative likelihoods in map 1"),
+        ({"a": -np.ones((2, 3))}, {"a": 1}, r"negative values, down to -1 in map 1 \(a\)"),
         (
             {"a": np.ones((2, 3))},
             {"b": 1},
             "no material for 'a' and has no map for the material 'b'",
         ),
         ({"a": np.ones((2, 3))}, {"a": "soft"}, "Give a Material, or a stiffness"),
+        (
+            {"a": np.ones((2, 3)), "wm": np.full((2, 3), 60.0)},
+            {"a": 1, "wm": 1},
+            r"up to 1 in map 1 \(a\), but up to 60 in the map wm. Give probabilities .*scale=",
+        ),
+        ({"a": np.full((2, 3), 300.0)}, {"a": 1}, r"up to 300 in map 1 \(a\)"),
+        ({"a": np.full((2, 3), np.nan)}, {"a": 1}, r"NaN or infinite values in map 1 \(a\)"),
+        ({"a": np.full((2, 3), 60, np.uint8)}, {"a": 1}, "may be per cent or of 255"),
     ],
 )
 def test_maps_and_materials_that_do_not_go_together_are_refused(given, materials, said):
     with pytest.raises(ProblemError, match=said):
         Tissue.from_maps(given, materials)
+
+
+def test_the_scale_of_maps_is_that_of_all_or_the_given_one():
+    grey, white = np.array([[30, 0, 100]], np.uint8), np.array([[25, 60, 0]], np.uint8)
+    materials, shares = {"a": 1.0, "b": 2.0}, {"a": grey, "b": white}
+    assert Tissue.from_maps(shares, materials, scale=100).labels.tolist() == [[0, 2, 1]]
+    assert Tissue.from_maps(shares, materials, scale=255).labels.tolist() == [[0, 0, 0]]
+    floats = {name: values / 100 for name, values in shares.items()}
+    assert Tissue.from_maps(floats, materials).labels.tolist() == [[0, 2, 1]]
+    with pytest.raises(ProblemError, match=r"above the scale of 1 in map 1 \(a\)"):
+        Tissue.from_maps(shares, materials, scale=1)
+    with pytest.raises(ProblemError, match=r"a scale of 2\. Give 1, 100 or 255"):
+        Tissue.from_maps(shares, materials, scale=2)
+
+
+def test_a_slice_of_maps_has_the_scale_of_the_whole_files(tmp_path):
+    maps = np.zeros((2, 4, 8, 8), np.uint8)
+    maps[0, 1:], maps[1, 1:, :, 4:] = 110, 60
+    maps[1, 0] = 255
+    paths = [tmp_path / "gm.nrrd", tmp_path / "wm.nrrd"]
+    for path, values in zip(paths, maps, strict=True):
+        save_image(path, ImageFile(values))
+    save_image(tmp_path / "t1.nrrd", ImageFile(np.ones((4, 8, 8), np.uint8)))
+    case = Case(tmp_path / "t1.nrrd", maps=paths, hold_edge=True)
+    whole, part = read_case(case), read_case(replace(case, slice=2))
+    np.testing.assert_array_equal(part.tissue.labels, whole.tissue.labels[2])
+    assert part.tissue.labels[0].tolist() == [0] * 4 + [1] * 4
+    assert "the maps are read as probabilities from 0 to 255" in part.notes

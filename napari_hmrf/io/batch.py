@@ -35,7 +35,14 @@ from napari_hmrf.extras import how_to_install
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.io.case import SolvedCase, solve_case
-from napari_hmrf.io.case_records import RECORD, CaseOutcome, fingerprints, finished_cases, leftovers
+from napari_hmrf.io.case_records import (
+    RECORD,
+    CaseOutcome,
+    fingerprints,
+    finished_cases,
+    leftovers,
+    output_digests,
+)
 from napari_hmrf.io.case_tables import NamedCase
 from napari_hmrf.io.csv_files import save_csv
 from napari_hmrf.io.folder_lock import exclusive
@@ -175,6 +182,7 @@ def solve_into(case: NamedCase, folder: Path, backend: str = "cpu") -> CaseOutco
         solved = solve_case(case.case, part, backend=backend, changes=case.changes)
         outcome = _outcome(case.name, solved, _seconds_since(begun))
         record = {"cells": dict(case.cells), "outcome": asdict(outcome), "inputs": inputs}
+        record["outputs"] = output_digests(part)
         write_whole(part / RECORD, json.dumps(record, indent=2).encode())
         _publish(part, folder / case.name)
     except Exception as error:  # noqa: BLE001 - a failed case does not stop the others

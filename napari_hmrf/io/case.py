@@ -37,7 +37,7 @@ from napari_hmrf.tissue.boundary_rules import (
 )
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
-from napari_hmrf.tissue.tissue_maps import most_likely
+from napari_hmrf.tissue.tissue_maps import MapRange, most_likely, scale_in_words, scale_of
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
 #: Number of labels that a sentence lists.
@@ -66,9 +66,11 @@ def read_case(case: Case) -> Study:
     image, place = _part(whole, case)
     grid = _grid(image, whole, case)
     labels = None if case.labels is None else _pixels(case, case.labels, whole, labels=True)
+    scale = 1.0
     if case.maps:
-        labels = most_likely([_pixels(case, each, whole) for each in case.maps])
+        labels, scale = _most_likely(case, whole)
     materials, unit, notes = _materials(case.materials, labels)
+    notes = (*notes, *filter(None, [scale_in_words(scale)]))
     motion = replace(
         _motion(case, grid, place, whole), hold_edge=case.hold_edge, weight=weight_of(case, grid)
     )
@@ -262,9 +264,30 @@ def _materials(
     return table.materials, table.unit, tuple(f"{path.name}: {note}" for note in notes if note)
 
 
+def _most_likely(case: Case, whole: ImageFile) -> tuple[npt.NDArray[np.integer], float]:
+    """Return the labels of the most likely tissues, and the scale of the maps' whole files."""
+    maps: dict[str, npt.NDArray[Any]] = {}
+    ranges: dict[str, MapRange] = {}
+    names = [path.name for path in case.maps]
+    for path in case.maps:
+        name = path.name if names.count(path.name) == 1 else str(path)
+        if name in maps:
+            raise ProblemError(name, "is given twice in --maps. Give it once.")
+        image = load_image(path)
+        maps[name], ranges[name] = _on_pixels(case, path, whole, image), MapRange.of(image.pixels)
+    scale = scale_of(ranges, fix="")
+    return most_likely(maps, scale), scale
+
+
 def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> npt.NDArray[Any]:
     """Return a grey image on the same pixels; from a volume, the same slice."""
-    (there, place), image = _part(whole, case), load_image(path)
+    pixels = _on_pixels(case, path, whole, load_image(path))
+    return as_labels(pixels, path) if labels else pixels
+
+
+def _on_pixels(case: Case, path: Path, whole: ImageFile, image: ImageFile) -> npt.NDArray[Any]:
+    """Return the pixels of a grey image; from a volume, the slice of the case."""
+    there, place = _part(whole, case)
     if there.ndim == 3 and image.place is None:
         image = image._replace(place=whole.place)
     image, at = _part(image, replace(case, image=path))
@@ -278,7 +301,7 @@ def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> n
             "the same pixels.",
         )
     image._replace(place=at).refuse_elsewhere(place, path.name, "the image")
-    return as_labels(pixels, path) if labels else pixels
+    return pixels
 
 
 def as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:

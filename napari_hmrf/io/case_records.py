@@ -10,7 +10,9 @@ from typing import Literal
 
 import pydantic
 
+from napari_hmrf.errors import HmrfError
 from napari_hmrf.io.case_tables import NamedCase
+from napari_hmrf.io.study_file import load_study
 
 #: File in the folder of a case with its row of the table, its input digests, and its outcome.
 RECORD = "case.json"
@@ -60,6 +62,7 @@ class CaseRecord(pydantic.BaseModel):
     cells: dict[str, str]
     outcome: CaseOutcome
     inputs: dict[str, str] = {}
+    outputs: dict[str, str] = {}
 
 
 def record_in(folder: Path) -> CaseRecord | None:
@@ -74,7 +77,7 @@ def finished_cases(
     cases: Sequence[NamedCase], folder: Path
 ) -> tuple[dict[str, CaseOutcome], list[str]]:
     """Return the outcomes of finished cases, and sentences on cases that are solved again."""
-    found, rows, files = {}, [], []
+    found, rows, files, damaged = {}, [], [], []
     digests: dict[Path, str] = {}
     for case in cases:
         record = record_in(folder / case.name)
@@ -84,13 +87,36 @@ def finished_cases(
             rows.append(case.name)
         elif record.inputs and record.inputs != fingerprints(case, digests):
             files.append(case.name)
+        elif not _is_intact(folder / case.name, record):
+            damaged.append(case.name)
         else:
             found[case.name] = record.outcome
     said = [
         f"solved again, as the line in the table has changed: {_listed(rows)}" if rows else "",
         f"solved again, as files it is read from have changed: {_listed(files)}" if files else "",
+        f"solved again, as files of the result are damaged or missing: {_listed(damaged)}"
+        if damaged
+        else "",
     ]
     return found, [sentence for sentence in said if sentence]
+
+
+def output_digests(folder: Path) -> dict[str, str]:
+    """Return a digest of each file in the folder of a case, except for its record."""
+    paths = sorted(path for path in folder.iterdir() if path.name != RECORD)
+    return {path.name: _digest(path) for path in paths}
+
+
+def _is_intact(folder: Path, record: CaseRecord) -> bool:
+    """Return whether the result in a folder is as it was written."""
+    if record.outputs:
+        return all(_digest(folder / name) == one for name, one in record.outputs.items())
+    try:  # earlier versions recorded no digests
+        for path in folder.glob("*.study"):
+            load_study(path)
+    except (HmrfError, OSError):
+        return False
+    return True
 
 
 def leftovers(cases: Sequence[NamedCase], folder: Path) -> list[str]:

@@ -214,6 +214,7 @@ class Tissue:
         maps: Mapping[str, npt.ArrayLike],
         materials: Mapping[str, Material | float] | Sequence[Material] | None = None,
         *,
+        scale: float | None = None,
         unit: str = "",
     ) -> Tissue:
         """Return the tissue of likelihood maps, such as those of a segmentation.
@@ -224,20 +225,25 @@ class Tissue:
         Parameters
         ----------
         maps : mapping of str to array_like, shape ([D,] H, W)
-            Likelihood of each tissue, by name, from 0 to 1, 100 or 255.
+            Likelihood of each tissue, by name.
         materials : mapping of str to Material or float, or sequence of Material, optional
             Materials by the names of the maps; a number is a stiffness. "none" is the material of
             pixels without a likely tissue, which by default are as stiff as the first tissue. By
             default the published values for these names, from `materials_by_name`.
+        scale : {1, 100, 255}, optional
+            The value that means certain, in all maps. By default the first of these that no map
+            exceeds; give it for parts of larger maps, such as slices, whose values may all be
+            small.
         unit : str
             Unit of stiffness.
 
         Raises
         ------
         ProblemError
-            If maps differ in shape, or a tissue has no material.
+            If maps differ in shape or scale, are negative, have NaN or exceed the scale, or a
+            tissue has no material.
         """
-        labels = most_likely([*maps.values()])
+        labels = most_likely(maps, scale)
         if materials is not None:
             return cls(labels=labels, materials=materials_of_maps([*maps], materials), unit=unit)
         # Imported here because `io`, which has the published values, is built on studies.

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,27 +17,124 @@ from napari_hmrf.tissue.boundary_rules import Material
 
 #: The name by which materials say what pixels without a likely tissue are.
 NONE = "none"
+#: Values that mean certain, of which one is the scale of all maps.
+SCALES = 1, 100, 255
+#: Tolerance of the largest value, relative to the scale, for interpolated maps.
+_BEYOND = 1.001
 
 
-def most_likely(maps: Sequence[npt.ArrayLike]) -> npt.NDArray[np.integer]:
-    """Return the label of the most likely tissue of each pixel; 0 if "none" is more likely.
+class MapRange(NamedTuple):
+    """Type and range of the values of a likelihood map.
+
+    Attributes
+    ----------
+    kind : numpy.dtype
+    low, high : float
+        NaN if the map has NaN.
+    """
+
+    kind: np.dtype[Any]
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, values: npt.ArrayLike) -> MapRange:
+        """Return the range of an array; of an empty one, 0."""
+        array = as_numbers("tissue", values)
+        if not array.size:
+            return cls(array.dtype, 0.0, 0.0)
+        return cls(array.dtype, float(array.min()), float(array.max()))
+
+
+def scale_of(
+    maps: Mapping[str, MapRange], scale: float | None = None, *, fix: str = "pass its scale="
+) -> float:
+    """Return the value that means certain in all maps: 1, 100 or 255.
 
     Parameters
     ----------
-    maps : sequence of array_like, all of one shape
-        Likelihoods from 0 to 1, 100 or 255; "none" has the rest. NaN counts as 0.
-
-    Returns
-    -------
-    ndarray of int
-        The place of the most likely map in the sequence, from 1 on.
+    maps : mapping of str to MapRange
+        Ranges of the whole maps by name: those of a slice may be small.
+    scale : {1, 100, 255}, optional
+        By default the first that the largest value of all maps does not exceed.
+    fix : str
+        Alternative to probabilities, in the words of the interface.
 
     Raises
     ------
     ProblemError
-        If there are no maps, or they differ in shape, or a likelihood is negative.
+        Naming the map that is negative, has NaN, exceeds the scale, or differs in scale from the
+        others; or if 8-bit maps may be in per cent or of 255.
     """
-    arrays = [as_numbers("tissue", values) for values in maps]
+    if scale is not None and not any(scale == each for each in SCALES):
+        raise ProblemError("tissue", f"has a scale of {shown(scale)}. Give 1, 100 or 255.")
+    give = "Give probabilities from 0 to 1 in all maps"
+    for number, (name, each) in enumerate(maps.items(), 1):
+        wrong = ""
+        if not math.isfinite(each.low) or not math.isfinite(each.high):
+            wrong = "NaN or infinite values"
+        elif each.low < 0:
+            wrong = f"negative values, down to {each.low:g}"
+        elif each.high > SCALES[-1] * _BEYOND:
+            wrong = f"values up to {each.high:g}"
+        elif scale is not None and each.high > scale * _BEYOND:
+            wrong = f"values up to {each.high:g}, above the scale of {scale:g}"
+        if wrong:
+            raise ProblemError("tissue", f"has {wrong} in map {number} ({name}). {give}.")
+    if scale is not None:
+        return float(scale)
+    large = max(each.high for each in maps.values())
+    if large <= _BEYOND:
+        return 1.0
+    most = next(name for name, each in maps.items() if each.high == large)
+    for number, (name, each) in enumerate(maps.items(), 1):
+        if 0 < each.high <= _BEYOND:
+            raise ProblemError(
+                "tissue",
+                f"has values up to {each.high:g} in map {number} ({name}), but up to {large:g} in "
+                f"the map {most}. {give}{fix and f', or {fix}'}.",
+            )
+    is_bytes = any(each.kind == np.uint8 for each in maps.values() if each.high)
+    if is_bytes and large < 100:
+        number = [*maps].index(most) + 1
+        raise ProblemError(
+            "tissue",
+            f"has values up to {large:g} in map {number} ({most}), which may be per cent or of "
+            f"255. {give}{fix and f', or {fix}'}.",
+        )
+    return next(float(each) for each in SCALES if large <= each * _BEYOND)
+
+
+def scale_in_words(scale: float) -> str:
+    """Return a note on the scale of maps, as a clause; "" for probabilities from 0 to 1."""
+    read = {100: "per cent", 255: "probabilities from 0 to 255"}.get(int(scale))
+    return f"the maps are read as {read}" if read else ""
+
+
+def most_likely(
+    maps: Mapping[str, npt.ArrayLike],
+    scale: float | None = None,
+) -> npt.NDArray[np.integer]:
+    """Return the label of the most likely tissue of each pixel; 0 if "none" is more likely.
+
+    Parameters
+    ----------
+    maps : mapping of str to array_like, all of one shape
+        Likelihoods by name, on one scale for all; "none" has the rest.
+    scale : {1, 100, 255}, optional
+        As for `scale_of`.
+
+    Returns
+    -------
+    ndarray of int
+        The place of the most likely map, from 1 on.
+
+    Raises
+    ------
+    ProblemError
+        If there are no maps, or they differ in shape, or as for `scale_of`.
+    """
+    arrays = [as_numbers("tissue", values) for values in maps.values()]
     if not arrays:
         raise ProblemError("tissue", "has no maps. Give one for each tissue.")
     for number, array in enumerate(arrays, 1):
@@ -46,12 +144,9 @@ def most_likely(maps: Sequence[npt.ArrayLike]) -> npt.NDArray[np.integer]:
                 f"has a first map of shape {arrays[0].shape}, but map {number} has shape "
                 f"{array.shape}. Give all maps on the same pixels.",
             )
-        if (array < 0).any():
-            raise ProblemError(
-                "tissue", f"has negative likelihoods in map {number}. Give 0 to 1, 100 or 255."
-            )
-    likely = np.nan_to_num(np.stack(arrays).astype(float))
-    sure = max(1.0, float(likely.max()))  # 1, 100 or 255
+    ranges = dict(zip(maps, map(MapRange.of, arrays), strict=True))
+    sure = scale_of(ranges, scale)
+    likely = np.stack(arrays).astype(float)
     none = sure - likely.sum(axis=0)
     there = likely.max(axis=0) > np.maximum(none, 0.0)
     found = np.where(there, 1 + likely.argmax(axis=0), 0)
