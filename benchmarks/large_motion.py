@@ -92,7 +92,7 @@ def _loaded(size: int) -> dict[str, Problem]:
     strain = growth((math.sqrt(2) - 1) * disc)
     height = size // 3
     beam = bar(height, size, np.zeros((height, 2)), 1.0)
-    heavy = weight(beam.stiffness, (2e-3, 0.0))
+    heavy = weight(beam.stiffness, (2e-3, 0.0), spacing=1)
     return {
         "area + 100 %": Problem(0 * c, c, m, loads=strain),
         "beam that sinks": Problem(beam.observed, beam.confidence, beam.stiffness, loads=heavy),

@@ -90,7 +90,7 @@ def measure(size: int, axes: int, fields: int, times: int) -> bool:
     labels = case(size, axes)
     image = np.random.default_rng(0).random(labels.shape, dtype=np.float32)
     begun = time.perf_counter()
-    deformation = RandomDeformation(labels, MATERIALS)
+    deformation = RandomDeformation(labels, MATERIALS, spacing=1)
     print(f"\n{' x '.join([str(size)] * axes)}: {deformation}")
     print(f"  unit solutions in {time.perf_counter() - begun:.1f} s")
     digests, folded, scales, farthest = [], 0, [], []

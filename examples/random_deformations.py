@@ -22,7 +22,7 @@ materials = [
     Material(2, "ventricles", 1.0, 0.3),
     Material(3, "bone", float("inf")),
 ]
-random = RandomDeformation(brain.tissue_labels, materials, amplitude=(0.5, 1))
+random = RandomDeformation(brain.tissue_labels, materials, amplitude=(0.5, 1), spacing=1)
 print(random)
 
 tips = np.argwhere(brain.tissue_labels == 2)[[0, -1]]

@@ -91,13 +91,13 @@ def test_labels_must_be_an_image_of_whole_numbers(labels):
     with pytest.raises(ProblemError):
         stiffness_image(labels, TISSUES)
     with pytest.raises(ProblemError):
-        boundary_images(labels, [BoundaryRule(1, "fixed")])
+        boundary_images(labels, [BoundaryRule(1, "fixed")], spacing=1)
 
 
 def test_a_volume_has_tissues_and_rules_as_an_image_has():
     labels = np.ones((3, 3, 3), int)
     assert stiffness_image(labels, TISSUES).shape == (3, 3, 3)
-    y, c = boundary_images(labels, [BoundaryRule(1, "fixed")])
+    y, c = boundary_images(labels, [BoundaryRule(1, "fixed")], spacing=1)
     assert y.shape == c.shape == (3, 3, 3, 3)
 
 
@@ -112,7 +112,7 @@ def test_fixed_and_moving_boundaries():
         BoundaryRule(1, "fixed", vector=(9.0, 9.0), confidence=(1.0, 0.5)),
         BoundaryRule(2, "move", vector=(-1.5, 2.0)),
     ]
-    y, c = boundary_images(labels, rules)
+    y, c = boundary_images(labels, rules, spacing=1)
     np.testing.assert_array_equal(y[0], [[0, 0], [0, 0], [-1.5, 2.0]])
     np.testing.assert_array_equal(c[1], [[0, 0], [1, 0.5], [1, 1]])
 
@@ -122,7 +122,7 @@ def test_fixed_and_moving_boundaries():
 def test_a_ring_expands_radially(radius, width):
     disc, radial = _ellipse((101, 103), (radius, radius))
     painted = _rim(disc, width)
-    y, c = boundary_images(painted.astype(int), [BoundaryRule(1, "expand", amount=3.0)])
+    y, c = boundary_images(painted.astype(int), [BoundaryRule(1, "expand", amount=3.0)], spacing=1)
     assert ((c > 0).all(axis=-1) == painted).all()
     np.testing.assert_allclose(np.linalg.norm(y[painted], axis=-1), 3.0, rtol=1e-5)
     angles = _angles(y[painted], radial[painted])
@@ -135,7 +135,7 @@ def test_a_ring_expands_radially(radius, width):
 def test_of_a_patch_only_the_rim_is_told_where_to_go(radius, hole):
     disc, radial = _ellipse((101, 103), (radius, radius))
     painted = disc & ~_ellipse(disc.shape, (hole, hole))[0]
-    y, c = boundary_images(painted.astype(int), [BoundaryRule(1, "expand", amount=3.0)])
+    y, c = boundary_images(painted.astype(int), [BoundaryRule(1, "expand", amount=3.0)], spacing=1)
     seen = (c > 0).all(axis=-1)
     assert (seen == _rim(disc, 2)).all()
     assert not y[~seen].any()
@@ -162,7 +162,7 @@ def test_an_outline_expands_along_its_normal_in_physical_lengths(radii, spacing)
 def test_a_negative_amount_shrinks():
     disc, radial = _ellipse((41, 41), (12, 12))
     rim = _rim(disc, 2)
-    y, _ = boundary_images(rim.astype(int), [BoundaryRule(1, "expand", amount=-1.0)])
+    y, _ = boundary_images(rim.astype(int), [BoundaryRule(1, "expand", amount=-1.0)], spacing=1)
     assert (_angles(y[rim], -radial[rim]) < 12).all()
 
 
@@ -170,7 +170,7 @@ def test_each_part_expands_from_its_own_middle():
     disc, _radial = _ellipse((41, 41), (12, 12))
     rim = _rim(disc, 2)
     two = np.hstack([rim, rim])
-    y, _ = boundary_images(two.astype(int), [BoundaryRule(1, "expand", amount=1.0)])
+    y, _ = boundary_images(two.astype(int), [BoundaryRule(1, "expand", amount=1.0)], spacing=1)
     np.testing.assert_array_equal(y[:, :41], y[:, 41:])
 
 
@@ -180,7 +180,7 @@ def test_a_rim_cut_by_the_edge_of_the_image_is_no_ring():
     arc = _rim(disc, 2)
     arc[:20] = False
     with pytest.raises(ProblemError, match="open line"):
-        boundary_images(arc.astype(int), [BoundaryRule(1, "expand", amount=1.0)])
+        boundary_images(arc.astype(int), [BoundaryRule(1, "expand", amount=1.0)], spacing=1)
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.5, 2.0)], ids=["square", "oblong"])
@@ -202,10 +202,10 @@ def test_an_arc_painted_with_any_brush_is_refused_and_a_closed_ring_is_not(width
     disc, _ = _ellipse((301, 301), (110, 110))
     ring = _rim(disc, width)
     rule = BoundaryRule(1, "expand", amount=1.0)
-    assert boundary_images(ring.astype(int), [rule])[1].any()
+    assert boundary_images(ring.astype(int), [rule], spacing=1)[1].any()
     ring[: 40 + width, 145:156] = False  # a gap of a few pixels makes a line of it
     with pytest.raises(ProblemError, match="open line"):
-        boundary_images(ring.astype(int), [rule])
+        boundary_images(ring.astype(int), [rule], spacing=1)
 
 
 @pytest.mark.parametrize("scale", [1, 2, 5])
@@ -213,25 +213,27 @@ def test_an_arc_painted_with_any_brush_is_refused_and_a_closed_ring_is_not(width
 def test_what_is_stout_is_no_line_however_small(shape, scale):
     labels = np.zeros((40 * scale, 40 * scale), int)
     labels[3 : 3 + shape[0] * scale, 3 : 3 + shape[1] * scale] = 1
-    boundary_images(labels, [BoundaryRule(1, "expand", amount=1.0)])
+    boundary_images(labels, [BoundaryRule(1, "expand", amount=1.0)], spacing=1)
 
 
 def test_a_disc_at_the_edge_of_the_image_expands_beyond_it():
     disc, _radial = _ellipse((41, 41), (12, 12))
-    y, _ = boundary_images(disc[20:].astype(int), [BoundaryRule(1, "expand", amount=1.0)])
+    y, _ = boundary_images(
+        disc[20:].astype(int), [BoundaryRule(1, "expand", amount=1.0)], spacing=1
+    )
     assert y[0, 20, 0] == pytest.approx(-1, abs=1e-3)
 
 
 def test_a_single_pixel_has_nowhere_to_expand_to():
     labels = np.zeros((5, 5), int)
     labels[2, 2] = 1
-    _, c = boundary_images(labels, [BoundaryRule(1, "expand", amount=1.0)])
+    _, c = boundary_images(labels, [BoundaryRule(1, "expand", amount=1.0)], spacing=1)
     assert not c.any()
 
 
 def test_boundary_labels_without_a_rule_are_named():
     with pytest.raises(ProblemError, match="labels without a rule: 4"):
-        boundary_images(np.array([[4, 0]]), [BoundaryRule(1, "fixed")])
+        boundary_images(np.array([[4, 0]]), [BoundaryRule(1, "fixed")], spacing=1)
 
 
 @pytest.mark.parametrize(
@@ -247,7 +249,7 @@ def test_boundary_labels_without_a_rule_are_named():
 )
 def test_rules_out_of_range_are_refused(rule, field):
     with pytest.raises(ProblemError) as caught:
-        boundary_images(np.ones((4, 4), int), [rule])
+        boundary_images(np.ones((4, 4), int), [rule], spacing=1)
     assert caught.value.field == field
 
 

@@ -92,7 +92,7 @@ def test_a_script_makes_tissue_solves_and_measures_it_with_what_the_package_expo
     boundary[:, :2], boundary[:, -2:] = 1, 2
     stiffness = stiffness_image(tissue, [Material(1, "soft", 1.0), Material(2, "stiff", 50.0)])
     rules = [BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0, 3))]
-    solution = solve(Problem(*boundary_images(boundary, rules), stiffness))
+    solution = solve(Problem(*boundary_images(boundary, rules, spacing=1), stiffness))
     field = solution.displacement
     strain = equivalent_strain(green_lagrange_strain(field, spacing=1, tissue=solution.tissue))
     assert np.ptp(field[10, :, 1]) == pytest.approx(3, abs=0.01)
@@ -185,7 +185,7 @@ MOVED = {"displacement": FIELD, "spacing": (1, 1), "tissue": None}
 
 
 def ruled(**of_the_rule):
-    return boundary_images(LABELS, [BoundaryRule(**of_the_rule)])
+    return boundary_images(LABELS, [BoundaryRule(**of_the_rule)], spacing=1)
 
 
 #: What works, argument by argument.

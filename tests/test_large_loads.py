@@ -80,7 +80,9 @@ def test_forces_move_tissue_as_an_independent_method_says() -> None:
     m = np.where(DISC, 5.0, 1.0)
     side = np.zeros((SIZE, SIZE), dtype=bool)
     side[:, -1] = True
-    loads = weight(m, (0.003, 0.0)) + pressure(m, side, 0.05) + growth(0.2 * DISC)
+    loads = (
+        weight(m, (0.003, 0.0), spacing=1) + pressure(m, side, 0.05, spacing=1) + growth(0.2 * DISC)
+    )
     problem, prior = on_its_edge(loads, m), NeoHookeanPrior(0.3)
     found = solve(problem, prior, backend="cpu")
     assert np.abs(found.displacement).max() > 3, "this is no large motion"
@@ -94,7 +96,7 @@ def test_forces_move_tissue_as_an_independent_method_says() -> None:
 @pytest.mark.parametrize("plane", ["stress", "strain"])
 def test_small_loads_move_it_as_linear_elasticity(plane) -> None:
     m = np.where(DISC, 4.0, 1.0)
-    loads = weight(m, (2e-7, -1e-7)) + growth(1e-4 * DISC)
+    loads = weight(m, (2e-7, -1e-7), spacing=1) + growth(1e-4 * DISC)
     problem, precise = on_its_edge(loads, m), Multigrid(1e-9)
     finite = solve(problem, NeoHookeanPrior(plane=plane), optimizer=precise, backend="cpu")
     linear = solve(problem, ElasticPrior(plane=plane), optimizer=precise, backend="cpu")

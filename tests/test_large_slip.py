@@ -44,7 +44,7 @@ def energy(prior: NeoHookeanPrior, problem: Problem, d: npt.ArrayLike) -> float:
 
 @pytest.mark.parametrize("penalty", [0.03, 0.3, 1.0])
 def test_each_site_is_held_or_slips_with_the_force_it_has(penalty) -> None:
-    problem = dragged(8.0, 0.7, loads=weight(np.ones((SIZE, SIZE)), (1e-3, 0.0)))
+    problem = dragged(8.0, 0.7, loads=weight(np.ones((SIZE, SIZE)), (1e-3, 0.0), spacing=1))
     prior = NeoHookeanPrior(penalty=penalty)
     found = solve(problem, prior, optimizer=Multigrid(1e-5), backend="cpu")
     limit = prior.limit(problem)

@@ -87,7 +87,7 @@ def edit(steps, what, place, move, tell):
 def painted(rules):
     """What is painted, to be drawn on."""
     canvas = Canvas.blank(BOUNDARY.shape)
-    canvas.observed[...], canvas.confidence[...] = boundary_images(BOUNDARY, rules)
+    canvas.observed[...], canvas.confidence[...] = boundary_images(BOUNDARY, rules, spacing=1)
     return canvas
 
 

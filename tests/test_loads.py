@@ -263,7 +263,7 @@ def large():
     """Soft and stiff tissue of a size that takes cycles."""
     rng = np.random.default_rng(3)
     m = 20 ** np.kron(rng.random((8, 8)), np.ones((12, 12)))
-    loads = growth(0.2 * (m > 5)) + weight(m, (0.001, -0.0005))
+    loads = growth(0.2 * (m > 5)) + weight(m, (0.001, -0.0005), spacing=1)
     return held(m, 0, loads, (1.0, 1.0))
 
 
@@ -315,7 +315,7 @@ def test_loads_between_two_that_were_solved_take_no_cycle():
 def test_a_patch_that_is_dragged_under_weight_takes_no_cycle_once_its_directions_are_known():
     m, c, y = np.ones((48, 48)), np.zeros((48, 48, 2)), np.zeros((48, 48, 2))
     c[:2], c[30:33, 20:23] = 1, 1
-    loads = weight(m, (0.003, 0))
+    loads = weight(m, (0.003, 0), spacing=1)
     earlier = []
     for step in range(4):
         y[30:33, 20:23] = (step, 0)
@@ -346,7 +346,7 @@ def test_a_rigid_body_is_as_heavy_as_one_that_is_next_to_rigid(axes):
     moved = []
     for stiff in (np.inf, 1e6):
         m = np.where(block, stiff, 1.0)
-        loads = weight(m, (0, 0.01, 0)[:axes], density=1 + 9.0 * block)
+        loads = weight(m, (0, 0.01, 0)[:axes], density=1 + 9.0 * block, spacing=1)
         problem = held(m, 0, loads, (1,) * axes)
         solution = found(problem, ElasticPrior(0.3))
         moved.append(solution.displacement)
@@ -361,7 +361,7 @@ def test_what_holds_a_rigid_body_carries_it():
     m[4:8, 4:8] = np.inf
     c[0] = c[5, 4:6] = 1
     y[5, 4:6, 0] = 1
-    problem = Problem(y, c, m, loads=weight(m, (0, 0.1)))
+    problem = Problem(y, c, m, loads=weight(m, (0, 0.1), spacing=1))
     solution = found(problem, ElasticPrior(0.3))
     holds = reactions(problem, solution, ElasticPrior(0.3))
     np.testing.assert_allclose(
@@ -372,7 +372,7 @@ def test_what_holds_a_rigid_body_carries_it():
 
 def test_what_is_held_too_weakly_for_its_load_is_refused_and_what_slips_is_in_balance():
     shape = (10, 8)
-    m, loads = np.ones(shape), weight(np.ones(shape), (0.01, 0))
+    m, loads = np.ones(shape), weight(np.ones(shape), (0.01, 0), spacing=1)
     problem = held(m, 0, loads, (1, 1))
     heavy = 0.01 * 9 * 7
     exactly = found(problem, ElasticPrior(0.3)).displacement
@@ -399,7 +399,7 @@ def disc(radius):
 
 def test_pressure_on_all_of_a_surface_is_in_balance_and_presses_in():
     tissue = disc(12)
-    loads = pressure(tissue, np.ones_like(tissue), 2.0)
+    loads = pressure(tissue, np.ones_like(tissue), 2.0, spacing=1)
     assert np.abs(loads.force.sum(axis=(0, 1))).max() < 1e-5
     at = np.indices(tissue.shape) - 17.0
     outwards = (np.moveaxis(at, 0, -1) * loads.force).sum()
@@ -409,7 +409,7 @@ def test_pressure_on_all_of_a_surface_is_in_balance_and_presses_in():
 @pytest.mark.parametrize("radius", [10, 20])
 def test_traction_counts_the_area_of_a_surface_without_its_steps(radius):
     tissue = disc(radius)
-    force = traction(tissue, np.ones_like(tissue), (1.0, -2.0)).force.sum(axis=(0, 1))
+    force = traction(tissue, np.ones_like(tissue), (1.0, -2.0), spacing=1).force.sum(axis=(0, 1))
     np.testing.assert_allclose(force, np.array([1, -2]) * 2 * np.pi * radius, rtol=0.01)
 
 
@@ -456,7 +456,7 @@ def test_what_cannot_bear_loads_says_so():
         solve(problem, backend="opengl")
     with pytest.raises(ProblemError, match="no forces"):
         solve(problem, SeilerPrior())
-    loose = held(np.ones((6, 6)), (0, 0), weight(np.ones((6, 6)), (1, 0)), (1, 1))
+    loose = held(np.ones((6, 6)), (0, 0), weight(np.ones((6, 6)), (1, 0), spacing=1), (1, 1))
     with pytest.raises(ProblemError, match="could still move by turning"):
         solve(loose)
 
@@ -464,7 +464,7 @@ def test_what_cannot_bear_loads_says_so():
 def test_loads_of_a_wrong_unit_are_refused():
     m = np.ones((40, 40))
     with pytest.raises(ProblemError, match="units that go together"):
-        solve(held(m, 0, weight(m, (1e4, 0)), (1, 1)), backend="cpu")
+        solve(held(m, 0, weight(m, (1e4, 0), spacing=1), (1, 1)), backend="cpu")
 
 
 MASK = np.ones((6, 6), bool)
@@ -484,13 +484,13 @@ MASK = np.ones((6, 6), bool)
         ("could bear it", lambda m: Loads(force=np.ones((6, 6, 2)))),
         ("type float", lambda m: 0.1),
         ("one grid", lambda m: growth(np.ones((6, 6))) + growth(np.ones((6, 5)), along=(1, 0))),
-        ("no face of", lambda m: pressure(m, MASK & False, 1.0)),
-        ("same pixel grid", lambda m: pressure(m, MASK[1:], 1.0)),
-        ("Give one number", lambda m: pressure(m, MASK, (1.0, 2.0))),
-        ("Give 2 components", lambda m: traction(m, MASK, 1.0)),
-        ("Give 2 components", lambda m: weight(m, (1.0, 0, 0))),
-        ("no numbers", lambda m: weight(m, (np.nan, 0))),
-        ("nowhere two pixels wide", lambda m: weight(np.eye(6), (1.0, 0))),
+        ("no face of", lambda m: pressure(m, MASK & False, 1.0, spacing=1)),
+        ("same pixel grid", lambda m: pressure(m, MASK[1:], 1.0, spacing=1)),
+        ("Give one number", lambda m: pressure(m, MASK, (1.0, 2.0), spacing=1)),
+        ("Give 2 components", lambda m: traction(m, MASK, 1.0, spacing=1)),
+        ("Give 2 components", lambda m: weight(m, (1.0, 0, 0), spacing=1)),
+        ("no numbers", lambda m: weight(m, (np.nan, 0), spacing=1)),
+        ("nowhere two pixels wide", lambda m: weight(np.eye(6), (1.0, 0), spacing=1)),
     ],
 )
 def test_loads_that_make_no_sense_are_refused_in_a_sentence(what, make):
@@ -502,7 +502,7 @@ def test_loads_that_make_no_sense_are_refused_in_a_sentence(what, make):
 
 def test_loads_are_frozen_told_in_a_line_and_part_of_what_a_result_was_made_of():
     m = np.ones((6, 6))
-    loads = growth(0.1 * m, along=(1, 0)) + weight(m, (0, 0.1))
+    loads = growth(0.1 * m, along=(1, 0)) + weight(m, (0, 0.1), spacing=1)
     with pytest.raises(AttributeError):
         loads.force = None
     problem, other = (held(m, 0, each, (1, 1)) for each in (loads, None))
@@ -522,3 +522,16 @@ def test_loads_are_frozen_told_in_a_line_and_part_of_what_a_result_was_made_of()
         reactions(problem, made, ElasticPrior(0.2))
     with pytest.raises(ArgumentError, match="no forces"):
         reactions(problem, made, SeilerPrior())
+
+
+@pytest.mark.parametrize("make", [pressure, traction, weight])
+def test_forces_need_the_size_of_a_pixel(make):
+    m, arguments = np.ones((6, 6)), {"acceleration": (1.0, 0.0)}
+    if make is not weight:
+        arguments = {"surface": MASK, "vector" if make is traction else "amount": 1.0}
+    arguments |= {"vector": (1.0, 0.0)} if make is traction else {}
+    with pytest.raises(TypeError, match="spacing"):
+        make(m, **arguments)
+    even, both = make(m, **arguments, spacing=0.5), make(m, **arguments, spacing=(0.5, 0.5))
+    assert even.same_as(both)
+    assert not even.same_as(make(m, **arguments, spacing=1))

@@ -31,7 +31,7 @@ def labels(axes=2):
 
 @cache
 def deformation(axes=2):
-    return RandomDeformation(labels(axes), MATERIALS, amplitude=2, patches=3, radius=1.5)
+    return RandomDeformation(labels(axes), MATERIALS, amplitude=2, patches=3, radius=1.5, spacing=1)
 
 
 def data(axes=2):

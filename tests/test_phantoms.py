@@ -49,7 +49,7 @@ def test_the_stored_reference_obeys_the_boundary_of_its_phantom(name):
 @pytest.mark.parametrize("name", PHANTOM_NAMES)
 def test_a_problem_is_what_the_painted_labels_and_the_tables_say(name):
     drawn = phantom(name, 48)
-    y, c = boundary_images(drawn.boundary_labels, drawn.boundary)
+    y, c = boundary_images(drawn.boundary_labels, drawn.boundary, spacing=1)
     np.testing.assert_array_equal(drawn.problem.observed, y)
     np.testing.assert_array_equal(drawn.problem.confidence, c)
     np.testing.assert_array_equal(

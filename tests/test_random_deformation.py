@@ -64,7 +64,9 @@ def flat():
 
 @cache
 def deep():
-    return RandomDeformation(labels(20, axes=3), MATERIALS, amplitude=2, patches=3, radius=1.5)
+    return RandomDeformation(
+        labels(20, axes=3), MATERIALS, amplitude=2, patches=3, radius=1.5, spacing=1
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -155,13 +157,15 @@ def test_air_stays_empty_and_the_edge_stays_where_it_is():
 
 
 def test_a_free_edge_moves():
-    free = RandomDeformation(labels(), MATERIALS, amplitude=3, patches=4, hold_edge=False)
+    free = RandomDeformation(
+        labels(), MATERIALS, amplitude=3, patches=4, hold_edge=False, spacing=1
+    )
     sample = free.sample(0)
     assert np.abs(sample.displacement[outer_rim(sample.tissue)]).max() > 0.2
 
 
 def test_what_may_grow_grows_by_a_part_of_what_its_material_says():
-    random = RandomDeformation(labels(), MATERIALS, amplitude=1e-3, patches=1)
+    random = RandomDeformation(labels(), MATERIALS, amplitude=1e-3, patches=1, spacing=1)
     grown = []
     for seed in range(4):
         sample = random.sample(seed)
@@ -212,7 +216,7 @@ def test_image_labels_and_points_move_by_the_field_that_comes_with_them():
 
 
 def test_a_sample_pulled_less_than_was_asked_for_is_reported_once(caplog):
-    random = RandomDeformation(labels(), MATERIALS, amplitude=(9, 12), patches=4)
+    random = RandomDeformation(labels(), MATERIALS, amplitude=(9, 12), patches=4, spacing=1)
     sample = random.sample(1)
     assert sample.scale < 1
     assert 0 < sample.amplitude < 9
@@ -223,13 +227,15 @@ def test_a_sample_pulled_less_than_was_asked_for_is_reported_once(caplog):
     random.sample(2)
     assert sum("amplitude" in record.message for record in caplog.records) == 1
     caplog.clear()
-    even = RandomDeformation(labels(), MATERIALS, amplitude=(0.01, 12), patches=4)
+    even = RandomDeformation(labels(), MATERIALS, amplitude=(0.01, 12), patches=4, spacing=1)
     assert even.sample(1).amplitude >= 0.01
     assert not caplog.records
 
 
 def test_the_amplitude_is_how_far_the_farthest_patch_is_pulled():
-    small = RandomDeformation(labels(), MATERIALS[:2] + MATERIALS[3:] + (Material(2, "", 3.0),))
+    small = RandomDeformation(
+        labels(), MATERIALS[:2] + MATERIALS[3:] + (Material(2, "", 3.0),), spacing=1
+    )
     low, high = small.amplitude
     assert low == 0 < high
     one = RandomDeformation(labels(), MATERIALS, amplitude=0.5, spacing=SPACING, patches=5)
@@ -303,7 +309,7 @@ def _header(whole, **changes):
 
 def test_labels_that_change_later_change_nothing():
     image = labels().copy()
-    random = RandomDeformation(image, MATERIALS, amplitude=1, patches=1)
+    random = RandomDeformation(image, MATERIALS, amplitude=1, patches=1, spacing=1)
     image[...] = AIR
     assert (random.sample(0).study.tissue.labels == labels()).all()
 
@@ -314,7 +320,7 @@ def test_unit_solutions_are_kept_in_single_precision_and_refused_where_memory_en
     tissue = random.tissue.sum()
     assert random.nbytes == causes * tissue * 2 * 4
     with pytest.raises(ProblemError, match=r"64 x 64.* GiB are allowed: 3 of them"):
-        RandomDeformation(labels(), MATERIALS, memory=3.5 * tissue * 8)
+        RandomDeformation(labels(), MATERIALS, memory=3.5 * tissue * 8, spacing=1)
 
 
 def test_patches_lie_in_soft_tissue_apart_from_each_other():
@@ -342,12 +348,12 @@ def test_patches_lie_in_soft_tissue_apart_from_each_other():
 )
 def test_what_makes_no_sense_is_refused_before_any_work(wrong, said):
     with pytest.raises((ArgumentError, ProblemError), match=said):
-        RandomDeformation(labels(), MATERIALS, **wrong)
+        RandomDeformation(labels(), MATERIALS, **{"spacing": 1, **wrong})
 
 
 def test_a_label_without_a_material_and_a_seed_that_is_none_are_refused():
     with pytest.raises(ProblemError, match="without a stiffness: 3"):
-        RandomDeformation(labels(), MATERIALS[:3])
+        RandomDeformation(labels(), MATERIALS[:3], spacing=1)
     with pytest.raises(ArgumentError, match="seed must be"):
         flat().sample("yes")
 
@@ -362,7 +368,7 @@ def test_landmarks_are_spread_over_tissue():
 def test_pictures_are_those_of_warp_wherever_the_tissue_lies():
     image = np.zeros((50, 60), int)
     image[10:30, 25:50] = MUSCLE
-    random = RandomDeformation(image, MATERIALS, amplitude=4, patches=3, hold_edge=False)
+    random = RandomDeformation(image, MATERIALS, amplitude=4, patches=3, hold_edge=False, spacing=1)
     noise = np.random.default_rng(2).random(image.shape)
     for seed in range(4):
         sample = random.sample(seed)

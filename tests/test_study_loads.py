@@ -187,7 +187,7 @@ def test_a_spreadsheet_says_growth_and_forces(tmp_path):
 def test_what_holds_a_block_carries_its_weight():
     block, table = np.full((10, 16), 1.0), np.zeros((10, 16, 2))
     table[-1] = 1
-    heavy = weight(block, (0.02, 0.0))
+    heavy = weight(block, (0.02, 0.0), spacing=1)
     problem = Problem(0 * table, table, block, loads=heavy)
     (part,) = held_forces(problem, solve(problem), ElasticPrior())
     assert not part.moves

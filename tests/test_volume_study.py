@@ -102,7 +102,9 @@ def test_marks_of_two_and_three_axes_are_refused():
 def test_a_painted_shell_expands_along_its_normal():
     shape = (24, 24, 24)
     shell = ball(8, shape, (1, 1, 1)) & ~ball(6, shape, (1, 1, 1))
-    y, c = boundary_images(shell.astype(np.uint8), [BoundaryRule(1, "expand", amount=2.0)])
+    y, c = boundary_images(
+        shell.astype(np.uint8), [BoundaryRule(1, "expand", amount=2.0)], spacing=1
+    )
     at = np.argwhere(shell) - 11.5
     radial = at / np.linalg.norm(at, axis=1, keepdims=True)
     apart = np.linalg.norm(y[shell] / 2 - radial, axis=1)
@@ -113,7 +115,9 @@ def test_a_painted_shell_expands_along_its_normal():
 
 def test_the_rim_of_a_full_ball_expands_and_its_inside_is_free():
     full = ball(8, (24, 24, 24), (1, 1, 1))
-    y, c = boundary_images(full.astype(np.uint8), [BoundaryRule(1, "expand", amount=2.0)])
+    y, c = boundary_images(
+        full.astype(np.uint8), [BoundaryRule(1, "expand", amount=2.0)], spacing=1
+    )
     assert not c[11:13, 11:13, 11:13].any()
     assert np.linalg.norm(y[11, 11, 4]) == pytest.approx(2)
 
@@ -122,7 +126,7 @@ def test_an_open_sheet_has_no_outside_in_a_volume():
     sheet = np.zeros((24, 24, 24), np.uint8)
     sheet[11:13] = 1
     with pytest.raises(ProblemError, match="open sheet"):
-        boundary_images(sheet, [BoundaryRule(1, "expand", amount=2.0)])
+        boundary_images(sheet, [BoundaryRule(1, "expand", amount=2.0)], spacing=1)
 
 
 def test_rules_of_rows_and_columns_say_nothing_across_planes():

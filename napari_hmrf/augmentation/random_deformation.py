@@ -209,8 +209,8 @@ class RandomDeformation:
     materials : iterable of Material
         One for each value in `labels`, 0 included. Tissue of stiffness 0 is empty and stays so;
         rigid tissue moves as a rigid body; tissue with a growth grows by a random fraction of it.
-    spacing : sequence of float, shape (n,), optional
-        Size of a pixel along each axis; by default 1.
+    spacing : float or sequence of float, shape (n,)
+        Size of a pixel along each axis; a single number applies to all axes.
     unit : str
         Unit of all lengths.
     amplitude : float or (float, float), optional
@@ -260,7 +260,7 @@ class RandomDeformation:
     >>> labels = np.ones((48, 48), int)
     >>> labels[20:28, 20:28] = 2
     >>> materials = [Material(1, "muscle", 10.0), Material(2, "bone", float("inf"))]
-    >>> deformation = RandomDeformation(labels, materials, amplitude=2, patches=4)
+    >>> deformation = RandomDeformation(labels, materials, spacing=1, amplitude=2, patches=4)
     >>> sample = deformation.sample(seed=1)
     >>> sample.displacement.shape, sample.labels(labels).shape
     ((48, 48, 2), (48, 48))
@@ -271,7 +271,7 @@ class RandomDeformation:
         labels: npt.ArrayLike,
         materials: Iterable[Material],
         *,
-        spacing: Sequence[float] | None = None,
+        spacing: float | Sequence[float],
         unit: str = "pixel",
         amplitude: float | tuple[float, float] | None = None,
         patches: int | None = None,
@@ -287,7 +287,7 @@ class RandomDeformation:
         image, rows = as_numbers("labels", labels).copy(), tuple(materials)
         stiffness_image(image, rows)  # only to validate the labels and materials
         n = image.ndim
-        sizes = checked_spacing((1.0,) * n if spacing is None else spacing, n)
+        sizes = checked_spacing(spacing, n)
         for name, value, low, what in (
             ("radius", radius, 0, "a length above 0"),
             ("smoothness", smoothness, 0, "a length above 0"),

@@ -85,7 +85,7 @@ class Phantom:
     @cached_property
     def problem(self) -> Problem:
         """What the labels and tables say, as the solver takes it; spacing (1, 1)."""
-        y, c = boundary_images(self.boundary_labels, self.boundary)
+        y, c = boundary_images(self.boundary_labels, self.boundary, spacing=1)
         loads = growth_loads(self.tissue_labels, self.materials)
         return Problem(y, c, stiffness_image(self.tissue_labels, self.materials), loads=loads)
 

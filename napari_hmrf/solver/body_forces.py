@@ -34,9 +34,9 @@ def weight(
     acceleration: npt.ArrayLike,
     *,
     density: npt.ArrayLike = 1.0,
-    spacing: Sequence[float] | None = None,
+    spacing: float | Sequence[float],
 ) -> Loads:
-    """Tissue's weight, or what else pulls at each part of its volume.
+    """Return the forces of the tissue's weight, or of another body force.
 
     Parameters
     ----------
@@ -47,8 +47,8 @@ def weight(
         volume, in the unit of stiffness per length: water's weight is 0.00981 kPa / mm.
     density : float or array_like, shape (H, W) or (D, H, W)
         Of all tissue, or of each site.
-    spacing : sequence of float, shape (n,), optional
-        As of the problem; by default 1.
+    spacing : float or sequence of float, shape (n,)
+        Size of a pixel, as in the problem; a single number applies to all axes.
 
     Returns
     -------
@@ -75,9 +75,9 @@ def pressure(
     surface: npt.ArrayLike,
     amount: npt.ArrayLike,
     *,
-    spacing: Sequence[float] | None = None,
+    spacing: float | Sequence[float],
 ) -> Loads:
-    """Pressure on a painted part of tissue's surface, along its normal.
+    """Return the forces of a pressure on a painted part of the tissue's surface.
 
     Parameters
     ----------
@@ -89,8 +89,8 @@ def pressure(
     amount : float or array_like, shape (H, W) or (D, H, W)
         Force per area, in the unit of stiffness: above 0 it presses into the tissue, below 0 it
         sucks.
-    spacing : sequence of float, shape (n,), optional
-        As of the problem; by default 1.
+    spacing : float or sequence of float, shape (n,)
+        Size of a pixel, as in the problem; a single number applies to all axes.
 
     Returns
     -------
@@ -116,9 +116,9 @@ def traction(
     surface: npt.ArrayLike,
     vector: npt.ArrayLike,
     *,
-    spacing: Sequence[float] | None = None,
+    spacing: float | Sequence[float],
 ) -> Loads:
-    """A force per area on a painted part of tissue's surface, in any direction.
+    """Return the forces of a force per area, in any direction, on a painted part of the surface.
 
     A surface that is oblique is a staircase of faces, whose areas add up to more than its own: each
     face counts by how far it faces as the surface around it does.
@@ -132,8 +132,8 @@ def traction(
     vector : array_like, shape (n,), (H, W, 2) or (D, H, W, 3)
         Force per area, in the unit of stiffness, components in the order of the axes: of all of the
         surface, or of each site.
-    spacing : sequence of float, shape (n,), optional
-        As of the problem; by default 1.
+    spacing : float or sequence of float, shape (n,)
+        Size of a pixel, as in the problem; a single number applies to all axes.
 
     Returns
     -------
@@ -239,9 +239,8 @@ def _tissue(stiffness: npt.ArrayLike) -> Mask:
     return m > 0
 
 
-def _size(stiffness: npt.ArrayLike, spacing: Sequence[float] | None) -> tuple[float, ...]:
-    axes = np.ndim(stiffness)
-    return checked_spacing((1.0,) * axes if spacing is None else spacing, axes)
+def _size(stiffness: npt.ArrayLike, spacing: float | Sequence[float]) -> tuple[float, ...]:
+    return checked_spacing(spacing, np.ndim(stiffness))
 
 
 def _of_sites(name: str, values: npt.ArrayLike, grid: tuple[int, ...]) -> Float64Array:

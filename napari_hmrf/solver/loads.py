@@ -26,8 +26,8 @@ _AXES = 3
 class Loads:
     """What has elastic tissue grow, and what pulls at it; frozen, and of one grid.
 
-    They add up: ``growth(0.1 * tumour) + weight(stiffness, (0.01, 0))``. To tissue of given
-    stiffness motion is proportional to forces, so that stiffness then counts by its unit.
+    They add up: ``growth(0.1 * tumour) + weight(stiffness, (0.01, 0), spacing=1)``. To tissue of
+    given stiffness motion is proportional to forces, so that stiffness then counts by its unit.
 
     Parameters
     ----------

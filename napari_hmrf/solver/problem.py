@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
@@ -226,8 +227,8 @@ def _as_image(stiffness: npt.ArrayLike, axes: tuple[int, ...] = (2, 3)) -> Float
 
 
 def checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
-    """Return the sizes of a pixel along `ndim` axes, or raise `ProblemError`."""
-    values = reals(spacing, ndim)
+    """Return the checked sizes of a pixel along `ndim` axes; a number applies to all of them."""
+    values = reals((spacing,) * ndim if isinstance(spacing, Real) else spacing, ndim)
     if not all(0 < size < math.inf for size in values):
         raise ProblemError(
             "spacing", f"is {shown(spacing)}. Give {ndim} positive, finite pixel sizes."

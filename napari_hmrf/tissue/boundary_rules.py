@@ -19,7 +19,7 @@ from napari_hmrf.arguments import is_one_of, is_whole, real, reals, refuse_unles
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.normals import outward_normals
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
-from napari_hmrf.solver.problem import FloatArray, as_numbers
+from napari_hmrf.solver.problem import FloatArray, as_numbers, checked_spacing
 
 Action = Literal["fixed", "move", "expand", "press", "pull"]
 #: Actions that are forces rather than observed displacements.
@@ -245,7 +245,7 @@ def boundary_images(
     labels: npt.ArrayLike,
     rules: Iterable[BoundaryRule],
     *,
-    spacing: Sequence[float] | None = None,
+    spacing: float | Sequence[float],
 ) -> tuple[FloatArray, FloatArray]:
     """Give every painted pixel the displacement and the confidence of its rule.
 
@@ -259,8 +259,9 @@ def boundary_images(
         0 where nothing is observed.
     rules : iterable of BoundaryRule
         One for each value in `labels` above 0; others are ignored.
-    spacing : sequence of float, shape (n,), optional
-        Size of a pixel along each axis, in the unit of the displacements; by default 1.
+    spacing : float or sequence of float, shape (n,)
+        Size of a pixel along each axis, in the unit of the displacements; a single number applies
+        to all axes.
 
     Returns
     -------
@@ -278,7 +279,7 @@ def boundary_images(
     """
     image, present, table = _read("observed", "rules", BoundaryRule, labels, rules)
     n = image.ndim
-    sizes = (1.0,) * n if spacing is None else spacing
+    sizes = checked_spacing(spacing, n)
     for rule in table.values():
         _check_rule(rule, n)
     y = np.zeros((*image.shape, n), dtype=np.float32)
