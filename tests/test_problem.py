@@ -170,7 +170,6 @@ def test_images_in_another_order_are_told_the_right_one():
         (np.inf, 1),
         "ab",
         "11",
-        3,
         None,
         (1e-200, 1),
         (1e200, 1),

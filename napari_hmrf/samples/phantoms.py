@@ -84,13 +84,13 @@ class Phantom:
 
     @cached_property
     def problem(self) -> Problem:
-        """What the labels and tables say, as the solver takes it; spacing (1, 1)."""
+        """The problem that the labels and tables state, with spacing (1, 1)."""
         y, c = boundary_images(self.boundary_labels, self.boundary, spacing=1)
         loads = growth_loads(self.tissue_labels, self.materials)
         return Problem(y, c, stiffness_image(self.tissue_labels, self.materials), loads=loads)
 
     def growing(self, strain: float = 0.4) -> Phantom:
-        """The brain of "mass-effect" with a tumour that grows by itself; its rim is not pushed.
+        """Return the brain of "mass-effect" with a tumour that grows, and a rim that is not pushed.
 
         Parameters
         ----------
@@ -223,7 +223,7 @@ def _assembled(
 
 
 def _width(size: int) -> int:
-    """How wide the boundary is painted, in pixels."""
+    """Return the width of the painted boundary, in pixels."""
     return max(2, round(3 * size / _DRAWN_AT))
 
 

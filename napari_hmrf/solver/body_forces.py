@@ -161,12 +161,12 @@ class _Faces(NamedTuple):
     outward: npt.NDArray[np.int8]
 
     def mean(self, values: npt.NDArray[Any]) -> Float64Array:
-        """The mean of the corners of each."""
+        """Return the mean over the corners of each face."""
         made = _across(values.astype(np.float64, copy=False), self.axis, np.add)
         return np.asarray(made / 2 ** (values.ndim - 1))
 
     def corners(self, values: Float64Array) -> Float64Array:
-        """What each has, in equal parts at its corners."""
+        """Spread the value of each face over its corners, in equal parts."""
         beside = [(0 if along == self.axis else 1,) * 2 for along in range(values.ndim)]
         made = _across(np.pad(values, beside), self.axis, np.add)
         return np.asarray(made / 2 ** (values.ndim - 1))
@@ -175,7 +175,7 @@ class _Faces(NamedTuple):
 def _across(
     values: npt.NDArray[Any], axis: int, combine: Callable[[Any, Any], Any]
 ) -> npt.NDArray[Any]:
-    """What is made of the corners of each face across an axis."""
+    """Combine the values at the corners of each face across an axis."""
     for along, (first, last) in enumerate(pairs(values.ndim)):
         if along != axis:
             values = combine(values[first], values[last])
@@ -210,7 +210,7 @@ def _areas(surface: list[_Faces], size: tuple[float, ...]) -> Iterator[tuple[_Fa
     """The faces across each axis, each with its part of the area of a surface without steps."""
     axes = len(size)
     sigma = [_SMOOTHING * max(size) / each for each in size]
-    # How much there is around each site that faces along an axis, or against it.
+    # Area around each site that faces along an axis, or against it.
     around = {}
     for faces in surface:
         area = math.prod(size) / size[faces.axis]

@@ -24,10 +24,10 @@ _AXES = 3
 
 
 class Loads:
-    """What has elastic tissue grow, and what pulls at it; frozen, and of one grid.
+    """Growth of elastic tissue, and forces on it; frozen, and of one grid.
 
-    They add up: ``growth(0.1 * tumour) + weight(stiffness, (0.01, 0), spacing=1)``. To tissue of
-    given stiffness motion is proportional to forces, so that stiffness then counts by its unit.
+    Loads add up: ``growth(0.1 * tumour) + weight(stiffness, (0.01, 0), spacing=1)``. Motion is
+    proportional to forces, and inversely to stiffness, whose unit then matters.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class Loads:
         return f"Loads({', '.join(parts) or 'none'})"
 
     def same_as(self, other: Loads | None) -> bool:
-        """Whether the other's values are equal."""
+        """Return whether the values of the other are equal."""
         return self is other or (
             other is not None
             and is_equal(self.growth, other.growth)
@@ -136,7 +136,7 @@ class Loads:
 
 
 def growth(strain: npt.ArrayLike, *, along: npt.ArrayLike | None = None) -> Loads:
-    """Tissue that grows, or shrinks, by a strain: how much longer it would be if it were free.
+    """Return loads of tissue that grows, or shrinks, by the strain that it would have if free.
 
     Parameters
     ----------
@@ -236,12 +236,12 @@ def _pulled(one: FloatArray | None, other: FloatArray | None) -> npt.NDArray[np.
 
 
 def are_same(one: Loads | None, other: Loads | None) -> bool:
-    """Whether two problems have the same loads, or both have none."""
+    """Return whether two problems have the same loads, or both have none."""
     return one is other or (one is not None and one.same_as(other))
 
 
 def is_equal(one: FloatArray | None, other: FloatArray | None) -> bool:
-    """Whether two parts of loads have the same values, or neither is there."""
+    """Return whether two parts of loads have the same values, or both are missing."""
     if one is None or other is None:
         return one is other
     return one is other or np.array_equal(one, other)
