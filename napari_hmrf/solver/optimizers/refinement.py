@@ -50,7 +50,7 @@ _LEAST_MARGIN = 1.5
 # motions.
 _WARM_MARGIN = 1.5
 # Ratio of the reported error to the estimate that ends an iteration, up to the tolerance.
-_REPORTED = 1.0
+_REPORTED = 1.5
 # Number of sites up to which factors take no longer than a rehearsal and a few cycles.
 _FEW = 1024
 # Largest number of free motions at hinges between touching parts of bodies, in factors.
