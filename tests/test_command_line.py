@@ -210,6 +210,7 @@ def test_a_case_in_which_nothing_is_asked_to_move_is_refused(files, capsys):
     assert code == 1
     assert "nothing moves" in err
     assert "--boundary" in err
+    assert not (files / "out").exists(), "a refusal leaves no empty folder"
 
 
 def test_of_a_volume_the_middle_slice_is_played_and_said(tmp_path, capsys):

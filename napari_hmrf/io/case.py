@@ -182,7 +182,6 @@ def solve_case(
             "if its outer edge stays."
         )
     refuse_overwriting(_files_of(case, folder), overwrite=overwrite)
-    folder.mkdir(parents=True, exist_ok=True)  # fail before the solve, not after it
     ground = Ground.of(study)
     stated = ground.statement()
     idle = ground.unused(stated)
@@ -192,6 +191,7 @@ def solve_case(
             f"nothing moves{why}. Give --boundary with what moves: landmarks, a field, "
             "or labels with --rules that move or expand; or --materials with growth."
         )
+    folder.mkdir(parents=True, exist_ok=True)  # fail before the solve, not after it
     solution = solve_study(study, stated=stated, backend=backend)
     name = case.image.name.partition(".")[0]
     image = study.pictures.image
