@@ -146,7 +146,7 @@ class Multigrid:
             rounding *= 3  # the model's knowledge of the tissue is rounded, too
         host.reuse(d, observed)
         if limit is None:
-            model.found.add(displacement, Quality(refinement.estimate, refinement.residual))
+            model.found.add(displacement, Quality(refinement.error, refinement.residual))
             remember(displacement, Met(refinement.least, refinement.estimate))
         return Outcome(
             displacement=displacement,

@@ -84,7 +84,9 @@ class Refinement:
     Attributes
     ----------
     estimate : float
-        Estimated distance of the field from convergence, in pixels.
+        Estimated distance of the field from convergence that is reported, in pixels.
+    error : float
+        Estimate that ended the last run, without the margin of a report.
     residual : float
         Norm of the remaining forces, in double precision.
     energies : list of float
@@ -108,7 +110,7 @@ class Refinement:
         # garbage collection.
         self._iteration = ConjugateGradients(Cycle(model, smoothing), partial(_exactly, model))
         self._patience = smoothing.patience
-        self.estimate = math.inf
+        self.estimate = self.error = math.inf
         self.residual = 0.0
         self.energies: list[float] = []
         self.cycles = 0
@@ -141,9 +143,10 @@ class Refinement:
         balance = self._model.balance(d, load)
         self.residual, self._low = balance.norm, None
         if known is not None and known.suffices(tolerance, balance.norm):
-            self.estimate = known.error
+            self.error = known.error
+            self.estimate = min(_REPORTED * known.error, tolerance)
         elif balance.most == 0:
-            self.estimate = 0.0
+            self.error = self.estimate = 0.0
         elif self._model.found.factors is not None or not self._iterate(
             d, load, tolerance, balance
         ):
@@ -239,6 +242,7 @@ class Refinement:
             if found.entrained is not None:
                 self.estimate += found.entrained.astray(balance.rest) * balance.unit
             if self.estimate <= tolerance:
+                self.error = self.estimate
                 self.estimate = min(max(self.estimate, self._least_error()), tolerance)
                 return True
             stays = not self.estimate < 0.5 * before
@@ -351,15 +355,16 @@ class Refinement:
                 )
             add(d, self._low, correction)
             rest = self._left(d, load)
-            self.residual, self.estimate = float(np.linalg.norm(rest)), far
+            self.residual = float(np.linalg.norm(rest))
+            self.error = self.estimate = far
             last, before = before, far
             # The remaining error is smaller still, by the ratio of the last two corrections.
             if far <= tolerance:
                 return
             if stays:
-                self.estimate = _MARGIN * max(far, last)
+                self.error = self.estimate = _MARGIN * max(far, last)
                 return
-        self.estimate = 0.0
+        self.error = self.estimate = 0.0
 
     def _left(self, d: Planes, load: Planes | None) -> Planes:
         """Return the part of a load that `d` leaves unbalanced."""
