@@ -36,7 +36,7 @@ from exact.rank import free_motions
 from random_problems import RandomProblem, random_problem
 from random_volumes import judge as judge_volumes
 
-from napari_hmrf import Multigrid, SeilerPrior, solve
+from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, solve
 from napari_hmrf.errors import Cancelled, ConvergenceError, HmrfError, ProblemError
 
 #: What counts as a violation, and why.
@@ -171,7 +171,7 @@ def judge(drawn: RandomProblem, backend: str) -> Verdict:
         return Verdict(outcome="late", **about)
     truth = exact_field(problem, drawn.prior)
     if refusal is not None:
-        outcome = _refused(drawn, truth, refusal)
+        outcome = why_refused(problem, drawn.prior, drawn.tolerance, truth, refusal)
         return Verdict(outcome=outcome, saying=str(refusal), least=truth.least, **about)
     assert solution is not None
     assert solution.convergence is not None
@@ -192,9 +192,25 @@ def judge(drawn: RandomProblem, backend: str) -> Verdict:
     return Verdict(outcome=outcome, swing=_swing(drawn, truth), **about)
 
 
-def _refused(drawn: RandomProblem, truth: Exact, refusal: HmrfError) -> str:
-    """Return whether a refusal is right, and why, as an outcome."""
-    problem, prior = drawn.problem, drawn.prior
+def why_refused(
+    problem: Problem,
+    prior: ElasticPrior | SeilerPrior,
+    tolerance: float,
+    truth: Exact,
+    refusal: HmrfError,
+) -> str:
+    """Return the outcome of a refusal: ``"refused"`` if nothing explains it.
+
+    Parameters
+    ----------
+    problem : Problem
+    prior : ElasticPrior or SeilerPrior
+    tolerance : float
+        Of the solve, in pixels.
+    truth : Exact
+        The exact solution of the same problem.
+    refusal : HmrfError
+    """
     if not isinstance(refusal, ProblemError | ConvergenceError):
         return "refused"
     everything = bool(problem.known[problem.tissue].all())
@@ -205,7 +221,7 @@ def _refused(drawn: RandomProblem, truth: Exact, refusal: HmrfError) -> str:
         return "refused, free"
     reach = float(np.abs(problem.observed[problem.known]).max(initial=0.0)) / problem.unit
     swing = _ROUNDING * reach / truth.least
-    beyond = truth.least < _BEYOND or swing > _TOO_MUCH * drawn.tolerance
+    beyond = truth.least < _BEYOND or swing > _TOO_MUCH * tolerance
     # A problem error says that there is no single answer.
     sensitive = beyond and isinstance(refusal, ConvergenceError)
     return "refused, sensitive" if sensitive else "refused"

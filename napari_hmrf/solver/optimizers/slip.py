@@ -21,6 +21,7 @@ from napari_hmrf.solver.optimizers.null_space import (
 from napari_hmrf.solver.optimizers.refinement import (
     HELD_BY_NOTHING,
     Refinement,
+    add,
     factorise,
     factors_fit,
 )
@@ -42,6 +43,8 @@ _ABOVE, _PASSED = 10.0, 10.0
 _AT_LIMIT, _NEAR_LIMIT = 1e-9, 1e-4
 # Part of its limit by which a held component may exceed it.
 _SHARE = 1e-9
+# Solutions by factors for the start of the interior-point method, the first one included.
+_REFINED = 4
 # Exchanges after which another method takes over, and after which only one state changes at a time.
 _MOST_EXCHANGES, _AT_ONCE = 100, 30
 
@@ -105,9 +108,35 @@ class Slip:
             self._model.hold(self._states.every)
             if self._model.moves.any():
                 self._check_held()
-            interior.solve(self._model, self._states, d, self._report)
+            self._close_gap(d)
             self._confirm(d, exact)
         return self._settle(d)
+
+    def _close_gap(self, d: Planes) -> None:
+        """Find the states by the interior-point method, in place."""
+        # Its rounding depends on where it starts. All observations held is the best start, and
+        # does not depend on the tolerance; where exchanges ended is another.
+        held = self._held(d)
+        try:
+            interior.solve(self._model, self._states, held, self._report)
+        except ConvergenceError:
+            interior.solve(self._model, self._states, d, self._report)
+        else:
+            d[:] = held
+
+    def _held(self, d: Planes) -> Planes:
+        """Return the field with all observations held; requires that they are held now."""
+        model, states = self._model, self._states
+        held = np.zeros_like(d)
+        states.place_fixed(held)
+        held.ravel()[states.at] = states.y
+        if model.moves.any():
+            factors, low = factorise(model, self._report), np.zeros_like(d)
+            for _ in range(_REFINED):
+                rest = states.with_given(model.pull(held, low)).copy()
+                rest[~model.moves] = 0
+                add(held, low, factors.solve(rest))
+        return held
 
     def _check_held(self) -> None:
         """Refuse tissue that the observations do not hold, with the reason."""

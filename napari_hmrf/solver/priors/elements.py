@@ -27,14 +27,15 @@ Float64Array = npt.NDArray[np.float64]
 #: What stands in for rigid tissue, in units of the stiffest other tissue: for cycles that hold all
 #: bodies, for cycles that move them, whose levels it must not spoil, and for factors.
 HELD_STAND_IN, CYCLE_STAND_IN, FACTOR_STAND_IN = 1.0, 40.0, 1e6
-#: Up to which ratio of stiffnesses, and of a pixel's sides, a cycle of multigrid has been found to
-#: see every motion of tissue; up to which Poisson's ratio in plane strain without any doubt.
+#: Largest ratio of stiffnesses, and of a pixel's and a voxel's sides, for which a cycle of multigrid
+#: is known to see every motion of tissue. Estimates for volumes have a larger margin.
 MILD_CONTRAST = 5.0
-MILD_ASPECT = 2.0
+MILD_ASPECT, MILD_VOXEL_ASPECT = 1.5, 2.0
+#: Largest Poisson's ratio in plane strain for which it certainly does.
 MILD_POISSON = 0.45
-#: Elements for each site, at least: thin strips bend in ways that coarse levels do not.
+#: Least number of elements for each site: thin strips bend in ways that coarse levels do not.
 MILD_COMPACTNESS = 0.85
-#: From which contrast on cycles have not been found to see all motions of such strips.
+#: Contrast from which cycles do not see all motions of such strips.
 LACED_CONTRAST = 300.0
 
 
@@ -80,10 +81,11 @@ class ElasticMaterial:
     @cached_property
     def mild(self) -> bool:
         """Whether a cycle is known to see every motion of such tissue."""
+        aspect = MILD_ASPECT if self.m.ndim == 2 else MILD_VOXEL_ASPECT
         return (
             contrast(self.m) <= MILD_CONTRAST
             and self._compactness >= MILD_COMPACTNESS
-            and self.shape.aspect <= MILD_ASPECT
+            and self.shape.aspect <= aspect
         )
 
     @property
