@@ -285,6 +285,9 @@ def campaign(
     for done, (number, backend) in enumerate(plan, start=1):
         run.verdicts.append(judge(random_problem(seed, number), backend))
         memory[backend].append(process.memory_info().rss / 2**20)
+        latest = run.verdicts[-1]
+        if tell is not None and latest.violation:
+            tell(f"{latest.outcome}: {_line(latest, seed)} {latest.saying}")
         now = time.perf_counter()
         if tell is not None and (now - last > 10 or done == len(plan)):
             last = now

@@ -94,6 +94,7 @@ def test_an_extreme_penalty_is_answered(penalty):
         pytest.param((3, 119), id="an undo that leaves an earlier error"),
         pytest.param((5, 49), id="mild tissue that cycles see badly"),
         pytest.param((5, 295), id="slow motions that early cycles do not tell"),
+        pytest.param((7, 1793), id="pixels twice as long as wide"),
         pytest.param((9, 1177), id="much tissue that hangs at a few pixels"),
     ],
 )

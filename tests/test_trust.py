@@ -236,3 +236,17 @@ def test_so_they_are_by_shaders():
 def test_states_that_let_go_of_too_much_are_passed_through():
     """On the way some states move tissue by 367,727 px, where no residual reaches the tolerance."""
     assert trust.judge(random_problem(301, 1482), "cpu").outcome == "answered"
+
+
+def test_slipping_tissue_is_answered_at_any_tolerance():
+    # Interior points that start where exchanges ended arrive at some tolerances only.
+    drawn = random_problem(7, 546)
+    fields = [
+        solve(drawn.problem, drawn.prior, optimizer=Multigrid(tolerance), backend="cpu")
+        for tolerance in (1e-2, 1e-4)
+    ]
+    np.testing.assert_allclose(fields[0].displacement, fields[1].displacement, atol=1e-6)
+
+
+def test_the_start_of_an_interior_point_keeps_what_no_clique_pulls_at():
+    assert trust.judge(random_problem(403, 464), "cpu").outcome == "answered"

@@ -114,20 +114,20 @@ class Slip:
 
     def _close_gap(self, d: Planes) -> None:
         """Find the states by the interior-point method, in place."""
-        # Its rounding depends on where it starts. All observations held is the best start, and
-        # does not depend on the tolerance; where exchanges ended is another.
-        held = self._held(d)
+        # Its rounding depends on where it starts. Where it fails from the end of the exchanges,
+        # which depends on the tolerance, it starts again with all observations held.
+        start = d.copy()
         try:
-            interior.solve(self._model, self._states, held, self._report)
-        except ConvergenceError:
             interior.solve(self._model, self._states, d, self._report)
-        else:
-            d[:] = held
+        except ConvergenceError:
+            self._model.hold(self._states.every)
+            d[:] = self._held(start)
+            interior.solve(self._model, self._states, d, self._report)
 
     def _held(self, d: Planes) -> Planes:
         """Return the field with all observations held; requires that they are held now."""
         model, states = self._model, self._states
-        held = np.zeros_like(d)
+        held = np.where(self._steepness > 0, 0.0, d)
         states.place_fixed(held)
         held.ravel()[states.at] = states.y
         if model.moves.any():

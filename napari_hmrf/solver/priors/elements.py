@@ -1,13 +1,13 @@
-"""The elements of elastic tissue, and what they pull with, in NumPy and float64.
+"""Elements of elastic tissue and their forces, in NumPy and float64.
 
-An element's displacement is described by three differences per component, which is also how the
-kernels see it (from differences of displacement, never from an assembled stencil):
+An element's displacement is described by three differences per component, as in the kernels (which
+compute forces from differences of displacement, never from an assembled stencil):
 
     along rows     D_r = (d10 - d00) + (d11 - d01)
     along columns  D_c = (d01 - d00) + (d11 - d10)
     the twist      D_x = (d11 - d01) - (d10 - d00)
 
-The mean strains follow from D_r and D_c; the integral of what the twist adds separates from them.
+The mean strains follow from D_r and D_c; the energy of the twist separates from theirs.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from napari_hmrf.solver.neighbours import in_elements, of_corners
 
 Float64Array = npt.NDArray[np.float64]
 
-#: What stands in for rigid tissue, in units of the stiffest other tissue: for cycles that hold all
-#: bodies, for cycles that move them, whose levels it must not spoil, and for factors.
+#: Stiffness used for rigid tissue, in units of the stiffest other tissue: in cycles that hold all
+#: bodies, in cycles that move them, whose coarse levels must stay accurate, and in factors.
 HELD_STAND_IN, CYCLE_STAND_IN, FACTOR_STAND_IN = 1.0, 40.0, 1e6
-#: Largest ratio of stiffnesses, and of a pixel's and a voxel's sides, for which a cycle of multigrid
-#: is known to see every motion of tissue. Estimates for volumes have a larger margin.
+#: Largest ratio of stiffnesses, and of the sides of a pixel and of a voxel, for which a cycle of
+#: multigrid is known to reduce every motion of tissue. Estimates for volumes have a larger margin.
 MILD_CONTRAST = 5.0
 MILD_ASPECT, MILD_VOXEL_ASPECT = 1.5, 2.0
 #: Largest Poisson's ratio in plane strain for which it certainly does.
@@ -41,7 +41,7 @@ LACED_CONTRAST = 300.0
 
 @dataclass(frozen=True, eq=False)
 class ElasticMaterial:
-    """What the kernels need to know of a problem's tissue.
+    """Material of a problem's tissue, as the kernels use it.
 
     Attributes
     ----------
@@ -70,17 +70,17 @@ class ElasticMaterial:
 
     @cached_property
     def rigid(self) -> bool:
-        """Whether there is rigid tissue."""
+        """True if there is rigid tissue."""
         return math.isinf(float(self.m.max()))
 
     def relative(self, stand_in: float, sites: Any = ...) -> Float64Array:
-        """Stiffness of some sites in units of the stiffest tissue that is not rigid."""
+        """Return the stiffness of some sites in units of the stiffest tissue that is not rigid."""
         m = self.m[sites].astype(np.float64) / stiffest(self.m)
         return np.where(np.isinf(m), stand_in, m)
 
     @cached_property
     def mild(self) -> bool:
-        """Whether a cycle is known to see every motion of such tissue."""
+        """True if a cycle is known to reduce every motion of such tissue."""
         aspect = MILD_ASPECT if self.m.ndim == 2 else MILD_VOXEL_ASPECT
         return (
             contrast(self.m) <= MILD_CONTRAST
@@ -90,37 +90,37 @@ class ElasticMaterial:
 
     @property
     def compressible(self) -> bool:
-        """Whether cycles see it as well as they see a spring."""
+        """True if cycles reduce changes of volume as well as other motions."""
         return not (self.strain and self.largest_poisson > MILD_POISSON)
 
     @cached_property
     def laced(self) -> bool:
-        """Whether thin strips are of such contrast that a rehearsal is in vain."""
+        """True if the contrast of thin strips is too high for a rehearsal to succeed."""
         return self._compactness < MILD_COMPACTNESS and contrast(self.m) >= LACED_CONTRAST
 
     @cached_property
     def _compactness(self) -> float:
-        """Elements for each site of tissue: 1 but for borders, 1/2 for strips of two sites."""
-        # Borders take as much of each axis: of a volume's three they count as of an image's two.
+        """Number of elements per site of tissue: 1 but for borders, 1/2 for strips of two sites."""
+        # Borders take the same part of each axis; the power makes volumes comparable to images.
         share = np.count_nonzero(in_elements(self.m)) / np.count_nonzero(self.m > 0)
         return float(share ** (2 / self.m.ndim))
 
     #: Sites along a side of an element.
     patch = 2
-    #: How far elements reach beyond the image, in sites.
+    #: Number of sites by which elements extend beyond the image.
     margin = 0
     symmetric = True
 
     @property
     def parts(self) -> tuple[tuple[tuple[int, ...], Any], ...]:
-        """All components at once, and what gives the matrices of elements.
+        """All components together, with the function that returns the matrices of elements.
 
-        They are (h, w, 8, 8), or (d, h, w, 24, 24).
+        The matrices have shape (h, w, 8, 8), or (d, h, w, 24, 24).
         """
         return ((tuple(range(self.m.ndim)), self._matrices),)
 
     def _matrices(self, *elements: slice) -> Float64Array:
-        """The matrices of the elements in these ranges along the axes."""
+        """Return the matrices of the elements in these ranges along the axes."""
         first, shear = element_stiffness(self.shape)
         sites = tuple(slice(each.start, each.stop + 1) for each in elements)
         nu = self.poisson if isinstance(self.poisson, float) else self.poisson[sites]
@@ -130,7 +130,7 @@ class ElasticMaterial:
 
     @property
     def largest_poisson(self) -> float:
-        """The largest Poisson's ratio of any tissue."""
+        """Largest Poisson's ratio of any tissue."""
         if isinstance(self.poisson, float):
             return self.poisson
         return float(self.poisson.max(where=self.m > 0, initial=0.0))
@@ -139,7 +139,7 @@ class ElasticMaterial:
 class Lame(NamedTuple):
     """Lame's parameters of the elements, relative to the stiffest; 0 in void.
 
-    There is one less along each axis than there are sites.
+    The arrays are one shorter along each axis than those of the sites.
     """
 
     first: Float64Array
@@ -147,18 +147,18 @@ class Lame(NamedTuple):
 
 
 class ElementShape(NamedTuple):
-    """What the size of a pixel makes of an element's differences (area times squared lengths).
+    """Factors of an element's differences, from the size of a pixel (area times squared lengths).
 
     Attributes
     ----------
     rows, cols : float
-        Of the squares of D_r and D_c.
+        Factors of the squares of D_r and D_c.
     mixed : float
-        Of their products.
+        Factor of their products.
     twist_rows, twist_cols : float
-        Of the square of D_x, by its strain along rows and along columns.
+        Factors of the square of D_x, from its strain along rows and along columns.
     twist_volume : float
-        1 where the twist counts as a change of volume, 0 where it does not.
+        1 if the twist counts as a change of volume, else 0.
     """
 
     rows: float
@@ -170,22 +170,22 @@ class ElementShape(NamedTuple):
 
     @property
     def axes(self) -> int:
-        """Of the grid."""
+        """Number of axes of the grid."""
         return 2
 
     @property
     def aspect(self) -> float:
-        """The ratio of a pixel's longer side to the shorter."""
+        """Ratio of a pixel's longer side to the shorter."""
         return max(self.rows, self.cols) / self.mixed
 
     @property
     def sides(self) -> tuple[float, ...]:
-        """The lengths of a pixel's sides, whose product is 1."""
+        """Lengths of a pixel's sides, scaled to a product of 1."""
         row = (self.cols / self.rows) ** 0.25
         return row, 1 / row
 
     def forces(self, lame: Lame, d: Float64Array) -> Float64Array:
-        """What all elements together pull at each site: the stiffness matrix times d."""
+        """Return the force of all elements on each site: the stiffness matrix times d."""
         return element_forces(lame, self, d)
 
 
@@ -198,23 +198,23 @@ class Differences(NamedTuple):
 
 
 def of_elements(values: Float64Array) -> Float64Array:
-    """The mean of each element's sites: of four, in a volume of eight."""
+    """Return the mean over each element's sites: four, or eight in a volume."""
     mean: Float64Array = of_corners(values, np.add) / 2**values.ndim
     return mean
 
 
 def lame_ratio(poisson: float, strain: bool) -> float:
-    """Lambda over mu, both Lame's parameters: how much more tissue resists a change of volume."""
+    """Return lambda / mu, the ratio of Lame's parameters."""
     return 2 * poisson / (1 - (2 * poisson if strain else poisson))
 
 
 def contrast(m: npt.NDArray[np.float32]) -> float:
-    """The ratio of the largest stiffness to the least, of tissue that is not rigid."""
+    """Return the ratio of the largest stiffness to the least, of tissue that is not rigid."""
     return stiffest(m) / min(float(m.min(where=m > 0, initial=np.inf)), stiffest(m))
 
 
 def stiffest(m: npt.NDArray[np.float32]) -> float:
-    """The largest stiffness of tissue that is not rigid; 1 if all is."""
+    """Return the largest stiffness of tissue that is not rigid; 1 if all tissue is."""
     most = float(m.max())
     if math.isinf(most):
         most = float(m.max(where=np.isfinite(m), initial=0.0)) or 1.0
@@ -222,7 +222,7 @@ def stiffest(m: npt.NDArray[np.float32]) -> float:
 
 
 def lame_parameters(m: Float64Array, poisson: Any, strain: bool) -> Lame:
-    """Lame's parameters of each element, from the means of its sites; 0 if one is void.
+    """Return Lame's parameters of each element, from the means of its sites; 0 if one is void.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ def lame_parameters(m: Float64Array, poisson: Any, strain: bool) -> Lame:
 
 
 def differences(d: Float64Array) -> Differences:
-    """The differences of every element of a displacement (H, W, 2)."""
+    """Return the differences of every element of a displacement (H, W, 2)."""
     d = np.moveaxis(d, -1, 0)
     d00, d01, d10, d11 = d[:, :-1, :-1], d[:, :-1, 1:], d[:, 1:, :-1], d[:, 1:, 1:]
     left, right = d10 - d00, d11 - d01
@@ -251,9 +251,9 @@ def differences(d: Float64Array) -> Differences:
 
 @lru_cache(maxsize=16)
 def element_stiffness(shape: Any) -> tuple[Float64Array, Float64Array]:
-    """The stiffness of one element, 8 x 8: its parts in the first of Lame's parameters and mu.
+    """Return the stiffness matrices of one element for lambda = 1, mu = 0 and the reverse.
 
-    Of an element of a volume, 24 x 24.
+    They have shape (8, 8), or (24, 24) in a volume.
     """
     corners = (2,) * shape.axes
     size = shape.axes * 2**shape.axes
@@ -266,7 +266,7 @@ def element_stiffness(shape: Any) -> tuple[Float64Array, Float64Array]:
 
 
 def element_forces(lame: Lame, k: ElementShape, d: Float64Array) -> Float64Array:
-    """What all elements together pull at each site: the stiffness matrix times d, (H, W, 2)."""
+    """Return the force of all elements on each site, (H, W, 2): the stiffness matrix times d."""
     first, shear = lame
     (rr, rc), (cr, cc), (xr, xc) = differences(d)
     own = k.twist_volume * first + 2 * shear
