@@ -221,7 +221,9 @@ def why_refused(
         return "refused, free"
     reach = float(np.abs(problem.observed[problem.known]).max(initial=0.0)) / problem.unit
     swing = _ROUNDING * reach / truth.least
-    beyond = truth.least < _BEYOND or swing > _TOO_MUCH * tolerance
+    # Where several fields cost the same, the one of least motion has to be found.
+    least = truth.least if truth.motions else min(truth.least, truth.least_found)
+    beyond = least < _BEYOND or swing > _TOO_MUCH * tolerance
     # A problem error says that there is no single answer.
     sensitive = beyond and isinstance(refusal, ConvergenceError)
     return "refused, sensitive" if sensitive else "refused"

@@ -51,6 +51,7 @@ class Exact:
     accuracy: float
     _matrix: Matrix
     _loose: npt.NDArray[np.bool_]
+    _let_go: npt.NDArray[np.bool_]
 
     @functools.cached_property
     def least(self) -> float:
@@ -61,6 +62,16 @@ class Exact:
         if not self._matrix.symmetric:
             return 1.0  # a maximum principle holds: each site hangs on one that stays where it is
         return Factors(self._matrix, np.flatnonzero(self._loose)).least
+
+    @functools.cached_property
+    def least_found(self) -> float:
+        """The least eigenvalue if only the observations that do not slip are held.
+
+        Below the rounding of double precision, the field depends on digits that it does not have.
+        """
+        if not self._matrix.symmetric:
+            return 1.0
+        return Factors(self._matrix, np.flatnonzero(self._loose | self._let_go)).least
 
     @property
     def free(self) -> bool:
@@ -90,7 +101,7 @@ def exact_field(
     loose = moving & ~observed
     limits = prior.limit(problem)
     slips = limits is not None
-    found = None
+    found, let_go = None, np.zeros_like(observed)
     if limits is not None:
         fixed = observed & np.isinf(limits).ravel()
         at = np.flatnonzero(moving & observed & ~fixed)
@@ -98,6 +109,7 @@ def exact_field(
         found = balance(matrix, moving & ~fixed, Marks(at, y[at], limit), rest)
     if found is not None:
         d, motions, last = found.displacement, found.motions, found.last_step
+        let_go[at[~found.held]] = True
     else:
         factors = Factors(matrix, np.flatnonzero(loose))
         d, _ = factors.displaced(rest, np.zeros_like(rest))
@@ -113,4 +125,5 @@ def exact_field(
         last,
         matrix,
         loose,
+        let_go,
     )

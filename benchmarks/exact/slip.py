@@ -73,12 +73,15 @@ class Balance:
         Whether a part of 1e-6 of an observation's limit decides if there are others.
     last_step : float
         What the last step of refinement changed, in pixels.
+    held : ndarray of bool, shape (marks,)
+        Which observations do not slip.
     """
 
     displacement: Array
     motions: int
     edge: bool
     last_step: float
+    held: Flags
 
 
 def balance(
@@ -168,7 +171,7 @@ class _Search:
             states = np.where(tied, np.sign(found.forces), found.states)
             displacement = self._shortest(displacement, motions, states)
         more = len(self._factors(held & ~nearly).motions) if (nearly & ~tied).any() else 0
-        return Balance(displacement, len(motions), more > len(motions), found.last_step)
+        return Balance(displacement, len(motions), more > len(motions), found.last_step, held)
 
     def interior_point(self, start: Array) -> tuple[Array, Array]:
         """States, and the displacement, to which Mehrotra's method leads."""

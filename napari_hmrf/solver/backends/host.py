@@ -1,10 +1,11 @@
 """Displacements in double precision, kept on the host whatever the backend: see `linear`.
 
-What is said of images, (H, W, 2), is true of volumes, (D, H, W, 3).
+The docstrings give the shapes of images, (H, W, 2); volumes have (D, H, W, 3).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -52,7 +53,7 @@ def prescribed(problem: Problem, start: Beginning | None = None) -> tuple[Planes
         d, held = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
     given = [] if start is None else start.weighted
     terms = [(loops.only_read(values), weight) for values, weight in given]
-    # Where there is no more to begin with, something that counts 0 times.
+    # The loops add two terms: missing ones have a weight of 0.
     nothing = problem.observed, 0.0
     (first, one), (second, two) = [*terms, nothing, nothing][:2]
     for at in slices(problem.shape):
@@ -65,16 +66,16 @@ def prescribed(problem: Problem, start: Beginning | None = None) -> tuple[Planes
 
 
 class Slice(NamedTuple):
-    """Where a slice of a volume is: among the sites of the grid, and in planes."""
+    """Index of a slice of a volume, in arrays of sites and in planes."""
 
     sites: Any
     planes: Any
 
 
 def slices(grid: tuple[int, ...]) -> Iterator[Slice]:
-    """An image, or the slices of a volume: NumPy takes less memory for one by one.
+    """Yield the whole image, or each slice of a volume, for which NumPy takes less memory.
 
-    Before each slice, look whether the work is still wanted.
+    Cancellation is checked before each slice.
     """
     if len(grid) == 2:
         yield Slice(..., ...)
@@ -138,7 +139,7 @@ def planes(values: npt.NDArray[Any]) -> Planes:
 
 
 def inside(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Planes without their ring, a view."""
+    """Return a view of planes without their ring."""
     return planes[(slice(None), *[slice(2, -2)] * (planes.ndim - 1))]
 
 
@@ -155,15 +156,17 @@ def add(d: Planes, correction: npt.NDArray[np.float32], scale: float) -> None:
 
 
 def gathered(d: Planes, tolerance: float) -> tuple[npt.NDArray[np.floating], float]:
-    """Return a displacement as an array (H, W, 2), and how far that rounds it, in pixels.
+    """Return a displacement as an array (H, W, 2), and the largest rounding error of its vectors.
 
-    In single precision, but where that does not carry the tolerance.
+    The array is in single precision, unless the tolerance needs double. The error is in pixels, and
+    includes that of the conversion to lengths by `settle`.
     """
-    most = max(float(d.max()), -float(d.min()))
-    rounding = most * float(np.finfo(np.float32).eps) / 2
-    if 2 * rounding > tolerance:
+    most = math.sqrt(len(d)) * max(float(d.max()), -float(d.min()))
+    single = np.finfo(np.float32)
+    rounding = most * float(single.eps) + float(single.smallest_subnormal)
+    if rounding > tolerance:
         exactly = field(d).copy()
-        return exactly, most * float(np.finfo(np.float64).eps) / 2
+        return exactly, most * float(np.finfo(np.float64).eps)
     grid = tuple(size - 4 for size in d.shape[1:])
     made = np.empty((*grid, len(d)), dtype=np.float32)
     exact = _exact(len(grid))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -221,8 +222,16 @@ def find_play(model: LinearModel, held: HeldPlanes, refinement: Refinement, repo
 
 
 def _costs(model: LinearModel, ways: Float64Array) -> Float64Array:
-    """Return the products of all pairs of motions."""
-    return np.array([[_product(model, one, two) for two in ways] for one in ways])
+    """Return the inner products of all pairs of motions in the energy, a symmetric matrix.
+
+    They come from energies, which are sums of squares: those of stiff tissue do not cancel there.
+    """
+    energies = np.array([model.work(way)[0] for way in ways])
+    costs = np.diag(2 * energies)
+    for one, two in itertools.combinations(range(len(ways)), 2):
+        both, _ = model.work(ways[one] + ways[two])
+        costs[one, two] = costs[two, one] = both - energies[one] - energies[two]
+    return costs
 
 
 def _product(model: LinearModel, one: Planes, two: Planes) -> float:
