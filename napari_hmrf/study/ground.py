@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.errors import LayerError, ProblemError
+from napari_hmrf.arguments import require_kind
+from napari_hmrf.errors import ArgumentError, LayerError, ProblemError
 from napari_hmrf.field.resample import unknown_values
 from napari_hmrf.solver.body_forces import weight
 from napari_hmrf.solver.caveats import caveats, lack
@@ -126,6 +127,8 @@ class Ground:
         ProblemError
             Naming the part, the error and a remedy.
         """
+        _check_study(study)
+        _refuse_other_axes(study)
         refuse_unknown(study)
         image = study.pictures.image
         if image is not None and image.dtype.kind == "f" and not np.isfinite(image).any():
@@ -300,11 +303,14 @@ def solve_study(
 
     Raises
     ------
+    ArgumentError
+        If `study` is not a Study.
     ProblemError
         Naming the part, the error and a remedy; also if nothing prescribes any motion.
     Cancelled, ConvergenceError, BackendError
         As for `solve`.
     """
+    _check_study(study)
     notes: tuple[str, ...] = ()
     if stated is None:
         ground = Ground.of(study)
@@ -333,6 +339,27 @@ def solve_study(
         frame=None if study.grid.place is None else study.grid.place.as_dict(),
         notes=notes or solution.notes,
     )
+
+
+def _check_study(study: object) -> None:
+    """Refuse anything but a study."""
+    if isinstance(study, Problem):
+        raise ArgumentError("study is a Problem. Call solve(problem), or give a Study.")
+    require_kind(Study, "study", study, "Study(grid, tissue, motion)")
+
+
+def _refuse_other_axes(study: Study) -> None:
+    """Refuse marks of another number of axes than the grid."""
+    # Not checked as a study is made: the window changes grid and drawing one after the other.
+    axes = len(study.grid.shape)
+    for mark in study.motion.drawing.marks:
+        place = mark.lines[0][0]
+        if len(place) != axes:
+            raise ProblemError(
+                study.named("drawing"),
+                f"has the {type(mark).__name__} at {place}, of {len(place)} axes, but the grid has "
+                f"{axes}. Give its places as {'(row, col)' if axes == 2 else '(plane, row, col)'}.",
+            )
 
 
 def _tissue_of(study: Study) -> Ground:
