@@ -37,6 +37,7 @@ TERMS: dict[str, Term] = {
     "overwrite=True": Term("--force", ""),
     "forward=True": Term("--forward", ""),
     "number": Term("--slice", ""),
+    "pictures=Pictures(image)": Term("a study saved with its image", "'image'"),
     "resume=True": Term("--resume", "resume"),
     "without_border=True": Term(
         "a label of stiffness 0 in --labels and --materials",

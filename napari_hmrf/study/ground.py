@@ -384,7 +384,14 @@ def _tissue_of(study: Study) -> Ground:
             prior = replace(prior, poisson=poisson_image(tissue.labels, rows))
     elif tissue.stiffness is not None:
         m = as_stiffness(tissue.stiffness)
-    elif tissue.curve and (intensities := study.intensities) is not None:
+    elif tissue.curve is not None:
+        intensities = study.intensities
+        if intensities is None:
+            raise ProblemError(
+                study.named("tissue"),
+                "is given by a curve of the image's brightness, but the study has no image. Give "
+                "one (`pictures=Pictures(image)`).",
+            )
         _refuse_unknown_brightness(study, intensities)
         m = tissue.curve(intensities)
     else:
