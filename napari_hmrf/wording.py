@@ -34,6 +34,11 @@ TERMS: dict[str, Term] = {
         "without --penalty", "'holding force' under 'Advanced' at 'by confidence'"
     ),
     "action='move'": Term("the action move in --rules", "'moves by'"),
+    "Motion(drawing=..., labels=..., observed=..., weight=...)": Term(
+        "--boundary with landmarks, a field, or labels with --rules that move or expand; --weight; "
+        "--materials with growth",
+        "",
+    ),
     "overwrite=True": Term("--force", ""),
     "forward=True": Term("--forward", ""),
     "number": Term("--slice", ""),
