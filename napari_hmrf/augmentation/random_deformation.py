@@ -127,6 +127,7 @@ class RandomSample:
             ),
             convergence=Convergence(WRONG, 0.0),
             elasticity=elasticity,
+            unit=study.grid.unit,
         )
 
     def pictures(self, *pictures: Picture) -> list[npt.NDArray[Any]]:

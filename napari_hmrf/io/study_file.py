@@ -329,6 +329,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
         solution = SOLUTION_FORMAT.parse(header["solution"], of_solution)
         if solution.tissue.shape != study.grid.shape:
             raise Invalid("its study and its field are of different size")
+        solution = replace(solution, unit=study.grid.unit)
     return _Content(study, solution, "image" in arrays, str(pictures["digest"]))
 
 

@@ -316,9 +316,9 @@ def solve_study(
     Returns
     -------
     Solution
-        Placed like the study. Its notes list shortcomings such as folds, which are not counted in
-        volumes (`Solution.count_folds` counts them); and inputs without effect and guessed values,
-        unless the caller gave `stated`.
+        Placed like the study, in the unit of its grid. Its notes list shortcomings such as folds,
+        which are not counted in volumes (`Solution.count_folds` counts them); and inputs without
+        effect and guessed values, unless the caller gave `stated`.
 
     Raises
     ------
@@ -351,6 +351,7 @@ def solve_study(
     return replace(
         solution,
         frame=None if study.grid.place is None else study.grid.place.as_dict(),
+        unit=study.grid.unit,
         notes=(*short, *(notes or solution.notes)),
     )
 
