@@ -412,12 +412,18 @@ def _placed_as(
             )
         if grid.place is not None:
             solution = replace(solution, frame=grid.place.as_dict())
+        elif placed_only and not solution.frame:
+            raise ProblemError(
+                "grid",
+                "has no place, as that of a picture (.png, .tif). Give the grid of a medical "
+                "image; or placed=False, with which the field begins at the origin.",
+            )
     if placed_only and not solution.frame:
         raise ProblemError(
             "displacement",
             "has no place: nothing says where its image lies. Make the study with grid = "
-            "Grid.from_image(image), or give export_field that grid; with placed=False the field "
-            "begins at the origin, as that of a picture does.",
+            "Grid.from_image(image), or give export_field that grid. A picture (.png, .tif) has no "
+            "place either: give placed=False, with which the field begins at the origin.",
         )
     return placed(solution)
 
