@@ -23,8 +23,11 @@ from napari_hmrf import (
     materials_by_name,
     measure,
     phantom,
+    reactions,
+    save_moving_picture,
     save_study,
     solve,
+    solve_cases,
     solve_study,
     statement_of,
 )
@@ -71,6 +74,10 @@ def solution():
         (lambda: save_study("a.study", Study(GRID), ONES), "solution must be a Solution"),
         (lambda: export_field("a.mha", ONES), r"solution is an array\. .* write_field\(path"),
         (lambda: export_field("a.mha", Study(GRID)), "solution must be a Solution"),
+        (lambda: save_moving_picture("a.gif", ONES, ONES), "solution must be a Solution"),
+        (lambda: reactions(Study(GRID), ONES), "problem must be a Problem, such as Problem"),
+        (lambda: solve_cases("cases.csv", "out"), r"cases must be a tuple of NamedCase, .*read_c"),
+        (lambda: solve_study(Study(GRID), stated=3), "stated must be a Statement, such as state"),
     ],
 )
 def test_an_argument_of_another_type_is_refused_by_name(call, said):
@@ -81,6 +88,8 @@ def test_an_argument_of_another_type_is_refused_by_name(call, said):
 def test_arguments_beside_a_solution_are_refused_by_name(solution):
     with pytest.raises(ArgumentError, match="names must be a mapping of labels to names, such as"):
         measure(solution, np.ones((16, 16), int), names=["bone"])
+    with pytest.raises(ArgumentError, match="solution must be a Solution"):
+        reactions(phantom("expansion", size=16).problem, ONES)
     with pytest.raises(ArgumentError, match=r"grid must be a Grid, .*, not \(16, 16\)"):
         export_field("a.mha", solution, grid=(16, 16))
 

@@ -323,7 +323,7 @@ def solve_study(
     Raises
     ------
     ArgumentError
-        If `study` is not a Study.
+        If `study` is not a Study, or `stated` is not a Statement.
     ProblemError
         Naming the part, the error and a remedy; also if nothing prescribes any motion.
     Cancelled, ConvergenceError, BackendError
@@ -336,6 +336,7 @@ def solve_study(
         stated = ground.statement()
         ground.refuse_motionless(stated)
         notes = (*ground.unused(stated), *ground.notes_on(stated))
+    require_kind(Statement, "stated", stated, "statement_of(study)")
     with study.naming():
         solution = solve(
             stated.problem,
