@@ -6,9 +6,10 @@ import difflib
 import math
 import os
 import reprlib
-from collections.abc import Iterable, Mapping, Sized
+from collections.abc import Iterable, Mapping, Sequence, Sized
 from numbers import Real
-from typing import Any
+from types import UnionType
+from typing import Any, get_args
 
 from napari_hmrf.errors import ArgumentError
 
@@ -57,6 +58,53 @@ def refuse_unless(right: bool, name: str, value: object, what: str) -> None:
     """
     if not right:
         raise ArgumentError(f"{name} must be {what}, not {shown(value)}")
+
+
+def require_kind(kind: type | UnionType, name: str, value: object, example: str) -> None:
+    """Refuse an argument of another type.
+
+    Parameters
+    ----------
+    kind : type or union of types
+    name : str
+        Name of the argument.
+    value : object
+    example : str
+        A correct argument, as in Python, or a remedy.
+
+    Raises
+    ------
+    ArgumentError
+        With a one-sentence message.
+    """
+    words = _kinds(kind)
+    article = "an" if words[0] in "AEIOU" else "a"
+    refuse_unless(isinstance(value, kind), name, value, f"{article} {words}, such as {example}")
+
+
+def tuple_of(kind: type | UnionType, name: str, values: Any, example: str) -> tuple[Any, ...]:
+    """Return a tuple or list as a tuple, or refuse one with an item of another type.
+
+    Parameters
+    ----------
+    kind, name, example
+        As for `require_kind`.
+    values : object
+
+    Raises
+    ------
+    ArgumentError
+        With a one-sentence message.
+    """
+    right = isinstance(values, Sequence) and all(isinstance(value, kind) for value in values)
+    refuse_unless(right, name, values, f"a tuple of {_kinds(kind)}, such as {example}")
+    return tuple(values)
+
+
+def _kinds(kind: type | UnionType) -> str:
+    """List types in words: "Arrow, Landmark or Stroke"."""
+    *others, last = (each.__name__ for each in get_args(kind) or (kind,))
+    return f"{', '.join(others)} or {last}" if others else last
 
 
 def checked_path(path: Any) -> str:

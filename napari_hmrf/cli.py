@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import os
 import sys
 import time
@@ -41,6 +42,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code: 0 on success, 1 on failure, 130 if interrupted.
     """
     options = parser_of_commands().parse_args(arguments)
+    log, reworded = logging.getLogger("napari_hmrf"), _InShellWords()
+    log.addFilter(reworded)
     try:
         return _COMMANDS[options.command](options)
     except KeyboardInterrupt:
@@ -49,6 +52,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (HmrfError, OSError) as error:
         _tell(f"napari-hmrf: {in_words_of('shell', in_words(error))}")
         return 1
+    finally:
+        log.removeFilter(reworded)
+
+
+class _InShellWords(logging.Filter):
+    """Filter that puts the package's warnings into the words of the shell."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        record.msg, record.args = in_words_of("shell", record.getMessage()), None
+        return True
 
 
 def _model(options: argparse.Namespace) -> tuple[Prior, Optimizer]:

@@ -34,9 +34,18 @@ TERMS: dict[str, Term] = {
         "without --penalty", "'holding force' under 'Advanced' at 'by confidence'"
     ),
     "action='move'": Term("the action move in --rules", "'moves by'"),
+    "Motion(drawing=..., labels=..., observed=..., weight=...)": Term(
+        "--boundary with landmarks, a field, or labels with --rules that move or expand; --weight; "
+        "--materials with growth",
+        "",
+    ),
     "overwrite=True": Term("--force", ""),
     "forward=True": Term("--forward", ""),
     "number": Term("--slice", ""),
+    "pictures=Pictures(image)": Term("a study saved with its image", "'image'"),
+    "RIGID": Term("the word rigid in --materials", "'rigid'"),
+    "least_jacobian": Term("", ""),
+    "amplitude, patches; or a larger smoothness": Term("--amplitude, --patches", ""),
     "resume=True": Term("--resume", "resume"),
     "without_border=True": Term(
         "a label of stiffness 0 in --labels and --materials",

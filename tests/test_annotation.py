@@ -237,20 +237,32 @@ def test_boundary_labels_without_a_rule_are_named():
 
 
 @pytest.mark.parametrize(
-    ("rule", "field"),
+    ("rule", "field", "said"),
     [
-        (BoundaryRule(0, "fixed"), "observed"),
-        (BoundaryRule(1, "push"), "observed"),
-        (BoundaryRule(1, "move", vector=(np.nan, 0)), "observed"),
-        (BoundaryRule(1, "expand", amount=np.inf), "observed"),
-        (BoundaryRule(1, "fixed", confidence=(1.0, 1.5)), "confidence"),
-        (BoundaryRule(1, "fixed", confidence=(-0.1, 1.0)), "confidence"),
+        (BoundaryRule(0, "fixed"), "observed", "label 0. Give a label above 0"),
+        (BoundaryRule(1, "push"), "observed", "label 1 with the action 'push'. Give \"fixed\", "),
+        (
+            BoundaryRule(1, "move", vector=(np.nan, 0), name="rim"),
+            "observed",
+            "label 1 (rim) with the vector (nan, 0). Give a number for each of (row, col).",
+        ),
+        (BoundaryRule(1, "move", vector=3), "observed", "with the vector 3. Give a number for"),
+        (BoundaryRule(1, "expand", amount=np.inf), "observed", "the amount inf. Give a number."),
+        (BoundaryRule(1, "fixed", confidence=(1.0, 1.5)), "confidence", "confidence (1.0, 1.5). "),
+        (BoundaryRule(1, "fixed", confidence=(-0.1, 1.0)), "confidence", "a value from 0 to 1 for"),
     ],
 )
-def test_rules_out_of_range_are_refused(rule, field):
+def test_rules_out_of_range_are_refused_in_words(rule, field, said):
     with pytest.raises(ProblemError) as caught:
-        boundary_images(np.ones((4, 4), int), [rule], spacing=1)
+        boundary_images(np.full((4, 4), rule.label), [rule], spacing=1)
     assert caught.value.field == field
+    assert f"has a rule for label {rule.label}" in caught.value.message
+    assert said in caught.value.message
+
+
+def test_a_word_for_the_stiffness_is_refused_at_once_with_the_value_of_rigid_tissue():
+    with pytest.raises(ProblemError, match=r"'rigid'\. .* infinity for a rigid body \(`RIGID`\)"):
+        Material(1, "bone", "rigid")
 
 
 def test_every_preset_says_where_its_values_come_from():

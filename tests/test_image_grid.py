@@ -7,6 +7,8 @@ import pytest
 
 from napari_hmrf import (
     ArgumentError,
+    Arrow,
+    Drawing,
     Frame,
     Grid,
     HmrfError,
@@ -187,7 +189,14 @@ def test_pictures_have_pixels_and_no_place(tmp_path):
     from skimage.io import imsave
 
     imsave(tmp_path / "photo.png", np.zeros((5, 6, 3), np.uint8), check_contrast=False)
-    assert Grid.from_image(tmp_path / "photo.png") == Grid((5, 6), (1.0, 1.0))
+    grid = Grid.from_image(tmp_path / "photo.png")
+    assert grid == Grid((5, 6), (1.0, 1.0))
+    pull = Motion(hold_edge=True, drawing=Drawing((Arrow((2, 3), (0, 1), 1),)))
+    solution = solve_study(Study(grid, Tissue(stiffness=np.ones((5, 6))), pull), backend="cpu")
+    with pytest.raises(ProblemError, match=r"A picture \(.png, .tif\) has no place either: give"):
+        export_field(tmp_path / "a.mha", solution)
+    with pytest.raises(ProblemError, match="grid: has no place, as that of a picture"):
+        export_field(tmp_path / "a.mha", solution, grid=grid)
 
 
 def test_what_is_no_image_or_has_no_such_slice_is_refused():

@@ -500,6 +500,27 @@ def test_loads_that_make_no_sense_are_refused_in_a_sentence(what, make):
         held(m, -1, make(m), (1, 1))
 
 
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda m, sizes: weight(m, (0, 0.1), spacing=sizes),
+        lambda m, sizes: pressure(m, MASK, 0.1, spacing=sizes),
+        lambda m, sizes: traction(m, MASK, (0, 0.1), spacing=sizes),
+    ],
+)
+def test_forces_of_another_spacing_are_refused_with_both(make):
+    m = np.ones((6, 6))
+    loads = make(m, (2.0, 0.5))
+    held(m, -1, loads + growth(0.1 * m), (2.00001, 0.5))
+    with pytest.raises(ProblemError, match=r"for pixels of 2 x 0\.5, but .* has pixels of 1 x 1\."):
+        held(m, -1, growth(0.1 * m) + loads, (1, 1))
+    with pytest.raises(ProblemError, match=r"for pixels of 2 x 0\.5 and of 1 x 1\. Make both"):
+        loads + make(m, 1)
+    held(m, -1, Loads(force=loads.force), (1, 1))  # nothing states a spacing
+    with pytest.raises(ProblemError, match=r"spacing: is \(2, 0\)"):
+        Loads(force=loads.force, spacing=(2, 0))
+
+
 def test_loads_are_frozen_told_in_a_line_and_part_of_what_a_result_was_made_of():
     m = np.ones((6, 6))
     loads = growth(0.1 * m, along=(1, 0)) + weight(m, (0, 0.1), spacing=1)

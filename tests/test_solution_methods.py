@@ -1,21 +1,34 @@
 """A solution's own methods, which know its spacing and tissue; functions need the spacing."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import napari_hmrf
 from napari_hmrf import (
     ArgumentError,
+    Arrow,
+    BoundaryRule,
+    Drawing,
+    Grid,
     Material,
+    Motion,
     ProblemError,
     Solution,
+    Study,
+    Tissue,
     deformation_gradient,
     equivalent_strain,
     export_field,
     green_lagrange_strain,
     jacobian_determinant,
+    load_study,
     measure,
+    save_study,
     small_strain,
+    solve_study,
     warp,
 )
 from napari_hmrf.field.moved_points import moved_points
@@ -25,6 +38,7 @@ from napari_hmrf.solver.solution import Provenance
 
 SIZE = (2.0, 0.5)
 D = np.zeros((4, 5, 2))
+LABELS = np.ones((40, 50), int)
 
 
 @pytest.fixture
@@ -97,9 +111,11 @@ def test_elastic_strain_is_small_strain_and_that_across(solution):
             )
         ],
         lambda **more: napari_hmrf.Warper(np.zeros((4, 5)), **more),
+        lambda **more: napari_hmrf.boundary_images(LABELS, [BoundaryRule(1, "fixed")], **more),
+        lambda **more: napari_hmrf.RandomDeformation(LABELS, [Material(1, "gel", 2.0)], **more),
     ],
 )
-def test_a_function_of_a_displacement_needs_its_spacing(call):
+def test_a_function_of_lengths_needs_the_spacing(call):
     with pytest.raises(TypeError, match="missing 1 required keyword-only argument: 'spacing'"):
         call()
     with pytest.raises(ProblemError, match=r"spacing: is None\. Give 2 positive, finite pixel"):
@@ -125,3 +141,26 @@ def test_a_material_of_negative_stiffness_is_refused(stiffness):
     with pytest.raises(ProblemError, match=said):
         Material(3, "liver", stiffness)
     assert Material(3, "air", 0.0).stiffness == 0
+
+
+@pytest.mark.parametrize(
+    ("unit", "spacing", "sizes", "far"),
+    [
+        ("millimeter", SIZE, "sites of 2 x 0.5 mm,", r"moved up to [\d.]+ mm,"),
+        ("pixel", SIZE, "sites of 2 x 0.5 pixels,", r"moved up to [\d.]+ pixels,"),
+        ("", SIZE, r"sites of 2 x 0.5 \(unit unknown\),", r"moved up to [\d.]+,"),
+        ("", (1.0, 1.0), "sites of 1 x 1 pixels,", r"moved up to [\d.]+ pixels,"),
+    ],
+)
+def test_a_solution_tells_lengths_with_their_unit(solution, tmp_path, unit, spacing, sizes, far):
+    told = replace(solution, unit=unit, spacing=spacing)
+    assert re.search(f"{sizes} .*{far}", repr(told))
+    assert Solution.load(told.save(tmp_path / "a.npz")).unit == unit
+
+
+def test_the_field_of_a_study_has_the_unit_of_its_grid(tmp_path):
+    pull = Motion(hold_edge=True, drawing=Drawing((Arrow((5, 6), (0, 1), 1),)))
+    study = Study(Grid((10, 12), 2, "mm"), Tissue(stiffness=np.ones((10, 12))), pull)
+    solution = solve_study(study, backend="cpu")
+    path = save_study(tmp_path / "a.study", study, replace(solution, unit=""))
+    assert solution.unit == load_study(path).solution.unit == "mm"

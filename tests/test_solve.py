@@ -275,7 +275,7 @@ def test_falling_back_to_the_loops_is_said_once(caplog, monkeypatch):
 def test_a_solution_is_told_in_a_line_without_its_arrays():
     solution = solve(frame_problem((20, 30)), ElasticPrior(), optimizer=Multigrid(), backend="cpu")
     said = repr(solution)
-    assert said.startswith("Solution(20 x 30 sites of 1 x 1, elastic, moved up to ")
+    assert said.startswith("Solution(20 x 30 sites of 1 x 1 pixels, elastic, moved up to ")
     assert " iterations in " in said
     assert " on cpu, within " in said
     assert len(said) < 150

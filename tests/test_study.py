@@ -163,6 +163,9 @@ def test_what_is_wrong_is_said_of_the_part():
         statement_of(pulled(tissue=Tissue(stiffness=np.zeros(SHAPE))))
     with pytest.raises(ProblemError, match=r"observed|confidence"):
         statement_of(pulled(motion=Motion()))
+    curve = StiffnessCurve(((50.0, 1.0), (150.0, 2.0)))
+    with pytest.raises(ProblemError, match=r"tissue: is given by a curve .* no image\. Give one"):
+        statement_of(pulled(tissue=Tissue(curve=curve)))
 
 
 def test_values_that_are_no_numbers_are_said():

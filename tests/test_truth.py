@@ -116,6 +116,13 @@ def test_an_amplitude_that_is_no_length_is_refused(files, capsys):
     assert "two such as 1-4" in capsys.readouterr().err
 
 
+def test_a_sample_scaled_below_the_amplitude_is_said_with_the_options_of_the_shell(files, caplog):
+    assert truth(files, "--amplitude", "30-40") == 0
+    (said,) = [each.getMessage() for each in caplog.records if "amplitude" in each.getMessage()]
+    assert "Give a smaller amplitude or fewer patches (--amplitude, --patches)." in said
+    assert "least_jacobian" not in said
+
+
 def test_what_makes_no_sense_is_said_before_any_work(files, capsys):
     assert truth(files, "--count", 0) == 1
     assert truth(files, "--amplitude", -1) == 1

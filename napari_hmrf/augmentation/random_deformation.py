@@ -127,6 +127,7 @@ class RandomSample:
             ),
             convergence=Convergence(WRONG, 0.0),
             elasticity=elasticity,
+            unit=study.grid.unit,
         )
 
     def pictures(self, *pictures: Picture) -> list[npt.NDArray[Any]]:
@@ -422,8 +423,9 @@ class RandomDeformation:
         self._said = True
         _log.warning(
             "the smallest amplitude is %.3g, but a sample has only %.3g: more would compress "
-            "tissue below least_jacobian, %.3g. Give a smaller amplitude, fewer patches or a "
-            "larger smoothness. (This warning is logged once.)",
+            "tissue to less than %.3g of its size (`least_jacobian`). Give a smaller amplitude or "
+            "fewer patches (`amplitude, patches; or a larger smoothness`). This warning is logged "
+            "once.",
             least,
             sample.amplitude,
             self._case.least_jacobian,

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import refuse_unless
+from napari_hmrf.arguments import refuse_unless, require_kind
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.deformation import determinant, jacobian_determinant
 from napari_hmrf.field.elastic_strain import StrainKind, strain_kind, values_of_strain
@@ -84,13 +84,14 @@ def measure(
     Raises
     ------
     ArgumentError
-        If the first argument is not a Solution.
+        If the first argument is not a Solution, or `names` is not a mapping.
     ProblemError
         If the labels are not on the pixels of the solution.
     """
-    refuse_unless(
-        isinstance(solution, Solution), "solution", solution, "a Solution, such as solve() returns"
-    )
+    require_kind(Solution, "solution", solution, "the result of solve()")
+    if names is not None:
+        what = 'a mapping of labels to names, such as {1: "bone"}'
+        refuse_unless(isinstance(names, Mapping), "names", names, what)
     image = as_numbers("labels", labels)
     d, tissue = solution.displacement, solution.tissue
     if image.shape != tissue.shape or image.dtype.kind not in "biu":

@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 import threadpoolctl
 
+from napari_hmrf.arguments import tuple_of
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import HmrfError, in_words
 from napari_hmrf.extras import how_to_install
@@ -133,12 +134,15 @@ def solve_cases(
 
     Raises
     ------
+    ArgumentError
+        If `cases` is not a sequence of NamedCase.
     HmrfError
         If the folder has finished cases and `resume` is not given; if another batch writes into
         it; or if there is no scheduler.
     OSError
         If the folder cannot be written.
     """
+    cases = tuple_of(NamedCase, "cases", cases, 'read_cases("cases.csv")')
     target = Path(folder).absolute()
     target.mkdir(parents=True, exist_ok=True)
     with exclusive(target):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +13,6 @@ import numpy.typing as npt
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.brightness import at_edges
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.io.apply import load_field, place_for
 from napari_hmrf.io.case_options import Case, energy_of, notes_on_ratio, weight_of
 from napari_hmrf.io.fields import Place, place_of
@@ -24,12 +23,11 @@ from napari_hmrf.io.segmentation_tables import tissue_table
 from napari_hmrf.io.study_file import is_study_file, load_study, save_study
 from napari_hmrf.io.sweeps import Change, changed, with_ratio
 from napari_hmrf.io.tables import read_rules
-from napari_hmrf.solver.caveats import shortfall
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.ground import Ground, solve_study
+from napari_hmrf.study.shortcomings import shortcomings
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
-from napari_hmrf.study.without_effect import asks_motion
 from napari_hmrf.tissue.boundary_rules import (
     BoundaryRule,
     Material,
@@ -184,13 +182,10 @@ def solve_case(
     refuse_overwriting(_files_of(case, folder), overwrite=overwrite)
     ground = Ground.of(study)
     stated = ground.statement()
-    idle = ground.unused(stated)
-    if not asks_motion(stated.problem):
-        why = "".join(f"; {note}" for note in (*idle, *ground.idle_marks(stated)))
-        raise HmrfError(
-            f"nothing moves{why}. Give --boundary with what moves: landmarks, a field, "
-            "or labels with --rules that move or expand; or --materials with growth."
-        )
+    try:
+        ground.refuse_motionless(stated)
+    except ProblemError as error:  # an option, and no single part, lacks the motion
+        raise HmrfError(error.message) from None
     folder.mkdir(parents=True, exist_ok=True)  # fail before the solve, not after it
     solution = solve_study(study, stated=stated, backend=backend)
     name = case.image.name.partition(".")[0]
@@ -202,18 +197,9 @@ def solve_case(
         save_image(folder / f"{name} deformed{'.nrrd' if where else '.tif'}", written)
     save_study(folder / f"{name}.study", study, solution)
     folds = solution.count_folds()
-    short = _shortcomings(solution, folds, study.grid.unit)
-    notes = (*short, *idle, *ground.notes_on(stated))
+    short = shortcomings(solution, study.grid.unit, folds)
+    notes = (*short, *ground.unused(stated), *ground.notes_on(stated))
     return SolvedCase(study, solution, folds, notes)
-
-
-def _shortcomings(solution: Solution, folds: int, unit: str) -> Iterator[str]:
-    """Yield the shortcomings of a field, as clauses."""
-    if folds:
-        sites = "voxels" if solution.tissue.ndim == 3 else "pixels"
-        yield f"the tissue folds over itself at {folds} {sites}, which no tissue does: move it less"
-    if short := shortfall(solution.reach, unit_symbol(unit)):
-        yield short
 
 
 def _part(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:

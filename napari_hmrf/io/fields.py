@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import checked_path, shown
+from napari_hmrf.arguments import checked_path, require_kind, shown
 from napari_hmrf.atomic_write import write_whole
-from napari_hmrf.errors import FileFormatError, ProblemError
+from napari_hmrf.errors import ArgumentError, FileFormatError, ProblemError
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import PATIENT_AXES, Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
@@ -362,11 +362,21 @@ def export_field(
 
     Raises
     ------
+    ArgumentError
+        If `solution` is not a Solution, or `grid` is not a Grid.
     ProblemError
         If the place is unknown, or the file's format cannot hold it.
     HmrfError, OSError
         As for `write_field`.
     """
+    if isinstance(solution, np.ndarray):
+        raise ArgumentError(
+            "solution is an array. Give a Solution, or write an array with write_field(path, "
+            "displacement, spacing=...)."
+        )
+    require_kind(Solution, "solution", solution, "the result of solve()")
+    if grid is not None:
+        require_kind(Grid, "grid", grid, "Grid.from_image(image)")
     displacement, place = _placed_as(solution, grid, placed)
     return write_field(
         path,
@@ -402,12 +412,18 @@ def _placed_as(
             )
         if grid.place is not None:
             solution = replace(solution, frame=grid.place.as_dict())
+        elif placed_only and not solution.frame:
+            raise ProblemError(
+                "grid",
+                "has no place, as that of a picture (.png, .tif). Give the grid of a medical "
+                "image; or placed=False, with which the field begins at the origin.",
+            )
     if placed_only and not solution.frame:
         raise ProblemError(
             "displacement",
             "has no place: nothing says where its image lies. Make the study with grid = "
-            "Grid.from_image(image), or give export_field that grid; with placed=False the field "
-            "begins at the origin, as that of a picture does.",
+            "Grid.from_image(image), or give export_field that grid. A picture (.png, .tif) has no "
+            "place either: give placed=False, with which the field begins at the origin.",
         )
     return placed(solution)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import checked_path, refuse_unless
+from napari_hmrf.arguments import checked_path, refuse_unless, require_kind
 from napari_hmrf.atomic_write import raise_for_space, temporary_beside, write_whole
 from napari_hmrf.errors import CANNOT_SAVE, FileFormatError, HmrfError, ProblemError
 from napari_hmrf.extras import how_to_install
@@ -58,7 +58,8 @@ def save_moving_picture(
     FileFormatError
         If the name has no ending of an animation.
     ArgumentError
-        If there are fewer than two frames, or less than one per second.
+        If `solution` is not a Solution, there are fewer than two frames, or less than one per
+        second.
     ProblemError
         If the solution is of a volume and no slice is given.
     HmrfError
@@ -67,6 +68,7 @@ def save_moving_picture(
         If the file cannot be written.
     """
     target = Path(checked_path(path))
+    require_kind(Solution, "solution", solution, "the result of solve()")
     if target.suffix.lower() not in MOVING_SUFFIXES:
         raise FileFormatError(
             f"{target.name}: no picture that moves is written as such a file. End its name in "

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from pydantic import TypeAdapter
 
 from napari_hmrf import array_file
+from napari_hmrf.arguments import require_kind
 from napari_hmrf.array_file import Invalid, Kind
 from napari_hmrf.errors import FileFormatError, HmrfError
 from napari_hmrf.field.frame import Frame
@@ -44,8 +45,8 @@ _PENALTIES = {None: "inf", math.inf: "exact"}
 #: Validators for the types in a file.
 _MATERIALS = TypeAdapter(tuple[Material, ...])
 _RULES = TypeAdapter(tuple[BoundaryRule, ...])
-_GRID = TypeAdapter(Grid)
-_WEIGHT = TypeAdapter(tuple[float, ...])
+_SHAPE = TypeAdapter(tuple[int, ...])
+_LENGTHS = TypeAdapter(tuple[float, ...])
 
 
 class Saved(NamedTuple):
@@ -91,11 +92,16 @@ def save_study(
 
     Raises
     ------
+    ArgumentError
+        If `study` is not a Study, or `solution` is not a Solution.
     OSError
         If the folder is missing or the file cannot be written; the message names the file.
     TypeError, ValueError
         If a part of the study cannot be saved, such as an image of complex numbers.
     """
+    require_kind(Study, "study", study, "Study(grid, tissue, motion)")
+    if solution is not None:
+        require_kind(Solution, "solution", solution, "the result of solve_study()")
     target = Path(path)
     if not target.suffix:
         target = target.with_name(target.name + SUFFIX)
@@ -270,14 +276,19 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
 def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
     tissue, motion = header["tissue"], header["motion"]
     pictures, curve, preset = header["pictures"], tissue["curve"], tissue["preset"]
-    place = header["grid"]["place"]
+    grid, place = header["grid"], header["grid"]["place"]
     try:
         place = None if place is None else Frame.from_dict(place)
     except ValueError as error:
         raise Invalid(str(error)) from None
     try:
         study = Study(
-            _GRID.validate_python({**header["grid"], "place": place}),
+            Grid(
+                _SHAPE.validate_python(grid["shape"]),
+                _LENGTHS.validate_python(grid["spacing"]),
+                grid["unit"],
+                place,
+            ),
             Tissue(
                 labels=arrays.get("tissue_labels"),
                 materials=materials_of(tissue["materials"]),
@@ -295,7 +306,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
                 observed=arrays.get("observed"),
                 confidence=arrays.get("counts"),
                 drawing=Drawing.from_dict(motion["drawing"]),
-                weight=_WEIGHT.validate_python(motion.get("weight", ())),
+                weight=_LENGTHS.validate_python(motion.get("weight", ())),
             ),
             prior=_prior_from_dict(header["prior"], arrays.get("poisson")),
             optimizer=optimizer_from_dict(header["optimizer"]),
@@ -310,10 +321,6 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
         )
     except HmrfError as error:
         raise Invalid(str(error)) from None
-    if place is not None and len(place.plane) != len(study.grid.shape):
-        raise Invalid(f"its plane is {place.plane} of a grid of {study.grid.shape}")
-    if not all(0 < size < float("inf") for size in study.grid.spacing):
-        raise Invalid(f"its pixel spacing is {study.grid.spacing}")
     solution, count = None, len(_OF_SOLUTION)
     if header["solution"] is not None:
         of_solution = {
@@ -322,6 +329,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
         solution = SOLUTION_FORMAT.parse(header["solution"], of_solution)
         if solution.tissue.shape != study.grid.shape:
             raise Invalid("its study and its field are of different size")
+        solution = replace(solution, unit=study.grid.unit)
     return _Content(study, solution, "image" in arrays, str(pictures["digest"]))
 
 

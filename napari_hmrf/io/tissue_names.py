@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
 
+from napari_hmrf.arguments import is_whole, refuse_unless, require_kind
 from napari_hmrf.resources import resource_folder
 from napari_hmrf.tissue.boundary_rules import Material, read_stiffness
 
@@ -142,7 +143,13 @@ def known_tissue(name: str) -> KnownTissue | None:
     ----------
     name : str
         As in segmentations: "Left-Cerebral-White-Matter", "lung_upper_lobe_left".
+
+    Raises
+    ------
+    ArgumentError
+        If the name is not a string.
     """
+    require_kind(str, "name", name, '"liver"')
     words = _words(name)
     rules = _rules()
     spans = [(i, j) for i in range(len(words)) for j in range(i + 1, len(words) + 1)]
@@ -170,6 +177,11 @@ def materials_by_name(names: Mapping[int, str], *, name: str = "") -> NamedMater
     NamedMaterials
         Materials in kPa, with their sources; and the unknown labels.
 
+    Raises
+    ------
+    ArgumentError
+        If `names` does not map whole numbers to strings.
+
     Examples
     --------
     >>> from napari_hmrf import materials_by_name
@@ -177,6 +189,9 @@ def materials_by_name(names: Mapping[int, str], *, name: str = "") -> NamedMater
     >>> [(row.name, row.stiffness) for row in found.materials], found.unknown
     ([('liver', 5.4), ('skull', inf)], {20: 'colon'})
     """
+    right = isinstance(names, Mapping) and all(map(is_whole, names))
+    what = 'a mapping of labels to names, such as {1: "liver", 2: "bone"}'
+    refuse_unless(right, "names", names, what)
     tissues = {label: known_tissue(names[label]) for label in sorted(names)}
     known = {label: tissue for label, tissue in tissues.items() if tissue is not None}
     materials = tuple(

@@ -67,7 +67,8 @@ def weight(
         raise ProblemError("stiffness", "has tissue nowhere two pixels wide, which has no weight.")
     share = math.prod(size) / 2**tissue.ndim
     mean = of_corners(heavy, np.add) / 2**tissue.ndim
-    return Loads(force=share * around_sites(np.where(elements, mean, 0.0), np.add)[..., None] * way)
+    heaviness = share * around_sites(np.where(elements, mean, 0.0), np.add)
+    return Loads(force=heaviness[..., None] * way, spacing=size)
 
 
 def pressure(
@@ -108,7 +109,7 @@ def pressure(
         area = math.prod(size) / size[faces.axis]
         inwards = -area * faces.outward * faces.mean(presses)
         force[..., faces.axis] += faces.corners(inwards)
-    return Loads(force=force)
+    return Loads(force=force, spacing=size)
 
 
 def traction(
@@ -150,7 +151,7 @@ def traction(
     for faces, area in _areas(_surface(tissue, surface), size):
         for along in range(tissue.ndim):
             force[..., along] += faces.corners(area * faces.mean(pulls[..., along]))
-    return Loads(force=force)
+    return Loads(force=force, spacing=size)
 
 
 class _Faces(NamedTuple):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence, Sized
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import shown
+from napari_hmrf.arguments import reals, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.real_arrays import (
@@ -20,6 +21,8 @@ from napari_hmrf.solver.real_arrays import (
 
 # By which part of the largest strain a tensor may differ from its transpose.
 _ASYMMETRY = 1e-5
+# Relative difference up to which pixel sizes, often rounded in files, are equal.
+_SAME_SPACING = 1e-4
 _AXES = 3
 
 
@@ -43,6 +46,10 @@ class Loads:
         What pulls at each site, components in the order of the axes: in an image a force per
         thickness, stiffness times length; in a volume a force, stiffness times length squared. It
         stays as it is, wherever the site gets to.
+    spacing : sequence of float, shape (n,), optional
+        Size of a pixel along each axis for which the forces were computed, as `pressure`,
+        `traction` and `weight` give it. A `Problem` of another spacing refuses the loads. By
+        default unknown, and not checked.
 
     Raises
     ------
@@ -52,9 +59,14 @@ class Loads:
 
     growth: FloatArray | None
     force: FloatArray | None
+    spacing: tuple[float, ...] | None
 
     def __init__(
-        self, *, growth: npt.ArrayLike | None = None, force: npt.ArrayLike | None = None
+        self,
+        *,
+        growth: npt.ArrayLike | None = None,
+        force: npt.ArrayLike | None = None,
+        spacing: Sequence[float] | None = None,
     ) -> None:
         for name, given in (("growth", growth), ("force", force)):
             array = None if given is None else as_float32(name, given)
@@ -63,6 +75,16 @@ class Loads:
                 array.setflags(write=False)
             object.__setattr__(self, name, array)
         _check_growth(self.growth)
+        sizes = (
+            None
+            if spacing is None
+            else reals(spacing, len(spacing) if isinstance(spacing, Sized) else 1)
+        )
+        if sizes is not None and not all(0 < size < math.inf for size in sizes):
+            raise ProblemError(
+                "spacing", f"is {shown(spacing)}. Give positive, finite pixel sizes."
+            )
+        object.__setattr__(self, "spacing", sizes)
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError("Loads are frozen: make others")
@@ -71,8 +93,16 @@ class Loads:
         """Both together."""
         if not isinstance(other, Loads):
             return NotImplemented
+        if not _is_close(self.spacing, other.spacing):
+            raise ProblemError(
+                "loads",
+                f"are made for pixels of {_sizes(self.spacing)} and of {_sizes(other.spacing)}. "
+                "Make both with the spacing of the problem.",
+            )
         return Loads(
-            growth=_grown(self.growth, other.growth), force=_pulled(self.force, other.force)
+            growth=_grown(self.growth, other.growth),
+            force=_pulled(self.force, other.force),
+            spacing=self.spacing or other.spacing,
         )
 
     def __repr__(self) -> str:
@@ -92,14 +122,14 @@ class Loads:
             and is_equal(self.force, other.force)
         )
 
-    def check(self, stiffness: FloatArray) -> None:
+    def check(self, stiffness: FloatArray, spacing: tuple[float, ...]) -> None:
         """Refuse tissue that cannot bear these loads.
 
         Raises
         ------
         ProblemError
-            If the grid is another one, if what is rigid would grow, or if no tissue is where
-            something pulls.
+            If the grid or its spacing is another one, if rigid tissue would grow, or if a force
+            acts where there is no tissue.
         """
         grid, axes = stiffness.shape, stiffness.ndim
         if self.growth is not None:
@@ -119,6 +149,12 @@ class Loads:
                     f"has {how_many(stuck)} of rigid tissue, which cannot grow, the first at "
                     f"{first_index(stuck)}. Give 0 there.",
                 )
+        if not _is_close(self.spacing, spacing):
+            raise ProblemError(
+                "loads",
+                f"are made for pixels of {_sizes(self.spacing)}, but the problem has pixels of "
+                f"{_sizes(spacing)}. Make them with the spacing of the problem.",
+            )
         if self.force is not None:
             if self.force.shape != (*grid, axes):
                 raise ProblemError(
@@ -233,6 +269,20 @@ def _pulled(one: FloatArray | None, other: FloatArray | None) -> npt.NDArray[np.
     if one.shape != other.shape:
         raise ProblemError("force", f"is on grids of {one.shape} and {other.shape}: use one grid.")
     return np.asarray(one + other)
+
+
+def _is_close(one: tuple[float, ...] | None, other: tuple[float, ...] | None) -> bool:
+    """Return whether two spacings are equal up to rounding, or one is unknown."""
+    if one is None or other is None:
+        return True
+    pairs = zip(one, other, strict=False)
+    same = (math.isclose(*sizes, rel_tol=_SAME_SPACING) for sizes in pairs)
+    return len(one) == len(other) and all(same)
+
+
+def _sizes(spacing: tuple[float, ...] | None) -> str:
+    """Format a spacing for display: "0.5 x 2"."""
+    return " x ".join(f"{size:g}" for size in spacing or ())
 
 
 def are_same(one: Loads | None, other: Loads | None) -> bool:

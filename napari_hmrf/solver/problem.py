@@ -107,7 +107,7 @@ class Problem:
         object.__setattr__(self, "spacing", pixel)
         _check_known(self.known)
         object.__setattr__(self, "loads", loads)
-        _check_loads(loads, m)
+        _check_loads(loads, m, pixel)
 
     def __repr__(self) -> str:
         size, pixel = grid_in_words(self.shape), grid_in_words(self.spacing)
@@ -358,7 +358,7 @@ def _range_in_words(m: FloatArray) -> str:
     return (low if low == high else f"{low} to {high}") + (rigid and f" and {rigid}")
 
 
-def _check_loads(loads: object, m: FloatArray) -> None:
+def _check_loads(loads: object, m: FloatArray, pixel: tuple[float, ...]) -> None:
     if loads is None:
         return
     if not isinstance(loads, Loads):
@@ -366,7 +366,7 @@ def _check_loads(loads: object, m: FloatArray) -> None:
         raise ProblemError(
             "loads", f"is {shown(loads)}, of type {kind}. Give Loads, such as growth(strain)."
         )
-    loads.check(m)
+    loads.check(m, pixel)
 
 
 def _check_known(known: npt.NDArray[np.bool_]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.arguments import require_kind
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.bodies import Bodies, bodies_of
@@ -40,8 +41,11 @@ def reactions(
     Raises
     ------
     ArgumentError
-        If the solution is of another problem or prior, or the prior is not elastic.
+        If an argument is of another type, the solution is of another problem or prior, or the prior
+        is not elastic.
     """
+    require_kind(Problem, "problem", problem, "Problem(observed, confidence, stiffness)")
+    require_kind(Solution, "solution", solution, "the result of solve()")
     prior = ElasticPrior() if prior is None else prior
     if not isinstance(prior, Elastic):
         raise ArgumentError("reactions are known of elastic tissue only: the paper's has no forces")

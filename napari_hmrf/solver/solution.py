@@ -100,7 +100,11 @@ class Solution:
         Poisson's ratios and growth of elastic tissue, from which `strain` and `measure` get elastic
         strain. None for the paper's model.
     notes : tuple of str
-        Clauses for the user: input without effect, and assumptions. Files do not keep them.
+        Clauses for the user: input without effect, assumptions and shortcomings. Files do not keep
+        them.
+    unit : str
+        Unit of `spacing` and `displacement`, such as "mm", as in the `Grid` of a study; "" if
+        unknown, as for a `Problem`.
     """
 
     displacement: npt.NDArray[np.floating]
@@ -115,16 +119,30 @@ class Solution:
     reach: Reach | None = None
     elasticity: Elasticity | None = None
     notes: tuple[str, ...] = ()
+    unit: str = ""
 
     def __repr__(self) -> str:
+        unit = self._unit_in_words
         farthest = float(np.linalg.norm(self.displacement, axis=-1).max(initial=0.0))
         run = self.provenance
         near = "" if self.convergence is None else f", within {self.convergence.error:.1g} px"
         return (
-            f"Solution({grid_in_words(self.tissue.shape)} sites of {grid_in_words(self.spacing)}, "
-            f"{run.model or 'no model told'}, moved up to {farthest:.3g}, {self.iterations} "
-            f"iterations in {run.seconds:.2g} s on {run.backend}{near})"
+            f"Solution({grid_in_words(self.tissue.shape)} sites of {grid_in_words(self.spacing)}"
+            f"{unit or ' (unit unknown)'}, {run.model or 'no model told'}, moved up to "
+            f"{farthest:.3g}{unit}, {self.iterations} iterations in {run.seconds:.2g} s on "
+            f"{run.backend}{near})"
         )
+
+    @property
+    def _unit_in_words(self) -> str:
+        """Unit of lengths with a space in front; "" if it is unknown."""
+        if self.unit not in ("", "pixel"):
+            # Imported here, like all higher layers of the package.
+            from napari_hmrf.field.units import unit_symbol
+
+            return f" {unit_symbol(self.unit)}"
+        even = all(size == 1 for size in self.spacing)
+        return " pixels" if self.unit or even else ""
 
     @property
     def iterations(self) -> int:
@@ -375,6 +393,7 @@ def _describe(solution: Solution) -> tuple[array_file.Header, array_file.Arrays]
     got = solution.reach
     header = {
         "spacing": [float(size) for size in solution.spacing],
+        "unit": solution.unit,
         "levels": [asdict(run) for run in solution.levels],
         "provenance": asdict(solution.provenance),
         "frame": solution.frame,
@@ -436,6 +455,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
         frame=frame,
         reach=_reach(header.get("reach")),
         elasticity=read_elasticity(header, arrays),
+        unit=str(header.get("unit", "")),  # missing in older files
     )
 
 

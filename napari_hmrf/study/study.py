@@ -7,7 +7,7 @@ unchanged parts. So arrays are compared by identity, never by value.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
 from dataclasses import InitVar, dataclass, field, replace
 from typing import Any, Protocol
@@ -15,13 +15,14 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.arguments import reals, refuse_unless, require_kind, shown, tuple_of
 from napari_hmrf.errors import ProblemError, naming
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.solver.model_names import model_name
-from napari_hmrf.solver.optimizers import Multigrid, Optimizer
+from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
-from napari_hmrf.solver.problem import grid_in_words
+from napari_hmrf.solver.problem import checked_spacing, grid_in_words
 from napari_hmrf.study.models import chosen
 from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
@@ -62,12 +63,19 @@ class Grid:
     shape : tuple of int
         (H, W), or (D, H, W) of a volume.
     spacing : tuple of float
-        Size of a pixel along each axis, in `unit`.
+        Size of a pixel along each axis, in `unit`; a single number applies to all axes.
     unit : str
         Unit of all lengths, such as displacements and radii.
     place : Frame, optional
         Position of the pixels in the world and, for a slice, within its volume; see `from_image`.
         Files for other tools need it; the field does not depend on it.
+
+    Raises
+    ------
+    ProblemError
+        If the shape or the spacing is invalid, or the place is of another number of axes.
+    ArgumentError
+        If the unit is not a string.
     """
 
     shape: tuple[int, ...]
@@ -76,6 +84,17 @@ class Grid:
     place: Frame | None = None
 
     def __post_init__(self) -> None:
+        axes = len(self.shape) if isinstance(self.shape, Sized) else 0
+        sizes = reals(self.shape, axes)
+        if axes not in (2, 3) or not all(size >= 1 and size.is_integer() for size in sizes):
+            raise ProblemError(
+                "grid",
+                f"has shape {shown(self.shape)}. Give the number of pixels along each axis, (H, W) "
+                "or (D, H, W).",
+            )
+        object.__setattr__(self, "shape", tuple(map(int, sizes)))
+        object.__setattr__(self, "spacing", checked_spacing(self.spacing, axes))
+        require_kind(str, "unit", self.unit, '"mm"')
         place = self.place
         if place is None:
             return
@@ -197,6 +216,13 @@ class Tissue:
         Unit of stiffness; it has no effect on the field, because only ratios matter.
     without_border : bool
         Whether dark surroundings with label 0 are not tissue.
+
+    Raises
+    ------
+    ProblemError
+        If more than one of labels, stiffness and curve is given.
+    ArgumentError
+        If a part is of another type.
     """
 
     labels: Array | None = None
@@ -242,7 +268,11 @@ class Tissue:
         ProblemError
             If maps differ in shape or scale, are negative, have NaN or exceed the scale, or a
             tissue has no material.
+        ArgumentError
+            If `maps` is not a mapping.
         """
+        what = 'a mapping of names to maps, such as {"grey matter": grey}'
+        refuse_unless(isinstance(maps, Mapping), "maps", maps, what)
         labels = most_likely(maps, scale)
         if materials is not None:
             return cls(labels=labels, materials=materials_of_maps([*maps], materials), unit=unit)
@@ -258,6 +288,12 @@ class Tissue:
         return cls(labels=labels, materials=found.materials, unit=found.unit)
 
     def __post_init__(self) -> None:
+        _check_arrays(self, "labels", "stiffness")
+        materials = tuple_of(Material, "materials", self.materials, '(Material(1, "brain", 3.0),)')
+        object.__setattr__(self, "materials", materials)
+        if self.curve is not None:
+            example = "StiffnessCurve(((0, 10), (255, 40)))"
+            require_kind(StiffnessCurve, "curve", self.curve, example)
         given = [
             each for each in ("labels", "stiffness", "curve") if getattr(self, each) is not None
         ]
@@ -301,6 +337,13 @@ class Motion:
     weight : tuple of float
         Body force on all tissue along each axis: density times acceleration, in the unit of
         stiffness per length; empty for none.
+
+    Raises
+    ------
+    ProblemError
+        If only one of `observed` and `confidence` is given.
+    ArgumentError
+        If a part is of another type.
     """
 
     hold_edge: bool = False
@@ -312,6 +355,17 @@ class Motion:
     weight: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
+        is_flag = isinstance(self.hold_edge, bool | np.bool_)
+        refuse_unless(is_flag, "hold_edge", self.hold_edge, "True or False")
+        _check_arrays(self, "labels", "observed", "confidence")
+        rules = tuple_of(BoundaryRule, "rules", self.rules, '(BoundaryRule(1, "fixed"),)')
+        object.__setattr__(self, "rules", rules)
+        require_kind(Drawing, "drawing", self.drawing, "Drawing((Arrow(...),))")
+        axes = len(self.weight) if isinstance(self.weight, Sized) else 1
+        along = reals(self.weight, axes)
+        what = "a finite number along each axis, such as (0.01, 0)"
+        refuse_unless(bool(np.isfinite(along).all()), "weight", self.weight, what)
+        object.__setattr__(self, "weight", along)
         if (self.observed is None) != (self.confidence is None):
             raise ProblemError("motion", "needs both the observed displacement and its confidence.")
 
@@ -338,6 +392,11 @@ class Pictures:
         Names of their sources; results are named after them.
     look, labels_look : dict
         Display settings, such as the colormap, as arguments of a new layer.
+
+    Raises
+    ------
+    ArgumentError
+        If image or labels are not an array.
     """
 
     image: Array | None = None
@@ -346,6 +405,9 @@ class Pictures:
     labels_name: str = ""
     look: dict[str, Any] = field(default_factory=dict)
     labels_look: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _check_arrays(self, "image", "labels")
 
     def __repr__(self) -> str:
         parts = [
@@ -365,8 +427,8 @@ class Study:
     tissue : Tissue
     motion : Motion
     model : {"elastic", "large motion", "paper", "paper, converged"}, optional
-        Name of the model, which sets both `prior` and `optimizer`. By default elastic. `model_name`
-        is the current name.
+        Name of a model, which sets both `prior` and `optimizer`; by default elastic. It can be
+        given, but not read: `model_name` is the name of the model that will be used.
     prior : ElasticPrior, NeoHookeanPrior or SeilerPrior
         The energy; if tissues are labels, Poisson's ratios are those of their table.
     optimizer : ICM or Multigrid
@@ -384,7 +446,7 @@ class Study:
     ProblemError
         Naming the part that does not have the grid's shape.
     ArgumentError
-        If there is no such model.
+        If a part is of another type, or there is no such model.
 
     Examples
     --------
@@ -414,6 +476,12 @@ class Study:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self, model: str) -> None:
+        require_kind(Grid, "grid", self.grid, "Grid(image.shape, (1.0, 1.0))")
+        require_kind(Tissue, "tissue", self.tissue, "Tissue(stiffness=...) or Tissue(labels=...)")
+        require_kind(Motion, "motion", self.motion, "Motion(drawing=...) or Motion(labels=...)")
+        require_kind(Pictures, "pictures", self.pictures, "Pictures(image)")
+        require_kind(Prior, "prior", self.prior, "ElasticPrior()")
+        require_kind(ICM | Multigrid, "optimizer", self.optimizer, "Multigrid()")
         if model:
             for name, value in zip(("prior", "optimizer"), chosen(model), strict=True):
                 object.__setattr__(self, name, value)
@@ -516,6 +584,14 @@ class Study:
                 raise error
         except Exception as named:  # noqa: BLE001 - any error is reworded
             return named
+
+
+def _check_arrays(part: Tissue | Motion | Pictures, *names: str) -> None:
+    """Refuse images that are no arrays, such as lists."""
+    for name in names:
+        value = getattr(part, name)
+        is_array = value is None or hasattr(value, "shape")
+        refuse_unless(is_array, name, value, "an array, such as np.array(values)")
 
 
 def _listed(parts: Iterable[str]) -> str:

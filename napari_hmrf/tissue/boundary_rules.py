@@ -65,7 +65,7 @@ class Material:
     Raises
     ------
     ProblemError
-        If the stiffness is below 0.
+        If the stiffness is below 0, or a string.
     """
 
     label: int
@@ -75,7 +75,8 @@ class Material:
     growth: Growth = 0.0
 
     def __post_init__(self) -> None:
-        if real(self.stiffness) < 0:
+        stiffness: Any = self.stiffness
+        if real(stiffness) < 0 or isinstance(stiffness, str):
             raise _wrong_stiffness(self)
 
     @property
@@ -334,24 +335,32 @@ def _read(
 
 
 def _check_rule(rule: BoundaryRule, n: int) -> None:
+    if not rule.label > 0:
+        raise ProblemError(
+            "observed", f"has a rule for {quoted(rule)}. Give a label above 0: 0 is unpainted."
+        )
     vector, confidence = (
         reals(given, 3 if n == 3 and np.shape(given) == (3,) else 2)
         for given in (rule.vector, rule.confidence)
     )
-    lengths = (*vector, real(rule.amount))
+    each = "(row, col)" if n == 2 else "(row, col) or (plane, row, col)"
     sure = all(0 <= value <= 1 for value in confidence)
-    for field, right, needed in (
-        ("observed", rule.label > 0, "a label above 0: 0 is unpainted"),
+    for name, right, needed in (
         (
-            "observed",
+            "action",
             is_one_of(rule.action, get_args(Action)),
             '"fixed", "move", "expand", "press" or "pull"',
         ),
-        ("observed", all(map(math.isfinite, lengths)), "(row, col), or an amount"),
-        ("confidence", sure, "the confidence as two values from 0 to 1, (row, col)"),
+        ("vector", all(map(math.isfinite, vector)), f"a number for each of {each}"),
+        ("amount", math.isfinite(real(rule.amount)), "a number"),
+        ("confidence", sure, f"a value from 0 to 1 for each of {each}"),
     ):
         if not right:
-            raise ProblemError(field, f"has {shown(rule)} as a rule. Give {needed}.")
+            raise ProblemError(
+                "confidence" if name == "confidence" else "observed",
+                f"has a rule for {quoted(rule)} with the {name} {shown(getattr(rule, name))}. Give "
+                f"{needed}.",
+            )
 
 
 def _wrong_stiffness(material: Material) -> ProblemError:
@@ -359,8 +368,8 @@ def _wrong_stiffness(material: Material) -> ProblemError:
     return ProblemError(
         "stiffness",
         f"gives {quoted(material)} a stiffness of {shown(material.stiffness)}. Give a number above "
-        f"0 (up to {LARGEST_STIFFNESS:.2g}), 0 where there is no tissue, or 'rigid' for a rigid "
-        "body.",
+        f"0 (up to {LARGEST_STIFFNESS:.2g}), 0 where there is no tissue, or infinity for a rigid "
+        "body (`RIGID`).",
     )
 
 

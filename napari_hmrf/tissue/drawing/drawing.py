@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import refuse_unless
+from napari_hmrf.arguments import tuple_of
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.problem import as_numbers
 from napari_hmrf.tissue.drawing.canvas import Box, Canvas, box_of, covers, is_empty, paint
@@ -55,11 +55,8 @@ class Drawing:
     marks: tuple[Mark, ...] = ()
 
     def __post_init__(self) -> None:
-        given: Any = self.marks
-        right = isinstance(given, Sequence) and all(isinstance(mark, Mark) for mark in given)
-        what = "a tuple of Arrow, Landmark or Stroke, such as Drawing((Arrow(...),))"
-        refuse_unless(right, "marks", given, what)
-        object.__setattr__(self, "marks", tuple(given))
+        marks = tuple_of(Mark, "marks", self.marks, "Drawing((Arrow(...),))")
+        object.__setattr__(self, "marks", marks)
 
     def __repr__(self) -> str:
         kinds = Counter(type(mark).__name__ for mark in self.marks)

@@ -1,8 +1,8 @@
-"""The marks a drawing is made of.
+"""Marks of a drawing: arrows, landmarks and brush strokes.
 
 Places are (row, col) in pixels of the image, (plane, row, col) of a volume, and need not be whole;
 lengths (displacements, radii) are in the unit of the pixel spacing. Displacements are material:
-what is drawn at X moves to X + by.
+tissue at X moves to X + by.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from napari_hmrf.arguments import is_one_of, is_whole, real, reals, shown
 from napari_hmrf.errors import ProblemError
 
 Point = tuple[float, ...]
-#: Which components of a displacement a mark speaks of; of a volume "both" is all three.
+#: Components of a displacement that a mark prescribes; in a volume "both" is all three.
 Components = Literal["both", "row", "col"]
-#: Where these are among the axes, counted from the last, as a volume has one before them.
+#: Index of these components, counted from the last axis, as a volume has one more in front.
 COMPONENTS = {"both": slice(None), "row": slice(-2, -1), "col": slice(-1, None)}
-#: What the tissue under a brush does, or is.
+#: Effects of a brush on the tissue under it.
 Action = Literal["pin", "free", "move", "expand", "confidence", "tissue"]
 
 
 def between(start: Point, end: Point, spacing: Iterable[float]) -> Point:
-    """How far it is from one place to another along each axis, in lengths."""
+    """Return the distance from one place to another along each axis, as lengths."""
     return tuple((b - a) * size for a, b, size in zip(start, end, spacing, strict=True))
 
 
@@ -60,7 +60,7 @@ def _one_of(words: tuple[str, ...]) -> tuple[Callable[[Any], str | None], str]:
 _LARGEST = sys.float_info.max
 _SHARE = (_number(0, 1), "a value from 0 to 1")
 _PLACE = (_place, "(row, col), or (plane, row, col) of a volume")
-#: By its name how a value is made plain, None if it means nothing, and what to give.
+#: By the name of a field: conversion to a plain value, None for an invalid one; and the remedy.
 _VALUES: dict[str, tuple[Callable[[Any], Any], str]] = {
     "at": _PLACE,
     "by": _PLACE,
@@ -78,7 +78,7 @@ _VALUES: dict[str, tuple[Callable[[Any], Any], str]] = {
 
 
 def _checked(name: str, value: Any) -> Any:
-    """A value in its plain type, so that equal marks are equal and go into files."""
+    """Return a value in its plain type, so that equal marks are equal and can be saved."""
     make_plain, give = _VALUES[name]
     plain = make_plain(value)
     if plain is None:
@@ -88,9 +88,9 @@ def _checked(name: str, value: Any) -> Any:
 
 
 class _Checked:
-    """Refuses values that mean nothing."""
+    """Base of marks: converts their values to plain types and refuses invalid ones."""
 
-    #: Whether a confidence of 0 says something: a stroke takes away what is beneath it.
+    #: True if a confidence of 0 is meaningful: a stroke can erase the boundary beneath it.
     _may_doubt = False
     confidence: float
 
@@ -108,7 +108,7 @@ class _Checked:
 
     @property
     def _places(self) -> tuple[Point, ...]:
-        """Places and steps, all of as many axes."""
+        """Places and steps, which must all have the same number of axes."""
         return tuple(value for name, value in vars(self).items() if _VALUES[name] is _PLACE)
 
 
@@ -121,14 +121,14 @@ class Arrow(_Checked):
     at : tuple of float
         Middle of the patch, (row, col) or (plane, row, col) in pixels.
     by : tuple of float
-        How far it moves along each axis, in the unit of the pixel spacing.
+        Displacement along each axis, in the unit of the pixel spacing.
     radius : float
-        Of the patch, in a volume a ball, in the unit of the pixel spacing. However small, the
-        nearest pixel counts.
+        Radius of the patch, in a volume of a ball, in the unit of the pixel spacing. However
+        small, it includes the nearest pixel.
     confidence : float
-        How sure that is, from above 0 to 1 (certain).
+        Confidence in the displacement, from above 0 to 1 (certain).
     components : {"both", "row", "col"}
-        Of the displacement; what a mark does not speak of stays as it is beneath.
+        Components that are prescribed; the other stays as it is beneath the mark.
 
     Raises
     ------
@@ -144,25 +144,25 @@ class Arrow(_Checked):
 
     @property
     def lines(self) -> tuple[tuple[Point, ...], ...]:
-        """Where it lies, as a stroke that touched in one place."""
+        """Place of the mark, as the lines of a stroke of one point."""
         return ((self.at,),)
 
     def head(self, spacing: Iterable[float]) -> Point:
-        """Where the middle of the patch goes, in pixels."""
+        """Return the position of the middle of the patch after the motion, in pixels."""
         steps = zip(self.at, self.by, spacing, strict=True)
         return tuple(at + by / size for at, by, size in steps)
 
 
 @dataclass(frozen=True)
 class Landmark(_Checked):
-    """A place that was found again elsewhere.
+    """A point of the tissue and its position after the motion.
 
     Attributes
     ----------
     source, target : tuple of float
-        Where it is and where it should be, (row, col) or (plane, row, col) in pixels.
+        Position before and after the motion, (row, col) or (plane, row, col) in pixels.
     radius, confidence
-        As of an `Arrow`.
+        As for an `Arrow`.
 
     Raises
     ------
@@ -177,43 +177,45 @@ class Landmark(_Checked):
 
     @property
     def lines(self) -> tuple[tuple[Point, ...], ...]:
-        """Where it lies, as a stroke that touched in one place."""
+        """Place of the mark, as the lines of a stroke of one point."""
         return ((self.source,),)
 
     def arrow(self, spacing: Iterable[float]) -> Arrow:
-        """The same as an arrow, whose length depends on the size of a pixel."""
+        """Return the landmark as an arrow, whose length depends on the size of a pixel."""
         by = between(self.source, self.target, spacing)
         return Arrow(self.source, by, self.radius, self.confidence)
 
 
 @dataclass(frozen=True)
 class Stroke(_Checked):
-    """What was painted with a round brush, in a volume with a ball.
+    """Paint of a round brush, in a volume of a ball.
 
     Attributes
     ----------
     action : {"pin", "free", "move", "expand", "confidence", "tissue"}
-        The tissue under the brush stays where it is; is not observed, whatever is beneath; moves
-        by `by`; moves by `amount` along the outward normal of the painted region (all of a ring,
-        but only the rim of a patch, whose inside is not observed); is observed as it is beneath,
-        with another confidence; or becomes tissue of `label`.
+        Effect on the tissue under the brush. "pin": it stays where it is. "free": it is not
+        observed, whatever is beneath. "move": it moves by `by`. "expand": it moves by `amount`
+        along the outward normal of the painted region, all of a ring, but only the rim of a patch,
+        whose inside is not observed. "confidence": it is observed as beneath, with another
+        confidence. "tissue": it becomes tissue of `label`.
     lines : tuple of tuple of tuple of float
-        The ways of the brush, (row, col) or (plane, row, col) in pixels; of one point, where it
-        touched only. All of them are one painted region.
+        Paths of the brush, (row, col) or (plane, row, col) in pixels; a path of one point is a dab.
+        Together they are one painted region.
     radius : float
-        Of the brush, in the unit of the pixel spacing.
+        Radius of the brush, in the unit of the pixel spacing.
     by : tuple of float
-        Of "move": along each axis, in the unit of the pixel spacing.
+        For "move": displacement along each axis, in the unit of the pixel spacing.
     amount : float
-        Of "expand": in the unit of the pixel spacing; below 0 the region shrinks.
+        For "expand": displacement in the unit of the pixel spacing; below 0 the region shrinks.
     confidence : float
         From 0 (not observed) to 1 (certain).
     softness : float
-        Of "confidence": the part of the radius, 0 to 1, across which it fades into what is beneath.
+        For "confidence": the part of the radius, 0 to 1, across which it fades into the confidence
+        beneath.
     label : int
-        Of "tissue".
+        For "tissue".
     components : {"both", "row", "col"}
-        Of the displacement; what a mark does not speak of stays as it is beneath.
+        Components that are prescribed; the other stays as it is beneath the mark.
 
     Raises
     ------
@@ -239,21 +241,21 @@ class Stroke(_Checked):
 
     @property
     def moves_nowhere(self) -> bool:
-        """Whether it says that tissue moves, by nothing."""
+        """True if the stroke moves or expands tissue by a distance of 0."""
         by = {"move": self.by, "expand": (self.amount,)}.get(self.action, (1.0,))
         return not any(by)
 
     def onward(self, point: Point) -> Stroke:
-        """The stroke, with the brush moved on to another place."""
+        """Return the stroke with its last path continued to a point."""
         *before, line = self.lines
         return _with_lines(self, (*before, (*line, _checked("at", point))))
 
     def again(self, point: Point) -> Stroke:
-        """The stroke, with the brush put down once more, at another place."""
+        """Return the stroke with a new path that begins at a point."""
         return _with_lines(self, (*self.lines, (_checked("at", point),)))
 
     def added_to(self, earlier: Stroke) -> Stroke | None:
-        """What the brush did since it was `earlier`; None if this is not a continuation of it."""
+        """Return the part added since an earlier stroke; None if this does not continue it."""
         count, last = len(earlier.lines), len(earlier.lines[-1])
         if _with_lines(self, earlier.lines) != earlier or len(self.lines) < count:
             return None
@@ -268,17 +270,17 @@ _KINDS: dict[str, type[Mark]] = {"arrow": Arrow, "landmark": Landmark, "stroke":
 
 
 def mark_as_dict(mark: Mark) -> dict[str, Any]:
-    """Plain JSON types."""
+    """Convert a mark to JSON types."""
     return {"kind": type(mark).__name__.lower(), **asdict(mark)}
 
 
 def mark_from_dict(values: Mapping[str, Any]) -> Mark:
-    """The inverse of `mark_as_dict`.
+    """Restore a mark from the output of `mark_as_dict`.
 
     Raises
     ------
     ValueError
-        If it is not what that made.
+        If the values are not from `mark_as_dict`.
     """
     try:
         rest = dict(values)
@@ -288,7 +290,7 @@ def mark_from_dict(values: Mapping[str, Any]) -> Mark:
 
 
 def _with_lines(stroke: Stroke, lines: tuple[tuple[Point, ...], ...]) -> Stroke:
-    """As `dataclasses.replace`, without checking every point of a long stroke again."""
+    """Replace the lines without checking every point of a long stroke again."""
     other = object.__new__(Stroke)
     other.__dict__.update(stroke.__dict__, lines=lines)
     return other

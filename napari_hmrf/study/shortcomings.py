@@ -1,0 +1,28 @@
+"""Shortcomings of a solution: folds, and motion or growth that was applied only in part."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from napari_hmrf.field.units import unit_symbol
+from napari_hmrf.solver.caveats import shortfall
+from napari_hmrf.solver.solution import Solution
+
+
+def shortcomings(solution: Solution, unit: str, folds: int) -> Iterator[str]:
+    """Yield the shortcomings of a solution, as clauses for the user.
+
+    Parameters
+    ----------
+    solution : Solution
+    unit : str
+        Unit of lengths.
+    folds : int
+        Number of sites that fold, as counted by `count_folds`; 0 if not counted.
+    """
+    if folds:
+        sites = "voxels" if solution.tissue.ndim == 3 else "pixels"
+        yield f"the tissue folds over itself at {folds} {sites}, which no tissue does: move it less"
+    # `unit_symbol` imports pint, which is slow, so call it only for large motion.
+    if solution.reach is not None and (short := shortfall(solution.reach, unit_symbol(unit))):
+        yield short

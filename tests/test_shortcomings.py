@@ -1,0 +1,53 @@
+"""Shortcomings of a result are notes, in Python and in the shell, each said once."""
+
+import numpy as np
+
+from napari_hmrf import Arrow, BoundaryRule, Case, Drawing, Grid, Motion, Study, Tissue, solve_study
+from napari_hmrf.io.case import solve_case
+from napari_hmrf.io.study_file import replay, save_study
+
+SHAPE = 20, 24
+
+
+def pulled_far(shape=SHAPE):
+    middle, by = tuple(size // 2 for size in shape), (*(0,) * (len(shape) - 1), 8)
+    pull = Drawing((Arrow(middle, by, 2),))
+    tissue = Tissue(stiffness=np.ones(shape))
+    return Study(Grid(shape, 1, "mm"), tissue, Motion(hold_edge=True, drawing=pull))
+
+
+def about(notes, words):
+    return [note for note in notes if words in note]
+
+
+def test_a_result_that_folds_says_at_how_many_pixels(tmp_path):
+    solution = solve_study(pulled_far(), backend="cpu")
+    folds = solution.count_folds()
+    assert folds > 0
+    (said,) = about(solution.notes, "folds over itself")
+    assert f"at {folds} pixels" in said
+    path = save_study(tmp_path / "far.study", pulled_far())
+    assert said in replay(path).notes
+    solved = solve_case(Case(image=path), tmp_path / "out", backend="cpu")
+    assert about(solved.notes, "folds over itself") == [said]
+
+
+def test_folds_of_a_volume_are_counted_only_when_asked_for(tmp_path):
+    volume = pulled_far((10, 12, 14))
+    solution = solve_study(volume, backend="cpu")
+    assert solution.count_folds() > 0
+    assert not about(solution.notes, "fold")
+    path = save_study(tmp_path / "far.study", volume)
+    solved = solve_case(Case(image=path), tmp_path / "out", backend="cpu")
+    assert len(about(solved.notes, f"at {solved.folds} voxels")) == 1
+
+
+def test_large_motion_that_ends_early_says_how_far_it_is_short():
+    ring = np.zeros(SHAPE, int)
+    ring[6:14, 7:17], ring[7:13, 8:16] = 1, 0
+    motion = Motion(True, ring, (BoundaryRule(1, "expand", amount=9.0),))
+    study = Study(Grid(SHAPE, 1, "mm"), Tissue(stiffness=np.ones(SHAPE)), motion, "large motion")
+    solution = solve_study(study, backend="cpu")
+    assert solution.reach.part < 1
+    (said,) = about(solution.notes, "could not go all the way")
+    assert f"{solution.reach.missing:.3g} mm" in said
