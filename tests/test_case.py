@@ -202,6 +202,23 @@ def test_a_slice_of_a_stack_that_lies_nowhere_knows_its_number_too(tmp_path):
             r"line 2: label 1 is to move, but not by how much\. Give row",
         ),
         ("label,action\n1,expand\n", r"label 1 is to expand, but not by how much\. Give amount"),
+        ("label,action\n1,press\n", r"label 1 is to press, but not by how much\. Give amount"),
+        (
+            "label,action,row,col\n1,move,3,\n",
+            r"line 2: move has nothing under 'col'\. Give 0 if there is none along it",
+        ),
+        (
+            "label,action,amount\n1,fixed,3\n",
+            r"line 2: amount has no effect on fixed, which takes no length\. Leave the cell empty",
+        ),
+        (
+            "label,action,row,col,amount\n1,move,1,0,3\n",
+            r"line 2: amount has no effect on move, which takes row and col\. Leave the cell",
+        ),
+        (
+            "label,action,amount,confidence\n1,press,1,0.5\n",
+            r"confidence has no effect on press, which takes amount\. Leave the cell empty",
+        ),
         (
             "label,action,row,row2\n1,move,1,\n",
             r"line 1: there is no column 'row2'\. Did you mean 'row'",
@@ -214,6 +231,11 @@ def test_what_is_wrong_with_rules_is_said_by_their_line(tmp_path, text, sentence
     (tmp_path / "t.csv").write_text(text)
     with pytest.raises(FileFormatError, match=sentence):
         read_rules(tmp_path / "t.csv")
+
+
+def test_a_rule_may_fill_the_columns_it_does_not_use_with_what_they_are_anyway(tmp_path):
+    (tmp_path / "t.csv").write_text("label,action,row,col,amount,confidence\n1,press,0,0,3,1\n")
+    assert read_rules(tmp_path / "t.csv") == (BoundaryRule(1, "press", amount=3.0),)
 
 
 @pytest.mark.parametrize(
@@ -248,7 +270,7 @@ def test_what_would_change_nothing_or_fits_nowhere_is_refused_in_the_shell(
     save_image(folder / "zero.png", ImageFile(np.zeros(SHAPE, np.uint8)))
     save_image(folder / "colours.png", ImageFile(np.zeros((*SHAPE, 3), np.uint8), colours=True))
     save_points(folder / "pairs.csv", np.array([[3.0, 4], [900, 4]]), np.ones((2, 2)))
-    (folder / "plane.csv").write_text("label,action,plane\n1,fixed,\n2,move,1\n")
+    (folder / "plane.csv").write_text("label,action,plane,row,col\n1,fixed,,,\n2,move,1,0,0\n")
     (folder / "empty.png").write_bytes(b"")
     (folder / "none.csv").write_text('"a","false","1","2","3","4"\n')
     (folder / "two.csv").write_text('"a","true",10,12,3,4\n"b","true",10,12.2,8,9\n')
