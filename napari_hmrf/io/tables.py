@@ -235,7 +235,7 @@ def _rule(row: dict[str, Any], where: str) -> BoundaryRule:
                 f"{where}: {title} has no effect on {action}, which {takes}. Leave the cell "
                 "empty, or give another action."
             )
-    vector = (row.pop("row", 0.0), row.pop("col", 0.0))
+    vector: tuple[float, ...] = (row.pop("row", 0.0), row.pop("col", 0.0))
     if "plane" in row:
         vector = (row.pop("plane"), *vector)
     confidence = (row.pop("confidence", 1.0),) * 2
