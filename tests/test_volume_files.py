@@ -128,7 +128,7 @@ def test_simpleitk_moves_a_volume_as_warp_does(solution, suffix, tmp_path):
     inside = inner(ones > 0.99)
     assert inside.sum() > 300
     # The image changes by 15 a voxel at most; tissue that came into the air is seen there, too.
-    assert np.abs(seen - ours)[inside].max() < 1.0
+    assert np.abs(seen - ours)[inside].max() < 0.01  # it changes by 15 a voxel at most
     assert (inside & ~solution.tissue).any()
     assert np.abs(ours - image)[inside].max() > 10
 
