@@ -55,6 +55,15 @@ def test_every_command_has_a_sentence_an_example_and_help_for_each_option(name):
     assert example in command.format_help(), "in one line, to be copied"
 
 
+@pytest.mark.parametrize("command", ["measure {}", "play {} x.gif", "export {} x.mha"])
+def test_an_image_in_place_of_a_result_is_refused_with_what_to_give(tmp_path, capsys, command):
+    save_image(tmp_path / "photo.png", ImageFile(np.ones(SHAPE, np.uint8)))
+    assert main(command.format(tmp_path / "photo.png").split()) == 1
+    said = capsys.readouterr().err
+    assert "damaged" not in said
+    assert re.search(r"photo\.png.* Give .*a saved result", said)
+
+
 @pytest.fixture
 def files(tmp_path, monkeypatch):
     """An image with labels, a rim and its tables."""

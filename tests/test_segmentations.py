@@ -328,7 +328,9 @@ def test_the_shell_solves_with_the_names_of_a_segmentation(files, capsys):
     (files / "none.json").write_text(json.dumps({1: "a", 2: "b"}))
     command = "solve image.png --labels labels.png --materials none.json --hold-edge -o out"
     assert main(command.split()) == 1
-    assert "none.json: of none of its labels (a, b ...) is a stiffness" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "none.json gives no stiffness, and none of its names (a, b) is a tissue" in said
+    assert "Give a .csv with the columns label, name and stiffness." in said
 
 
 def test_the_dock_s_menu_takes_the_names_of_a_segmentation(files, qtbot):

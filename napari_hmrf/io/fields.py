@@ -226,7 +226,7 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
     if n not in (2, 3) or image.components != n:
         raise FileFormatError(
             f"{source.name}: not a displacement field: {n} axes and {image.components} components. "
-            "A field has a component for each axis."
+            f"Give a field, which has {n} components here, a study or a saved result."
         )
     if vectors.dtype != np.float32:
         vectors = vectors.astype(np.float64)

@@ -141,6 +141,11 @@ def load_solved(path: str | os.PathLike[str]) -> tuple[Study | None, Solution]:
     OSError
         If the file cannot be opened.
     """
+    if array_file.is_foreign(path):
+        raise FileFormatError(
+            f"{Path(path).name} is neither a study nor a result. Give the {SUFFIX} of a solve, or "
+            "a saved result (.npz)."
+        )
     if not is_study_file(path):
         return None, Solution.load(path)
     study, solution = load_study(path)
