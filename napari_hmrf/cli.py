@@ -6,7 +6,8 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -76,6 +77,7 @@ def _export(options: argparse.Namespace) -> int:
 
 def _apply(options: argparse.Namespace) -> int:
     from napari_hmrf.io.apply import apply_field, load_field
+    from napari_hmrf.solver.backends import loops
 
     names = [file.name for file in options.files]
     twice = next((name for name in names if names.count(name) > 1), None)
@@ -95,6 +97,8 @@ def _apply(options: argparse.Namespace) -> int:
         if not any(same):
             refuse_overwriting(moved, overwrite=options.force)
     field = load_field(options.field)
+    if len(field.shape) == 3 and not loops.ready_for_volumes():
+        _tell("compiling loops that move volumes, once on a machine ...")
     options.out.mkdir(parents=True, exist_ok=True)
     failed = 0
     for file in options.files:
@@ -190,7 +194,10 @@ def _solve(options: argparse.Namespace) -> int:
         penalty=options.penalty,
         weight=options.weight or (),
     )
-    solved = solve_case(case, options.out, backend=options.backend, overwrite=options.force)
+    with _shown_progress() as progress:
+        solved = solve_case(
+            case, options.out, backend=options.backend, overwrite=options.force, progress=progress
+        )
     print(f"solved: {_in_shell(solved.solution)}")
     for note in solved.notes:
         _note(note)
@@ -239,7 +246,8 @@ def _replay(options: argparse.Namespace) -> int:
     study, before = load_study(options.study, image=image)
     if image is not None and study.pictures.image is not image:
         raise HmrfError(f"{options.study.name} holds its own image. Leave out --image.")
-    now = replay(options.study, image=image)
+    with _shown_progress() as progress:
+        now = replay(options.study, image=image, progress=progress)
     print(f"solved: {_in_shell(now)}")
     if before is None:
         print("the study was saved without its field, so there is none to compare with")
@@ -415,17 +423,23 @@ _MOST = 10
 
 
 class _ProgressLine:
-    """Progress on stderr: one line that is rewritten on a terminal, occasional lines elsewhere."""
+    """Progress on stderr: one line that is rewritten on a terminal, occasional lines elsewhere.
 
-    def __init__(self) -> None:
-        self._live = sys.stderr.isatty()
+    Parameters
+    ----------
+    stages : sequence of str
+        First words of the messages that are shown where there is no terminal.
+    """
+
+    def __init__(self, stages: Sequence[str] = ("compiling", "preparing")) -> None:
+        self._live, self._stages = sys.stderr.isatty(), stages
         self._shown = 0
         self._stage, self._told = "", 0.0
 
     def show(self, monitor: Monitor) -> None:
         line = f"{monitor.fraction:4.0%}  {monitor.message}"
         stage = monitor.message.partition(" ")[0]
-        if self._live or stage in ("compiling", "preparing"):
+        if self._live or stage in self._stages:
             self.write(line, stage)
 
     def write(self, line: str, stage: str = "") -> None:
@@ -443,6 +457,16 @@ class _ProgressLine:
         if self._live and self._shown:
             sys.stderr.write("\r" + " " * self._shown + "\r")
             sys.stderr.flush()
+
+
+@contextmanager
+def _shown_progress() -> Iterator[Callable[[Monitor], None]]:
+    """Show the progress of a solve; without a terminal only that of compiling loops."""
+    line = _ProgressLine(stages=("starting", "compiling"))
+    try:
+        yield line.show
+    finally:
+        line.end()
 
 
 def _note(clause: str) -> None:

@@ -27,6 +27,7 @@ from napari_hmrf.cli import main
 from napari_hmrf.command_line import parser_of_commands
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.images import ImageFile, save_image
+from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.study.models import chosen
 
 SHAPE = (20, 24)
@@ -87,6 +88,27 @@ def run(line, capsys):
     code = main(line.split())
     said = capsys.readouterr()
     return code, said.out, said.err
+
+
+@pytest.mark.parametrize("command", [f"{SOLVE} -o out", "replay a.study"])
+def test_the_shell_says_how_far_loops_are_that_a_solve_waits_for(
+    files, capsys, monkeypatch, command
+):
+    grid = Grid(SHAPE, (1, 1))
+    pull = Drawing((Arrow(at=(10, 12), by=(0, 3), radius=3),))
+    save_study("a.study", Study(grid, Tissue(), Motion(hold_edge=True, drawing=pull)))
+
+    def slowly(study, *, progress, **more):
+        for message in ("compiling loops (3 of 22), about 9 s left", "level 2"):
+            progress(Monitor(message, 0.1))
+        return solve_study(study, **more)
+
+    for module in ("case", "study_file"):
+        monkeypatch.setattr(f"napari_hmrf.io.{module}.solve_study", slowly)
+    code, out, err = run(command, capsys)
+    assert code == 0
+    assert "compiling" not in out
+    assert err.splitlines() == ["10%  compiling loops (3 of 22), about 9 s left"]
 
 
 def test_no_command_writes_over_a_file_unless_it_is_told_to(files, capsys):

@@ -24,9 +24,12 @@ from napari_hmrf.io.segmentation_tables import tissue_table
 from napari_hmrf.io.study_file import is_study_file, load_study, save_study
 from napari_hmrf.io.sweeps import Change, changed, with_ratio
 from napari_hmrf.io.tables import read_rules
+from napari_hmrf.solver.backends import loops
 from napari_hmrf.solver.caveats import shortfall
+from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
+from napari_hmrf.solver.solve import Progress
 from napari_hmrf.study.ground import Ground, solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.study.without_effect import asks_motion
@@ -150,6 +153,7 @@ def solve_case(
     backend: str = "auto",
     changes: Sequence[Change] = (),
     overwrite: bool = True,
+    progress: Progress | None = None,
 ) -> SolvedCase:
     """Solve a case and write the study with its field, and the deformed image.
 
@@ -164,6 +168,8 @@ def solve_case(
         Numbers that replace those of the case's files.
     overwrite : bool
         Whether files of an earlier solve may be replaced.
+    progress : callable, optional
+        As for `solve`.
 
     Raises
     ------
@@ -192,10 +198,12 @@ def solve_case(
             "or labels with --rules that move or expand; or --materials with growth."
         )
     folder.mkdir(parents=True, exist_ok=True)  # fail before the solve, not after it
-    solution = solve_study(study, stated=stated, backend=backend)
+    solution = solve_study(study, stated=stated, backend=backend, progress=progress)
     name = case.image.name.partition(".")[0]
     image = study.pictures.image
     if image is not None:
+        if progress is not None and len(study.grid.shape) == 3 and not loops.ready_for_volumes():
+            progress(Monitor("compiling loops that move volumes, once on a machine", 0.9))
         moved = solution.warp(image)
         where = None if study.grid.unit == "pixel" else place_of(solution)
         written = ImageFile(moved, where, colours=moved.ndim > len(study.grid.shape))

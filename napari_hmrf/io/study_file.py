@@ -25,6 +25,7 @@ from napari_hmrf.field.frame import Frame
 from napari_hmrf.solver.parameters import optimizer_from_dict, prior_from_dict
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.solution import SOLUTION_FORMAT, Solution
+from napari_hmrf.solver.solve import Progress
 from napari_hmrf.study.ground import solve_study, statement_of
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
@@ -167,7 +168,12 @@ def image_named_in(path: str | os.PathLike[str]) -> str:
     return str(pictures.get("name", "")) if isinstance(pictures, dict) else ""
 
 
-def replay(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> Solution:
+def replay(
+    path: str | os.PathLike[str],
+    *,
+    image: npt.NDArray[Any] | None = None,
+    progress: Progress | None = None,
+) -> Solution:
     """Solve a saved study again, on the backend that computed its field.
 
     On the same machine and version, a field from a cold start, as by `solve_study` or *Deform*, is
@@ -179,6 +185,8 @@ def replay(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = Non
     ----------
     path, image
         As for `load_study`.
+    progress : callable, optional
+        As for `solve`.
 
     Raises
     ------
@@ -198,7 +206,7 @@ def replay(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = Non
             "in the file. Give the image."
         )
     backend = "auto" if solution is None else solution.provenance.backend
-    return solve_study(study, stated=statement_of(study), backend=backend)
+    return solve_study(study, stated=statement_of(study), backend=backend, progress=progress)
 
 
 class _Content(NamedTuple):
