@@ -143,13 +143,18 @@ def _measure(options: argparse.Namespace) -> int:
         refuse_overwriting([options.out], overwrite=options.force)
     titles, cells = measurement_table(found.rows, volume=found.of_volume)
     table = DataFrame(cells, columns=titles)
-    print(table.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
+    print(table.to_string(index=False, float_format=_short))
     if found.note:
         print(f"note: {found.note}")
     if options.out is not None:
         path = save_measurements(options.out, found.rows, found.unit, volume=found.of_volume)
         print(f"written: {path}")
     return 0
+
+
+def _short(value: float) -> str:
+    """Format a number with four digits, or more if it has more before the point."""
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
 
 
 def _play(options: argparse.Namespace) -> int:

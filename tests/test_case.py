@@ -297,9 +297,8 @@ def test_a_study_says_itself_what_to_compute_and_what_was_guessed_is_said(files,
     assert main(["replay", study, "--image", str(folder / "rim.png")]) == 1
     assert "rim.study holds its own image. Leave out --image." in capsys.readouterr().err
     assert main(["measure", study, "-o", str(folder / "t.xlsx")]) == 1
-    assert (
-        "t.xlsx: measurements are saved as text. End its name in .csv." in capsys.readouterr().err
-    )
+    said = capsys.readouterr().err
+    assert "t.xlsx: measurements are saved as comma-separated text. End its name in .csv." in said
     save_image(folder / "small.png", ImageFile(np.ones((4, 5), np.uint8)))
     for what in (["measure", study, "--labels"], ["play", study, str(folder / "a.gif"), "--image"]):
         assert main([*what, str(folder / "small.png")]) == 1

@@ -65,6 +65,12 @@ def test_an_image_in_place_of_a_result_is_refused_with_what_to_give(tmp_path, ca
     assert re.search(r"photo\.png.* Give .*a saved result", said)
 
 
+def test_every_command_takes_its_output_in_the_same_two_ways():
+    for command in commands().values():
+        names = next((a.option_strings for a in command._actions if a.dest == "out"), [])
+        assert names in ([], ["-o", "--out"]), command.prog
+
+
 @pytest.fixture
 def files(tmp_path, monkeypatch):
     """An image with labels, a rim and its tables."""
@@ -109,6 +115,15 @@ def test_the_shell_says_how_far_loops_are_that_a_solve_waits_for(
     assert code == 0
     assert "compiling" not in out
     assert err.splitlines() == ["10%  compiling loops (3 of 22), about 9 s left"]
+
+
+def test_an_area_is_printed_in_full(files, capsys):
+    pull = Drawing((Arrow(at=(10, 12), by=(0, 30), radius=30),))
+    study = Study(Grid(SHAPE, (10, 10)), Tissue(), Motion(hold_edge=True, drawing=pull))
+    save_study("a.study", study, solve_study(study, backend="cpu"))
+    code, out, _ = run("measure a.study", capsys)
+    assert code == 0
+    assert "48000" in out
 
 
 def test_no_command_writes_over_a_file_unless_it_is_told_to(files, capsys):

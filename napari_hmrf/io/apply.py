@@ -41,6 +41,8 @@ _NOWHERE = (
     " Its image lies nowhere, so the field begins at the origin, with pixels of as many mm as its "
     "spacing."
 )
+#: Largest number of values, and largest value, of an image that may hold labels.
+_MOST_LABELS, _LARGEST_LABEL = 16, 99
 #: Largest distance of a point from the middle of its slice, in slices.
 _IN_SLICE = 0.5 + 1e-3
 
@@ -208,8 +210,9 @@ def apply_field(
         return _move_landmarks(field, path, target)
     image, n = load_image(path), len(field.shape)
     order = 0 if labels else 1
+    blended = "" if labels else _blended_labels(image.pixels, name)
     if n == 2 and image.ndim == 3 and image.place is not None:
-        return Applied(save_image(target, _slice_moved(field, image, name, order)))
+        return Applied(save_image(target, _slice_moved(field, image, name, order)), blended)
     if n == 3:
         image = image.laid_as(field.in_patient)
     pixels = image.pixels
@@ -233,8 +236,21 @@ def apply_field(
             moved[number] = _moved(field, pixels[number], order)
         if len(pixels) > 1:
             note = f"{name} lies nowhere, so all its {len(pixels)} slices were moved alike"
-    notes = filter(None, (note, unknown_values(pixels, image.ndim, name)))
+    notes = filter(None, (note, blended, unknown_values(pixels, image.ndim, name)))
     return Applied(save_image(target, image._replace(pixels=moved)), "; ".join(notes))
+
+
+def _blended_labels(pixels: Pixels, name: str) -> str:
+    """Return a clause if an image probably holds labels, which interpolation blends, or ""."""
+    if pixels.dtype.kind not in "iu" or not 1 < pixels.max(initial=0) <= _LARGEST_LABEL:
+        return ""
+    values = np.unique(pixels)
+    if len(values) > _MOST_LABELS or values[0] < 0:
+        return ""
+    return (
+        f"{name} holds few whole numbers, up to {values[-1]}, which were blended; if these are "
+        "labels, give --labels"
+    )
 
 
 def _moved(field: FieldFile, pixels: Pixels, order: int) -> Pixels:

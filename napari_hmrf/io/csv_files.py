@@ -200,7 +200,9 @@ def save_csv(
     """
     target = Path(checked_path(path))
     if target.suffix.lower() != ENDING:
-        raise FileFormatError(f"{target.name}: {what} are saved as text. End its name in {ENDING}.")
+        raise FileFormatError(
+            f"{target.name}: {what} are saved as comma-separated text. End its name in {ENDING}."
+        )
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow([_as_text(title) for title in titles])
