@@ -157,7 +157,11 @@ def test_other_tools_tables_name_labels(tmp_path, file, content, expected):
             "1 bone 1 2 3 4\n1 fat 1 2 3 4\n",
             "label 1 is there twice, as 'bone' and 'fat'",
         ),
-        ("a.txt", b"\xff\xfe1", r"a\.txt is no table of text\. Save it in UTF-8"),
+        (
+            "a.txt",
+            b"\xff\xfe1",
+            r"a\.txt is no text in UTF-8\. Give a table of text, such as a \.csv",
+        ),
     ],
 )
 def test_what_is_wrong_with_a_table_of_names_is_said(tmp_path, file, content, sentence):

@@ -330,10 +330,15 @@ def _move_landmarks(
     at = place.to_pixels(file.points)
     # As with images, points in other slices stay where they are.
     here = np.abs(at[:, :-n]).max(axis=1, initial=0.0) <= _IN_SLICE
+    beyond = (at[:, -n:] < -0.5) | (at[:, -n:] > np.array(field.shape) - 0.5)
+    outside = np.count_nonzero(here & beyond.any(axis=1))
     at[here, -n:] += field.field.at(at[here, -n:]) / field.spacing
     apart = np.count_nonzero(~here)
-    note = f"{apart} of {len(at)} points lie in other slices, and stay" if apart else ""
-    return Applied(save_points(target, place.to_space(at), file.targets, names=file.names), note)
+    notes = [f"{apart} of {len(at)} points lie in other slices, and stay"] * bool(apart)
+    if outside:
+        notes.append(f"{outside} of {len(at)} points lie outside the image, and move as its edge")
+    written = save_points(target, place.to_space(at), file.targets, names=file.names)
+    return Applied(written, "; ".join(notes))
 
 
 def place_for(file: LandmarkFile, place: Place | None, name: str, n: int) -> Place:

@@ -74,7 +74,9 @@ def text_of(path: Path, largest: int) -> str:
     try:
         return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError:
-        raise FileFormatError(f"{path.name} is no table of text. Save it in UTF-8.") from None
+        raise FileFormatError(
+            f"{path.name} is no text in UTF-8. Give a table of text, such as a .csv."
+        ) from None
 
 
 def read_cells(path: Path, largest: int) -> list[tuple[int, list[str]]]:
