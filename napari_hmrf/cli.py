@@ -76,8 +76,8 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def _apply(options: argparse.Namespace) -> int:
+    from napari_hmrf.field.warp import has_volume_loops
     from napari_hmrf.io.apply import apply_field, load_field
-    from napari_hmrf.solver.backends import loops
 
     names = [file.name for file in options.files]
     twice = next((name for name in names if names.count(name) > 1), None)
@@ -97,7 +97,7 @@ def _apply(options: argparse.Namespace) -> int:
         if not any(same):
             refuse_overwriting(moved, overwrite=options.force)
     field = load_field(options.field)
-    if len(field.shape) == 3 and not loops.ready_for_volumes():
+    if len(field.shape) == 3 and not has_volume_loops():
         _tell("compiling loops that move volumes, once on a machine ...")
     options.out.mkdir(parents=True, exist_ok=True)
     failed = 0

@@ -160,7 +160,7 @@ def test_other_tools_tables_name_labels(tmp_path, file, content, expected):
         (
             "a.txt",
             b"\xff\xfe1",
-            r"a\.txt is no text in UTF-8\. Give a table of text, such as a \.csv",
+            r"a\.txt is no text in UTF-8\. Give a table of text",
         ),
     ],
 )

@@ -37,7 +37,7 @@ from napari_hmrf.io.figures import save_result_pictures
 from napari_hmrf.io.images import ImageFile, load_image, save_image
 from napari_hmrf.io.results import measured
 from napari_hmrf.io.tables import save_measurements
-from napari_hmrf.solver.backends import loops
+from napari_hmrf.solver.backends import loader
 from napari_hmrf.solver.solution import Solution
 
 SHAPE = (16, 20, 18)
@@ -229,7 +229,7 @@ def test_the_shell_says_that_moving_volumes_waits_for_loops(
     solution, ready, tmp_path, capsys, monkeypatch
 ):
     pytest.importorskip("SimpleITK")
-    monkeypatch.setattr(loops, "ready_for_volumes", lambda: ready)
+    monkeypatch.setattr(loader, "is_cached", lambda loop: ready)
     solution.save(tmp_path / "result.npz")
     save_image(tmp_path / "scan.nii.gz", ImageFile(smooth_image(), place_of(solution)))
     command = ["apply", tmp_path / "result.npz", tmp_path / "scan.nii.gz", "-o", tmp_path / "out"]

@@ -183,6 +183,14 @@ def inverse_raster(
     return coordinates, state
 
 
+def has_volume_loops() -> bool:
+    """Return whether the loops that move volumes are compiled and cached."""
+    loader.before_numba()
+    from napari_hmrf.field import tetrahedron_raster
+
+    return loader.is_cached(tetrahedron_raster.outline)
+
+
 def _volume_raster(
     moved: Float64Array, tissue: BoolArray, shape: tuple[int, ...], planes: int
 ) -> tuple[Float64Array, npt.NDArray[np.uint8]]:

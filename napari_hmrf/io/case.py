@@ -14,6 +14,7 @@ from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.brightness import at_edges
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.units import unit_symbol
+from napari_hmrf.field.warp import has_volume_loops
 from napari_hmrf.io.apply import load_field, place_for
 from napari_hmrf.io.case_options import Case, energy_of, notes_on_ratio, weight_of
 from napari_hmrf.io.fields import Place, place_of
@@ -24,7 +25,6 @@ from napari_hmrf.io.segmentation_tables import tissue_table
 from napari_hmrf.io.study_file import is_study_file, load_study, save_study
 from napari_hmrf.io.sweeps import Change, changed, with_ratio
 from napari_hmrf.io.tables import read_rules
-from napari_hmrf.solver.backends import loops
 from napari_hmrf.solver.caveats import shortfall
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.problem import grid_in_words
@@ -202,7 +202,7 @@ def solve_case(
     name = case.image.name.partition(".")[0]
     image = study.pictures.image
     if image is not None:
-        if progress is not None and len(study.grid.shape) == 3 and not loops.ready_for_volumes():
+        if progress is not None and len(study.grid.shape) == 3 and not has_volume_loops():
             progress(Monitor("compiling loops that move volumes, once on a machine", 0.9))
         moved = solution.warp(image)
         where = None if study.grid.unit == "pixel" else place_of(solution)

@@ -153,6 +153,14 @@ def loops_there() -> list[Any]:
     return list(found.values())
 
 
+def is_cached(loop: Any) -> bool:
+    """Return whether a loop is cached for some types; False if the cache is unreadable."""
+    try:
+        return bool(_signatures(loop))
+    except (AttributeError, OSError):
+        return False
+
+
 def _signatures(loop: Any) -> list[Any]:
     """Return the types for which a loop is cached, as it is now and for this processor."""
     cache, processor = loop._cache, loop.targetctx.codegen()
