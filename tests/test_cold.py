@@ -278,6 +278,31 @@ def test_where_no_other_process_can_compile_this_one_does(cold, monkeypatch):
     assert loops.compile_here()
 
 
+def test_a_request_that_an_ending_compiler_has_missed_is_repeated(cold, monkeypatch):
+    class Ending:
+        """A compiler that is alive when it is asked, and then ends."""
+
+        def __init__(self):
+            self.states = [None, 0]
+
+        def poll(self):
+            return self.states.pop(0) if len(self.states) > 1 else self.states[0]
+
+        def terminate(self):
+            """Nothing runs."""
+
+    def started(command):
+        assert compiler.wanted() == "volume"
+        kept.mark("volume").touch()
+        return Ending()
+
+    monkeypatch.setattr(compiler._State, "compiler", Ending())
+    monkeypatch.setattr(compiler, "_started", started)
+    compiler.provide("volume", lambda stage: None)
+    assert kept.compiled("volume")
+    assert not loops.compile_here()
+
+
 def test_one_process_compiles_at_a_time(cold, tmp_path):
     assert compiler.begin()
     compiler.end(compiled=False)
