@@ -132,6 +132,18 @@ def test_the_shell_takes_growth_pressure_and_large_motion(tmp_path, capsys):
     assert solution.reach.least_jacobian > 0
 
 
+def test_a_pressed_label_without_a_surface_is_named(files, capsys, monkeypatch):
+    folder, *_ = files
+    monkeypatch.chdir(folder)
+    paint = np.zeros(SHAPE, np.uint8)
+    paint[-1], paint[5, 5] = 1, 2
+    save_image(folder / "paint.png", ImageFile(paint))
+    (folder / "press.csv").write_text("label,action,amount\n1,fixed,\n2,press,0.2\n")
+    told = "solve labels.png --hold-edge --boundary paint.png --rules press.csv -o out"
+    assert main(told.split()) == 1
+    assert "'paint.png' under label 2 covers no face of tissue's surface" in capsys.readouterr().err
+
+
 def test_the_shell_solves_what_python_would(files, capsys):
     folder, scan, labels, rim = files
     out = folder / "out"
