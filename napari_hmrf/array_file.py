@@ -80,6 +80,8 @@ _TEXT = Kind(("U",), (0,))
 _HEADER_BYTES = 2**20
 _DEEPEST = 32
 
+# The beginning of an archive.
+_ZIP = b"PK"
 # The beginning of an array in NumPy's format: https://numpy.org/neps/nep-0001-npy-format.html
 _NPY = b"\x93NUMPY"
 _NPY_HEADER = re.compile(
@@ -198,6 +200,8 @@ def read(path: str | os.PathLike[str], form: Format[T]) -> T:
     if os.path.isdir(path):
         raise refusal("it is a folder")
     refuse_irregular(path)
+    if is_foreign(path):
+        raise refusal("it is another kind of file")
     with open(path, "rb") as file:
         try:
             return _unpacked(file, form)
@@ -219,6 +223,18 @@ def claims_to_be(path: str | os.PathLike[str], form: Format[Any]) -> bool:
     reports the error.
     """
     return header_of(path).get("format") == form.name
+
+
+def is_foreign(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file begins as no archive does; False if it is empty or unreadable."""
+    path = checked_path(path)
+    try:
+        refuse_irregular(path)
+        with open(path, "rb") as file:
+            start = file.read(len(_ZIP))
+    except (OSError, FileFormatError):
+        return False
+    return not _ZIP.startswith(start)
 
 
 def header_of(path: str | os.PathLike[str]) -> Header:

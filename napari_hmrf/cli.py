@@ -7,7 +7,8 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -88,6 +89,7 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def _apply(options: argparse.Namespace) -> int:
+    from napari_hmrf.field.warp import has_volume_loops
     from napari_hmrf.io.apply import apply_field, load_field
 
     names = [file.name for file in options.files]
@@ -108,6 +110,8 @@ def _apply(options: argparse.Namespace) -> int:
         if not any(same):
             refuse_overwriting(moved, overwrite=options.force)
     field = load_field(options.field)
+    if len(field.shape) == 3 and not has_volume_loops():
+        _tell("compiling loops that move volumes, once on a machine ...")
     options.out.mkdir(parents=True, exist_ok=True)
     failed = 0
     for file in options.files:
@@ -152,13 +156,18 @@ def _measure(options: argparse.Namespace) -> int:
         refuse_overwriting([options.out], overwrite=options.force)
     titles, cells = measurement_table(found.rows, volume=found.of_volume)
     table = DataFrame(cells, columns=titles)
-    print(table.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
+    print(table.to_string(index=False, float_format=_short))
     if found.note:
         print(f"note: {found.note}")
     if options.out is not None:
         path = save_measurements(options.out, found.rows, found.unit, volume=found.of_volume)
         print(f"written: {path}")
     return 0
+
+
+def _short(value: float) -> str:
+    """Format a number with four digits, or more if it has more before the point."""
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
 
 
 def _play(options: argparse.Namespace) -> int:
@@ -203,7 +212,10 @@ def _solve(options: argparse.Namespace) -> int:
         penalty=options.penalty,
         weight=options.weight or (),
     )
-    solved = solve_case(case, options.out, backend=options.backend, overwrite=options.force)
+    with _shown_progress() as progress:
+        solved = solve_case(
+            case, options.out, backend=options.backend, overwrite=options.force, progress=progress
+        )
     print(f"solved: {_in_shell(solved.solution)}")
     for note in solved.notes:
         _note(note)
@@ -252,7 +264,8 @@ def _replay(options: argparse.Namespace) -> int:
     study, before = load_study(options.study, image=image)
     if image is not None and study.pictures.image is not image:
         raise HmrfError(f"{options.study.name} holds its own image. Leave out --image.")
-    now = replay(options.study, image=image)
+    with _shown_progress() as progress:
+        now = replay(options.study, image=image, progress=progress)
     print(f"solved: {_in_shell(now)}")
     if before is None:
         print("the study was saved without its field, so there is none to compare with")
@@ -428,17 +441,23 @@ _MOST = 10
 
 
 class _ProgressLine:
-    """Progress on stderr: one line that is rewritten on a terminal, occasional lines elsewhere."""
+    """Progress on stderr: one line that is rewritten on a terminal, occasional lines elsewhere.
 
-    def __init__(self) -> None:
-        self._live = sys.stderr.isatty()
+    Parameters
+    ----------
+    stages : sequence of str
+        First words of the messages that are shown where there is no terminal.
+    """
+
+    def __init__(self, stages: Sequence[str] = ("compiling", "preparing")) -> None:
+        self._live, self._stages = sys.stderr.isatty(), stages
         self._shown = 0
         self._stage, self._told = "", 0.0
 
     def show(self, monitor: Monitor) -> None:
         line = f"{monitor.fraction:4.0%}  {monitor.message}"
         stage = monitor.message.partition(" ")[0]
-        if self._live or stage in ("compiling", "preparing"):
+        if self._live or stage in self._stages:
             self.write(line, stage)
 
     def write(self, line: str, stage: str = "") -> None:
@@ -456,6 +475,16 @@ class _ProgressLine:
         if self._live and self._shown:
             sys.stderr.write("\r" + " " * self._shown + "\r")
             sys.stderr.flush()
+
+
+@contextmanager
+def _shown_progress() -> Iterator[Callable[[Monitor], None]]:
+    """Show the progress of a solve; without a terminal only that of compiling loops."""
+    line = _ProgressLine(stages=("starting", "compiling"))
+    try:
+        yield line.show
+    finally:
+        line.end()
 
 
 def _note(clause: str) -> None:

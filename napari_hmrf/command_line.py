@@ -106,6 +106,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
         f"field); for a volume, voxels from front to back (default: {VOLUME_SIZE}, of 2 mm)",
     )
     demo.add_argument(
+        "-o",
         "--out",
         type=Path,
         metavar="DIR",

@@ -21,7 +21,7 @@ from napari_hmrf.field.deformation import smallest_determinant
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.strain import small_strain
 from napari_hmrf.field.warp import warp
-from napari_hmrf.solver.backends import compiler, kept, loops
+from napari_hmrf.solver.backends import compiler, kept, loader, loops
 from napari_hmrf.solver.backends.compiler import Stage
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.backends.watch import watched
@@ -114,6 +114,8 @@ def _kept() -> bool:
     """Return whether numba could cache the compiled loops on disk."""
     from napari_hmrf.solver.backends.cpu import exact
 
+    if loader.is_unwritable():
+        return False
     folder = exact.add.stats.cache_path
     return folder is not None and any(Path(folder).glob("*.nbi"))
 

@@ -59,7 +59,7 @@ def test_what_is_read_is_never_written_over(solved, tmp_path):
     assert (tmp_path / "photo.png").read_bytes() == before
 
 
-def test_images_labels_and_films_move_as_by_warp(solved, tmp_path):
+def test_images_labels_and_films_move_as_by_warp(solved, tmp_path, capsys):
     path, solution = solved
     dice = np.random.default_rng(1)
     photo = dice.integers(0, 255, (*SHAPE, 3), dtype=np.uint8)
@@ -72,6 +72,7 @@ def test_images_labels_and_films_move_as_by_warp(solved, tmp_path):
     files = [str(tmp_path / name) for name in ("photo.png", "film.tif")]
     assert main(["apply", str(path), *files, "-o", out]) == 0
     assert main(["apply", str(path), str(tmp_path / "labels.png"), "--labels", "-o", out]) == 0
+    assert "blended" not in capsys.readouterr().out
     read = {name: load_image(tmp_path / "out" / name).pixels for name in ("photo.png", "film.tif")}
     np.testing.assert_array_equal(read["photo.png"], warp(photo, **by(solution)))
     for frame, before in zip(read["film.tif"], film, strict=True):
@@ -79,6 +80,16 @@ def test_images_labels_and_films_move_as_by_warp(solved, tmp_path):
     moved = load_image(tmp_path / "out" / "labels.png").pixels
     np.testing.assert_array_equal(moved, warp(labels, order=0, **by(solution)))
     assert set(np.unique(moved)) <= set(np.unique(labels)) | {0}, "no new label"
+
+
+def test_labels_that_are_moved_as_an_image_are_doubted(solved, tmp_path, capsys):
+    path, _ = solved
+    labels = np.random.default_rng(1).integers(0, 9, SHAPE, dtype=np.uint8)
+    save_image(tmp_path / "labels.png", ImageFile(labels))
+    files = str(tmp_path / "labels.png"), "-o", str(tmp_path / "out")
+    assert main(["apply", str(path), *files]) == 0
+    said = "note: labels.png holds few whole numbers, up to 8, which were blended; if these are"
+    assert said in capsys.readouterr().out
 
 
 def test_pixels_that_are_no_numbers_are_counted(solved, tmp_path, capsys):
@@ -103,6 +114,15 @@ def test_landmarks_go_where_the_tissue_goes(solved, tmp_path):
     np.testing.assert_allclose(
         moved, moved_points(at, solution.displacement, spacing=(1.0, 1.0)), atol=1e-9
     )
+
+
+def test_landmarks_outside_the_image_are_counted(solved, tmp_path, capsys):
+    path, _ = solved
+    rows, cols = SHAPE
+    corners = np.array([[-0.5, -0.5], [rows - 0.5, cols - 0.5], [rows, 3.0], [3.0, -1.0]])
+    save_points(tmp_path / "nose.csv", corners)
+    assert main(["apply", str(path), str(tmp_path / "nose.csv"), "-o", str(tmp_path / "o")]) == 0
+    assert "note: 2 of 4 points lie outside the image" in capsys.readouterr().out
 
 
 def test_landmarks_in_other_slices_stay_and_it_is_said(tmp_path, capsys):

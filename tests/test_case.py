@@ -132,6 +132,18 @@ def test_the_shell_takes_growth_pressure_and_large_motion(tmp_path, capsys):
     assert solution.reach.least_jacobian > 0
 
 
+def test_a_pressed_label_without_a_surface_is_named(files, capsys, monkeypatch):
+    folder, *_ = files
+    monkeypatch.chdir(folder)
+    paint = np.zeros(SHAPE, np.uint8)
+    paint[-1], paint[5, 5] = 1, 2
+    save_image(folder / "paint.png", ImageFile(paint))
+    (folder / "press.csv").write_text("label,action,amount\n1,fixed,\n2,press,0.2\n")
+    told = "solve labels.png --hold-edge --boundary paint.png --rules press.csv -o out"
+    assert main(told.split()) == 1
+    assert "'paint.png' under label 2 covers no face of tissue's surface" in capsys.readouterr().err
+
+
 def test_the_shell_solves_what_python_would(files, capsys):
     folder, scan, labels, rim = files
     out = folder / "out"
@@ -202,6 +214,23 @@ def test_a_slice_of_a_stack_that_lies_nowhere_knows_its_number_too(tmp_path):
             r"line 2: label 1 is to move, but not by how much\. Give row",
         ),
         ("label,action\n1,expand\n", r"label 1 is to expand, but not by how much\. Give amount"),
+        ("label,action\n1,press\n", r"label 1 is to press, but not by how much\. Give amount"),
+        (
+            "label,action,row,col\n1,move,3,\n",
+            r"line 2: move has nothing under 'col'\. Give 0 if there is none along it",
+        ),
+        (
+            "label,action,amount\n1,fixed,3\n",
+            r"line 2: amount has no effect on fixed, which takes no length\. Leave the cell empty",
+        ),
+        (
+            "label,action,row,col,amount\n1,move,1,0,3\n",
+            r"line 2: amount has no effect on move, which takes row and col\. Leave the cell",
+        ),
+        (
+            "label,action,amount,confidence\n1,press,1,0.5\n",
+            r"confidence has no effect on press, which takes amount\. Leave the cell empty",
+        ),
         (
             "label,action,row,row2\n1,move,1,\n",
             r"line 1: there is no column 'row2'\. Did you mean 'row'",
@@ -214,6 +243,11 @@ def test_what_is_wrong_with_rules_is_said_by_their_line(tmp_path, text, sentence
     (tmp_path / "t.csv").write_text(text)
     with pytest.raises(FileFormatError, match=sentence):
         read_rules(tmp_path / "t.csv")
+
+
+def test_a_rule_may_fill_the_columns_it_does_not_use_with_what_they_are_anyway(tmp_path):
+    (tmp_path / "t.csv").write_text("label,action,row,col,amount,confidence\n1,press,0,0,3,1\n")
+    assert read_rules(tmp_path / "t.csv") == (BoundaryRule(1, "press", amount=3.0),)
 
 
 @pytest.mark.parametrize(
@@ -248,7 +282,7 @@ def test_what_would_change_nothing_or_fits_nowhere_is_refused_in_the_shell(
     save_image(folder / "zero.png", ImageFile(np.zeros(SHAPE, np.uint8)))
     save_image(folder / "colours.png", ImageFile(np.zeros((*SHAPE, 3), np.uint8), colours=True))
     save_points(folder / "pairs.csv", np.array([[3.0, 4], [900, 4]]), np.ones((2, 2)))
-    (folder / "plane.csv").write_text("label,action,plane\n1,fixed,\n2,move,1\n")
+    (folder / "plane.csv").write_text("label,action,plane,row,col\n1,fixed,,,\n2,move,1,0,0\n")
     (folder / "empty.png").write_bytes(b"")
     (folder / "none.csv").write_text('"a","false","1","2","3","4"\n')
     (folder / "two.csv").write_text('"a","true",10,12,3,4\n"b","true",10,12.2,8,9\n')
@@ -275,9 +309,8 @@ def test_a_study_says_itself_what_to_compute_and_what_was_guessed_is_said(files,
     assert main(["replay", study, "--image", str(folder / "rim.png")]) == 1
     assert "rim.study holds its own image. Leave out --image." in capsys.readouterr().err
     assert main(["measure", study, "-o", str(folder / "t.xlsx")]) == 1
-    assert (
-        "t.xlsx: measurements are saved as text. End its name in .csv." in capsys.readouterr().err
-    )
+    said = capsys.readouterr().err
+    assert "t.xlsx: measurements are saved as comma-separated text. End its name in .csv." in said
     save_image(folder / "small.png", ImageFile(np.ones((4, 5), np.uint8)))
     for what in (["measure", study, "--labels"], ["play", study, str(folder / "a.gif"), "--image"]):
         assert main([*what, str(folder / "small.png")]) == 1

@@ -16,6 +16,7 @@ from napari_hmrf.io import figures
 from napari_hmrf.io.study_file import load_study
 from napari_hmrf.samples import selftest
 from napari_hmrf.samples.demo import demonstrate
+from napari_hmrf.solver.backends.kept import VOLUMES
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.preparation import EVERYTHING
 
@@ -193,7 +194,7 @@ def test_pictures_of_quantities_let_the_image_through_and_say_when_it_was_so(kin
 
 @pytest.mark.parametrize(
     ("backend", "expected"),
-    [("auto", [EVERYTHING, "auto"]), ("opengl", ["opengl"]), ("cpu", ["cpu"])],
+    [("auto", [EVERYTHING, VOLUMES, "auto"]), ("opengl", ["opengl"]), ("cpu", ["cpu"])],
 )
 def test_the_demo_goes_napari_s_way_and_has_all_loops_compiled_before(
     backend, expected, monkeypatch

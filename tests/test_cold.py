@@ -1,5 +1,6 @@
 """A fresh process whose caches are empty: shaders and NumPy until the loops are compiled."""
 
+import errno
 import importlib.util
 import os
 import queue
@@ -277,6 +278,31 @@ def test_where_no_other_process_can_compile_this_one_does(cold, monkeypatch):
     assert loops.compile_here()
 
 
+def test_a_request_that_an_ending_compiler_has_missed_is_repeated(cold, monkeypatch):
+    class Ending:
+        """A compiler that is alive when it is asked, and then ends."""
+
+        def __init__(self):
+            self.states = [None, 0]
+
+        def poll(self):
+            return self.states.pop(0) if len(self.states) > 1 else self.states[0]
+
+        def terminate(self):
+            """Nothing runs."""
+
+    def started(command):
+        assert compiler.wanted() == "volume"
+        kept.mark("volume").touch()
+        return Ending()
+
+    monkeypatch.setattr(compiler._State, "compiler", Ending())
+    monkeypatch.setattr(compiler, "_started", started)
+    compiler.provide("volume", lambda stage: None)
+    assert kept.compiled("volume")
+    assert not loops.compile_here()
+
+
 def test_one_process_compiles_at_a_time(cold, tmp_path):
     assert compiler.begin()
     compiler.end(compiled=False)
@@ -374,6 +400,28 @@ def test_a_full_disk_is_no_place_for_loops(place, redirected, tmp_path, monkeypa
     found = kept.folder.__wrapped__()
     assert found.is_relative_to(tmp_path / place)
     assert told == [str(found) if each == "here" else each for each in redirected]
+
+
+def test_a_disk_that_fills_up_costs_the_cache_but_no_result(monkeypatch, caplog):
+    loader.before_numba()
+    import numba
+    from numba.core.caching import IndexDataCacheFile
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def more(number):
+        return number + 1
+
+    monkeypatch.setattr(IndexDataCacheFile, "save", full)
+    monkeypatch.setattr(loader._Unwritable, "is_known", False)
+    loop = numba.njit(cache=True)(more)
+    assert (loop(1), loop(1.5)) == (2, 2.5)
+    (said,) = caplog.messages
+    folder = said.partition(" cannot be written to (No space left on device)")[0]
+    assert Path(loop.stats.cache_path).is_relative_to(folder)
+    assert "set NUMBA_CACHE_DIR to another folder" in said
+    assert not compiling._kept()
 
 
 def test_where_nothing_can_be_kept_shaders_go_on(cold, monkeypatch, tmp_path):

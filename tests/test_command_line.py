@@ -27,6 +27,7 @@ from napari_hmrf.cli import main
 from napari_hmrf.command_line import parser_of_commands
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.images import ImageFile, save_image
+from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.study.models import chosen
 
 SHAPE = (20, 24)
@@ -55,6 +56,21 @@ def test_every_command_has_a_sentence_an_example_and_help_for_each_option(name):
     assert example in command.format_help(), "in one line, to be copied"
 
 
+@pytest.mark.parametrize("command", ["measure {}", "play {} x.gif", "export {} x.mha"])
+def test_an_image_in_place_of_a_result_is_refused_with_what_to_give(tmp_path, capsys, command):
+    save_image(tmp_path / "photo.png", ImageFile(np.ones(SHAPE, np.uint8)))
+    assert main(command.format(tmp_path / "photo.png").split()) == 1
+    said = capsys.readouterr().err
+    assert "damaged" not in said
+    assert re.search(r"photo\.png.* Give .*a saved result", said)
+
+
+def test_every_command_takes_its_output_in_the_same_two_ways():
+    for command in commands().values():
+        names = next((a.option_strings for a in command._actions if a.dest == "out"), [])
+        assert names in ([], ["-o", "--out"]), command.prog
+
+
 @pytest.fixture
 def files(tmp_path, monkeypatch):
     """An image with labels, a rim and its tables."""
@@ -78,6 +94,36 @@ def run(line, capsys):
     code = main(line.split())
     said = capsys.readouterr()
     return code, said.out, said.err
+
+
+@pytest.mark.parametrize("command", [f"{SOLVE} -o out", "replay a.study"])
+def test_the_shell_says_how_far_loops_are_that_a_solve_waits_for(
+    files, capsys, monkeypatch, command
+):
+    grid = Grid(SHAPE, (1, 1))
+    pull = Drawing((Arrow(at=(10, 12), by=(0, 3), radius=3),))
+    save_study("a.study", Study(grid, Tissue(), Motion(hold_edge=True, drawing=pull)))
+
+    def slowly(study, *, progress, **more):
+        for message in ("compiling loops (3 of 22), about 9 s left", "level 2"):
+            progress(Monitor(message, 0.1))
+        return solve_study(study, **more)
+
+    for module in ("case", "study_file"):
+        monkeypatch.setattr(f"napari_hmrf.io.{module}.solve_study", slowly)
+    code, out, err = run(command, capsys)
+    assert code == 0
+    assert "compiling" not in out
+    assert err.splitlines() == ["10%  compiling loops (3 of 22), about 9 s left"]
+
+
+def test_an_area_is_printed_in_full(files, capsys):
+    pull = Drawing((Arrow(at=(10, 12), by=(0, 30), radius=30),))
+    study = Study(Grid(SHAPE, (10, 10)), Tissue(), Motion(hold_edge=True, drawing=pull))
+    save_study("a.study", study, solve_study(study, backend="cpu"))
+    code, out, _ = run("measure a.study", capsys)
+    assert code == 0
+    assert "48000" in out
 
 
 def test_no_command_writes_over_a_file_unless_it_is_told_to(files, capsys):

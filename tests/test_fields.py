@@ -285,7 +285,7 @@ def test_what_is_no_field_is_refused(tmp_path):
     path = tmp_path / "image.mha"
     sitk.WriteImage(sitk.GetImageFromArray(np.zeros((4, 5))), str(path))
     with pytest.raises(
-        FileFormatError, match=r"image\.mha: not a displacement field: 2 axes and 1"
+        FileFormatError, match=r"image\.mha: not a displacement field: 2 axes need 2"
     ):
         read_field(path)
     path.write_bytes(b"nothing of the kind")

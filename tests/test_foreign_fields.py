@@ -166,6 +166,15 @@ def test_a_file_that_is_cut_short_is_no_field(suffix, tmp_path):
             read_field(cut)
 
 
+def test_a_packed_file_with_a_flipped_bit_is_not_said_to_be_cut_short(tmp_path):
+    path = tmp_path / "field.nii.gz"
+    content = bytearray(gzip.compress(nifti(Case("slice"), by_matrix=True)))
+    content[-8] ^= 1  # of the checksum of all bytes, which are there
+    path.write_bytes(content)
+    with pytest.raises(FileFormatError, match=r"it is damaged or cut short"):
+        read_field(path)
+
+
 def test_a_size_that_a_file_cannot_hold_costs_no_memory(tmp_path):
     path = tmp_path / "field.nii"
     content = bytearray(nifti(Case("slice"), by_matrix=True))

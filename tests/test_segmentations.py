@@ -157,7 +157,11 @@ def test_other_tools_tables_name_labels(tmp_path, file, content, expected):
             "1 bone 1 2 3 4\n1 fat 1 2 3 4\n",
             "label 1 is there twice, as 'bone' and 'fat'",
         ),
-        ("a.txt", b"\xff\xfe1", r"a\.txt is no table of text\. Save it in UTF-8"),
+        (
+            "a.txt",
+            b"\xff\xfe1",
+            r"a\.txt is no text in UTF-8\. Give a table of text",
+        ),
     ],
 )
 def test_what_is_wrong_with_a_table_of_names_is_said(tmp_path, file, content, sentence):
@@ -328,7 +332,9 @@ def test_the_shell_solves_with_the_names_of_a_segmentation(files, capsys):
     (files / "none.json").write_text(json.dumps({1: "a", 2: "b"}))
     command = "solve image.png --labels labels.png --materials none.json --hold-edge -o out"
     assert main(command.split()) == 1
-    assert "none.json: of none of its labels (a, b ...) is a stiffness" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "none.json gives no stiffness, and none of its names (a, b) is a tissue" in said
+    assert "Give a .csv with the columns label, name and stiffness." in said
 
 
 def test_the_dock_s_menu_takes_the_names_of_a_segmentation(files, qtbot):

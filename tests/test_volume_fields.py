@@ -76,8 +76,7 @@ def test_what_is_seen_came_from_where_the_inverse_says():
     origin, covered = inverse_map(d, spacing=1)
     assert covered.all()
     ends = moved_points(origin.reshape(-1, 3), d, spacing=(1, 1, 1)).reshape(origin.shape)
-    # Between sites points are moved trilinearly, tetrahedra linearly.
-    np.testing.assert_allclose(ends, places(), atol=0.05)
+    np.testing.assert_allclose(ends, places(), atol=1e-6)
     values = looked_up(image[..., None], origin.reshape(-1, 3)).reshape(SHAPE)
     np.testing.assert_allclose(warp(image, d, spacing=1), values)
 
@@ -93,7 +92,8 @@ def test_slices_that_move_alike_and_within_themselves_move_as_one_slice_does():
         both = covered[plane] & slice_covered
         near = np.abs(origin[plane][..., 1:] - slice_origin)[both]
         assert (covered[plane] == slice_covered).mean() > 0.99
-        assert (near < 1e-9).mean() > 0.8, "all but the outline"
+        # Slices move linearly on triangles, and volumes trilinearly.
+        assert (near < 0.02).mean() > 0.8, "all but the outline"
         assert near.max() < 1.0
 
 

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, ProblemError, solve
+from napari_hmrf.field import tetrahedron_raster
 from napari_hmrf.field.deformation import (
     determinant_or_fold,
     jacobian_determinant,
     smallest_determinant,
 )
+from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.resample import resample
 from napari_hmrf.field.strain import (
     deformation_gradient,
@@ -71,7 +73,8 @@ def drawn_one_by_one(moved, tissue):
 
 @pytest.mark.parametrize("kind", MOTIONS)
 @pytest.mark.parametrize("seed", [0, 1])
-def test_cells_are_drawn_as_their_tetrahedra_one_by_one(kind, seed):
+def test_cells_are_drawn_as_their_tetrahedra_one_by_one(kind, seed, monkeypatch):
+    monkeypatch.setattr(tetrahedron_raster, "refine", lambda *_: None)
     moved, tissue = moved_sites(*moved_by(kind, seed))
     source, state = inverse_raster(moved, tissue)
     expected, states = drawn_one_by_one(moved, tissue)
@@ -82,6 +85,23 @@ def test_cells_are_drawn_as_their_tetrahedra_one_by_one(kind, seed):
     assert set(np.unique(state[~covered])) <= {0, 2}  # these are outlines
     still = ~tissue & (state == 0)
     np.testing.assert_array_equal(source[still], np.argwhere(still))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_tissue_came_from_where_points_go_on_from(seed):
+    d, size, _ = moved_by("smooth", seed)
+    tissue = np.ones(d.shape[:3], bool)
+    tissue[0, 0, 0] = False
+    moved, _ = moved_sites(d, size, tissue)
+    source, state = inverse_raster(moved, tissue)
+    inner = np.s_[1:-1, 1:-1, 1:-1]
+    assert (state[inner] == 2).all()
+    origins = source[inner].reshape(-1, 3)
+    within = (origins >= 0).all(axis=1) & (origins <= np.array(tissue.shape) - 1).all(axis=1)
+    whole = within & (origins > 1).any(axis=1)  # the first cell lacks a site
+    ends = moved_points(origins[whole], d, spacing=size)
+    sites = np.moveaxis(np.indices(tissue.shape), 0, -1)[inner].reshape(-1, 3)
+    np.testing.assert_allclose(ends, sites[whole], atol=1e-6)
 
 
 def moved_by(kind, seed):

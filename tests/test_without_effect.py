@@ -111,8 +111,8 @@ def test_the_shell_refuses_what_asks_nothing_to_move(tmp_path, capsys):
     labels[8:12, 8:12] = 2
     save_image(tmp_path / "b.tif", ImageFile(labels))
     rules = tmp_path / "rules.csv"
-    for action, code in (("fixed", 1), ("move", 0)):
-        rules.write_text(f"label,action,row,col\n2,{action},0,1\n7,move,0,1\n")
+    for action, code in (("fixed,,", 1), ("move,0,1", 0)):
+        rules.write_text(f"label,action,row,col\n2,{action}\n7,move,0,1\n")
         more = ["--boundary", str(tmp_path / "b.tif"), "--rules", str(rules), "--hold-edge"]
         assert main([*told, *more]) == code
         out, err = capsys.readouterr()

@@ -128,8 +128,8 @@ def _refined(
     points: Float64Array,
     origins: Float64Array,
 ) -> tuple[Float64Array, npt.NDArray[np.bool_]]:
-    """The origins of points from those of tetrahedra on; and whether they lie within tissue."""
-    # Steps that lead beyond tissue find it going on, and come back.
+    """Refine origins to trilinear motion; return them and whether they lie within tissue."""
+    # The field is extended beyond the tissue, so that steps that lead there come back.
     found = origins_at(_extended(pixels, tissue), points, origins)
     near = (np.abs(found - origins) < 1).all(axis=-1)
     # Beside what does not move the field is no more than that of tetrahedra.
@@ -152,7 +152,7 @@ def _inverse_of_volume(pixels: Float64Array, spacing: Sequence[float]) -> Invers
 
 
 def _residual(pixels: Float64Array, origins: Float64Array, sites: Float64Array) -> float:
-    """How far from its site the motion leads what came from an origin, at the worst."""
+    """Return the largest distance, in pixels, between a site and the image of its origin."""
     away = looked_up(pixels, origins) + origins - sites
     return float(np.linalg.norm(away, axis=-1).max())
 
@@ -167,7 +167,7 @@ def _by_newton(
         at = found[open_ones]
         values, slopes = looked_up_with_slopes(pixels, at)
         slope = slopes + np.eye(3)
-        # Where a field folds there is no way back; a slope that is no slope is stepped over.
+        # Singular slopes, as of a field that folds, are replaced by the identity.
         slope[np.abs(np.linalg.det(slope)) < 1e-3] = np.eye(3)
         step = np.linalg.solve(slope, (at + values - targets[open_ones])[..., None])[..., 0]
         length = np.linalg.norm(step, axis=-1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Where what is seen at a point of the moved picture was before it moved, and the other way."""
+"""Inverse of a motion at single points of the moved picture."""
 
 from __future__ import annotations
 
@@ -10,12 +10,17 @@ from typing import Any, TypeVar, cast
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.field.moved_points import looked_up_with_slopes
+
 Point = TypeVar("Point", bound=tuple[float, ...])
 #: Tissue that is stretched has its sites so many pixels apart at most, or there is a gap.
 _APART = 3.0
-#: How far outside a tetrahedron, in barycentric coordinates, a point still counts as on its side;
-#: and six times the volume below which one has collapsed.
+#: Distance outside a tetrahedron, in barycentric coordinates, at which a point is still on its
+#: side; and six times the volume below which one has collapsed.
 _SIDE, _COLLAPSED = 1e-9, 1e-12
+#: Residual, in pixels, below which an origin is exact; largest number of Newton steps towards it;
+#: and the determinant of a step below which it is undefined.
+_EXACT, _STEPS, _FLAT = 1e-7, 8, 1e-3
 #: The corners of the six tetrahedra of a cell, as `inverse_map` draws them: along edges from the
 #: first corner to the last.
 _TETRAHEDRA = np.array(
@@ -36,7 +41,7 @@ def inverse_point(
 ) -> Point | None:
     """Invert the motion at one point: faster than everywhere, and good to a fraction of a pixel.
 
-    In a volume it is exact for motion that is linear on tetrahedra, as of `inverse_map`.
+    In a volume it is exact for motion that is trilinear in each cell, as of `inverse_map`.
 
     Parameters
     ----------
@@ -72,7 +77,7 @@ def inverse_point(
     there = tissue[window]
     steps = fraction * displacement[window] / size
     moved = steps + np.moveaxis(np.indices(there.shape), 0, -1) + low
-    exact = _in_tetrahedra(moved, there, point) if tissue.ndim == 3 else None
+    exact = _in_cells(moved, there, point) if tissue.ndim == 3 else None
     origin = _beside_sites(moved, there, point) if exact is None else exact
     return None if origin is None else cast(Point, tuple((origin + low).tolist()))
 
@@ -100,10 +105,39 @@ def _beside_sites(
     return np.array(site) + step
 
 
-def _in_tetrahedra(
+def _in_cells(
     moved: npt.NDArray[np.float64], tissue: npt.NDArray[np.bool_], point: Sequence[float]
 ) -> npt.NDArray[np.float64] | None:
-    """By the moved tetrahedron that a point lies in; one turned over counts if no other does."""
+    """Refine the origin in a tetrahedron to trilinear motion, where a cell lacks no site."""
+    start, is_kept = _in_tetrahedra(moved, tissue, point)
+    if start is None or not is_kept:
+        return start
+    found, last = start, np.array(tissue.shape) - 1
+    for _ in range(_STEPS):
+        inside = ((found >= -_SIDE) & (found <= last + _SIDE)).all()
+        low = np.clip(np.floor(found).astype(int), 0, np.maximum(last - 1, 0))
+        if not (inside and tissue[tuple(slice(at, at + 2) for at in low)].all()):
+            return start
+        # Slopes are those of a cell, also in its faces.
+        values, slopes = looked_up_with_slopes(moved, np.clip(found, 0, last)[np.newaxis])
+        away = values[0] - point
+        if np.abs(away).max() < _EXACT:
+            return found
+        if abs(np.linalg.det(slopes[0])) < _FLAT:
+            return start
+        found = found - np.linalg.solve(slopes[0], away)
+        if np.abs(found - start).max() > 1:
+            return start
+    return start
+
+
+def _in_tetrahedra(
+    moved: npt.NDArray[np.float64], tissue: npt.NDArray[np.bool_], point: Sequence[float]
+) -> tuple[npt.NDArray[np.float64] | None, bool]:
+    """Return the origin by the moved tetrahedron around a point, and whether it kept its sides.
+
+    A tetrahedron that is turned over counts if no other is around the point.
+    """
     cells = [
         moved[tuple(slice(one, size - 1 + one) for one, size in zip(at, tissue.shape, strict=True))]
         for at in product((0, 1), repeat=3)
@@ -127,13 +161,15 @@ def _in_tetrahedra(
             origin: npt.NDArray[np.float64] = (
                 corners[first, 0] + parts[first] @ rest[there][first].T
             )
-            return origin
-    return None
+            return origin, bool(volumes[first] > 0)
+    return None, False
 
 
 def farthest_of(displacement: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-    """How far anything moves along each axis, in the unit of the displacement."""
-    rows = displacement.reshape(len(displacement), -1)  # of all pixels at once it takes far longer
+    """Return the largest displacement along each axis, in the unit of the displacement."""
+    rows = displacement.reshape(
+        len(displacement), -1
+    )  # row by row: all pixels at once take far longer
     most = np.maximum(rows.max(axis=0), -rows.min(axis=0)).reshape(-1, displacement.shape[-1])
     farthest: npt.NDArray[np.floating] = most.max(axis=0)
     return farthest

@@ -17,7 +17,7 @@ _LOOPS = {"error_model": "numpy", "no_cfunc_wrapper": True}
 _callee = numba.njit(no_cpython_wrapper=True, **_LOOPS)
 _kept = {"cache": True, "nogil": True, **_LOOPS}
 
-# How far outside a tetrahedron, in barycentric coordinates, a voxel still counts as on its side.
+# Distance outside a tetrahedron, in barycentric coordinates, at which a voxel is still on its side.
 _SIDE = 1e-9
 # Six times the volume, in voxels, below which a tetrahedron has collapsed and covers nothing.
 _COLLAPSED = 1e-12
@@ -34,6 +34,9 @@ _ROUND = (1.0, -1.0, -1.0, 1.0, 1.0, -1.0)
 # One step along each axis, and the pairs of these that squares have for sides.
 _UNITS = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 _PAIRS = ((0, 1), (0, 2), (1, 2))
+# Residual, in voxels, below which an origin is exact; largest number of Newton steps towards it;
+# and the determinant of a step below which it is undefined.
+_EXACT, _STEPS, _FLAT = 1e-7, 8, 1e-3
 # Steps of the corners of a cell may differ by so many voxels, all axes together, and none of its
 # tetrahedra be turned over: below 1 no matrix of three of its edges can be singular.
 _ALIKE = 0.9
@@ -119,7 +122,7 @@ def _draw(moved, source, state, value, first, past, plane, row, col, way):
 
 @_callee
 def _is_inner(tissue, plane, row, col):
-    """Whether a site lies between tissue on all sides, across corners too."""
+    """Return whether all neighbours of a site, across corners too, are tissue."""
     depth, height, width = tissue.shape
     if min(plane, row, col) < 1 or plane > depth - 2 or row > height - 2 or col > width - 2:
         return False
@@ -132,7 +135,7 @@ def _is_inner(tissue, plane, row, col):
 
 @_callee
 def _is_face(tissue, plane, row, col):
-    """Whether the four sites of a cell's face across the columns are tissue."""
+    """Return whether the four sites of a cell's face across the columns are tissue."""
     return (
         tissue[plane, row, col]
         and tissue[plane, row + 1, col]
@@ -188,8 +191,8 @@ def _claims(moved, source, state, plane, row, col, way, to_plane, to_row, to_col
 @_callee
 def _draw_alike(moved, source, state, first, past, plane, row, col, least, most):
     """Draw a whole cell whose corners make much the same step, as its tetrahedra would be."""
-    # What lies at a voxel came from it less a step between these: most often one tetrahedron can
-    # hold that, and no other is looked at. Of those that share a side the first has it.
+    # Tissue at a voxel came from the voxel less a step between these: most often one tetrahedron
+    # can hold that origin, and no other is tested. The first of those that share a side has it.
     _, height, width = state.shape
     first_plane = math.ceil(max(1.0 * first, plane + least[0] - _SIDE))
     last_plane = math.floor(min(past - 1.0, plane + 1 + most[0] + _SIDE))
@@ -204,7 +207,7 @@ def _draw_alike(moved, source, state, first, past, plane, row, col, least, most)
                 if shifted:
                     _mark(source, state, 2, z, y, x, z - least[0], y - least[1], x - least[2])
                     continue
-                # Whether its share along the first of two axes may be as large as the other's.
+                # True where the share along the first of two axes may be as large as the other's.
                 deep, down, along = z - plane, y - row, x - col
                 zy = deep - least[0] > down - most[1] - 2 * _SIDE
                 yz = down - least[1] > deep - most[0] - 2 * _SIDE
@@ -228,7 +231,7 @@ def _draw_alike(moved, source, state, first, past, plane, row, col, least, most)
 
 @_callee
 def _reaches(moved, first, past, plane, row, col):
-    """Whether a moved cell may lie on a plane from `first` to before `past`."""
+    """Return whether a moved cell may lie on a plane from `first` to before `past`."""
     low, high = math.inf, -math.inf
     for corner in range(8):
         place = moved[plane + corner // 4, row + corner // 2 % 2, col + corner % 2, 0]
@@ -335,7 +338,7 @@ def _outline(moved, tissue, outer, source, state, reach, longest, first, past):
     """Draw sites, and lines and squares between outermost ones, onto what is empty of these."""
     depth, height, width = tissue.shape
     nowhere = 0, 0, 0
-    for size in range(3):  # what is nearest to a site goes first
+    for size in range(3):  # sites first, then lines, then squares
         for plane in range(depth):
             after = min(plane + 1, depth - 1)
             if min(reach[plane, 0], reach[after, 0]) > past:
@@ -361,7 +364,7 @@ def _outline(moved, tissue, outer, source, state, reach, longest, first, past):
 
 @_callee
 def _is_square(tissue, plane, row, col, one, other):
-    """Whether the corners are tissue of the square that two steps make from a site."""
+    """Return whether the corners of the square that two steps make from a site are tissue."""
     return (
         _holds(tissue, plane + one[0], row + one[1], col + one[2])
         and _holds(tissue, plane + other[0], row + other[1], col + other[2])
@@ -373,14 +376,14 @@ def _is_square(tissue, plane, row, col, one, other):
 
 @_callee
 def _holds(tissue, plane, row, col):
-    """Whether there is tissue at a site, which may lie beyond the last."""
+    """Return whether there is tissue at a site, which may lie beyond the last."""
     depth, height, width = tissue.shape
     return plane < depth and row < height and col < width and tissue[plane, row, col]
 
 
 @_callee
 def _stay(tissue, source, state, first, past):
-    """What is no tissue stays in place where none came."""
+    """Leave what is no tissue in place where no tissue came."""
     for plane in range(first, past):
         for row in range(tissue.shape[1]):
             for col in range(tissue.shape[2]):
@@ -388,6 +391,101 @@ def _stay(tissue, source, state, first, past):
                     source[plane, row, col, 0] = plane
                     source[plane, row, col, 1] = row
                     source[plane, row, col, 2] = col
+
+
+@_callee
+def _is_cell(tissue, plane, row, col):
+    """Return whether all eight sites of a cell are tissue."""
+    return _is_face(tissue, plane, row, col) and _is_face(tissue, plane, row, col + 1)
+
+
+@_callee
+def _low(place, size):
+    """Return the index of the cell along an axis, or -1 outside the sites."""
+    if place < -_SIDE or place > size - 1 + _SIDE:
+        return -1
+    return max(0, min(size - 2, math.floor(place)))
+
+
+@_callee
+def _refined(moved, tissue, to_plane, to_row, to_col, start):
+    """Return the origin for motion that is trilinear in each cell, or `start` if there is none."""
+    depth, height, width = tissue.shape
+    z, y, x = start
+    for _ in range(_STEPS):
+        plane, row, col = _low(z, depth), _low(y, height), _low(x, width)
+        if min(plane, row, col) < 0 or not _is_cell(tissue, plane, row, col):
+            return start
+        deep, down, along = z - plane, y - row, x - col
+        rz, ry, rx = -1.0 * to_plane, -1.0 * to_row, -1.0 * to_col
+        # Columns of the gradient: the change along planes, rows and columns.
+        az = ay = ax = bz = by = bx = cz = cy = cx = 0.0
+        for corner in range(8):
+            i, j, k = corner // 4, corner // 2 % 2, corner % 2
+            in_plane = deep if i else 1 - deep
+            in_row = down if j else 1 - down
+            in_col = along if k else 1 - along
+            pz = moved[plane + i, row + j, col + k, 0]
+            py = moved[plane + i, row + j, col + k, 1]
+            px = moved[plane + i, row + j, col + k, 2]
+            share = in_plane * in_row * in_col
+            rz, ry, rx = rz + share * pz, ry + share * py, rx + share * px
+            share = (2 * i - 1) * in_row * in_col
+            az, ay, ax = az + share * pz, ay + share * py, ax + share * px
+            share = (2 * j - 1) * in_plane * in_col
+            bz, by, bx = bz + share * pz, by + share * py, bx + share * px
+            share = (2 * k - 1) * in_plane * in_row
+            cz, cy, cx = cz + share * pz, cy + share * py, cx + share * px
+        if max(abs(rz), abs(ry), abs(rx)) < _EXACT:
+            return z, y, x
+        nz, ny, nx = by * cx - bx * cy, bx * cz - bz * cx, bz * cy - by * cz
+        volume = az * nz + ay * ny + ax * nx
+        if abs(volume) < _FLAT:
+            return start
+        z -= (rz * nz + ry * ny + rx * nx) / volume
+        y -= (
+            rz * (cy * ax - cx * ay) + ry * (cx * az - cz * ax) + rx * (cz * ay - cy * az)
+        ) / volume
+        x -= (
+            rz * (ay * bx - ax * by) + ry * (ax * bz - az * bx) + rx * (az * by - ay * bz)
+        ) / volume
+        if max(abs(z - start[0]), abs(y - start[1]), abs(x - start[2])) > _NEAR:
+            return start
+    return start
+
+
+@numba.njit(parallel=True, **_kept)
+def refine(moved, tissue, begin, end, slabs, source, state):
+    """Refine the result of `rasterise` to motion that is trilinear in each cell of eight sites.
+
+    That is the motion of the elements, and of points. Cells that lack a site keep their tetrahedra,
+    and so does tissue that has folded over itself. Outlines are drawn afterwards.
+
+    Parameters
+    ----------
+    moved, tissue, begin, end, slabs, source, state
+        As for `rasterise`, which has filled `source` and `state`.
+    """
+    if min(tissue.shape) < 2:
+        return
+    for number in numba.prange(slabs):
+        slab = np.int64(number)
+        first = begin + slab * (end - begin) // slabs
+        past = begin + (slab + 1) * (end - begin) // slabs
+        for plane in range(first, past):
+            for row in range(state.shape[1]):
+                for col in range(state.shape[2]):
+                    if state[plane, row, col] < 2:
+                        continue
+                    start = (
+                        source[plane, row, col, 0],
+                        source[plane, row, col, 1],
+                        source[plane, row, col, 2],
+                    )
+                    found = _refined(moved, tissue, plane, row, col, start)
+                    source[plane, row, col, 0] = found[0]
+                    source[plane, row, col, 1] = found[1]
+                    source[plane, row, col, 2] = found[2]
 
 
 @numba.njit(parallel=True, **_kept)
@@ -427,13 +525,11 @@ def surface(moved, tissue):
 
 
 @numba.njit(parallel=True, **_kept)
-def rasterise(moved, tissue, outer, reach, longest, begin, end, slabs, source, state):
+def rasterise(moved, tissue, reach, begin, end, slabs, source, state):
     """Invert the motion of the sites, linear on each tetrahedron of four neighbouring sites.
 
     Each cell of 2 x 2 x 2 sites is six tetrahedra; of one that lacks corners those are drawn that
-    lack none. A voxel that no tetrahedron covers goes to the site, the line or the square between
-    outermost sites that has moved onto it, if any: tissue one voxel thin survives, and all tissue
-    reaches half a voxel beyond its outermost sites, as voxels do.
+    lack none. `refine` and `outline` complete the result.
 
     Each core fills planes of its own, and draws on them in the same order, however many there are:
     the result is the same to the bit, and so it is if planes are drawn on by several calls.
@@ -444,26 +540,47 @@ def rasterise(moved, tissue, outer, reach, longest, begin, end, slabs, source, s
         Where each site has moved, in voxels along the axes.
     tissue : ndarray, shape (D, H, W), bool
         Which sites there are.
-    outer, reach
-        Of `surface`.
-    longest : float
-        How many voxels the volume is long in all; of what is torn no more is drawn closely.
+    reach : ndarray, shape (D, 2), float64
+        From `surface`.
     begin, end : int
         Only planes of voxels from `begin` to before `end` are drawn on.
     slabs : int
         Into so many slabs these are cut, one or a few for each core.
     source : ndarray, shape (P, H, W, 3), float64
-        Zeros, overwritten by where the tissue now on each voxel came from, in voxels; if all planes
-        are here, P = D, by its own place where there is no tissue and none came.
+        Zeros, overwritten by where the tissue now on each voxel came from, in voxels.
     state : ndarray, shape (P, H, W), uint8
         Zeros, overwritten by 0 where nothing came, 1 by a tetrahedron turned over, 2 by one that
-        was not, or by an outline, 3 by two that were not, from places more than a voxel apart.
+        was not, 3 by two that were not, from places more than a voxel apart.
     """
     for number in numba.prange(slabs):
         slab = np.int64(number)
         first = begin + slab * (end - begin) // slabs
         past = begin + (slab + 1) * (end - begin) // slabs
         _tetrahedra(moved, tissue, source, state, reach, first, past)
+
+
+@numba.njit(parallel=True, **_kept)
+def outline(moved, tissue, outer, reach, longest, begin, end, slabs, source, state):
+    """Fill voxels that no tetrahedron covers from the outline of the tissue, or as no tissue.
+
+    A voxel goes to the site, the line or the square between outermost sites that has moved onto it,
+    if any: tissue one voxel thin survives, and all tissue reaches half a voxel beyond its outermost
+    sites, as voxels do.
+
+    Parameters
+    ----------
+    outer : ndarray, shape (D, H, W), bool
+        From `surface`.
+    longest : float
+        How many voxels the volume is long in all; of what is torn no more is drawn closely.
+    moved, tissue, reach, begin, end, slabs, source, state
+        As for `rasterise`, which comes first. `state` is 2 where an outline came; if all planes are
+        here, P = D, `source` is the voxel's own place where there is no tissue and none came.
+    """
+    for number in numba.prange(slabs):
+        slab = np.int64(number)
+        first = begin + slab * (end - begin) // slabs
+        past = begin + (slab + 1) * (end - begin) // slabs
         _outline(moved, tissue, outer, source, state, reach, longest, first, past)
         if len(state) == len(tissue):
             _stay(tissue, source, state, first, past)

@@ -3,8 +3,8 @@
 A displacement is material: the tissue at X moves to X + d(X). The moved image I' therefore
 satisfies I'(X + d(X)) = I(X), and drawing it takes the inverse of the motion. (Sampling the image
 at X + d(X) would show the opposite motion.) Between the sites the motion is linear on triangles of
-three neighbouring sites, in a volume on tetrahedra of four; its inverse is then exact, however
-large the gradients.
+three neighbouring sites, and in a volume trilinear in cells of eight, or linear on tetrahedra of
+four where a cell lacks a site; its inverse is then exact, however large the gradients.
 """
 
 from __future__ import annotations
@@ -183,6 +183,14 @@ def inverse_raster(
     return coordinates, state
 
 
+def has_volume_loops() -> bool:
+    """Return whether the loops that move volumes are compiled and cached."""
+    loader.before_numba()
+    from napari_hmrf.field import tetrahedron_raster
+
+    return loader.is_cached(tetrahedron_raster.outline)
+
+
 def _volume_raster(
     moved: Float64Array, tissue: BoolArray, shape: tuple[int, ...], planes: int
 ) -> tuple[Float64Array, npt.NDArray[np.uint8]]:
@@ -196,12 +204,14 @@ def _volume_raster(
     source = np.zeros((planes, *moved.shape[1:]))
     state = np.zeros(source.shape[:-1], np.uint8)
     compute_thread.look()
-    about = tetrahedron_raster.surface(moved, mask)
+    outer, reach = tetrahedron_raster.surface(moved, mask)
     longest = float(sum(shape))
     for slab in slabs(state.shape, cores):
         begin, end = slab.start, slab.stop
-        parts = min(cores, end - begin)
-        tetrahedron_raster.rasterise(moved, mask, *about, longest, begin, end, parts, source, state)
+        out = begin, end, min(cores, end - begin), source, state
+        tetrahedron_raster.rasterise(moved, mask, reach, *out)
+        tetrahedron_raster.refine(moved, mask, *out)
+        tetrahedron_raster.outline(moved, mask, outer, reach, longest, *out)
     return source, state
 
 

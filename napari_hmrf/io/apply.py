@@ -41,6 +41,8 @@ _NOWHERE = (
     " Its image lies nowhere, so the field begins at the origin, with pixels of as many mm as its "
     "spacing."
 )
+#: Largest number of values, and largest value, of an image that may hold labels.
+_MOST_LABELS, _LARGEST_LABEL = 16, 99
 #: Largest distance of a point from the middle of its slice, in slices.
 _IN_SLICE = 0.5 + 1e-3
 
@@ -208,8 +210,9 @@ def apply_field(
         return _move_landmarks(field, path, target)
     image, n = load_image(path), len(field.shape)
     order = 0 if labels else 1
+    blended = "" if labels else _blended_labels(image.pixels, name)
     if n == 2 and image.ndim == 3 and image.place is not None:
-        return Applied(save_image(target, _slice_moved(field, image, name, order)))
+        return Applied(save_image(target, _slice_moved(field, image, name, order)), blended)
     if n == 3:
         image = image.laid_as(field.in_patient)
     pixels = image.pixels
@@ -233,8 +236,21 @@ def apply_field(
             moved[number] = _moved(field, pixels[number], order)
         if len(pixels) > 1:
             note = f"{name} lies nowhere, so all its {len(pixels)} slices were moved alike"
-    notes = filter(None, (note, unknown_values(pixels, image.ndim, name)))
+    notes = filter(None, (note, blended, unknown_values(pixels, image.ndim, name)))
     return Applied(save_image(target, image._replace(pixels=moved)), "; ".join(notes))
+
+
+def _blended_labels(pixels: Pixels, name: str) -> str:
+    """Return a clause if an image probably holds labels, which interpolation blends, or ""."""
+    if pixels.dtype.kind not in "iu" or not 1 < pixels.max(initial=0) <= _LARGEST_LABEL:
+        return ""
+    values = np.unique(pixels)
+    if len(values) > _MOST_LABELS or values[0] < 0:
+        return ""
+    return (
+        f"{name} holds few whole numbers, up to {values[-1]}, which were blended; if these are "
+        "labels, give --labels"
+    )
 
 
 def _moved(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
@@ -314,10 +330,15 @@ def _move_landmarks(
     at = place.to_pixels(file.points)
     # As with images, points in other slices stay where they are.
     here = np.abs(at[:, :-n]).max(axis=1, initial=0.0) <= _IN_SLICE
+    beyond = (at[:, -n:] < -0.5) | (at[:, -n:] > np.array(field.shape) - 0.5)
+    outside = np.count_nonzero(here & beyond.any(axis=1))
     at[here, -n:] += field.field.at(at[here, -n:]) / field.spacing
     apart = np.count_nonzero(~here)
-    note = f"{apart} of {len(at)} points lie in other slices, and stay" if apart else ""
-    return Applied(save_points(target, place.to_space(at), file.targets, names=file.names), note)
+    notes = [f"{apart} of {len(at)} points lie in other slices, and stay"] * bool(apart)
+    if outside:
+        notes.append(f"{outside} of {len(at)} points lie outside the image, and move as its edge")
+    written = save_points(target, place.to_space(at), file.targets, names=file.names)
+    return Applied(written, "; ".join(notes))
 
 
 def place_for(file: LandmarkFile, place: Place | None, name: str, n: int) -> Place:

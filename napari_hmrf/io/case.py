@@ -13,6 +13,7 @@ import numpy.typing as npt
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.brightness import at_edges
 from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.warp import has_volume_loops
 from napari_hmrf.io.apply import load_field, place_for
 from napari_hmrf.io.case_options import Case, energy_of, notes_on_ratio, weight_of
 from napari_hmrf.io.fields import Place, place_of
@@ -23,8 +24,10 @@ from napari_hmrf.io.segmentation_tables import tissue_table
 from napari_hmrf.io.study_file import is_study_file, load_study, save_study
 from napari_hmrf.io.sweeps import Change, changed, with_ratio
 from napari_hmrf.io.tables import read_rules
+from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
+from napari_hmrf.solver.solve import Progress
 from napari_hmrf.study.ground import Ground, solve_study
 from napari_hmrf.study.shortcomings import shortcomings
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
@@ -148,6 +151,7 @@ def solve_case(
     backend: str = "auto",
     changes: Sequence[Change] = (),
     overwrite: bool = True,
+    progress: Progress | None = None,
 ) -> SolvedCase:
     """Solve a case and write the study with its field, and the deformed image.
 
@@ -162,6 +166,8 @@ def solve_case(
         Numbers that replace those of the case's files.
     overwrite : bool
         Whether files of an earlier solve may be replaced.
+    progress : callable, optional
+        As for `solve`.
 
     Raises
     ------
@@ -187,10 +193,12 @@ def solve_case(
     except ProblemError as error:  # an option, and no single part, lacks the motion
         raise HmrfError(error.message) from None
     folder.mkdir(parents=True, exist_ok=True)  # fail before the solve, not after it
-    solution = solve_study(study, stated=stated, backend=backend)
+    solution = solve_study(study, stated=stated, backend=backend, progress=progress)
     name = case.image.name.partition(".")[0]
     image = study.pictures.image
     if image is not None:
+        if progress is not None and len(study.grid.shape) == 3 and not has_volume_loops():
+            progress(Monitor("compiling loops that move volumes, once on a machine", 0.9))
         moved = solution.warp(image)
         where = None if study.grid.unit == "pixel" else place_of(solution)
         written = ImageFile(moved, where, colours=moved.ndim > len(study.grid.shape))

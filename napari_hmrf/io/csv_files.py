@@ -74,7 +74,9 @@ def text_of(path: Path, largest: int) -> str:
     try:
         return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError:
-        raise FileFormatError(f"{path.name} is no table of text. Save it in UTF-8.") from None
+        raise FileFormatError(
+            f"{path.name} is no text in UTF-8. Give a table of text, such as a .csv."
+        ) from None
 
 
 def read_cells(path: Path, largest: int) -> list[tuple[int, list[str]]]:
@@ -200,7 +202,9 @@ def save_csv(
     """
     target = Path(checked_path(path))
     if target.suffix.lower() != ENDING:
-        raise FileFormatError(f"{target.name}: {what} are saved as text. End its name in {ENDING}.")
+        raise FileFormatError(
+            f"{target.name}: {what} are saved as comma-separated text. End its name in {ENDING}."
+        )
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow([_as_text(title) for title in titles])

@@ -225,8 +225,8 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
     n, vectors = image.ndim, image.pixels
     if n not in (2, 3) or image.components != n:
         raise FileFormatError(
-            f"{source.name}: not a displacement field: {n} axes and {image.components} components. "
-            "A field has a component for each axis."
+            f"{source.name}: not a displacement field: {n} axes need {n} numbers for each pixel, "
+            f"and it has {image.components}. Give a field, a study or a saved result."
         )
     if vectors.dtype != np.float32:
         vectors = vectors.astype(np.float64)

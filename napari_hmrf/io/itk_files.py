@@ -28,6 +28,8 @@ _TRANSFORM = ".h5"
 _TEXTS = (".tfm", ".txt")
 _NIFTI = (".nii", ".nii.gz")
 _FIELD = "DisplacementFieldTransform_"
+#: Reason for a NIfTI file with fewer bytes than it claims; damage to a .gz looks the same.
+_CUT_SHORT = "it is damaged or cut short"
 #: Relative and absolute rounding of places, which NIfTI stores in single precision.
 _CLOSE = (1e-4, 1e-4)
 
@@ -83,7 +85,7 @@ def read_image(source: Path) -> ItkImage:
     """
     _open_once(source)
     if not _is_sealed(source) and source.name.lower().endswith(_NIFTI) and is_cut_short(source):
-        raise Unreadable("it is cut short")
+        raise Unreadable(_CUT_SHORT)
     return _image(_decode(source, "pixels"))
 
 
@@ -120,7 +122,7 @@ def read_vectors(source: Path) -> ItkImage:
     if name.endswith(_TEXTS):
         _check_text(source)
     if name.endswith(_NIFTI) and not is_sealed and is_cut_short(source):
-        raise Unreadable("it is cut short")
+        raise Unreadable(_CUT_SHORT)
     image = _image(_decode(source, "pixels", vectors=True))
     if image.ndim == 2 and image.components == 3:
         image = _in_volume(image, source)

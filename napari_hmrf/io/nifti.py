@@ -1,8 +1,8 @@
-"""What a NIfTI file's own header says, where ITK's reader does not listen.
+"""Header of a NIfTI file, which ITK's reader does not respect.
 
-It reads vectors on one slice of a volume as vectors of a plane, and with the third axis go its
-length and where the slice is; such files are what ANTs and elastix make of one slice. And of a file
-that was cut short it makes an image whose rest is arbitrary.
+ITK reads vectors on one slice of a volume as vectors of a plane, and loses the third axis with its
+length and the place of the slice; ANTs and elastix write such files for one slice. And it fills up
+a file that was cut short with arbitrary values.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def place_in_nifti(path: Path) -> NiftiPlace | None:
 
 
 def is_cut_short(path: Path) -> bool:
-    """Whether a .nii or .nii.gz of the first version holds fewer bytes than its header says."""
+    """Return whether a .nii or .nii.gz (version 1) has fewer sound bytes than its header says."""
     header = _header(path)
     if header is None:
         return False
@@ -101,7 +101,7 @@ def _header(path: Path) -> Any:
 
 
 def _rotation(vector: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Of a quaternion of length 1, without its real part, which is not negative."""
+    """Return the rotation of a unit quaternion without its real part, which is not negative."""
     real = math.sqrt(max(0.0, 1.0 - float(vector @ vector)))
     cross = np.cross(np.eye(3), vector)
     turn: npt.NDArray[np.float64] = (

@@ -30,6 +30,8 @@ from napari_hmrf.tissue.material_presets import Preset
 
 #: Largest size of a table, in bytes; also the longest header of an image.
 _LARGEST = 2**22
+#: Number of names that an error lists.
+_FEW = 4
 #: Titles of columns of a .csv, in lower case.
 _LABELS = "label", "labelvalue", "label value", "value", "index", "id", "no.", "key", "intensity"
 _NAMES = "name", "label name", "labelname", "structure", "segment", "tissue", "region", "class"
@@ -129,10 +131,11 @@ def tissue_table(path: str | os.PathLike[str]) -> NamedMaterials | Preset:
         return load_materials(source)
     found = materials_by_name(read_label_names(source), name=source.stem)
     if not any(row.stiffness for row in found.materials):
-        some = ", ".join(list(found.unknown.values())[:4])
+        names = list(dict.fromkeys(found.unknown.values()))
+        some = ", ".join(names[:_FEW]) + " ..." * (len(names) > _FEW)
         raise FileFormatError(
-            f"{source.name}: of none of its labels ({some} ...) is a stiffness known. Give a table "
-            "with the columns label, name and stiffness."
+            f"{source.name} gives no stiffness, and none of its names ({some}) is a tissue with a "
+            "published one. Give a .csv with the columns label, name and stiffness."
         )
     return found
 

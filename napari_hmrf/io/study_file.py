@@ -26,6 +26,7 @@ from napari_hmrf.field.frame import Frame
 from napari_hmrf.solver.parameters import optimizer_from_dict, prior_from_dict
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.solution import SOLUTION_FORMAT, Solution
+from napari_hmrf.solver.solve import Progress
 from napari_hmrf.study.ground import solve_study, statement_of
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
@@ -147,6 +148,11 @@ def load_solved(path: str | os.PathLike[str]) -> tuple[Study | None, Solution]:
     OSError
         If the file cannot be opened.
     """
+    if array_file.is_foreign(path):
+        raise FileFormatError(
+            f"{Path(path).name} is neither a study nor a result. Give the {SUFFIX} of a solve, or "
+            "a saved result (.npz)."
+        )
     if not is_study_file(path):
         return None, Solution.load(path)
     study, solution = load_study(path)
@@ -168,7 +174,12 @@ def image_named_in(path: str | os.PathLike[str]) -> str:
     return str(pictures.get("name", "")) if isinstance(pictures, dict) else ""
 
 
-def replay(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> Solution:
+def replay(
+    path: str | os.PathLike[str],
+    *,
+    image: npt.NDArray[Any] | None = None,
+    progress: Progress | None = None,
+) -> Solution:
     """Solve a saved study again, on the backend that computed its field.
 
     On the same machine and version, a field from a cold start, as by `solve_study` or *Deform*, is
@@ -180,6 +191,8 @@ def replay(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = Non
     ----------
     path, image
         As for `load_study`.
+    progress : callable, optional
+        As for `solve`.
 
     Raises
     ------
@@ -199,7 +212,7 @@ def replay(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = Non
             "in the file. Give the image."
         )
     backend = "auto" if solution is None else solution.provenance.backend
-    return solve_study(study, stated=statement_of(study), backend=backend)
+    return solve_study(study, stated=statement_of(study), backend=backend, progress=progress)
 
 
 class _Content(NamedTuple):

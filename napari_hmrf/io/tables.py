@@ -4,7 +4,8 @@ Materials have the columns ``label,stiffness`` and, optionally, ``name``, ``pois
 (0.1: a tenth longer; ``0.1/0``: along rows only) and ``source``, which is for the reader; rigid
 tissue has the word ``rigid`` as its stiffness. Rules have ``label,action`` and, optionally,
 ``name``, ``row`` and ``col`` (the displacement of "move", or the force of "pull"; in a volume also
-``plane``), ``amount`` (the growth of "expand", or the pressure) and ``confidence``.
+``plane``), ``amount`` (the growth of "expand", or the pressure) and ``confidence``. A rule has no
+number in a column that its action does not use.
 """
 
 from __future__ import annotations
@@ -114,8 +115,16 @@ _OF_RULES = {
     **dict.fromkeys(("plane", "row", "col", "amount"), _LENGTH),
     "confidence": _Column(_number(0, 1), "a number from 0 to 1"),
 }
-
-
+#: Columns that each action uses; all but plane and confidence must be filled in.
+_USED: dict[Action, tuple[str, ...]] = {
+    "fixed": ("confidence",),
+    "move": ("plane", "row", "col", "confidence"),
+    "expand": ("amount", "confidence"),
+    "press": ("amount",),
+    "pull": ("plane", "row", "col"),
+}
+#: Values of unused cells, which change nothing.
+_USUAL = {"plane": 0.0, "row": 0.0, "col": 0.0, "amount": 0.0, "confidence": 1.0}
 #: Columns that belong to one kind of table only, with that kind.
 _OTHERS = {
     **{title: "a table of rules" for title in _OF_RULES if title not in _OF_MATERIALS},
@@ -199,21 +208,38 @@ def read_rules(path: str | os.PathLike[str]) -> tuple[BoundaryRule, ...]:
     FileFormatError, OSError
         As for `read_materials`.
     """
-    rules = []
-    for line, row in _read(path, _OF_RULES, needed=("label", "action")):
-        across = [row.pop("plane", 0.0)] if "plane" in row else []
-        steps = [row.pop(axis, None) for axis in ("row", "col")]
-        missing = {"move": [*across, *steps], "expand": [row.get("amount")]}.get(row["action"], [0])
-        if all(amount is None for amount in missing):
-            how_far = "row and col" if row["action"] == "move" else "amount"
+    rows = _read(path, _OF_RULES, needed=("label", "action"))
+    return tuple(_rule(row, f"{Path(path).name}: line {line}") for line, row in rows)
+
+
+def _rule(row: dict[str, Any], where: str) -> BoundaryRule:
+    """Return the rule of a row; refuse a row with cells that are missing or have no effect."""
+    action, label = row["action"], row["label"]
+    used = _USED[action]
+    needed = [title for title in used if title in ("row", "col", "amount")]
+    missing = [title for title in needed if title not in row]
+    if missing:
+        if missing == needed:
             raise FileFormatError(
-                f"{Path(path).name}: line {line}: label {row['label']} is to {row['action']}, but "
-                f"not by how much. Give {how_far}."
+                f"{where}: label {label} is to {action}, but not by how much. Give "
+                f"{' and '.join(needed)}."
             )
-        vector = (*across, *(step or 0.0 for step in steps))
-        confidence = (row.pop("confidence", 1.0),) * 2
-        rules.append(BoundaryRule(**row, vector=vector, confidence=confidence))
-    return tuple(rules)
+        raise FileFormatError(
+            f"{where}: {action} has nothing under {missing[0]!r}. Give 0 if there is none along it."
+        )
+    idle = [title for title, usual in _USUAL.items() if title not in used]
+    for title in idle:
+        if row.pop(title, _USUAL[title]) != _USUAL[title]:
+            takes = f"takes {' and '.join(needed)}" if needed else "takes no length"
+            raise FileFormatError(
+                f"{where}: {title} has no effect on {action}, which {takes}. Leave the cell "
+                "empty, or give another action."
+            )
+    vector: tuple[float, ...] = (row.pop("row", 0.0), row.pop("col", 0.0))
+    if "plane" in row:
+        vector = (row.pop("plane"), *vector)
+    confidence = (row.pop("confidence", 1.0),) * 2
+    return BoundaryRule(**row, vector=vector, confidence=confidence)
 
 
 def named_materials_in_words(found: NamedMaterials) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.samples.phantoms import Phantom, phantom, reference_displacement, sample
+from napari_hmrf.solver.backends.kept import VOLUMES
 from napari_hmrf.solver.model_names import in_words
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.preparation import EVERYTHING, provide_loops
@@ -116,7 +117,8 @@ def demonstrate(
     size : int
         Pixels along each side.
     backend : str
-        One of `BACKEND_NAMES`; "auto" selects napari's backend, after all loops are compiled.
+        One of `BACKEND_NAMES`; "auto" selects napari's backend, after all loops are compiled,
+        those of elastic volumes included.
     progress : callable
         Called with a `Monitor` now and then.
     prior, optimizer : optional
@@ -133,6 +135,8 @@ def demonstrate(
     if backend == "auto":
         # Compile all loops now, so that napari finds them ready.
         provide_loops(EVERYTHING, progress)
+        # Loops for volumes are a job of their own.
+        provide_loops(VOLUMES, progress)
     how: dict[str, Any] = {"optimizer": optimizer, "backend": backend, "progress": progress}
     solution = solve(subject.problem, prior, **how)
     rmsd = rmsd_of_fem = None

@@ -12,12 +12,12 @@ import numpy as np
 from napari_hmrf.solver.backends import Backend, compiler, host, loops
 from napari_hmrf.solver.backends.compiler import Stage
 from napari_hmrf.solver.backends.found import Beginning
-from napari_hmrf.solver.backends.watch import LOOPS, watched
+from napari_hmrf.solver.backends.watch import USUAL_LOOPS, watched
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 
-#: Job that compiles all loops.
+#: Job that compiles all loops but those for volumes.
 EVERYTHING = ""
 # Size of a small problem, by its number of axes.
 _SIZES = {2: 40, 3: 12}
@@ -65,7 +65,7 @@ def provide_loops(job: str, report: Callable[[Monitor], None]) -> None:
 
     def tell(stage: Stage) -> None:
         if stage.of and job == EVERYTHING:
-            stage = stage._replace(of=LOOPS[job])
+            stage = stage._replace(of=USUAL_LOOPS)
         report(Monitor(stage.words, stage.fraction))
 
     compiler.provide(job, tell)

@@ -18,7 +18,7 @@ from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material, is
 
 
 def growth_loads(labels: npt.ArrayLike, materials: Iterable[Material]) -> Loads | None:
-    """Have the tissues of an image grow as their materials say.
+    """Return the growth of the tissues of an image, as their materials say.
 
     Parameters
     ----------
@@ -85,9 +85,14 @@ def boundary_loads(
         painted = image == rule.label
         if rule.action not in FORCES or not painted.any():
             continue
-        if rule.action == "press":
-            parts.append(pressure(stiffness, painted, rule.amount, spacing=spacing))
-        else:
-            vector = (*(0.0,) * (image.ndim - len(rule.vector)), *rule.vector)
-            parts.append(traction(stiffness, painted, vector, spacing=spacing))
+        try:
+            if rule.action == "press":
+                parts.append(pressure(stiffness, painted, rule.amount, spacing=spacing))
+            else:
+                vector = (*(0.0,) * (image.ndim - len(rule.vector)), *rule.vector)
+                parts.append(traction(stiffness, painted, vector, spacing=spacing))
+        except ProblemError as error:
+            if error.field != "surface":
+                raise
+            raise ProblemError(error.field, f"under {quoted(rule)} {error.message}") from None
     return reduce(add, parts) if parts else None

@@ -1,7 +1,7 @@
-"""The process that compiles the loops for all others: starting it, and waiting for it.
+"""Process that compiles the loops for all other processes: its start, and the wait for it.
 
-Only one does it at a time, on the whole machine. It says in a file how far it is, and takes next
-what somebody waits for.
+At most one such process runs on a machine. It writes its progress to a file, and compiles requested
+loops next.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ import psutil
 from napari_hmrf.solver.backends import kept, loops
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 
-#: What the other process runs.
+#: Module that the compiling process runs.
 COMPILER = "napari_hmrf.compiling"
-#: How often it is asked how far it is, in seconds: so long Cancel may take.
+#: Seconds between two readings of the progress; the longest time until a cancellation.
 _POLL = 0.1
 
 
 class _State:
-    """What this process has started."""
+    """Compiling process that this process has started."""
 
     compiler: subprocess.Popen[bytes] | None = None
 
 
 class Stage(NamedTuple):
-    """How far the compiler is.
+    """Progress of the compiler.
 
     Attributes
     ----------
     job : str
-        What it does, as `napari_hmrf.compiling` names it.
+        Its current job, as named by `napari_hmrf.compiling`.
     done, of : int
-        Loops: those that are compiled, and those there will be then.
+        Number of compiled loops now, and at the end of the job.
     pace : float
-        Seconds for each; 0 if that is not known yet.
+        Seconds per loop; 0 if not known yet.
     """
 
     job: str
@@ -55,12 +55,12 @@ class Stage(NamedTuple):
 
     @property
     def fraction(self) -> float:
-        """How much of it is done."""
+        """Fraction done, from 0 to 1."""
         return min(self.done / max(self.of, 1), 1.0)
 
     @property
     def words(self) -> str:
-        """That, and how long the rest will take at this pace, in words."""
+        """Progress and remaining time, in words."""
         if self.of == 0:
             return "starting to compile loops"
         said = f"compiling loops ({self.done} of {max(self.of, self.done)})"
@@ -71,16 +71,16 @@ class Stage(NamedTuple):
 Report = Callable[[Stage], None]
 
 
-# Whoever needs loops
+# Processes that need loops
 
 
 def compile_meanwhile(job: str = "") -> None:
-    """Have another process compile the loops, unless one does or has.
+    """Start another process that compiles the loops, unless one is running or has finished.
 
     Parameters
     ----------
     job : str
-        The loops that are needed; by default all that anybody may need.
+        Job that compiles the needed loops; by default all usual ones.
     """
     ours = _State.compiler
     started = ours is not None and (job not in kept.APART or ours.poll() is None)
@@ -88,56 +88,62 @@ def compile_meanwhile(job: str = "") -> None:
         return
     folder = kept.folder()  # before the environment is copied
     optimized = ["-" + "O" * sys.flags.optimize] if sys.flags.optimize else []
-    with suppress(OSError):  # then there will be no loops
+    with suppress(OSError):  # shaders solve without loops
         folder.mkdir(parents=True, exist_ok=True)
         _State.compiler = _started([sys.executable, *optimized, "-m", COMPILER])
         atexit.register(_State.compiler.terminate)
 
 
 def request(job: str) -> None:
-    """Have another process compile the loops of a job next, for somebody who waits for them."""
+    """Let another process compile the loops of a job next, as this process waits for them."""
     with suppress(OSError):
         _wanted_file().write_text(job, encoding="utf-8")
     compile_meanwhile(job)
 
 
 def _started(command: list[str]) -> subprocess.Popen[bytes]:
-    """Start a process that says nothing."""
+    """Start a process without input or output."""
     silent = subprocess.DEVNULL
     return subprocess.Popen(command, stdin=silent, stdout=silent, stderr=silent)
 
 
 def provide(job: str, report: Report) -> None:
-    """Have the loops of a job compiled, wait for them, and solve with loops from then on.
+    """Wait until another process has compiled the loops of a job, and use loops from then on.
 
-    Where no other process can compile them, this one will as it goes.
+    Where no other process can compile them, this one does when it calls them.
 
     Parameters
     ----------
     job : str
-        As `napari_hmrf.compiling` names it; "" is all of them.
+        As named by `napari_hmrf.compiling`; "" is all usual ones.
     report : callable
-        Called several times a second; raises to wait no more. What is being compiled goes on.
+        Called several times a second; raises to stop waiting. The compilation continues.
     """
     if not (loops.compile_here() or kept.compiled(job)):
         request(job)
+        is_repeated = False
         while not kept.compiled(job):
             if not (_at_work() or kept.compiled(job)):
-                loops.compile_alone()
-                break
+                if is_repeated:
+                    loops.compile_alone()
+                    break
+                # A process that was about to end may have missed the request.
+                request(job)
+                is_repeated = True
+                continue
             report(stage())
             time.sleep(_POLL)
     loops.use()
 
 
 def _at_work() -> bool:
-    """Whether our compiler, or another process's, is not done."""
+    """Return whether a compiling process, of this or of another process, is running."""
     ours = _State.compiler
     return (ours is not None and ours.poll() is None) or _someone_compiles()
 
 
 def stage() -> Stage:
-    """How far the compiler is."""
+    """Return the progress of the compiler."""
     try:
         return Stage(*json.loads(_stage_file().read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError):
@@ -148,7 +154,7 @@ def stage() -> Stage:
 
 
 def begin() -> bool:
-    """Say that this process is the one that compiles; False if another is."""
+    """Return whether this process is now the compiling one; False if another one is."""
     if _someone_compiles():
         return False
     try:
@@ -162,21 +168,21 @@ def begin() -> bool:
 
 
 def give_way() -> None:
-    """Compile only while nobody needs the processor: from now on no one waits for it."""
+    """Compile at idle priority from now on, as no process waits for the loops."""
     with suppress(psutil.Error, OSError):
         idle = getattr(psutil, "IDLE_PRIORITY_CLASS", 19)
         psutil.Process().nice(idle)
 
 
 def wanted() -> str:
-    """The job that somebody waits for, or has waited for."""
+    """Return the job that a process waits for, or has waited for, or ""."""
     with suppress(OSError):
         return _wanted_file().read_text(encoding="utf-8")
     return ""
 
 
 def tell(reached: Stage) -> None:
-    """Say how far this process is, to all others."""
+    """Publish the progress of this process."""
     new = _stage_file().with_suffix(".new")
     with suppress(OSError):
         new.write_text(json.dumps(reached), encoding="utf-8")
@@ -184,7 +190,7 @@ def tell(reached: Stage) -> None:
 
 
 def end(compiled: bool) -> None:
-    """Say that this process has done with compiling."""
+    """End the claim of `begin`, and mark all usual loops as compiled if they are."""
     with suppress(OSError):
         if compiled:
             kept.mark().touch()
@@ -193,7 +199,7 @@ def end(compiled: bool) -> None:
 
 
 def _someone_compiles() -> bool:
-    """Whether the process that last began to compile is still there, and no other by its number."""
+    """Return whether the last compiling process still runs, under its number and start time."""
     try:
         number, begun = _compiler_file().read_text(encoding="utf-8").split()
         return number != str(os.getpid()) and _begun(int(number)) == begun
@@ -202,7 +208,7 @@ def _someone_compiles() -> bool:
 
 
 def _begun(number: int) -> str:
-    """When a process began."""
+    """Return the start time of a process."""
     return f"{psutil.Process(number).create_time():.0f}"
 
 

@@ -1,8 +1,8 @@
-"""Loads the loops that are kept on disk, by a thread beside the work and in small steps.
+"""Loader of the cached loops: a background thread that works in small steps.
 
-The window and the compute thread go on meanwhile: no step keeps the interpreter to itself for as
-long as a picture takes. Nothing is run, as numba's own threads must not be entered from two threads
-at once.
+The window and the compute thread continue meanwhile: no step holds the interpreter's lock for as
+long as a picture takes. No loop is run, because numba's own threads must not be entered from two
+threads at once.
 """
 
 from __future__ import annotations
@@ -15,20 +15,21 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from napari_hmrf.solver.backends import kept
 
 _log = logging.getLogger("napari_hmrf")
-#: For each second of loading so many are left to the work.
+#: Seconds left to other work for each second of loading.
 _REST = 1.0
 
 
 class _Loader:
-    """Loads once, when first asked; the child of a fork begins anew."""
+    """Thread that loads once, on the first call; the child of a fork has a new one."""
 
     def __init__(self) -> None:
-        # Held for each step: a fork in the middle of one would never have numba's lock again.
+        # Locked during each step: a fork within a step would never release numba's lock.
         self.step = threading.Lock()
         self.stopped, self.done = threading.Event(), threading.Event()
         self.thread: threading.Thread | None = None
@@ -43,7 +44,7 @@ class _Loader:
                 self.thread.start()
 
     def stop(self) -> None:
-        """End before the interpreter does: what is being loaded is not its own memory."""
+        """End before the interpreter does, which does not own the memory being loaded."""
         self.stopped.set()
         if self.thread is not None:
             self.thread.join(2.0)
@@ -57,25 +58,25 @@ class _Loader:
                     if next(steps, None) is None:
                         return
                 self.stopped.wait(_REST * (time.perf_counter() - begun))
-        except Exception:  # noqa: BLE001 - then whoever needs a loop loads it
+        except Exception:  # noqa: BLE001 - then a loop is loaded when it is called
             _log.debug("the loops could not be loaded beforehand", exc_info=True)
         finally:
             self.done.set()
 
 
 def loaded(wait: float = 0.0) -> bool:
-    """Whether all loops are in memory, after so many seconds at most; if not, they will be."""
+    """Start to load all loops; return whether they are in memory, after at most `wait` seconds."""
     _loader.start()
     return _loader.done.wait(wait)
 
 
 def begun() -> bool:
-    """Whether loops are being loaded, or have been."""
+    """Return whether loops are being loaded, or have been."""
     return _loader.thread is not None
 
 
 def _steps() -> Iterator[str]:
-    """Load one thing after the other; what it was."""
+    """Load modules and loops one after the other, yielding the name of each."""
     before_numba()
     importlib.import_module("numba")
     yield "numba"
@@ -89,18 +90,57 @@ def _steps() -> Iterator[str]:
 
 
 def before_numba() -> None:
-    """Have numba find a folder to keep loops in, and cores that wait not burn.
+    """Import numba with a cache folder, a cache that may fail, and cores that do not spin.
 
-    GNU OpenMP lets a thread that waits for the others burn its core for milliseconds unless told
-    otherwise before it is loaded. Beside a window that wants a core, too, sweeps of 0.1 ms then
-    take 10 ms; with a short wait they take 0.3 ms, and alone they lose nothing.
+    GNU OpenMP lets a thread that waits for the others spin for milliseconds unless it is configured
+    before it is loaded. Beside a window that uses a core, too, sweeps of 0.1 ms then take 10 ms;
+    with a short wait they take 0.3 ms, and alone they lose nothing.
     """
     kept.folder()
     os.environ.setdefault("GOMP_SPINCOUNT", "1000")
+    _tolerate_full_disks()
+
+
+def _tolerate_full_disks() -> None:
+    """Let numba continue without its cache where a loop cannot be written, with one warning."""
+    from numba.core.caching import Cache
+
+    save = Cache.save_overload
+    if getattr(save, "is_tolerant", False):
+        return
+
+    def save_if_possible(self: Any, signature: Any, compiled: Any) -> None:
+        try:
+            save(self, signature, compiled)
+        except OSError as error:
+            if _Unwritable.is_known:
+                return
+            _Unwritable.is_known = True
+            own, all_of_them = Path(self.cache_path), kept.folder()
+            _log.warning(
+                "%s cannot be written to (%s), so each start compiles loops again. Free space "
+                "there, or set NUMBA_CACHE_DIR to another folder.",
+                all_of_them if own.is_relative_to(all_of_them) else own,
+                error.strerror or error,
+            )
+
+    save_if_possible.is_tolerant = True  # type: ignore[attr-defined]
+    Cache.save_overload = save_if_possible
+
+
+class _Unwritable:
+    """State of numba's cache folder in this process."""
+
+    is_known = False
+
+
+def is_unwritable() -> bool:
+    """Return whether numba has failed to cache a loop in this process."""
+    return _Unwritable.is_known
 
 
 def loops_there() -> list[Any]:
-    """All loops that are kept on disk, of the modules that have been imported."""
+    """List all loops with a cache on disk, of the imported modules."""
     from numba.core.caching import NullCache
     from numba.core.dispatcher import Dispatcher
 
@@ -113,8 +153,16 @@ def loops_there() -> list[Any]:
     return list(found.values())
 
 
+def is_cached(loop: Any) -> bool:
+    """Return whether a loop is cached for some types; False if the cache is unreadable."""
+    try:
+        return bool(_signatures(loop))
+    except (AttributeError, OSError):
+        return False
+
+
 def _signatures(loop: Any) -> list[Any]:
-    """For which types a loop is kept, as it is now and for this processor."""
+    """Return the types for which a loop is cached, as it is now and for this processor."""
     cache, processor = loop._cache, loop.targetctx.codegen()
     index = cache._cache_file._load_index()
     return [key[0] for key in index if key == cache._index_key(key[0], processor)]

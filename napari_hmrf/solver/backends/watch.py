@@ -11,7 +11,7 @@ from typing import Any
 from napari_hmrf.solver.backends.compiler import Stage
 from napari_hmrf.solver.backends.loader import before_numba, loops_there
 
-#: What tissue that turns out to be hard takes in the middle of a solve: no job of the compiler's.
+#: Loops that hard tissue takes in the middle of a solve, which are no job of the compiler.
 HARDER = "harder"
 #: About how many loops each job of `napari_hmrf.compiling` takes by itself, and all together.
 LOOPS = {
@@ -27,18 +27,20 @@ LOOPS = {
     "blanket-converged": 19,
     "exact-steps": 3,
     "large-motion": 24,
-    "volume": 20,
+    "volume": 22,
     "volume-schedule": 2,
     "volume-converged": 15,
-    "": 84,
+    "": 89,
 }
+#: About how many loops all jobs but those for volumes take together.
+USUAL_LOOPS = 64
 _HARDER_LOOPS = 8
 
 
 class _State:
-    """What this process has done."""
+    """Loops that this process has compiled."""
 
-    #: How many loops it has compiled.
+    #: Number of compiled loops.
     compiled = 0
     watched = False
 
@@ -93,6 +95,6 @@ def watched(job: str, tell: Callable[[Stage], object]) -> Iterator[None]:
 
 
 def _there() -> int:
-    """How many loops have been compiled here, or loaded, not counting those only others call."""
+    """Return the number of loops compiled or loaded here, without those that only loops call."""
     loaded = sum(sum(loop.stats.cache_hits.values()) for loop in loops_there())
     return _State.compiled + loaded
