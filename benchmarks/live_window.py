@@ -131,7 +131,7 @@ class Window:
             The times at a stretch in which it answered nothing.
         """
         self.start()
-        drawn = self._widget.history.edits.changed
+        drawn = self._widget.study_model.changed
         drawn.connect(self._on_drawing)
         mouse = _Poster(self._on_mouse, 1 / _MOUSE, compress=True)
         questions = _Poster(lambda asked: None, _ASKING)

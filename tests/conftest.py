@@ -157,9 +157,9 @@ def quick(widget):
 
 def forget_choice(widget):
     """Have the model be one that nobody chose: there is no step to take back."""
-    from napari_hmrf.layers.edit_history import steps_of
-
-    steps_of(widget._viewer).edits.drop(lambda slot: slot.what == "model")
+    study_model, chosen = widget.study_model, widget.study_model.model
+    study_model.drop(lambda part: part.kind == "model")
+    study_model.choose_model(chosen, step=False)
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from napari_hmrf import ArgumentError, ElasticPrior, Problem, ProblemError, solve
 from napari_hmrf.field.strain import count_folds
 from napari_hmrf.solver.optimizers import Multigrid
-from napari_hmrf.study.study_model import History, StudyModel
+from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.drawing import (
     Arrow,
     Canvas,
@@ -286,9 +286,9 @@ def test_a_rendering_kept_up_to_date_is_that_made_anew(begin, sequence):
 @settings(max_examples=150, deadline=None)
 def test_undo_gives_back_exactly_what_was_there_and_redo_what_came(sequence):
     """Against two plain lists, as a person would keep them; a drag counts once."""
-    base, history = canvas(), History()
+    base, model = canvas(), StudyModel()
     said = []
-    history.edits.changed.connect(lambda _, value: said.append(value))
+    model.changed.connect(lambda _, value: said.append(value))
     past, now, future = [], Drawing(), []
 
     def step(new, first):
@@ -301,64 +301,64 @@ def test_undo_gives_back_exactly_what_was_there_and_redo_what_came(sequence):
     for edit in sequence:
         what, number, mark, place = edit
         if what == "undo":
-            assert bool(history.edits.undo()) == bool(past)
+            assert bool(model.undo()) == bool(past)
             if past:
                 future.append(now)
                 now = past.pop()
         elif what == "redo":
-            assert bool(history.edits.redo()) == bool(future)
+            assert bool(model.redo()) == bool(future)
             if future:
                 past.append(now)
                 now = future.pop()
         elif what in ("drag", "drop"):
             first = now
-            history.begin("dragged")
+            model.begin_drawing("dragged")
             moved = first
             for kind in ("add", "replace", "onward"):
                 moved = edited(moved, (kind, number, mark, place))
-                history.update(moved)
+                model.update_drawing(moved)
             if what == "drag":
-                history.end()
+                model.end_drawing()
                 step(moved, first)
             else:
-                history.cancel()
+                model.cancel_drawing()
         else:
-            history.do(edited(now, edit), what)
+            model.draw(edited(now, edit), what)
             step(edited(now, edit), now)
-        assert history.drawing == now
-        assert same(history.drawing.render(base), now.render(base))
+        assert model.drawing == now
+        assert same(model.drawing.render(base), now.render(base))
     assert not said or said[-1] == now
     for earlier in reversed(past):
-        history.edits.undo()
-        assert history.drawing == earlier
-        assert same(history.drawing.render(base), earlier.render(base))
-    assert history.edits.undo() is None
+        model.undo()
+        assert model.drawing == earlier
+        assert same(model.drawing.render(base), earlier.render(base))
+    assert model.undo() is None
 
 
 def test_steps_have_words_and_an_empty_one_is_none():
-    arrow, history = Arrow((1, 1), (1, 0), 1), History()
-    history.do(Drawing((arrow,)), "drew an arrow")
-    history.do(Drawing((arrow,)), "did nothing")
-    history.begin("moved an arrow")
+    arrow, model = Arrow((1, 1), (1, 0), 1), StudyModel()
+    model.draw(Drawing((arrow,)), "drew an arrow")
+    model.draw(Drawing((arrow,)), "did nothing")
+    model.begin_drawing("moved an arrow")
     for by in (2, 3, 4):
-        history.update(Drawing((Arrow((1, 1), (by, 0), 1),)))
-    assert (history.edits.next_undo.word, history.in_progress) == ("moved an arrow", True)
-    assert history.edits.undo().word == "moved an arrow"
-    assert (history.drawing.marks, history.edits.next_undo.word) == ((arrow,), "drew an arrow")
-    assert history.edits.next_redo.word == "moved an arrow"
-    history.edits.redo()
-    assert history.drawing.marks[0].by == (4, 0)
-    assert history.edits.redo() is None
+        model.update_drawing(Drawing((Arrow((1, 1), (by, 0), 1),)))
+    assert (model.next_undo.word, model.drawing_in_progress) == ("moved an arrow", True)
+    assert model.undo().word == "moved an arrow"
+    assert (model.drawing.marks, model.next_undo.word) == ((arrow,), "drew an arrow")
+    assert model.next_redo.word == "moved an arrow"
+    model.redo()
+    assert model.drawing.marks[0].by == (4, 0)
+    assert model.redo() is None
     with pytest.raises(RuntimeError, match="begin"):
-        history.update(Drawing())
+        model.update_drawing(Drawing())
 
 
 def test_history_forgets_the_oldest_steps():
-    history = History(edits=StudyModel(3))
+    model = StudyModel(3)
     for number in range(1, 6):
-        history.do(Drawing((Arrow((number, 0), (1, 0), 1),)), f"step {number}")
-    assert [history.edits.undo().word for _ in range(3)] == ["step 5", "step 4", "step 3"]
-    assert history.drawing.marks[0].at == (2, 0)
+        model.draw(Drawing((Arrow((number, 0), (1, 0), 1),)), f"step {number}")
+    assert [model.undo().word for _ in range(3)] == ["step 5", "step 4", "step 3"]
+    assert model.drawing.marks[0].at == (2, 0)
 
 
 # Keeping

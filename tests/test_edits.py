@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from napari_hmrf.study.study_model import History, StudyModel
+from napari_hmrf.study.edit_history import EditHistory
+from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 
@@ -34,14 +35,14 @@ sequences = st.lists(
 
 
 def opened():
-    edits = StudyModel()
+    edits = EditHistory()
     for slot, value in FIRST.items():
         edits.open(slot, value)
     return edits
 
 
 def state(edits):
-    return {slot: edits.get(slot) for slot in edits.slots}
+    return {slot: edits.get(slot) for slot in edits.parts}
 
 
 def play(edits, what, slot, choices):
@@ -106,11 +107,11 @@ def test_without_a_slot_the_others_go_back_as_if_it_had_never_been(sequence, gon
     for what, slot, choices in sequence:
         if what == "undo":
             step = with_it.undo()
-            if step is not None and step.slot != gone:
+            if step is not None and step.part != gone:
                 without.undo()
         elif what == "redo":
             step = with_it.redo()
-            if step is not None and step.slot != gone:
+            if step is not None and step.part != gone:
                 without.redo()
         elif slot != gone:
             play(with_it, what, slot, choices)
@@ -120,7 +121,7 @@ def test_without_a_slot_the_others_go_back_as_if_it_had_never_been(sequence, gon
             without._future.clear()
     for edits in (with_it, without):
         edits.drop(lambda slot: slot == gone)
-    assert gone not in with_it.slots
+    assert gone not in with_it.parts
     while (step := without.undo()) is not None:
         assert with_it.undo() == step
         assert state(with_it) == state(without)
@@ -135,7 +136,7 @@ def test_a_step_says_what_it_was_and_of_what():
     assert edits.in_progress == SLOTS[0]
     assert edits.next_undo == (SLOTS[0], VALUES[SLOTS[0]][0], "drew an arrow")
     step = edits.undo()
-    assert (step.slot, step.word) == (SLOTS[0], "drew an arrow")
+    assert (step.part, step.word) == (SLOTS[0], "drew an arrow")
     assert edits.next_redo == (SLOTS[0], VALUES[SLOTS[0]][1], "drew an arrow")
     assert edits.next_undo.word == "stiffened gel"
 
@@ -161,44 +162,34 @@ def test_what_came_from_elsewhere_is_no_step():
     assert edits.get(slot) == VALUES[slot][4]
 
 
-def test_two_drawings_share_one_order_of_steps():
-    edits = StudyModel()
-    one, other = (History(edits=edits, slot=("drawing", index)) for index in (0, 1))
-    said = []
-    edits.changed.connect(lambda slot, value: said.append(value) if slot == other.slot else None)
-    arrow = Drawing((Arrow((1, 1), (1, 0), 1.0),))
-    one.do(arrow, "drew an arrow")
-    assert other.drawing == Drawing()
-    assert not said
-    other.begin("drew another")
-    other.update(arrow)
-    assert (one.in_progress, other.in_progress) == (False, True)
-    one.end()
-    assert other.in_progress, "nobody ends another's drag"
+def test_the_drawings_of_two_slices_share_one_order_of_steps():
+    model, arrow = StudyModel(), Drawing((Arrow((1, 1), (1, 0), 1.0),))
+    model.select_slice("image", 0)
+    model.draw(arrow, "drew an arrow")
+    model.select_slice("image", 1)
+    assert model.drawing == Drawing()
+    model.begin_drawing("drew another")
+    model.update_drawing(arrow)
+    model.select_slice("image", 0)
+    assert (model.drawing, model.drawing_in_progress) == (arrow, False)
     with pytest.raises(RuntimeError, match="begin"):
-        one.update(Drawing())
-    assert one.edits.undo().word == "drew another"
-    assert (one.drawing, other.drawing) == (arrow, Drawing())
-    assert one.edits.undo().word == "drew an arrow"
-    assert said == [arrow, Drawing()]
+        model.update_drawing(Drawing())
+    assert [model.undo().word, model.undo().word] == ["drew another", "drew an arrow"]
+    assert model.drawing == Drawing()
 
 
 def test_a_drawing_whose_image_is_gone_holds_nothing_and_may_begin_again():
-    edits = StudyModel()
-    history = History(edits=edits, slot="gone")
-    history.begin("drew")
-    history.update(Drawing((Arrow((1, 1), (1, 0), 1.0),)))
-    edits.drop(lambda slot: slot == "gone")
-    assert (history.drawing, history.in_progress, history.edits.next_undo) == (
-        Drawing(),
-        False,
-        None,
-    )
-    history.cancel()
-    history.do(Drawing((Arrow((2, 1), (1, 0), 1.0),)), "drew again")
-    assert history.edits.undo().word == "drew again"
+    model = StudyModel()
+    model.select_slice("gone")
+    model.begin_drawing("drew")
+    model.update_drawing(Drawing((Arrow((1, 1), (1, 0), 1.0),)))
+    model.drop(lambda part: part.layer == "gone")
+    assert (model.drawing, model.drawing_in_progress, model.next_undo) == (Drawing(), False, None)
+    model.cancel_drawing()
+    model.draw(Drawing((Arrow((2, 1), (1, 0), 1.0),)), "drew again")
+    assert model.undo().word == "drew again"
 
 
 def test_an_edit_of_what_nobody_opened_is_an_error():
     with pytest.raises(KeyError):
-        StudyModel().do("nothing", 1, "did")
+        EditHistory().do("nothing", 1, "did")

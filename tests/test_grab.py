@@ -27,7 +27,7 @@ def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):
     for step in range(1, 5):
         person.move(30 + step, 30 + 2 * step)
         qtbot.waitUntil(lambda step=step: len(seen) >= step, timeout=LONG_MS)
-    assert widget.history.in_progress, "the button is still down"
+    assert widget.study_model.drawing_in_progress, "the button is still down"
     moved = by_name(person.viewer, "MR deformed, elastic").data
     assert (moved != still).mean() > 0.05
     person.release(34, 38)
@@ -43,7 +43,7 @@ def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):
     assert np.array_equal(drawn[-1].solution.displacement, field)
     assert person.viewer.layers.selection.active.name == "Motion"
     assert by_name(person.viewer, "MR arrows, elastic").metadata[METADATA]["solution"] is not None
-    assert widget.history.edits.next_undo.word == "drew an arrow"
+    assert widget.study_model.next_undo.word == "drew an arrow"
 
 
 def test_an_arrow_is_picked_up_again_by_its_head_and_by_its_base(pulling_beside, settle):
@@ -66,7 +66,7 @@ def test_tissue_that_has_moved_is_taken_hold_of_where_it_is_seen(pulling_beside,
     held = widget.drawing.marks[1]
     assert held.at[0] < 39.5, "it has come from further up"
     assert np.add(held.at, held.by) == pytest.approx((40, 44), abs=0.6)
-    assert widget.history.edits.next_undo.word == "drew an arrow"
+    assert widget.study_model.next_undo.word == "drew an arrow"
 
 
 @bare
@@ -98,7 +98,7 @@ def test_escape_gives_a_drag_up(pulling_beside):
     person.key(Qt.Key.Key_Escape)
     person.move(40, 40)
     person.release(40, 40)
-    assert (widget.drawing, widget.history.edits.next_undo) == (Drawing(), None)
+    assert (widget.drawing, widget.study_model.next_undo) == (Drawing(), None)
     assert widget.status == "Cancelled; everything is as before."
 
 
@@ -177,7 +177,7 @@ def test_arrows_deleted_in_mid_drag_come_back(pulling, settle):
     person.move(40, 40)
     person.release(40, 40)
     assert only(widget).by == pytest.approx((4, 4), abs=0.6)
-    assert not widget.history.in_progress
+    assert not widget.study_model.drawing_in_progress
     assert not widget.active
     assert "is gone" in widget.status
     settle(widget)

@@ -102,7 +102,7 @@ def test_what_is_pinned_stays(brushing_beside, settle):
     assert displacement(widget)[20, 22:35] == pytest.approx(0, abs=0.02)
     assert seen_paint(person)[20, 28] == number_of("pin")
     assert seen_paint(person)[26, 28] == 0
-    assert widget.history.edits.next_undo.word == "held tissue"
+    assert widget.study_model.next_undo.word == "held tissue"
 
 
 def test_what_is_freed_is_held_by_nothing(brushing_beside, settle):
@@ -206,7 +206,7 @@ def test_a_ring_that_is_removed_before_it_is_closed_leaves_nothing(pulling_besid
     person.release(44, 30)
     settle(widget)
     assert not widget.drawing.marks
-    assert not widget.history.in_progress
+    assert not widget.study_model.drawing_in_progress
     assert not seen_paint(person).any()
 
 
@@ -332,7 +332,7 @@ def test_painted_confidence_is_undone_and_redone_with_its_layer(brushing_beside,
     person.paint((40, 42), (40, 46))
     settle(widget)
     seen = by_name(person.viewer, "Confidence").data.copy()
-    assert widget.history.edits.next_undo.word == "painted confidence"
+    assert widget.study_model.next_undo.word == "painted confidence"
     person.key(Qt.Key.Key_Z, CTRL)
     settle(widget)
     assert "Confidence" not in layers
@@ -452,7 +452,7 @@ def test_tissue_is_painted_from_the_presets_where_there_is_no_table(brushing_bes
     after = displacement(widget)
     assert after[44, 14, 1] < 0.8 * before, "a gap passes nothing on"
     assert not after[44, 22].any()
-    assert widget.history.edits.next_undo.word == "painted tissue"
+    assert widget.study_model.next_undo.word == "painted tissue"
     person.key(Qt.Key.Key_Z, CTRL)
     settle(widget)
     assert displacement(widget)[44, 14, 1] == pytest.approx(before, abs=0.02)
@@ -711,7 +711,7 @@ def test_layers_that_are_needed_and_deleted_in_mid_stroke_end_it(
     person.move(20, 30)
     person.release(20, 30)
     at_rest()
-    assert not widget.history.in_progress
+    assert not widget.study_model.drawing_in_progress
     assert widget.status.startswith(said)
     assert not person.viewer.canvas.overlays.text.visible
 
@@ -814,7 +814,7 @@ def test_a_radius_that_is_typed_is_one_step(pulling_beside, settle):
     assert widget.drawing.marks[0].radius == 12.5
     widget.undo()
     assert widget.drawing.marks[0].radius != 12.5
-    assert widget.history.edits.next_undo.word == "drew an arrow"
+    assert widget.study_model.next_undo.word == "drew an arrow"
 
 
 def test_the_brush_of_tissue_begins_with_one_that_is_tissue(open_beside, settle):

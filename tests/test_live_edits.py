@@ -9,7 +9,7 @@ from patience import LONG
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, solve
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.live_solver import LiveSolver
-from napari_hmrf.study.study_model import StudyModel
+from napari_hmrf.study.edit_history import EditHistory
 from napari_hmrf.tissue.boundary_rules import (
     BoundaryRule,
     Material,
@@ -48,7 +48,7 @@ edits = st.lists(
 
 
 def begun():
-    steps = StudyModel()
+    steps = EditHistory()
     for slot, value in FIRST.items():
         steps.open(slot, value)
     return steps

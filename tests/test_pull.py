@@ -25,7 +25,7 @@ from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.read import Request, read_study
 from napari_hmrf.layers.slice_view import frame_of
 from napari_hmrf.study.ground import Ground
-from napari_hmrf.study.study_model import History
+from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Rendering, Stroke
 from napari_hmrf.tissue.usual_lengths import usual_radius
@@ -36,13 +36,13 @@ GRIP = Arrow((0, 0), (0, 0), 3.0)
 
 
 @pytest.fixture
-def history():
-    return History()
+def model():
+    return StudyModel()
 
 
 @pytest.fixture
-def pull(history):
-    return Pull(history, SPACING)
+def pull(model):
+    return Pull(model, SPACING)
 
 
 def drag(pull, *points, reach=1.0, how=None, **options):
@@ -52,84 +52,84 @@ def drag(pull, *points, reach=1.0, how=None, **options):
     return pull.release()
 
 
-def test_a_drag_draws_one_arrow_in_the_unit_of_the_spacing(pull, history):
+def test_a_drag_draws_one_arrow_in_the_unit_of_the_spacing(pull, model):
     assert drag(pull, (10, 10), (11, 10), (14, 13)) == "drew an arrow"
-    assert history.drawing.marks == (Arrow((10, 10), (4, 6), 3.0),)
-    assert history.edits.undo().word == "drew an arrow"
-    assert not history.drawing.marks
+    assert model.drawing.marks == (Arrow((10, 10), (4, 6), 3.0),)
+    assert model.undo().word == "drew an arrow"
+    assert not model.drawing.marks
 
 
-def test_a_click_holds_tissue_where_it_is_seen(pull, history):
+def test_a_click_holds_tissue_where_it_is_seen(pull, model):
     grip = replace(GRIP, confidence=0.5)
     assert drag(pull, (10, 10), how=grip, came_from=lambda _: (8.0, 11.0)) == "drew an arrow"
-    assert history.drawing.marks == (Arrow((8, 11), (2, -2), 3.0, 0.5),)
+    assert model.drawing.marks == (Arrow((8, 11), (2, -2), 3.0, 0.5),)
 
 
-def test_what_is_no_tissue_is_not_taken_hold_of(pull, history):
+def test_what_is_no_tissue_is_not_taken_hold_of(pull, model):
     assert not pull.press((10, 10), 1, GRIP, lambda _: None)
     pull.move((12, 12))
-    assert (pull.release(), history.drawing.marks, history.edits.next_undo) == ("", (), None)
+    assert (pull.release(), model.drawing.marks, model.next_undo) == ("", (), None)
 
 
-def test_an_arrow_is_changed_by_its_head_or_its_base_wherever_it_was_taken(pull, history):
+def test_an_arrow_is_changed_by_its_head_or_its_base_wherever_it_was_taken(pull, model):
     drag(pull, (10, 10), (14, 12))
     drag(pull, (14.5, 12), (16.5, 13))  # beside its head, by half a pixel
-    assert history.drawing.marks == (Arrow((10, 10), (6, 6), 3.0),)
+    assert model.drawing.marks == (Arrow((10, 10), (6, 6), 3.0),)
     drag(pull, (10, 10), (11, 10))
-    assert history.drawing.marks == (Arrow((11, 10), (5, 6), 3.0),), "the head stays"
-    assert history.edits.undo().word == "moved an arrow"
-    assert history.edits.undo().word == "moved an arrow"
-    assert history.edits.undo().word == "drew an arrow"
+    assert model.drawing.marks == (Arrow((11, 10), (5, 6), 3.0),), "the head stays"
+    assert model.undo().word == "moved an arrow"
+    assert model.undo().word == "moved an arrow"
+    assert model.undo().word == "drew an arrow"
 
 
-def test_taking_hold_of_an_arrow_without_moving_it_is_no_step(pull, history):
+def test_taking_hold_of_an_arrow_without_moving_it_is_no_step(pull, model):
     drag(pull, (10, 10), (14, 12))
     assert drag(pull, (14, 12)) == ""
     assert pull.selected == 0
-    assert history.edits.next_undo.word == "drew an arrow"
+    assert model.next_undo.word == "drew an arrow"
 
 
-def test_an_arrow_of_one_component_stays_on_its_line(pull, history):
+def test_an_arrow_of_one_component_stays_on_its_line(pull, model):
     drag(pull, (10, 10), (14, 13), how=replace(GRIP, components="row"))
-    assert history.drawing.marks[0].by == (4, 0)
+    assert model.drawing.marks[0].by == (4, 0)
     pull.change(replace(pull.mark, components="col"))
-    assert history.drawing.marks[0].by == (0, 0)
+    assert model.drawing.marks[0].by == (0, 0)
 
 
-def test_the_selected_arrow_is_changed_and_removed(pull, history):
+def test_the_selected_arrow_is_changed_and_removed(pull, model):
     drag(pull, (10, 10), (14, 12))
     drag(pull, (20, 20), (21, 21))
     assert pull.selected == 1
     pull.change(replace(pull.mark, radius=5.0, confidence=0.25))
-    assert history.drawing.marks[1] == Arrow((20, 20), (1, 2), 5.0, 0.25)
-    before = history.edits.next_undo
+    assert model.drawing.marks[1] == Arrow((20, 20), (1, 2), 5.0, 0.25)
+    before = model.next_undo
     pull.change(pull.mark)
-    assert history.edits.next_undo is before, "that makes no difference"
+    assert model.next_undo is before, "that makes no difference"
     assert pull.remove()
-    assert len(history.drawing.marks) == 1
+    assert len(model.drawing.marks) == 1
     assert pull.selected is None
     assert not pull.remove()
-    history.edits.undo()
+    model.undo()
     assert pull.selected is None, "what comes back is not selected"
 
 
-def test_a_cancelled_drag_leaves_nothing(pull, history):
+def test_a_cancelled_drag_leaves_nothing(pull, model):
     drag(pull, (10, 10), (14, 12))
-    before = history.drawing
+    before = model.drawing
     pull.press((20, 20), 1, GRIP)
     pull.move((25, 25))
     assert pull.cancel()
     pull.move((26, 26))
     pull.release()
-    assert (history.drawing, history.edits.next_undo.word) == (before, "drew an arrow")
+    assert (model.drawing, model.next_undo.word) == (before, "drew an arrow")
     assert not pull.cancel()
 
 
-def test_a_landmark_is_moved_by_either_end(pull, history):
-    history.do(Drawing((Landmark((5, 5), (8, 8), 2),)), "opened")
+def test_a_landmark_is_moved_by_either_end(pull, model):
+    model.draw(Drawing((Landmark((5, 5), (8, 8), 2),)), "opened")
     drag(pull, (8, 8), (9, 9))
     drag(pull, (5, 5), (4, 4))
-    assert history.drawing.marks == (Landmark((4, 4), (9, 9), 2),)
+    assert model.drawing.marks == (Landmark((4, 4), (9, 9), 2),)
 
 
 def test_what_is_seen_at_a_point_is_found_where_it_came_from():

@@ -8,7 +8,7 @@ from person import CTRL, SHIFT, Person
 from qtpy.QtCore import Qt
 from screen import Screen
 
-from napari_hmrf.layers.edit_history import steps_of
+from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.tissue.drawing import Arrow
 
 Z, Y = Qt.Key.Key_Z, Qt.Key.Key_Y
@@ -135,7 +135,7 @@ def test_the_keys_of_who_is_gone_without_a_word_are_not_bound_twice():
             return False
 
     viewer, owner = ViewerModel(), Owner()
-    steps = steps_of(viewer)
+    steps = undo_of(viewer)
     steps.bind_keys(Owner())
     steps.bind_keys(owner)
     assert viewer.keymap

@@ -116,7 +116,7 @@ def test_while_a_hand_pulls_the_slice_that_is_seen_follows(volume, settle, qtbot
         qtbot.waitUntil(lambda before=before: len(seen) > before, timeout=LONG_MS)
     picture = by_name(person.viewer, "MR deformed, elastic")
     still = by_name(person.viewer, "MR").data
-    assert widget.history.in_progress
+    assert widget.study_model.drawing_in_progress
     assert (picture.data[12] != still[12]).mean() > 0.02
     assert np.array_equal(picture.data[5], still[5]), "what is not seen waits"
     person.release(19, 19)

@@ -489,14 +489,15 @@ def test_settings_become_prior_and_optimizer(widget):
         penalty=500.0,
         sweeps=12,
     )
-    chosen = widget._form.model
+    chosen = widget.study_model.model
     assert chosen.prior == SeilerPrior(penalty=500, conditional="blanket")
     assert chosen.optimizer == ICM(12, steps=None, energy_change=1e-3)
     assert widget.settings.device == "cpu"
-    assert "Borders of stiff and soft tissue hardly move" in chosen.in_detail["reading"].tooltip
+    form = widget._form.model.in_detail
+    assert "Borders of stiff and soft tissue hardly move" in form["reading"].tooltip
     for words in ("candidate steps", "never early", "OpenGL, fragment"):
         Screen(widget).choose(words)
-    assert chosen.optimizer == ICM(12)
+    assert widget.study_model.model.optimizer == ICM(12)
     assert widget.settings.device == "opengl:fragment"
 
 
@@ -507,9 +508,10 @@ def test_every_device_is_offered(widget):
 def test_untouched_settings_are_those_of_elastic_tissue_and_the_paper_s_are_a_click_away(qtbot):
     widget = SoftTissue(ViewerModel())
     qtbot.addWidget(widget.native)
-    chosen = widget._form.model
+    chosen = widget.study_model.model
     assert (chosen.prior, chosen.optimizer) == (ElasticPrior(), Multigrid())
     Screen(widget).choose(MODELS["paper"])
+    chosen = widget.study_model.model
     assert (chosen.prior, chosen.optimizer) == (SeilerPrior(), ICM())
     assert widget.settings.device == "auto"
 

@@ -17,6 +17,7 @@ from napari_hmrf.solver.model_advice import when_to_take
 from napari_hmrf.solver.model_names import ModelName, converged
 from napari_hmrf.study.ground import statement_of
 from napari_hmrf.study.models import SolverDetails
+from napari_hmrf.study.study_model import ModelChoice
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.ui.messages import MODELS, PLANES, READY
@@ -39,7 +40,7 @@ def elastic(widget):
 
 def solved(widget):
     """The energy that is chosen, and how it is minimised."""
-    chosen = widget._form.model
+    chosen = widget.study_model.model
     return chosen.prior, chosen.optimizer
 
 
@@ -427,7 +428,7 @@ def test_what_does_not_converge_is_told_and_nothing_shown(widget, small_sample, 
     small_sample(viewer_of(widget))
     elastic(widget)
     hasty = property(lambda _: Multigrid(1e-3, max_iterations=1))
-    monkeypatch.setattr(type(widget._form.model), "optimizer", hasty)
+    monkeypatch.setattr(ModelChoice, "optimizer", hasty)
     assert run(widget) is None
     assert widget.status.startswith("No result: ")
     assert "px from converged" in widget.status

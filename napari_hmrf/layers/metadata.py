@@ -1,16 +1,14 @@
-"""What this package keeps in a layer's metadata: what the layer is for, and its table.
-
-A table is a value, too, that can be taken back; what was done to it is said in words.
-"""
+"""The package's entries in a layer's metadata: the layer's role, and its table."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from napari_hmrf.io.study_file import materials_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.row_table import RowTable
 
 #: Where a layer's metadata hold what this package knows of it.
 METADATA = "napari-hmrf"
@@ -23,8 +21,6 @@ _TABLES: dict[Role, tuple[str, Callable[..., Any]]] = {
     TISSUE: ("materials", Material.of_row),
     BOUNDARY: ("rules", BoundaryRule),
 }
-#: Of whose values some were changed by hand.
-_CHANGED = "changed since taken from: "
 
 
 def known_of(layer: Any) -> Mapping[str, Any]:
@@ -108,45 +104,12 @@ def rows_of(layer: Any, role: Role) -> tuple[Any, ...]:
         return ()
 
 
-class Table(NamedTuple):
-    """What a table of tissues or of boundaries says.
-
-    Attributes
-    ----------
-    rows : tuple of Material or BoundaryRule
-    unit : str
-        Of stiffness.
-    preset, whose : str
-        Which materials these are, and whose values.
-    """
-
-    rows: tuple[Any, ...]
-    unit: str = ""
-    preset: str = ""
-    whose: str = ""
-
-    @classmethod
-    def of(cls, layer: Any, role: Role) -> Table:
-        """The table a layer carries; an empty one if it carries none."""
-        said = (str(known_of(layer).get(name, "")) for name in cls._fields[1:])
-        return cls(rows_of(layer, role), *said)
-
-    def give_to(self, layer: Any, role: Role) -> None:
-        """Have a layer carry the table."""
-        layer.metadata.update(described(role, *self))
-
-    def edited(self, rows: Iterable[Any]) -> Table:
-        """The table with rows that somebody has changed, which are no longer all its source's."""
-        changed = self.whose and not self.whose.startswith(_CHANGED)
-        return self._replace(rows=tuple(rows), whose=(_CHANGED if changed else "") + self.whose)
+def table_of(layer: Any, role: Role) -> RowTable:
+    """Return the table that a layer's metadata hold; an empty one if they hold none."""
+    said = (str(known_of(layer).get(name, "")) for name in RowTable._fields[1:])
+    return RowTable(rows_of(layer, role), *said)
 
 
-def change(before: Table, after: Table, name: str) -> str:
-    """What was done to the table of a layer of that name, in the past tense."""
-    was, now = ({row.label: row for row in table.rows} for table in (before, after))
-    differing = [label for label in was | now if was.get(label) != now.get(label)]
-    if len(differing) != 1:
-        return f"changed the table of '{name}'"
-    (label,) = differing
-    done, where = ("changed", "of") if label in was else ("added", "to")
-    return f"{done} label {label} {where} '{name}'"
+def store_table(table: RowTable, layer: Any, role: Role) -> None:
+    """Store a table in a layer's metadata."""
+    layer.metadata.update(described(role, *table))

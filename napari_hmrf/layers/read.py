@@ -33,6 +33,7 @@ from napari_hmrf.layers.result_layers import layer_on
 from napari_hmrf.layers.slice_view import View, check_size, frame_of, plane_shape
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
+from napari_hmrf.study.study_model import BRIGHTNESS, StudyModel
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
@@ -98,6 +99,38 @@ class Request:
     without_border: bool = False
     curve: StiffnessCurve | None = None
     weight: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, model: StudyModel, view: View, preset: Preset | None = None) -> Request:
+        """Return the choices for the selected image of a model, with its drawing.
+
+        Parameters
+        ----------
+        model : StudyModel
+        view : View
+            The visible slice.
+        preset : Preset, optional
+            Tissues that can be painted where the layer has no table of its own.
+        """
+        choice = model.choice
+        tissue, boundary = choice.tissue_layer, choice.boundary
+        materials = None if tissue is None else model.table(TISSUE, tissue)
+        rules = None if boundary is None else model.table(BOUNDARY, boundary)
+        return cls(
+            image=model.image,
+            tissue=tissue,
+            materials=None if materials is None else materials.rows,
+            boundary=boundary,
+            rules=None if rules is None else rules.rows,
+            confidence=choice.confidence if isinstance(boundary, Vectors) else None,
+            view=view,
+            hold_edge=choice.hold_edge,
+            drawing=model.drawing,
+            preset=preset,
+            without_border=choice.without_border,
+            curve=model.curve if choice.tissue == BRIGHTNESS else None,
+            weight=choice.weight,
+        )
 
     @property
     def layers(self) -> tuple[Any, ...]:

@@ -1,285 +1,350 @@
-"""What a person edits of the studies in a viewer, and the way back to earlier states of it.
+"""Studies of a viewer as the user edits them: the one source for forms, tools and the solver.
 
-There is one order of steps for all of it, as there is one person who made them. What is edited, a
-table or the drawing of a slice, has a name, its slot; what it holds is a value that does not
-change, so that what comes back is exactly what was there.
+A study is made of parts that have different owners: the drawing belongs to a slice, the table of
+materials or rules to a Labels layer, the choice of layers to an image, and the tissue model to the
+viewer. So each part is kept once, and an edit of it changes the study of every slice that uses it.
+Layers are any hashable objects here; nothing needs napari or Qt.
 """
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Hashable
-from typing import Any, NamedTuple
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal, NamedTuple
 
+import numpy as np
 from psygnal import Signal
 
+from napari_hmrf.solver.model_names import ModelName
+from napari_hmrf.solver.optimizers import Optimizer
+from napari_hmrf.solver.priors import Elastic, Prior
+from napari_hmrf.solver.priors.elastic import Plane
+from napari_hmrf.study.edit_history import DEPTH, EditHistory
+from napari_hmrf.study.models import (
+    SolverDetails,
+    details_of,
+    family_of,
+    optimizer_of,
+    prior_of,
+)
+from napari_hmrf.study.study import Study
+from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.tissue.row_table import RowTable
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
-#: How many steps are kept.
-DEPTH = 500
+#: Kinds of parts: the drawing of a slice; the tables of a Labels layer; the stiffness curve of an
+#: image; the choices for an image; the tissue model; and the strokes of napari's brush in a layer.
+Kind = Literal["drawing", "image", "tissue", "boundary", "curve", "choice", "model", "paint"]
+#: Kinds of tables; that of an image is always empty.
+TableKind = Literal["image", "tissue", "boundary"]
+#: Value of `ImageChoice.tissue` if the image's brightness gives the stiffness, by its curve.
+BRIGHTNESS = "brightness"
+# Names of the steps that change a choice; the first changed attribute names the step. A change of
+# another attribute, such as a solver detail, is no step.
+_WORDS = {
+    "name": "chose another model",
+    "plane": "chose another plane",
+    "poisson": "changed Poisson's ratio",
+    "tissue": "chose what says how stiff tissue is",
+    "boundary": "chose another boundary",
+    "confidence": "chose what says how sure the boundary is",
+    "without_border": "changed whether the dark border is tissue",
+    "hold_edge": "changed whether the edge is held",
+    "weight": "changed the weight",
+    "extent": "changed between slice and volume",
+}
 
 
-class Step(NamedTuple):
-    """What a slot held before a step, or after it, and what was done, in words."""
+class Part(NamedTuple):
+    """Key of a part of the studies, which is edited as one value.
 
-    slot: Hashable
-    value: Any
-    word: str
+    Attributes
+    ----------
+    kind : Kind
+    layer : hashable
+        Owner: an image, a Labels layer, or None. Its parts are dropped with it.
+    place : hashable
+        Slice of a drawing.
+    """
+
+    kind: Kind
+    layer: Any
+    place: Any = None
 
 
-class StudyModel:
-    """What every slot holds now, and the steps that lead back and on again.
+@dataclass(frozen=True)
+class ImageChoice:
+    """Layers and settings chosen for an image.
+
+    Attributes
+    ----------
+    tissue : layer, "brightness" or None
+        Labels, an image of stiffness, or the image's brightness; None: all in the image is tissue.
+    boundary : layer or None
+        Labels, or observed displacements.
+    confidence : layer, "edges" or None
+        Confidence of observed displacements.
+    without_border : bool
+        Whether dark surroundings with label 0 are not tissue.
+    hold_edge : bool
+        Whether the outer edge of the tissue is held.
+    weight : tuple of float
+        As of `Motion`.
+    extent : {"slice", "volume"}
+    compare_with : layer or None
+        A second image, shown over the deformed one.
+    """
+
+    tissue: Any = None
+    boundary: Any = None
+    confidence: Any = None
+    without_border: bool = True
+    hold_edge: bool = True
+    weight: tuple[float, ...] = ()
+    extent: str = "slice"
+    compare_with: Any = None
+
+    @property
+    def tissue_layer(self) -> Any:
+        """The layer that is chosen as tissue, or None."""
+        return None if self.tissue == BRIGHTNESS else self.tissue
+
+    @property
+    def layers(self) -> tuple[Any, ...]:
+        """Values of the choices of layers."""
+        return self.tissue, self.boundary, self.confidence, self.compare_with
+
+
+@dataclass(frozen=True)
+class ModelChoice:
+    """Chosen tissue model and solver settings.
+
+    Attributes
+    ----------
+    name : ModelName
+    plane : {"stress", "strain"}
+    poisson : float
+        Poisson's ratio of tissue without a table.
+    details : SolverDetails
+    """
+
+    name: ModelName = "elastic"
+    plane: Plane = "stress"
+    poisson: float = USUAL_POISSON
+    details: SolverDetails = field(default_factory=SolverDetails)
+
+    @classmethod
+    def of(cls, study: Study) -> ModelChoice:
+        """Return the choice that makes the prior and the optimizer of a study.
+
+        Poisson's ratios that differ from site to site belong to the tissue, and are not taken.
+        """
+        prior, optimizer = study.prior, study.optimizer
+        choice = cls(family_of(prior, optimizer), details=details_of(prior, optimizer))
+        if isinstance(prior, Elastic):
+            choice = replace(choice, plane=prior.plane)
+            if np.ndim(prior.poisson) == 0:
+                choice = replace(choice, poisson=float(prior.poisson))
+        return choice
+
+    @property
+    def prior(self) -> Prior:
+        """Energy of the model; for labelled tissues, without their Poisson's ratios."""
+        return prior_of(self.name, self.details, self.plane, self.poisson)
+
+    @property
+    def optimizer(self) -> Optimizer:
+        """Optimizer that minimises the energy."""
+        return optimizer_of(self.name, self.details)
+
+
+class StudyModel(EditHistory):
+    """Parts of all studies of a viewer, the selected slice, and undo.
+
+    Each kind of part has one method that writes it; `changed` is emitted with the `Part`.
 
     Parameters
     ----------
     depth : int
-        How many steps are kept; the oldest are forgotten.
+        Number of steps that are kept.
 
     Attributes
     ----------
-    changed : Signal(object, object, object)
-        Emitted with a slot, its value, and what it held before, whenever that is another.
-    moved : Signal()
-        Emitted whenever there are other steps to take back or to do again.
+    image : hashable or None
+        Selected image.
+    slice : Part
+        Drawing of the selected slice.
+    selected : Signal(object)
+        Emitted with the image when another one is selected.
     """
 
-    changed = Signal(object, object, object)
-    moved = Signal()
+    selected = Signal(object)
 
     def __init__(self, depth: int = DEPTH) -> None:
-        self._now: dict[Hashable, Any] = {}
-        self._past: deque[Step] = deque(maxlen=depth)
-        self._future: list[Step] = []
-        self._begun: Step | None = None
+        super().__init__(depth)
+        self.image: Hashable | None = None
+        self.slice = Part("drawing", None)
 
-    # What there is
+    # Selection
 
-    def get(self, slot: Hashable, default: Any = None) -> Any:
-        """What a slot holds now, an edit in progress included."""
-        return self._now.get(slot, default)
+    def select(self, image: Hashable | None) -> bool:
+        """Select an image; return whether anything was chosen for it before."""
+        known = Part("choice", image) in self._now
+        if image is not self.image:
+            self.image = image
+            self.selected.emit(image)
+        return known and image is not None
 
-    @property
-    def slots(self) -> tuple[Any, ...]:
-        """Those that are known."""
-        return tuple(self._now)
-
-    @property
-    def in_progress(self) -> Hashable | None:
-        """The slot of the edit that was begun and not ended."""
-        return None if self._begun is None else self._begun.slot
-
-    @property
-    def next_undo(self) -> Step | None:
-        """What `undo` would take back: the slot, what it would hold then, and the word."""
-        begun = self._begun
-        if begun is not None and begun.value != self._now[begun.slot]:
-            return begun
-        return self._past[-1] if self._past else None
-
-    @property
-    def next_redo(self) -> Step | None:
-        """What `redo` would do again."""
-        return self._future[-1] if self._future else None
-
-    # What can be done
-
-    def open(self, slot: Hashable, value: Any) -> Any:
-        """Have a slot hold a value to begin with, unless it is known already; what it holds."""
-        return self._now.setdefault(slot, value)
-
-    def amend(self, slot: Hashable, value: Any) -> None:
-        """Have a slot hold another value that nobody made, and that is no step: a file was read."""
-        if self._begun is not None and self._begun.slot == slot:
+    def select_slice(self, image: Hashable | None, place: Hashable = None) -> None:
+        """Select the drawing of a slice; an edit in progress of another one ends."""
+        if self.drawing_in_progress:
             self.end()
-        self._show(slot, value)
+        self.slice = Part("drawing", image, place)
+        self.open(self.slice, Drawing())
 
-    def do(self, slot: Hashable, value: Any, word: str) -> None:
-        """Make one step; an edit in progress ends before it.
+    # Choices
 
-        Parameters
-        ----------
-        slot : hashable
-            What is edited; opened before.
-        value : object
-            What it holds from now on. If that is the same as before, there is no step.
-        word : str
-            What was done, in the past tense: "removed an arrow".
-        """
-        self.end()
-        before = self._now[slot]
-        if value != before:
-            self._keep(Step(slot, before, word))
-            self._show(slot, value)
+    @property
+    def choice(self) -> ImageChoice:
+        """Choices for the selected image."""
+        choice: ImageChoice = self.get(Part("choice", self.image), ImageChoice())
+        return choice
 
-    def begin(self, slot: Hashable, word: str) -> None:
-        """Begin an edit that takes a while, as a drag does: however it goes on, it is one step.
+    def choose(self, *, step: bool = True, **changes: Any) -> None:
+        """Change attributes of the `choice`; without `step`, undo does not restore the old ones."""
+        now = replace(self.choice, **changes)
+        # Without an image there is nothing that undo could go back to.
+        self._edit(Part("choice", self.image), now, step and self.image is not None)
 
-        Raises
-        ------
-        KeyError
-            If the slot was not opened.
-        """
-        self.end()
-        self._begun = Step(slot, self._now[slot], word)
+    @property
+    def model(self) -> ModelChoice:
+        """Chosen tissue model."""
+        choice: ModelChoice = self.get(Part("model", ""), ModelChoice())
+        return choice
 
-    def update(self, value: Any) -> None:
-        """Go on with the edit in progress.
+    def choose_model(self, choice: ModelChoice, *, step: bool = True) -> None:
+        """Change the tissue model of the viewer; solver details alone are no step."""
+        self._edit(Part("model", ""), choice, step)
+
+    def restore(self, study: Study, layers: Mapping[str, Hashable]) -> None:
+        """Select and choose what a study holds, except its drawing, without undo steps.
 
         Parameters
         ----------
-        value : object
-            What the slot holds from now on.
-
-        Raises
-        ------
-        RuntimeError
-            If none was begun.
+        study : Study
+        layers : mapping of str to layer
+            Layers of its parts: "image", "tissue", "boundary" and "confidence".
         """
-        if self._begun is None:
-            raise RuntimeError("no edit was begun; call begin() first, or do()")
-        self._show(self._begun.slot, value)
+        tissue, motion = study.tissue, study.motion
+        image = layers.get("image")
+        self.select(image)
+        if tissue.curve is not None:
+            part = Part("curve", image)
+            self.open(part, tissue.curve)
+            self.amend(part, tissue.curve)
+        self.choose(
+            step=False,
+            tissue=layers.get("tissue") if tissue.curve is None else BRIGHTNESS,
+            boundary=layers.get("boundary"),
+            confidence=layers.get("confidence"),
+            without_border=tissue.without_border,
+            hold_edge=motion.hold_edge,
+            weight=motion.weight,
+            extent="volume" if len(study.grid.shape) == 3 else "slice",
+        )
+        device = self.model.details.device
+        choice = ModelChoice.of(study)
+        self.choose_model(
+            replace(choice, details=replace(choice.details, device=device)), step=False
+        )
 
-    def end(self) -> Step | None:
-        """End the edit in progress, if there is one.
+    # Tissue and boundary
 
-        Returns
-        -------
-        Step or None
-            What can be undone from now on; None if nothing has changed.
-        """
-        begun, self._begun = self._begun, None
-        if begun is None or begun.value == self._now[begun.slot]:
-            return None
-        self._keep(begun)
-        return begun
+    def table(self, kind: TableKind, layer: Hashable) -> RowTable | None:
+        """Return the table of a layer, or None if it has none."""
+        table: RowTable | None = self.get(Part(kind, layer))
+        return table
 
-    def cancel(self) -> None:
-        """Drop the edit in progress: all is as before it, and nothing is to be undone."""
-        begun, self._begun = self._begun, None
-        if begun is not None:
-            self._show(begun.slot, begun.value)
+    def set_table(self, kind: TableKind, layer: Hashable, table: RowTable, word: str = "") -> None:
+        """Change the table of a layer, as a step with this name; "" makes no step."""
+        part = Part(kind, layer)
+        if self.open(part, table) != table:
+            self._set(part, table, word)
 
-    def undo(self) -> Step | None:
-        """Go one step back, ending an edit in progress first.
+    @property
+    def curve(self) -> StiffnessCurve | None:
+        """Stiffness curve of the selected image, whether it is in use or not."""
+        curve: StiffnessCurve | None = self.get(Part("curve", self.image))
+        return curve
 
-        Returns
-        -------
-        Step or None
-            What was taken back, with what the slot held until now; None if there was nothing.
-        """
-        self.end()
-        return self._go(self._past, self._future)
+    def set_curve(self, curve: StiffnessCurve, word: str) -> None:
+        """Change the curve of the selected image; several changes until `end` are one step."""
+        part = Part("curve", self.image)
+        if self.open(part, curve) != curve:
+            if self.in_progress != part:
+                self.begin(part, word)
+            self.update(curve)
 
-    def redo(self) -> Step | None:
-        """Go one step on again, ending an edit in progress first.
-
-        Returns
-        -------
-        Step or None
-            What was done again, with what the slot held until now; None if there was nothing.
-        """
-        self.end()
-        return self._go(self._future, self._past)
-
-    def drop(self, unwanted: Callable[[Any], bool]) -> None:
-        """Forget slots with all their steps; those of the others stay, in their order."""
-        if self._begun is not None and unwanted(self._begun.slot):
-            self._begun = None
-        before = len(self._past) + len(self._future)
-        for steps in (self._past, self._future):
-            kept = [step for step in steps if not unwanted(step.slot)]
-            steps.clear()
-            steps.extend(kept)
-        self._now = {slot: value for slot, value in self._now.items() if not unwanted(slot)}
-        if len(self._past) + len(self._future) != before:
-            self.moved.emit()
-
-    def _keep(self, step: Step) -> None:
-        self._past.append(step)
-        self._future.clear()
-        self.moved.emit()
-
-    def _go(self, source: Any, target: Any) -> Step | None:
-        if not source:
-            return None
-        step: Step = source.pop()
-        back = step._replace(value=self._now[step.slot])
-        target.append(back)
-        self._show(step.slot, step.value)
-        self.moved.emit()
-        return back
-
-    def _show(self, slot: Hashable, value: Any) -> None:
-        before = self._now[slot]
-        if value != before:
-            self._now[slot] = value
-            self.changed.emit(slot, value, before)
-
-
-class History:
-    """A drawing as it is now, among all that is edited in turn.
-
-    Drawings do not change, so that what comes back is exactly what was there.
-
-    Parameters
-    ----------
-    edits : StudyModel, optional
-        The steps of all that is edited; by default the drawing is all.
-    slot : hashable
-        The drawing's own, among them.
-    """
-
-    def __init__(self, edits: StudyModel | None = None, slot: Hashable = "drawing") -> None:
-        self.edits = StudyModel() if edits is None else edits
-        self.slot = slot
-        self.edits.open(slot, Drawing())
+    # Drawing
 
     @property
     def drawing(self) -> Drawing:
-        """As it is now, an edit in progress included."""
-        drawing: Drawing = self.edits.get(self.slot, Drawing())
+        """Drawing of the selected slice, including an edit in progress."""
+        drawing: Drawing = self.get(self.slice, Drawing())
         return drawing
 
     @property
-    def in_progress(self) -> bool:
-        """Whether an edit of this drawing was begun and not ended."""
-        return self.edits.in_progress == self.slot
+    def drawing_in_progress(self) -> bool:
+        """True if an edit of this drawing has begun and not ended."""
+        return self.in_progress == self.slice
 
-    def do(self, drawing: Drawing, word: str) -> None:
-        """Make one step; an edit in progress ends before it.
+    def draw(self, drawing: Drawing, word: str) -> None:
+        """Change the drawing, as a step with this name; "" makes no step."""
+        self.open(self.slice, Drawing())
+        self._set(self.slice, drawing, word)
 
-        Parameters
-        ----------
-        drawing : Drawing
-            As it is from now on. If it is the same as before, there is no step.
-        word : str
-            What was done, in the past tense: "removed an arrow".
-        """
-        self.edits.open(self.slot, Drawing())
-        self.edits.do(self.slot, drawing, word)
+    def begin_drawing(self, word: str) -> None:
+        """Begin a drag: all its changes are one step."""
+        self.open(self.slice, Drawing())
+        self.begin(self.slice, word)
 
-    def begin(self, word: str) -> None:
-        """Begin an edit that takes a while, as a drag does: however it goes on, it is one step."""
-        self.edits.open(self.slot, Drawing())
-        self.edits.begin(self.slot, word)
-
-    def update(self, drawing: Drawing) -> None:
-        """Go on with the edit in progress.
+    def update_drawing(self, drawing: Drawing) -> None:
+        """Continue the drag.
 
         Raises
         ------
         RuntimeError
-            If none was begun.
+            If no drag of this drawing was begun.
         """
-        if not self.in_progress:
-            raise RuntimeError("no edit was begun; call begin() first, or do()")
-        self.edits.update(drawing)
+        if not self.drawing_in_progress:
+            raise RuntimeError("no edit was begun; call begin_drawing() first, or draw()")
+        self.update(drawing)
 
-    def end(self) -> Step | None:
-        """End the edit in progress, if there is one; returns what can be undone from now on."""
-        return self.edits.end() if self.in_progress else None
+    def end_drawing(self) -> str:
+        """End the drag, if there is one; return the name of its step, or "" if there is none."""
+        step = self.end() if self.drawing_in_progress else None
+        return "" if step is None else step.word
 
-    def cancel(self) -> None:
-        """Drop the edit in progress: the drawing is as before it, and nothing is to be undone."""
-        if self.in_progress:
-            self.edits.cancel()
+    def cancel_drawing(self) -> None:
+        """Cancel the drag, if there is one."""
+        if self.drawing_in_progress:
+            self.cancel()
+
+    # Common
+
+    def _edit(self, part: Part, now: ImageChoice | ModelChoice, step: bool) -> None:
+        before = self.open(part, type(now)())
+        changed = [each.name for each in fields(now) if _differ(before, now, each.name)]
+        word = next((_WORDS[name] for name in _WORDS if name in changed), "")
+        self._set(part, now, word if step else "")
+
+    def _set(self, part: Part, value: Any, word: str) -> None:
+        if word:
+            self.do(part, value, word)
+        else:
+            self.amend(part, value)
+
+
+def _differ(one: Any, other: Any, name: str) -> bool:
+    return bool(getattr(one, name) != getattr(other, name))

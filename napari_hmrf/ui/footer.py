@@ -6,7 +6,7 @@ from magicgui.widgets import CheckBox, PushButton
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QPushButton, QSizePolicy, QVBoxLayout, QWhatsThis, QWidget
 
-from napari_hmrf.layers.edit_history import ViewerSteps
+from napari_hmrf.layers.viewer_undo import ViewerUndo
 from napari_hmrf.ui.forms import Prose, row
 
 #: Lines of the status that are seen at most; its tooltip has all of it.
@@ -83,11 +83,11 @@ class Footer(QWidget):
         self.help.changed.connect(self._show_help)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
 
-    def show_steps(self, steps: ViewerSteps) -> None:
+    def show_steps(self, undo: ViewerUndo) -> None:
         """Show what there is to take back, and to do again."""
-        self.undo.tooltip, self.redo.tooltip = steps.tooltips
-        self.undo.enabled = steps.edits.next_undo is not None
-        self.redo.enabled = steps.edits.next_redo is not None
+        self.undo.tooltip, self.redo.tooltip = undo.tooltips
+        self.undo.enabled = undo.model.next_undo is not None
+        self.redo.enabled = undo.model.next_redo is not None
 
     def say(self, status: str) -> None:
         """Show a sentence; what has no room is read where the mouse rests on it."""

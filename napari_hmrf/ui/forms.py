@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
-from operator import attrgetter
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox, Label
 from qtpy.QtCore import QEvent, QObject, Qt
@@ -15,29 +14,6 @@ from qtpy.QtWidgets import QAbstractSpinBox, QComboBox, QMenu, QPushButton, QSiz
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.ui.messages import in_short
-
-T = TypeVar("T")
-
-
-class Part(Generic[T]):
-    """An attribute of a dock that is one of a part of it, read and set there.
-
-    Parameters
-    ----------
-    path : str
-        From the dock: "form.image.value".
-    """
-
-    def __init__(self, path: str) -> None:
-        part, _, self._name = path.rpartition(".")
-        self._part = attrgetter(part)
-
-    def __get__(self, dock: Any, _: Any = None) -> T:
-        value: T = getattr(self._part(dock), self._name)
-        return value
-
-    def __set__(self, dock: Any, value: T) -> None:
-        setattr(self._part(dock), self._name, value)
 
 
 def narrow(menu: Any) -> None:

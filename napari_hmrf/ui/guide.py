@@ -5,10 +5,10 @@ from __future__ import annotations
 from functools import partial
 from typing import Any, Literal
 
-from napari_hmrf.layers.edit_history import ViewerSteps
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.viewer_layers import still_there
-from napari_hmrf.study.study_model import Step
+from napari_hmrf.layers.viewer_undo import ViewerUndo
+from napari_hmrf.study.edit_history import Step
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.events import Listening
@@ -31,10 +31,10 @@ class Guide:
     ----------
     viewer : napari.Viewer or ViewerModel
     live : LiveStudy
-    steps : ViewerSteps
+    undo : ViewerUndo
     """
 
-    def __init__(self, viewer: Any, live: LiveStudy, steps: ViewerSteps) -> None:
+    def __init__(self, viewer: Any, live: LiveStudy, undo: ViewerUndo) -> None:
         self._viewer, self._live = viewer, live
         form, pointer = self._form, self._pointer = live.form, live.pointer
         self._said = self._doing = self._read = ""
@@ -42,7 +42,7 @@ class Guide:
         for table in form.tables:
             table.found.connect(partial(self.say, why="step"))
             table.refused.connect(self.refuse)
-        for told in (form.tissue.menu, live.choices):
+        for told in (form.tissue.menu, live.binding):
             told.said.connect(partial(self.say, why="step"))
         form.tissue.editor.refused.connect(self.refuse)
         pointer.said.connect(self._on_pointer)
@@ -55,7 +55,7 @@ class Guide:
         live.doing.connect(self._on_doing)
         live.moved_on.connect(self.show)
         live.followed.connect(self._on_followed)
-        self._heard = Listening((steps.said, self._on_step))
+        self._heard = Listening((undo.said, self._on_step))
 
     def release(self) -> None:
         """Say nothing of the viewer any more."""

@@ -13,10 +13,11 @@ from qtpy.QtGui import QColor, QIcon, QPixmap
 from qtpy.QtWidgets import QComboBox, QHeaderView, QSizePolicy, QTableWidget, QTableWidgetItem
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.layers.metadata import BOUNDARY, Role, Table
+from napari_hmrf.layers.metadata import BOUNDARY, Role, store_table, table_of
 from napari_hmrf.layers.pixel_copy import CHANGES
 from napari_hmrf.layers.slice_view import View, copy_slice, frame_of
 from napari_hmrf.tissue.boundary_rules import unlisted
+from napari_hmrf.tissue.row_table import RowTable
 from napari_hmrf.ui.events import Listening, single_shot
 from napari_hmrf.ui.forms import CalmField
 
@@ -92,7 +93,7 @@ class LabelTable(QTableWidget):
     def __init__(self, view: Callable[[], View]) -> None:
         super().__init__()
         self._view = view
-        self._contents = Table(())
+        self._contents = RowTable(())
         self._layer: Any = None
         self._heard = Listening()
         self._timer = single_shot(self, _PAUSE, self.look)
@@ -131,12 +132,12 @@ class LabelTable(QTableWidget):
     # What is in it
 
     @property
-    def contents(self) -> Table:
+    def contents(self) -> RowTable:
         """All that it says, as one value; to be set, too."""
         return self._contents
 
     @contents.setter
-    def contents(self, contents: Table) -> None:
+    def contents(self, contents: RowTable) -> None:
         if contents != self._contents:
             self._show(contents)
             self._timer.start()
@@ -178,7 +179,7 @@ class LabelTable(QTableWidget):
         if not isinstance(layer, Labels):
             return
         self._layer = layer
-        self._show(Table.of(layer, self.role))
+        self._show(table_of(layer, self.role))
         self._list_painted()
         self._mark()
         self._heard = Listening(
@@ -234,7 +235,7 @@ class LabelTable(QTableWidget):
             self._show(self._contents._replace(rows=(*self.rows, *new)))
         return new
 
-    def _show(self, contents: Table) -> None:
+    def _show(self, contents: RowTable) -> None:
         rows = tuple(sorted(contents.rows, key=lambda row: int(row.label)))
         self._contents = contents._replace(rows=rows)
         self._fill()
@@ -242,7 +243,7 @@ class LabelTable(QTableWidget):
     def _tell(self, by_itself: bool) -> None:
         """Have the layer carry the table, and say what changed."""
         if self._layer is not None:
-            self._contents.give_to(self._layer, self.role)
+            store_table(self._contents, self._layer, self.role)
             self.changed.emit(by_itself)
 
     # How it is seen

@@ -25,14 +25,15 @@ from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.study.coarse_grid import CoarseGrid, Glance
 from napari_hmrf.study.ground import refuse_unknown
 from napari_hmrf.study.study import Study
+from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, first_curve
 from napari_hmrf.ui import messages
-from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.curve.curve_layer import CurveLayer
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import repeating, single_shot
 from napari_hmrf.ui.follower import Done, Follower, Seen
+from napari_hmrf.ui.form_binding import FormBinding
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.warning_chip import WarningChip
 
@@ -58,13 +59,12 @@ class LiveStudy:
     native : QWidget
         The dock.
     viewer : napari.Viewer or ViewerModel
-    form, choices, pointer : DockForm, Choices, Pointer
+    form, binding, pointer : DockForm, FormBinding, Pointer
         Inputs to read; kept as attributes, for the other parts of the dock.
+    model : StudyModel
 
     Attributes
     ----------
-    study : Study or None
-        Study that was read last; None if it cannot be read.
     source : napari.layers.Layer or None
         Layer that is deformed.
     settling : bool
@@ -91,11 +91,19 @@ class LiveStudy:
     moved_on = Signal(Study)
 
     def __init__(
-        self, native: Any, viewer: Any, form: DockForm, choices: Choices, pointer: Pointer
+        self,
+        native: Any,
+        viewer: Any,
+        form: DockForm,
+        binding: FormBinding,
+        pointer: Pointer,
+        model: StudyModel,
     ) -> None:
-        self._viewer, self.form, self.choices, self.pointer = viewer, form, choices, pointer
+        self._viewer, self.form, self.binding, self.pointer = viewer, form, binding, pointer
+        self._model = model
         self._over = False
-        self.study: Study | None = None
+        # Study that was read last, without later changes of its drawing.
+        self._read: Study | None = None
         self.source: Any = None
         self._done: weakref.WeakKeyDictionary[Any, Done] = weakref.WeakKeyDictionary()
         self.settling = False
@@ -115,6 +123,14 @@ class LiveStudy:
         self.chip.said.connect(lambda sentence: self.said.emit(sentence))
 
     # State
+
+    @property
+    def study(self) -> Study | None:
+        """Study that was read last, with the current drawing; None if it cannot be read."""
+        read = self._read
+        if read is None:
+            return None
+        return replace(read, motion=replace(read.motion, drawing=self._model.drawing))
 
     @property
     def latest(self) -> Done | None:
@@ -155,13 +171,13 @@ class LiveStudy:
         HmrfError
             If there is nothing to work on.
         """
-        request = self.choices.request
-        here = self.study is not None and request.layers[0] is self.source
-        return replace(request, drawing=self.pointer.drawing if here else Drawing())
+        request = self.binding.request()
+        here = self._read is not None and request.layers[0] is self.source
+        return request if here else replace(request, drawing=Drawing())
 
     def read(self, request: Request) -> Study:
         """Read the study of a request, with the chosen model and solver settings."""
-        model = self.form.model
+        model = self._model.model
         study = read_study(request, self._copies)
         return replace(study, prior=model.prior, optimizer=model.optimizer)
 
@@ -217,7 +233,7 @@ class LiveStudy:
             self._refuse(error)
             return
         self.settling, self._since, self._asked = True, time.monotonic(), study
-        self._follower.settle(study, self.form.model.in_detail.details.device)
+        self._follower.settle(study, self._model.model.details.device)
         self._poll.start()
 
     def cancel(self) -> None:
@@ -235,15 +251,16 @@ class LiveStudy:
 
     def complete(self, *_: Any) -> None:
         """Draw image and arrows of the latest result, once no drag or solve is in progress."""
-        if self.study is None:
+        study = self.study
+        if study is None:
             return
         if self.pointer.hand.holding or self._follower.busy:
             self._resting.start()
             return
         moved = self.pointer.display.moved
-        if moved is not None and (moved.glance or moved.study.optimizer != self.study.optimizer):
+        if moved is not None and (moved.glance or moved.study.optimizer != study.optimizer):
             self._asked = None  # solve at full accuracy after a drag
-            self._follow(self.study)
+            self._follow(study)
         else:
             self._resting.stop()
             self.pointer.display.arrows.keep(self.pointer.drawing)
@@ -263,7 +280,7 @@ class LiveStudy:
         self._copies.forget()  # changes of layers are no longer noticed
         self._poll.stop()
         self.curve_layer.show(None)
-        self.study = self.source = self._asked = None
+        self._read = self.source = self._asked = None
         self._failed = self._report = ""
         self.pointer.stand_on(None)
         self.chip.look()
@@ -286,13 +303,14 @@ class LiveStudy:
             request = replace(request, drawing=None)  # refused with a message of its own
         study = self.read(request)
         refuse_unknown(study)
-        return self._stand_on(study, request.layers[0])
+        self._stand_on(study, request.layers[0])
+        return replace(study, motion=replace(study.motion, drawing=self._model.drawing))
 
-    def _stand_on(self, study: Study, source: Any) -> Study:
-        """Make a study the current one; return it with the drawing of its slice."""
-        before = self.study
+    def _stand_on(self, study: Study, source: Any) -> None:
+        """Make a study that was read the current one, and select the drawing of its slice."""
+        before = self._read
         self.pointer.tissue = self.form.tissue.layer
-        place, self.study = study.grid, study
+        place, self._read = study.grid, study
         if before is None or source is not self.source or before.grid != place:
             if source is not self.source:
                 self.source, self._report = source, ""
@@ -305,18 +323,12 @@ class LiveStudy:
         ways = ways_of(place.known_place, self._viewer)
         self.curve_layer.show(study, source)
         self.form.show_place(unit_symbol(place.unit), ways, study.tissue.unit)
-        return self._with_drawing(study)
-
-    def _with_drawing(self, study: Study) -> Study:
-        """Make a study with the drawing of its slice the current one."""
-        motion = replace(study.motion, drawing=self.pointer.drawing)
-        self.study = replace(study, motion=motion)
-        return self.study
 
     def _on_drawn(self) -> None:
         """Follow a changed drawing, without reading the layers again."""
-        if self.study is not None:
-            self._follow(self._with_drawing(self.study))
+        study = self.study
+        if study is not None:
+            self._follow(study)
 
     def _follow(self, study: Study) -> None:
         if self._asked is not None and self._asked.same_as(study):
@@ -326,7 +338,7 @@ class LiveStudy:
         self._asked = study
         self._resting.stop()
         study = self._as_followed(study)
-        device = self.form.model.in_detail.details.device
+        device = self._model.model.details.device
         self._follower.follow(study, device, self._glanced_at(study))
         if not self._poll.isActive():
             self._poll.start()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -15,10 +14,9 @@ from qtpy.QtWidgets import QRadioButton
 
 from napari_hmrf.solver.model_advice import ABOUT_POISSON, when_to_take
 from napari_hmrf.solver.model_names import ELASTIC
-from napari_hmrf.solver.optimizers import Optimizer
-from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
-from napari_hmrf.study.models import SolverDetails, asked, optimizer_of, prior_of
+from napari_hmrf.study.models import SolverDetails, asked
+from napari_hmrf.study.study_model import ModelChoice
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.forms import Prose, align_labels, menu, narrow
@@ -122,30 +120,21 @@ class ModelForm(Container):
         self._show()
 
     @property
-    def values(self) -> dict[str, Any]:
-        """All choices, by name."""
-        return {**self._form.asdict(), "details": self.in_detail.details}
+    def choice(self) -> ModelChoice:
+        """Chosen model and settings."""
+        form = self._form.asdict()
+        return ModelChoice(form["model"], form["plane"], form["poisson"], self.in_detail.details)
 
-    @values.setter
-    def values(self, values: Mapping[str, Any]) -> None:
+    @choice.setter
+    def choice(self, choice: ModelChoice) -> None:
+        values = {"model": choice.name, "plane": choice.plane, "poisson": choice.poisson}
         self._form.update(values)
-        self.in_detail.details = values.get("details", self.in_detail.details)
+        self.in_detail.details = choice.details
 
     @property
     def is_elastic(self) -> bool:
         """True if Poisson's ratios apply."""
         return self.model.value in ELASTIC
-
-    @property
-    def prior(self) -> Prior:
-        """Chosen energy; for labelled tissues, without their Poisson's ratios."""
-        details = self.in_detail.details
-        return prior_of(self.model.value, details, self.plane.value, self.poisson.value)
-
-    @property
-    def optimizer(self) -> Optimizer:
-        """Optimizer that minimises the energy."""
-        return optimizer_of(self.model.value, self.in_detail.details)
 
     def tissue_is(self, layer: Any) -> None:
         """Set the layer that defines the tissue: an image has a single Poisson's ratio."""

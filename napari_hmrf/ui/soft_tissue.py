@@ -11,44 +11,33 @@ from napari.layers import Labels
 from napari.utils.notifications import show_warning
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.field.comparison import Comparison
-from napari_hmrf.field.tissue_point import Probe
-from napari_hmrf.layers.edit_history import steps_of
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.landmarks import read_landmarks
-from napari_hmrf.layers.screen_directions import Sides
 from napari_hmrf.layers.viewer_layers import shared
-from napari_hmrf.solver.model_names import ModelName
-from napari_hmrf.solver.priors.elastic import Plane
+from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.study.models import SolverDetails
 from napari_hmrf.study.study import Study
-from napari_hmrf.study.study_model import History
-from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.study.study_model import BRIGHTNESS, StudyModel
 from napari_hmrf.tissue.drawing import Drawing, Landmark
-from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui import messages
-from napari_hmrf.ui.choices import Choices
 from napari_hmrf.ui.dock_form import DockForm
-from napari_hmrf.ui.forms import Part, attempt
+from napari_hmrf.ui.dock_values import DockValues
+from napari_hmrf.ui.form_binding import FormBinding
+from napari_hmrf.ui.forms import attempt
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.motion.pointer import Pointer
-from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.new_layers import add_missing
 from napari_hmrf.ui.patient_sides import PatientSides
 from napari_hmrf.ui.remembered_settings import remember
-from napari_hmrf.ui.result.result_menu import ResultMenu
 from napari_hmrf.ui.result.result_view import ResultView
 from napari_hmrf.ui.second_image import SecondImage
-from napari_hmrf.ui.tissue_form import BRIGHTNESS
 from napari_hmrf.ui.unsaved import Unsaved
-from napari_hmrf.ui.viewer_dock import Dock
 from napari_hmrf.ui.viewer_watch import ViewerWatch
 
 
-class SoftTissue(Dock):
+class SoftTissue(DockValues):
     """Dock widget that defines tissue and its motion, and shows all of the tissue follow.
 
     A script can do everything the user can: choose layers (`image`, `tissue`, `boundary`, ...),
@@ -62,64 +51,17 @@ class SoftTissue(Dock):
 
     Attributes
     ----------
-    image : napari.layers.Image or None
-        Image to deform. If there is no image at all, only the motion of painted tissue is shown.
-    extent : {"slice", "volume"}
-        Deform the visible slice as if it had no neighbours, or the whole volume.
-    tissue : napari.layers.Labels, Image, "brightness" or None
-        Labels of tissues, an image of stiffness, or the image's brightness through its curve;
-        None: the content of the image is tissue.
-    boundary : napari.layers.Labels, Vectors or None
-        Labels of held and moved regions, or observed displacements.
-    confidence : napari.layers.Image, Labels, "edges" or None
-        Confidence of the Vectors chosen as boundary; None: 1 everywhere.
-    materials, rules : tuple of Material, tuple of BoundaryRule
-        Stiffness of each tissue label, and effect of each boundary label.
-    curve : StiffnessCurve or None
-        Curve from intensity to stiffness, if the tissue is defined by one; can be set.
-    hold_edge, without_border : bool
-        Whether the outer edge of the tissue is held in place, and whether the dark, unpainted
-        border of the image is excluded from the tissue.
-    model, plane : str
-        Model of the tissue: "elastic", "paper" or "paper, converged"; and, for elastic tissue,
-        "stress" or "strain". The paper's model sets its own numbers in `settings`.
-    poisson : float
-        Poisson's ratio of elastic tissue given as an image of stiffness; labels have theirs in
-        `materials`.
-    settings : SolverDetails
-        Solver settings: a value, as in `dock.settings = replace(dock.settings, sweeps=7)`.
-    fields, history : ToolFields, History
-        Settings of the tools; and the drawing of the visible slice, with its undo steps.
-    active, playing : bool
-        Whether the mouse draws, and whether the deformation is played back and forth.
-    result : napari.layers.Vectors or None
-        Arrows that hold the displayed result: the newest, or one whose arrows were selected
-        since; can be set.
-    percent, before : int, bool
-        Displayed part of the deformation, from 0 to 100; and whether the undeformed image is
-        shown, without its result.
-    overlay : str
-        Overlay on the image: "nothing"; moving with the tissue, a `Quantity`, "grid", "labels",
-        "difference" (from the reference), "folds", "overlaps", "stiffness" or "confidence"; at the
-        original position, "observed".
-    reference, comparison : napari.layers.Vectors or None, Comparison or None
-        A field or another result, and the difference of this one from it, once computed.
+    study_model : StudyModel
+        Studies of the viewer and their undo; edits of it are shown in the window.
+    fields : ToolFields
+        Settings of the tools.
     more : ResultMenu
         Measures the result, saves its field and a film, and moves other layers along.
-    live : bool
-        Whether the tissue follows every edit; by default True unless the image is large.
-    status, invitation, warning : str
-        Sentence at the bottom, hint at the next step, and warning about the visible tissue.
     seen, followed : Signal(Deformation), Signal(Outputs)
         Emitted with every new state of the tissue, and when it is at rest and all layers are drawn.
     finished, saved : Signal(object)
         Emitted when `deform` ends: `Outputs`, or None if it was cancelled or failed; and when
         pictures were written: a list of `Path`.
-    unsaved, ask : bool, callable
-        Whether there is work that is in no file; and the function that answers "save", "discard"
-        or "cancel" before a window with such work closes: by default a dialog.
-    compare_with, residual : napari.layers.Image or None, str
-        A second image over the deformed one, and the distance of landmarks from their targets.
     at : callable
         Given a point of the world, returns the deformation of the visible tissue there, a `Probe`;
         None outside tissue.
@@ -143,85 +85,41 @@ class SoftTissue(Dock):
         Update the tissue after an edit that emits no event.
     say : callable
         Show a sentence at the bottom.
-    sides : Sides
-        Side of the patient at each edge of the canvas, such as "R", if an image records it.
     """
-
-    image = Part[Any]("_form.image.value")
-    extent = Part[str]("_form.extent.value")
-    tissue = Part[Any]("_form.tissue.choice.value")
-    boundary = Part[Any]("_form.motion.boundary.choice.value")
-    confidence = Part[Any]("_form.motion.boundary.confidence.value")
-    materials = Part[tuple[Material, ...]]("_form.tissue.table.rows")
-    rules = Part[tuple[BoundaryRule, ...]]("_form.motion.boundary.table.rows")
-    curve = Part[StiffnessCurve | None]("_choices.curve")
-    hold_edge = Part[bool]("_form.motion.edge.value")
-    weight = Part[tuple[float, ...]]("_form.motion.weight.value")
-    without_border = Part[bool]("_form.tissue.border.value")
-    fields = Part[ToolFields]("_form.motion.fields")
-    model = Part[ModelName]("_form.model.model.value")
-    plane = Part[Plane]("_form.model.plane.value")
-    poisson = Part[float]("_form.model.poisson.value")
-    settings = Part[SolverDetails]("_form.model.in_detail.details")
-    history = Part[History]("_pointer.history")
-    active = Part[bool]("_pointer.active")
-    result = Part[Any]("_view.arrows")
-    percent = Part[int]("_form.result.slider.value")
-    before = Part[bool]("_view.before")
-    playing = Part[bool]("_view.player.playing")
-    reference = Part[Any]("_form.result.reference.value")
-    comparison = Part[Comparison | None]("_view.comparison")
-    more = Part[ResultMenu]("_view.more")
-    overlay = Part[str]("_form.result.overlay.value")
-    saved = Part[Any]("_view.more.saved")
-    unsaved = Part[bool]("_unsaved.there")
-    ask = Part[Any]("_unsaved.ask")
-    compare_with = Part[Any]("_form.result.second.value")
-    residual = Part[str]("_form.result.landmarks.value")
-    sides = Part[Sides]("_sides.shown")
-    live = Part[bool]("_form.footer.live.value")
-    status = Part[str]("_guide.shown")
-    invitation = Part[str]("_guide.invitation")
-    warning = Part[str]("_form.footer.warning")
-    seen = Part[Any]("_live_study.seen")
-    followed = Part[Any]("_live_study.followed")
-    finished = Part[Any]("_live_study.finished")
-    at = Part[Callable[[Any], Probe | None]]("_view.cursor.at")
-    undo = Part[Callable[[], None]]("_steps.undo")
-    redo = Part[Callable[[], None]]("_steps.redo")
-    remove = Part[Callable[[], None]]("_pointer.remove")
-    clear = Part[Callable[[], None]]("_pointer.clear")
-    play = Part[Callable[[], None]]("_view.play")
-    pause = Part[Callable[[], None]]("_view.player.stop")
-    save_study = Part[Callable[[str | Path], Path]]("_unsaved.save")
-    take_materials = Part[Callable[[Preset | Any], None]]("_form.tissue.menu.take")
-    save_materials = Part[Callable[[str | Path], Path]]("_form.tissue.menu.save")
-    cancel = Part[Callable[[], None]]("_live_study.cancel")
-    touch = Part[Callable[[], None]]("_live_study.touch")
-    say = Part[Callable[[str], None]]("_guide.say")
 
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
-        viewer, steps = self._viewer, steps_of(self._viewer)
-        self._steps = steps
+        viewer, undo = self._viewer, undo_of(self._viewer)
+        self.study_model: StudyModel = undo.model
         self._taken: tuple[Landmark, ...] = ()
         # True if a tool was activated automatically and has not been used yet.
         self._unused = False
         self._form = form = DockForm(self, viewer)
         remember(form.model.in_detail["device"])
-        self._choices = Choices(viewer, form)
-        self._pointer = Pointer(self.native, viewer, form.motion.fields, steps)
-        self._live_study = LiveStudy(self.native, viewer, form, self._choices, self._pointer)
+        self._binding = FormBinding(viewer, form)
+        self._pointer = Pointer(self.native, viewer, form.motion.fields, undo)
+        inputs = form, self._binding, self._pointer, undo.model
+        self._live_study = live = LiveStudy(self.native, viewer, *inputs)
         results = shared(viewer, ResultLayers)
         self._view = ResultView(self.native, viewer, form.result, results)
         form.image.changed.connect(self._view.stand_on)
-        self._guide = Guide(viewer, self._live_study, steps)
-        self._watch = ViewerWatch(self.native, viewer, self._live_study, self._guide)
-        self._second = SecondImage(viewer, self._view, self._live_study)
+        self._guide = Guide(viewer, live, undo)
+        self._watch = ViewerWatch(self.native, viewer, live, self._guide)
+        self._second = SecondImage(viewer, self._view, live)
         self._sides = PatientSides(viewer, form.image)
-        self._unsaved = Unsaved(self, viewer, self._live_study, self._try)
+        self._unsaved = Unsaved(self, viewer, live, self._try)
+        self.fields, self.more = form.motion.fields, self._view.more
+        self.seen, self.followed, self.finished = live.seen, live.followed, live.finished
+        self.saved = self._view.more.saved
+        self.undo, self.redo = undo.undo, undo.redo
+        self.remove, self.clear = self._pointer.remove, self._pointer.clear
+        self.play, self.pause = self._view.play, self._view.player.stop
+        self.at = self._view.cursor.at
+        self.save_study = self._unsaved.save
+        self.take_materials, self.save_materials = form.tissue.menu.take, form.tissue.menu.save
+        self.cancel, self.touch, self.say = live.cancel, live.touch, self._guide.say
         self._connect()
-        self._choices.choose_first()
+        self._binding.choose_first()
 
     # State
 
@@ -280,8 +178,8 @@ class SoftTissue(Dock):
     @drawing.setter
     def drawing(self, drawing: Drawing) -> None:
         self._live_study.look()
-        by_itself = self._choices.by_itself
-        self._pointer.set_drawing(drawing, "" if by_itself else "took over a drawing")
+        word = "" if self._binding.automatic else "took over a drawing"
+        self._pointer.set_drawing(drawing, word)
 
     # Actions
 
@@ -316,7 +214,7 @@ class SoftTissue(Dock):
         if self.idle and not self.away:
             for table in self._form.tables:
                 table.look()
-            self._choices.begin()
+            self._binding.begin()
             self._live_study.settle()
 
     def make_layers(self) -> None:
@@ -334,7 +232,7 @@ class SoftTissue(Dock):
         by_itself = self.curve is not None
         chosen = (self.image if by_itself else self.tissue, self.boundary)
         made = add_missing(self._viewer, self.image, *chosen, self._form.view())
-        with self._choices.nobody_chooses():  # undo would not remove the layers
+        with self._binding.automatically():  # undo would not remove the layers
             self.tissue, self.boundary = BRIGHTNESS if by_itself else made[0], made[1]
         painted = (f"'{layer.name}'" for layer in made if isinstance(layer, Labels))
         self.say(messages.PAINT.format(" and ".join(painted)))
@@ -453,7 +351,7 @@ class SoftTissue(Dock):
             self._pointer.leave()
             self._view.rest()
         parts = (self._second, self._sides, self._view, self._unsaved, self._watch, self._guide)
-        for part in (*parts, self._live_study, self._choices, self._form):
+        for part in (*parts, self._live_study, self._binding, self._form):
             part.release()
         self._pointer.end()
         super().on_over(closed)

@@ -14,6 +14,7 @@ from napari_hmrf.layers.image_result import CONFIDENCE
 from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.read import EDGES
 from napari_hmrf.layers.slice_view import View
+from napari_hmrf.study.study_model import BRIGHTNESS
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.curve.editor import CurveEditor
 from napari_hmrf.ui.label_table import LabelTable
@@ -23,8 +24,6 @@ from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialMenu, MaterialTa
 Layers = Callable[[], list[Any]]
 Shown = Callable[[], View]
 Table = TypeVar("Table", bound=LabelTable)
-#: The tissue of an image that goes by a curve, in place of a layer.
-BRIGHTNESS = "brightness"
 #: What an editor begins with.
 _UNKNOWN = StiffnessCurve(((0, 1), (1, 1)))
 

@@ -22,7 +22,7 @@ from napari_hmrf.field.directions import Directions
 from napari_hmrf.io.material_tables import ENDING, save_materials
 from napari_hmrf.io.segmentation_tables import ENDINGS, tissue_table
 from napari_hmrf.io.tissue_names import NamedMaterials
-from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, Table, tissue_recorded
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, table_of, tissue_recorded
 from napari_hmrf.solver.model_advice import ABOUT_POISSON
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.tissue.boundary_rules import (
@@ -39,6 +39,7 @@ from napari_hmrf.tissue.boundary_rules import (
     stiffness_in_words,
 )
 from napari_hmrf.tissue.material_presets import PRESETS, Preset
+from napari_hmrf.tissue.row_table import RowTable
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu, number_of
 from napari_hmrf.ui.label_table import Column, LabelTable
 
@@ -230,7 +231,7 @@ def _sure(rule: BoundaryRule, text: str) -> BoundaryRule:
 
 def materials_of(layer: Any) -> Preset | None:
     """The table of a layer of tissue labels, or of a result, as a preset; None if it has none."""
-    table = Table.of(layer, TISSUE)
+    table = table_of(layer, TISSUE)
     rows, unit = table[:2] if table.rows else tissue_recorded(layer)
     if not rows or not any(row.stiffness > 0 for row in rows):
         return None
@@ -297,7 +298,7 @@ class MaterialMenu(QPushButton):
         if preset is None:
             raise LayerError(materials, "has no table of materials. Choose another layer.")
         rows, words = preset.take_over(self._table.rows)
-        self._table.contents = Table(rows, preset.unit, preset.name, preset.source)
+        self._table.contents = RowTable(rows, preset.unit, preset.name, preset.source)
         self.said.emit(f"Materials: {preset.name}. {words}".rstrip())
 
     def save(self, path: str | Path) -> Path:

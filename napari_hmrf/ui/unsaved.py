@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 from magicgui.widgets import Container, PushButton
 from napari.qt import QtViewer
 from qtpy.QtCore import QEvent, QFile, QObject, Qt, QThread, QTimer
@@ -23,21 +22,13 @@ from napari_hmrf.field.frame import SlicePlace
 from napari_hmrf.io import recovery
 from napari_hmrf.io.study_file import SUFFIX, image_named_in, load_study, save_study
 from napari_hmrf.layers.compat import is_quitting, stop_quitting
-from napari_hmrf.layers.edit_history import (
-    CHOICE,
-    DRAWING,
-    MODEL,
-    PAINT,
-    Slot,
-    UnsavedWork,
-    steps_of,
-)
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.read import study_layers
+from napari_hmrf.layers.unsaved_work import UnsavedWork
 from napari_hmrf.layers.viewer_layers import shared
-from napari_hmrf.solver.priors import Elastic
-from napari_hmrf.study.models import details_of, family_of
+from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.study.study import Study
+from napari_hmrf.study.study_model import Part
 from napari_hmrf.tissue.drawing.drawing import ends_of
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.events import Listening, single_shot
@@ -79,11 +70,11 @@ class Unsaved(QObject):
         self.ask: Callable[[str], Answer] = self._ask_person
         self._try = attempt
         self._dock, self._viewer, self._live = dock, viewer, live
-        self._choices, self._pointer = live.choices, live.pointer
-        self._steps, self._work = steps_of(viewer), shared(viewer, UnsavedWork)
+        self._binding, self._undo = live.binding, undo_of(viewer)
+        self._model, self._work = self._undo.model, shared(viewer, UnsavedWork)
         self._writer = threading.Thread()
         self._resting = single_shot(dock.native, _REST, self._keep)
-        self._heard = Listening((self._steps.edits.changed, self._on_edited))
+        self._heard = Listening((self._model.changed, self._on_edited))
         dock.insert(0, LeftBehind(lambda file: attempt(partial(self._take_up, file))))
         _all.add(self)
 
@@ -100,7 +91,7 @@ class Unsaved(QObject):
         written = save_study(path, study, solution)
         apart = self._landmarks_apart(study)
         self._dock.say(messages.saved_study(written.name, solution is not None, apart))
-        self._settle(self._pointer.history.slot, written)
+        self._settle(self._model.slice, written)
         return written
 
     def _landmarks_apart(self, study: Study) -> str:
@@ -118,9 +109,8 @@ class Unsaved(QObject):
 
     def save_as(self) -> None:
         """Ask where to save the study, and save it."""
-        here, name = self._pointer.history.slot, "study"
-        if isinstance(here, Slot):
-            name = _NO_FILE_NAME.sub("-", _name(here))
+        here = self._model.slice
+        name = "study" if here.layer is None else _NO_FILE_NAME.sub("-", _name(here))
         known = self._work.paths.get(here, Path(name + SUFFIX))
         chosen, _ = QFileDialog.getSaveFileName(
             self._dock.native, "Save the study", str(known), f"Studies (*{SUFFIX})"
@@ -131,49 +121,37 @@ class Unsaved(QObject):
     def open(self, path: str | Path) -> None:
         """Add the layers of a saved study; drawings on other layers stay."""
         self._add(path)
-        self._settle(self._pointer.history.slot, Path(path))
+        self._settle(self._model.slice, Path(path))
 
     def _add(self, path: str | Path) -> None:
         """Add the content of a file to the viewer; undo would not remove its layers."""
         study, dock = load_study(path).study, self._dock
         layers = study_layers(study)
-        with self._choices.nobody_chooses():
+        with self._binding.automatically():
             for layer in layers.values():
                 self._viewer.add_layer(layer)
             if (frame := study.grid.place) is not None:
                 first = next(iter(layers.values()))
                 there = SlicePlace(frame.plane, (0,) * first.ndim)
-                self._steps.go_to(Slot(DRAWING, first, there), turn=True)
-            for part in ("image", "tissue", "boundary", "confidence"):
-                setattr(dock, part, layers.get(part))
-            dock.extent = "volume" if len(study.grid.shape) == 3 else "slice"
-            if study.tissue.curve is not None:
-                dock.curve = study.tissue.curve
-            dock.hold_edge, dock.weight = study.motion.hold_edge, study.motion.weight
-            dock.without_border = study.tissue.without_border
-            dock.model = family_of(study.prior, study.optimizer)
-            dock.settings = details_of(study.prior, study.optimizer)
-            if isinstance(study.prior, Elastic):
-                dock.plane = study.prior.plane
-                if np.ndim(study.prior.poisson) == 0:
-                    dock.poisson = float(study.prior.poisson)
+                self._undo.go_to(Part("drawing", first, there), turn=True)
+            self._model.restore(study, layers)
             if study.motion.drawing.marks and not self._live.look():
                 raise HmrfError(f"{Path(path).name} cannot be shown here: {dock.status}")
             dock.drawing = study.motion.drawing
         if (brightness := self._live.curve_layer.layer) is not None and study.moves:
             brightness.visible = False  # as all paint on moving tissue
 
-    def _on_edited(self, slot: Slot, _: Any, before: Any) -> None:
-        others = slot.what == PAINT and slot.layer not in self._choices.values.values()
-        if slot.what in (CHOICE, MODEL) or others:
+    def _on_edited(self, part: Part, _: Any, before: Any) -> None:
+        model = self._model
+        others = part.kind == "paint" and part.layer not in model.choice.layers
+        if part.kind in ("choice", "model") or others:
             return  # recreated in a moment, or not part of the study
-        edits = self._steps.edits
-        here = slot if slot.what == DRAWING else self._pointer.history.slot
+        here = part if part.kind == "drawing" else model.slice
         # A change that follows from another, such as a choice after new layers, is no undo step.
-        steps = (edits.next_undo, edits.next_redo)
-        by_hand = any(step is not None and step.slot == slot for step in steps)
-        if isinstance(here, Slot) and by_hand:
-            self._work.note(here, slot, before)
+        steps = (model.next_undo, model.next_redo)
+        by_hand = any(step is not None and step.part == part for step in steps)
+        if here.layer is not None and by_hand:
+            self._work.note(here, part, before)
             self._resting.start()
 
     def _settle(self, here: Any, path: Path | None = None) -> None:
@@ -212,8 +190,8 @@ class Unsaved(QObject):
     def may_close(self) -> bool:
         """Ask what to do with unsaved work; return whether the window may close."""
         slices, paths = self._work.slices, self._work.paths
-        names = [f"'{_name(slot)}'" for slot in slices]
-        replaced = [f"'{paths[slot].name}'" for slot in slices if slot in paths]
+        names = [f"'{_name(part)}'" for part in slices]
+        replaced = [f"'{paths[part].name}'" for part in slices if part in paths]
         answer = self.ask(
             f"What was done on {' and '.join(names)} is in no file yet. Save it before closing?"
             + (f" Saving replaces {' and '.join(replaced)}." if replaced else "")
@@ -221,17 +199,17 @@ class Unsaved(QObject):
         if answer == "discard":
             self._discard()
         elif answer == "save":
-            for slot in self._work.slices:
-                self._save_slice(slot)
+            for part in self._work.slices:
+                self._save_slice(part)
         return answer != "cancel" and not self.there
 
-    def _save_slice(self, slot: Slot) -> None:
+    def _save_slice(self, part: Part) -> None:
         """Go to a slice, and save it to its known path, or else to a path the user chooses."""
-        self._dock.image = slot.layer
-        self._steps.go_to(slot, turn=True)
+        self._dock.image = part.layer
+        self._undo.go_to(part, turn=True)
         self._live.look()
-        known = self._work.paths.get(slot)
-        if self._pointer.history.slot == slot:  # else another slice is visible
+        known = self._work.paths.get(part)
+        if self._model.slice == part:  # else another slice is visible
             self._try(self.save_as if known is None else partial(self.save, known))
 
     def _ask_person(self, question: str) -> Answer:
@@ -244,16 +222,16 @@ class Unsaved(QObject):
         return answers.get(answer, "cancel")
 
     def _discard(self) -> None:
-        for slot in {*self._work.slices, *self._work.kept}:
-            self._settle(slot)
+        for part in {*self._work.slices, *self._work.kept}:
+            self._settle(part)
 
     # Crash recovery
 
     def _keep(self) -> None:
         """Write the current slice to a recovery file, once no edit is in progress."""
-        here = self._pointer.history.slot
+        here = self._model.slice
         held = QApplication.mouseButtons() != Qt.MouseButton.NoButton
-        if held or self._steps.edits.in_progress is not None or self._writer.is_alive():
+        if held or self._model.in_progress is not None or self._writer.is_alive():
             self._resting.start()
         elif here not in self._work.slices:
             self._settle(here)  # all edits were undone
@@ -270,7 +248,7 @@ class Unsaved(QObject):
     def _take_up(self, file: Path) -> None:
         """Open a file that was left behind; it is kept until the work is saved."""
         self._add(file)
-        here = self._pointer.history.slot
+        here = self._model.slice
         self._work.note(here)
         self._work.kept[here] = recovery.take_over(file)
 
@@ -327,9 +305,9 @@ def folder() -> Path:
     return Path(settings().fileName()).parent / "unsaved"
 
 
-def _name(slot: Slot) -> str:
+def _name(part: Part) -> str:
     """Return the name of an image, with its slice if it has several."""
-    return f"{slot.layer.name} {'' if slot.place is None else slot.place.name}".strip()
+    return f"{part.layer.name} {'' if part.place is None else part.place.name}".strip()
 
 
 def _write(file: Path, study: Study) -> None:

@@ -14,6 +14,7 @@ from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, role_of
 from napari_hmrf.layers.pixel_copy import CHANGES
 from napari_hmrf.layers.viewer_layers import shared
+from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
 from napari_hmrf.ui import messages
@@ -46,7 +47,8 @@ class ViewerWatch:
 
     def __init__(self, native: Any, viewer: Any, live: LiveStudy, guide: Guide) -> None:
         self._viewer, self._live, self._guide = viewer, live, guide
-        self._form, self._choices, self._pointer = live.form, live.choices, live.pointer
+        self._form, self._binding, self._pointer = live.form, live.binding, live.pointer
+        self._model = undo_of(viewer).model
         self._results = shared(viewer, ResultLayers)
         self._active = viewer.layers.selection.active
         self._starting = single_shot(native, 0, self._on_first)
@@ -62,7 +64,7 @@ class ViewerWatch:
         self._answers: dict[str, Any] = {
             "inserted": self._on_inserted,
             "removed": self._on_removed,
-            "renamed": self._choices.look,
+            "renamed": self._binding.look,
             "reordered": guide.show,
             "visible": guide.show,
             "mode": self._on_mode,
@@ -127,7 +129,7 @@ class ViewerWatch:
         self._results.show_only(image)
         if image is None:
             self._rest()
-        if not self._choices.by_itself:
+        if not self._binding.automatic:
             hidden = () if image is None else uncover(self._viewer, image)
             if image is not None and not in_middle(self._viewer, image):
                 self._viewer.reset_view()
@@ -169,18 +171,18 @@ class ViewerWatch:
 
     def _reads(self, layer: Any) -> bool:
         """Whether a layer is among those that are read."""
-        return layer in (self._form.image.value, *self._choices.values.values())
+        return layer in (self._form.image.value, *self._model.choice.layers)
 
     def _on_inserted(self, event: Any) -> None:
-        self._choices.look()
-        self._choices.take(event.value)
+        self._binding.look()
+        self._binding.take(event.value)
         self._on_choice()
 
     def _on_removed(self, event: Any) -> None:
         layer, live, display = event.value, self._live, self._pointer.display
         was_read = self._reads(layer)
         self._gone = self._gone_with(layer) or self._gone
-        self._choices.look()
+        self._binding.look()
         if layer is display.arrows.former and not display.quiet:
             self._guide.say(ARROWS_GONE, why="step")
         if layer is live.source:

@@ -41,18 +41,18 @@ class Brush(Hand):
         """Touch tissue with the brush; where there is none, the place itself is meant."""
         self.release()
         self._origin, self._dragged = came_from, None
-        drawing, at, stroke = self._history.drawing, self._place(point), self.mark
+        drawing, at, stroke = self._model.drawing, self._place(point), self.mark
         word = WORDS[how.action]
         if not isinstance(stroke, Stroke) or not covers(stroke, at, self._spacing):
             stroke = None
         if stroke is not None and stroke.action == how.action == "move":
             self._dragged = (point, stroke.by)
-            self._history.begin(_PUSHED)
+            self._model.begin_drawing(_PUSHED)
         elif stroke is not None and replace(how, lines=stroke.lines) == stroke:
-            self._history.begin(word)
+            self._model.begin_drawing(word)
             self._remake(stroke.again(at))
         else:
-            self._history.begin(word)
+            self._model.begin_drawing(word)
             self._show(drawing.with_mark(replace(how, lines=((at,),))), len(drawing.marks))
         return True
 

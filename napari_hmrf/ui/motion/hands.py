@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from napari_hmrf.study.study_model import History
+from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.drawing.drawing import Drawing, Hit, ends_of
 from napari_hmrf.tissue.drawing.marks import COMPONENTS, Arrow, Landmark, Mark, Point, between
 
@@ -29,8 +29,8 @@ class Hand:
 
     Parameters
     ----------
-    history : History
-        What is drawn on.
+    model : StudyModel
+        Whose selected slice is drawn on.
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
     shape : tuple of int
@@ -44,11 +44,11 @@ class Hand:
 
     def __init__(
         self,
-        history: History,
+        model: StudyModel,
         spacing: Sequence[float] = (1.0, 1.0),
         shape: tuple[int, ...] = (1, 1),
     ) -> None:
-        self._history = history
+        self._model = model
         self._spacing = tuple(map(float, spacing))
         self._shape = shape
         self._selected: int | None = None
@@ -57,12 +57,12 @@ class Hand:
     @property
     def holding(self) -> bool:
         """Whether something is held."""
-        return self._history.in_progress
+        return self._model.drawing_in_progress
 
     @property
     def selected(self) -> int | None:
         """The number of the mark made or taken hold of last; None once something else was done."""
-        if self._history.drawing is not self._ours:
+        if self._model.drawing is not self._ours:
             self._selected = None
         return self._selected
 
@@ -70,7 +70,7 @@ class Hand:
     def mark(self) -> Mark | None:
         """The mark that is selected."""
         number = self.selected
-        return None if number is None else self._history.drawing.marks[number]
+        return None if number is None else self._model.drawing.marks[number]
 
     def press(self, point: Point, reach: float, how: Any, came_from: Origin = unmoved) -> bool:
         """Begin.
@@ -105,20 +105,19 @@ class Hand:
         ProblemError
             If what is to expand is an open line; nothing has changed then.
         """
-        step = self._history.end()
-        return "" if step is None else step.word
+        return self._model.end_drawing()
 
     def cancel(self) -> bool:
         """Let go, and have everything as it was before; whether anything was held."""
         held, number = self.holding, self._selected
         if held:
-            self._history.cancel()
-            self.select(number if number in range(len(self._history.drawing.marks)) else None)
+            self._model.cancel_drawing()
+            self.select(number if number in range(len(self._model.drawing.marks)) else None)
         return held
 
     def select(self, number: int | None) -> None:
         """Have a mark be the one that is changed or removed next."""
-        self._ours, self._selected = self._history.drawing, number
+        self._ours, self._selected = self._model.drawing, number
 
     def remove(self) -> bool:
         """Remove the mark that is selected; whether there was one."""
@@ -126,7 +125,7 @@ class Hand:
         if mark is None or number is None:
             return False
         self.select(None)
-        self._history.do(self._history.drawing.without(number), f"removed {name_of(mark)}")
+        self._model.draw(self._model.drawing.without(number), f"removed {name_of(mark)}")
         return True
 
     def change(self, how: Any) -> None:
@@ -135,23 +134,23 @@ class Hand:
         if mark is None or number is None or self.holding:
             return
         if (changed := self._changed(mark, how)) != mark:
-            drawing = self._history.drawing.replaced(number, changed)
+            drawing = self._model.drawing.replaced(number, changed)
             self._ours = drawing  # before those who listen ask what is selected
-            self._history.do(drawing, f"changed {name_of(changed)}")
+            self._model.draw(drawing, f"changed {name_of(changed)}")
 
     def _changed(self, mark: Any, how: Any) -> Mark:
         raise NotImplementedError
 
     def _show(self, drawing: Drawing, number: int) -> None:
         self._ours, self._selected = drawing, number
-        self._history.update(drawing)
+        self._model.update_drawing(drawing)
         # The same drawing stays the one it was.
-        self._ours = self._history.drawing
+        self._ours = self._model.drawing
 
     def _remake(self, mark: Mark) -> None:
         """Have another mark in the place of the one that is held."""
         if self._selected is not None:
-            self._show(self._history.drawing.replaced(self._selected, mark), self._selected)
+            self._show(self._model.drawing.replaced(self._selected, mark), self._selected)
 
 
 class Pull(Hand):
@@ -171,7 +170,7 @@ class Pull(Hand):
         where it is seen.
         """
         self.release()
-        drawing, at = self._history.drawing, came_from(point)
+        drawing, at = self._model.drawing, came_from(point)
         hit = drawing.at(point, reach, self._spacing)
         if hit is not None:
             word = f"moved {name_of(drawing.marks[hit.number])}"
@@ -186,7 +185,7 @@ class Pull(Hand):
         end = head if hit.part == "head" else base
         self._offset = tuple(x - y for x, y in zip(point, end, strict=True))
         self._part, self._at = hit.part, point
-        self._history.begin(word)
+        self._model.begin_drawing(word)
         self._show(drawing, hit.number)
         return True
 

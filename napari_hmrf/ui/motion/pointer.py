@@ -11,10 +11,10 @@ from psygnal import Signal
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.frame import SlicePlace
 from napari_hmrf.layers.compat import text_of
-from napari_hmrf.layers.edit_history import DRAWING, Slot, ViewerSteps
 from napari_hmrf.layers.paint_layer import tissue_colours
+from napari_hmrf.layers.viewer_undo import ViewerUndo
+from napari_hmrf.study.edit_history import Step
 from napari_hmrf.study.study import Study
-from napari_hmrf.study.study_model import History, Step
 from napari_hmrf.tissue.drawing import Drawing, Landmark, Mark, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.ui.events import single_shot
@@ -44,13 +44,11 @@ class Pointer:
     viewer : napari.Viewer or ViewerModel
     fields : ToolFields
         Settings of the tools.
-    steps : ViewerSteps
-        Undo steps of the viewer.
+    undo : ViewerUndo
+        With the `StudyModel` whose drawings are edited.
 
     Attributes
     ----------
-    history : History
-        History of the visible slice.
     tool : Tool
         Current tool.
     hand : Hand
@@ -73,9 +71,9 @@ class Pointer:
     #: A new action begins: earlier messages are out of date.
     begun = Signal()
 
-    def __init__(self, native: Any, viewer: Any, fields: ToolFields, steps: ViewerSteps) -> None:
-        self._fields, self._steps = fields, steps
-        self.history = History()
+    def __init__(self, native: Any, viewer: Any, fields: ToolFields, undo: ViewerUndo) -> None:
+        self._fields, self._undo, self._model = fields, undo, undo.model
+        self._model.select_slice(None)
         self.tool: Tool = BY_NAME["pull"]
         # True if the selected mark was picked up, rather than just made.
         self._picked = False
@@ -88,8 +86,8 @@ class Pointer:
         self._drawing_waits = single_shot(native, _AHEAD, self.draw)
         self.tissue: Any = None
         self._in_error = False
-        steps.said.connect(self._on_step)
-        steps.edits.changed.connect(self._on_drawn)
+        undo.said.connect(self._on_step)
+        self._model.changed.connect(self._on_drawn)
         fields.changed.connect(self._on_field)
 
     # State
@@ -97,7 +95,7 @@ class Pointer:
     @property
     def drawing(self) -> Drawing:
         """Drawing of the visible slice."""
-        return self.history.drawing
+        return self._model.drawing
 
     @property
     def active(self) -> bool:
@@ -129,11 +127,8 @@ class Pointer:
             Image to draw on.
         """
         self.release()
-        if study is None:
-            self.history = History()
-        else:
-            slot = Slot(DRAWING, image, SlicePlace.of(study.grid.known_place))
-            self.history = History(edits=self._steps.edits, slot=slot)
+        place = None if study is None else SlicePlace.of(study.grid.known_place)
+        self._model.select_slice(None if study is None else image, place)
         self.display.stand_on(study, image, bool(self.drawing.marks))
         self._open_hand()
         self.draw()
@@ -185,10 +180,7 @@ class Pointer:
     def set_drawing(self, drawing: Drawing, word: str) -> None:
         """Replace the drawing, as an undo step named `word`; if that is "", without a step."""
         self.release()
-        if word:
-            self.history.do(drawing, word)
-        else:
-            self.history.edits.amend(self.history.slot, drawing)
+        self._model.draw(drawing, word)
 
     def clear(self) -> None:
         """Remove all marks of the drawing."""
@@ -198,7 +190,7 @@ class Pointer:
     def draw(self) -> None:
         """Show the current drawing."""
         self._drawing_waits.stop()
-        self.display.draw(self.history.drawing, self.hand)
+        self.display.draw(self.drawing, self.hand)
         self.changed.emit()
 
     def show(self, seen: Seen) -> None:
@@ -216,7 +208,7 @@ class Pointer:
         if self._drawing_waits.isActive():
             self.draw()
         elif seen.marks is not None or (before is not None and before.marks is not None):
-            self.display.draw(self.history.drawing, self.hand)  # its marks follow the tissue
+            self.display.draw(self.drawing, self.hand)  # its marks follow the tissue
         if (known is None and self.active) or self._in_error:
             self._in_error = False
             self.said.emit("")
@@ -230,8 +222,8 @@ class Pointer:
     def end(self) -> None:
         """Disconnect from the undo steps, and end any drag."""
         self.display.arrows.end_drag()
-        self._steps.said.disconnect(self._on_step)
-        self._steps.edits.changed.disconnect(self._on_drawn)
+        self._undo.said.disconnect(self._on_step)
+        self._model.changed.disconnect(self._on_drawn)
 
     # Mouse and key actions on the canvas
 
@@ -270,7 +262,7 @@ class Pointer:
         moved = self.display.moved
         if moved is None:
             return
-        drawing, spacing = self.history.drawing, moved.study.grid.spacing
+        drawing, spacing = self.drawing, moved.study.grid.spacing
         hit = drawing.at(point, reach, spacing)
         before = moved.came_from(point) or point
         number = drawing.painted_at(before, spacing) if hit is None else hit.number
@@ -342,15 +334,15 @@ class Pointer:
         """Create the hand of the current tool, with nothing selected."""
         moved = self.display.moved
         grid = () if moved is None else (moved.study.grid.spacing, moved.study.grid.shape)
-        self.hand: Hand = (Brush if self.tool.is_brush else Pull)(self.history, *grid)
+        self.hand: Hand = (Brush if self.tool.is_brush else Pull)(self._model, *grid)
 
     def _show_how(self) -> None:
         mark = self.hand.mark
         if mark is not None:
             self._fields.show_how(mark)
 
-    def _on_drawn(self, slot: Any) -> None:
-        if slot != self.history.slot:
+    def _on_drawn(self, part: Any) -> None:
+        if part != self._model.slice:
             return
         self.drawn.emit()
         if not self.hand.holding:
@@ -360,7 +352,7 @@ class Pointer:
 
     def _on_step(self, _: str, step: Step | None) -> None:
         """Select the mark that undo or redo changed or restored, if the current tool made it."""
-        if step is None or step.slot != self.history.slot:
+        if step is None or step.part != self._model.slice:
             return
         marks = self.drawing.marks
         new = [number for number, mark in enumerate(marks) if mark not in step.value.marks]

@@ -1,0 +1,171 @@
+"""Undo and redo of all edits in a viewer, and their keys."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from typing import Any
+
+from napari.layers import Labels
+from psygnal import Signal
+
+from napari_hmrf.layers.compat import paint_steps, unwrapped
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, store_table
+from napari_hmrf.layers.slice_view import View
+from napari_hmrf.layers.viewer_layers import shared
+from napari_hmrf.study.edit_history import Step
+from napari_hmrf.study.study_model import Part, StudyModel
+
+#: Keys of undo and redo.
+KEYS = {"Control-Z": "undo", "Control-Shift-Z": "redo", "Control-Y": "redo"}
+
+
+class ViewerUndo:
+    """Undo and redo of a viewer's `StudyModel`; `undo_of` returns the one of a viewer.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+
+    Attributes
+    ----------
+    model : StudyModel
+    said : Signal(str, object)
+        Emitted with a sentence on what was undone or redone, and its `Step`, or None if there was
+        none.
+    """
+
+    said = Signal(str, object)
+
+    def __init__(self, viewer: Any) -> None:
+        self.model = StudyModel()
+        self._viewer = weakref.proxy(viewer)
+        # Weak reference to the owner of the keys.
+        self._owner: Callable[[], Any] = lambda: None
+        # Restore the keys of the viewer, and of the active layer.
+        self._keys, self._of_layer = ExitStack(), ExitStack()
+        self.model.changed.connect(self._on_changed)
+        viewer.layers.events.removed.connect(self._on_removed)
+
+    def undo(self) -> None:
+        """Undo the last step, and show the slice that it was on."""
+        if not self._before_us("undo", self.model.next_undo):
+            self._tell("undo", "Took back", self.model.undo(), "There is nothing to take back.")
+
+    def redo(self) -> None:
+        """Redo the step that was undone last, and show the slice that it is on."""
+        if not self._before_us("redo", self.model.next_redo):
+            self._tell("redo", "Did again", self.model.redo(), "There is nothing to do again.")
+
+    @property
+    def tooltips(self) -> tuple[str, str]:
+        """Tooltips of undo and redo: the step, and the key."""
+        undo, redo = self.model.next_undo, self.model.next_redo
+        return f"{_tip('take back', undo)} (Ctrl+Z)", f"{_tip('do again', redo)} (Ctrl+Shift+Z)"
+
+    def bind_keys(self, owner: Any) -> None:
+        """Bind undo and redo to their keys, unless a layer uses these keys.
+
+        napari binds them to the undo of paint if a Labels layer is active; strokes in such a layer
+        become steps of the model.
+
+        Parameters
+        ----------
+        owner : object
+            Owner of the keys, in place of an earlier one.
+        """
+        self._keys.close()
+        self._owner = weakref.ref(owner)
+        self._keys = self._bind(self._viewer)
+        active = self._viewer.layers.selection.events.active
+        active.connect(self._on_active)
+        self._keys.callback(active.disconnect, self._on_active)
+        self._keys.callback(lambda: self._of_layer.close())
+        self._on_active()
+
+    def unbind_keys(self, owner: Any) -> None:
+        """Restore the viewer's keys, unless they have another owner by now."""
+        if self._owner() is owner:
+            self._keys.close()
+
+    def _bind(self, owner: Any) -> ExitStack:
+        bound = ExitStack()
+        for key, name in KEYS.items():
+            with suppress(ValueError):  # bound by another plugin
+                owner.bind_key(key, lambda _, name=name: getattr(self, name)())
+                bound.callback(owner.bind_key, key, None)
+        return bound
+
+    def _on_active(self, *_: Any) -> None:
+        self._of_layer.close()
+        active = self._viewer.layers.selection.active
+        # If napari's history of paint cannot be used, its keys stay as they are.
+        if isinstance(active, Labels) and paint_steps(active, "undo") is not None:
+            self._of_layer = self._bind(active)
+            active.events.paint.connect(self._on_paint)
+            self._of_layer.callback(active.events.paint.disconnect, self._on_paint)
+
+    def _on_paint(self, event: Any) -> None:
+        """Make a stroke of napari's brush a step."""
+        part = Part("paint", event.source)
+        strokes = self.model.open(part, 0)
+        self.model.do(part, strokes + 1, f"painted in '{event.source.name}'")
+
+    def _before_us(self, name: str, step: Step | None) -> bool:
+        """Undo or redo paint of the active layer that is older than all steps; return whether."""
+        layer = self._viewer.layers.selection.active
+        known = step is None and bool(paint_steps(layer, name))
+        if known:
+            getattr(layer, name)()
+        return known
+
+    def _tell(self, name: str, what: str, step: Step | None, nothing: str) -> None:
+        """Show and report what was undone or redone; napari undoes paint."""
+        if step is not None:
+            part: Any = step.part
+            if part.kind == "paint" and paint_steps(part.layer, name):  # napari keeps 100 at most
+                getattr(part.layer, name)()
+            self.go_to(part)
+            what += self._of_image(part)
+        self.said.emit(nothing if step is None else f"{what}: {step.word}.", step)
+
+    def _of_image(self, part: Any) -> str:
+        """Return a clause that names the image, if several were edited."""
+        images = {each.layer for each in self.model.parts if each.kind == "drawing" and each.layer}
+        said = len(images) > 1 and part.kind in ("drawing", "choice")
+        return f" on '{part.layer.name}'" if said else ""
+
+    def go_to(self, part: Any, turn: bool = False) -> None:
+        """Show the slice of a part; if other axes are displayed, only with `turn`."""
+        if part.place is None or len(part.place.plane) == 3:  # a volume is shown in any slice
+            return
+        plane, index = part.place.plane, part.place.index
+        dims, layer = self._viewer.dims, part.layer
+        missing = dims.ndim - layer.ndim
+        axes = tuple(axis + missing for axis in plane)
+        if dims.ndisplay != 2 or axes != View.of(dims).displayed:
+            if not turn:
+                return
+            dims.ndisplay = 2
+            dims.order = (*(axis for axis in range(dims.ndim) if axis not in axes), *axes)
+        there = View.of(dims).point_at(layer, index)
+        dims.set_point([*there], [*there.values()])
+
+    def _on_changed(self, part: Any, value: Any) -> None:
+        """Store a table in the metadata of its layer."""
+        if part.kind in (TISSUE, BOUNDARY):
+            store_table(value, part.layer, part.kind)
+
+    def _on_removed(self, event: Any) -> None:
+        gone = event.value
+        self.model.drop(lambda part: part.layer is gone)
+
+
+def _tip(what: str, step: Step | None) -> str:
+    return f"Nothing to {what}" if step is None else f"{what.capitalize()}: {step.word}"
+
+
+def undo_of(viewer: Any) -> ViewerUndo:
+    """Return the undo of a viewer, with its `StudyModel`."""
+    return shared(unwrapped(viewer), ViewerUndo)

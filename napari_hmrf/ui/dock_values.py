@@ -1,0 +1,310 @@
+"""Values of the dock that scripts read and set."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from napari_hmrf.field.comparison import Comparison
+from napari_hmrf.layers.screen_directions import Sides
+from napari_hmrf.solver.model_names import ModelName
+from napari_hmrf.solver.priors.elastic import Plane
+from napari_hmrf.study.models import SolverDetails
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
+from napari_hmrf.ui.dock_form import DockForm
+from napari_hmrf.ui.form_binding import FormBinding
+from napari_hmrf.ui.guide import Guide
+from napari_hmrf.ui.motion.pointer import Pointer
+from napari_hmrf.ui.patient_sides import PatientSides
+from napari_hmrf.ui.result.result_view import ResultView
+from napari_hmrf.ui.unsaved import Unsaved
+from napari_hmrf.ui.viewer_dock import Dock
+
+
+class DockValues(Dock):
+    """Dock with all values that a user can see or choose as typed attributes."""
+
+    _form: DockForm
+    _binding: FormBinding
+    _pointer: Pointer
+    _view: ResultView
+    _guide: Guide
+    _sides: PatientSides
+    _unsaved: Unsaved
+
+    # What the user chooses
+    @property
+    def image(self) -> Any:
+        """Image to deform, or None: then only the motion of painted tissue is shown."""
+        value: Any = self._form.image.value
+        return value
+
+    @image.setter
+    def image(self, value: Any) -> None:
+        self._form.image.value = value
+
+    @property
+    def extent(self) -> str:
+        """What is deformed: "slice", as if it had no neighbours, or "volume"."""
+        value: str = self._form.extent.value
+        return value
+
+    @extent.setter
+    def extent(self, value: str) -> None:
+        self._form.extent.value = value
+
+    @property
+    def tissue(self) -> Any:
+        """Labels, an image of stiffness, or "brightness"; None: all in the image is tissue."""
+        value: Any = self._form.tissue.choice.value
+        return value
+
+    @tissue.setter
+    def tissue(self, value: Any) -> None:
+        self._form.tissue.choice.value = value
+
+    @property
+    def boundary(self) -> Any:
+        """Labels of held and moved regions, or Vectors of observed displacements, or None."""
+        value: Any = self._form.motion.boundary.choice.value
+        return value
+
+    @boundary.setter
+    def boundary(self, value: Any) -> None:
+        self._form.motion.boundary.choice.value = value
+
+    @property
+    def confidence(self) -> Any:
+        """Confidence of the Vectors: an image, Labels or "edges"; None: 1 everywhere."""
+        value: Any = self._form.motion.boundary.confidence.value
+        return value
+
+    @confidence.setter
+    def confidence(self, value: Any) -> None:
+        self._form.motion.boundary.confidence.value = value
+
+    @property
+    def materials(self) -> tuple[Material, ...]:
+        """Stiffness of each tissue label."""
+        value: tuple[Material, ...] = self._form.tissue.table.rows
+        return value
+
+    @materials.setter
+    def materials(self, value: tuple[Material, ...]) -> None:
+        self._form.tissue.table.rows = value
+
+    @property
+    def rules(self) -> tuple[BoundaryRule, ...]:
+        """Effect of each boundary label."""
+        value: tuple[BoundaryRule, ...] = self._form.motion.boundary.table.rows
+        return value
+
+    @rules.setter
+    def rules(self, value: tuple[BoundaryRule, ...]) -> None:
+        self._form.motion.boundary.table.rows = value
+
+    @property
+    def curve(self) -> StiffnessCurve | None:
+        """Curve from intensity to stiffness, if the tissue is defined by one."""
+        value: StiffnessCurve | None = self._binding.curve
+        return value
+
+    @curve.setter
+    def curve(self, value: StiffnessCurve | None) -> None:
+        self._binding.curve = value
+
+    @property
+    def hold_edge(self) -> bool:
+        """Whether the outer edge of the tissue is held in place."""
+        value: bool = self._form.motion.edge.value
+        return value
+
+    @hold_edge.setter
+    def hold_edge(self, value: bool) -> None:
+        self._form.motion.edge.value = value
+
+    @property
+    def weight(self) -> tuple[float, ...]:
+        """Body force on all tissue, along each axis; () for none."""
+        value: tuple[float, ...] = self._form.motion.weight.value
+        return value
+
+    @weight.setter
+    def weight(self, value: tuple[float, ...]) -> None:
+        self._form.motion.weight.value = value
+
+    @property
+    def without_border(self) -> bool:
+        """Whether the dark, unpainted border of the image is excluded from the tissue."""
+        value: bool = self._form.tissue.border.value
+        return value
+
+    @without_border.setter
+    def without_border(self, value: bool) -> None:
+        self._form.tissue.border.value = value
+
+    @property
+    def model(self) -> ModelName:
+        """Model of the tissue; the paper's model sets its own numbers in `settings`."""
+        value: ModelName = self._form.model.model.value
+        return value
+
+    @model.setter
+    def model(self, value: ModelName) -> None:
+        self._form.model.model.value = value
+
+    @property
+    def plane(self) -> Plane:
+        """Plane of elastic tissue: "stress" or "strain"."""
+        value: Plane = self._form.model.plane.value
+        return value
+
+    @plane.setter
+    def plane(self, value: Plane) -> None:
+        self._form.model.plane.value = value
+
+    @property
+    def poisson(self) -> float:
+        """Poisson's ratio of elastic tissue without a table; labels have theirs in `materials`."""
+        value: float = self._form.model.poisson.value
+        return value
+
+    @poisson.setter
+    def poisson(self, value: float) -> None:
+        self._form.model.poisson.value = value
+
+    @property
+    def settings(self) -> SolverDetails:
+        """Solver settings: a value, as in `dock.settings = replace(dock.settings, sweeps=7)`."""
+        value: SolverDetails = self._form.model.in_detail.details
+        return value
+
+    @settings.setter
+    def settings(self, value: SolverDetails) -> None:
+        self._form.model.in_detail.details = value
+
+    @property
+    def result(self) -> Any:
+        """Vectors that hold the displayed result, or None: the newest, or one selected since."""
+        value: Any = self._view.arrows
+        return value
+
+    @result.setter
+    def result(self, value: Any) -> None:
+        self._view.arrows = value
+
+    @property
+    def percent(self) -> int:
+        """Displayed part of the deformation, from 0 to 100."""
+        value: int = self._form.result.slider.value
+        return value
+
+    @percent.setter
+    def percent(self, value: int) -> None:
+        self._form.result.slider.value = value
+
+    @property
+    def before(self) -> bool:
+        """Whether the undeformed image is shown, without its result."""
+        value: bool = self._view.before
+        return value
+
+    @before.setter
+    def before(self, value: bool) -> None:
+        self._view.before = value
+
+    @property
+    def reference(self) -> Any:
+        """A field or another result, with which this one is compared, or None."""
+        value: Any = self._form.result.reference.value
+        return value
+
+    @reference.setter
+    def reference(self, value: Any) -> None:
+        self._form.result.reference.value = value
+
+    @property
+    def overlay(self) -> str:
+        """Overlay on the image: "nothing", a `Quantity`, "grid", "labels", "folds" or others."""
+        value: str = self._form.result.overlay.value
+        return value
+
+    @overlay.setter
+    def overlay(self, value: str) -> None:
+        self._form.result.overlay.value = value
+
+    @property
+    def compare_with(self) -> Any:
+        """Second image over the deformed one, or None."""
+        value: Any = self._form.result.second.value
+        return value
+
+    @compare_with.setter
+    def compare_with(self, value: Any) -> None:
+        self._form.result.second.value = value
+
+    @property
+    def live(self) -> bool:
+        """Whether the tissue follows every edit; by default unless the image is large."""
+        value: bool = self._form.footer.live.value
+        return value
+
+    @live.setter
+    def live(self, value: bool) -> None:
+        self._form.footer.live.value = value
+
+    # What the dock shows
+
+    @property
+    def active(self) -> bool:
+        """Whether the mouse draws."""
+        value: bool = self._pointer.active
+        return value
+
+    @property
+    def playing(self) -> bool:
+        """Whether the deformation is played back and forth."""
+        value: bool = self._view.player.playing
+        return value
+
+    @property
+    def comparison(self) -> Comparison | None:
+        """Difference of the result from `reference`, once it is computed."""
+        value: Comparison | None = self._view.comparison
+        return value
+
+    @property
+    def residual(self) -> str:
+        """Distance of landmarks from their targets, as a sentence."""
+        value: str = self._form.result.landmarks.value
+        return value
+
+    @property
+    def unsaved(self) -> bool:
+        """Whether there is work that is in no file."""
+        value: bool = self._unsaved.there
+        return value
+
+    @property
+    def sides(self) -> Sides:
+        """Side of the patient at each edge of the canvas, such as "R", if an image records it."""
+        value: Sides = self._sides.shown
+        return value
+
+    @property
+    def status(self) -> str:
+        """Sentence at the bottom."""
+        value: str = self._guide.shown
+        return value
+
+    @property
+    def invitation(self) -> str:
+        """Hint at the next step."""
+        value: str = self._guide.invitation
+        return value
+
+    @property
+    def warning(self) -> str:
+        """Warning about the visible tissue."""
+        value: str = self._form.footer.warning
+        return value

@@ -1,0 +1,330 @@
+"""Binding of the dock's forms to the `StudyModel`, and choice of layers as they come."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+from napari.layers import Labels, Layer
+from psygnal import Signal
+
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.layers.field_layer import holds_field
+from napari_hmrf.layers.image_choice import image_covering, image_in_front, painted_on, uncover
+from napari_hmrf.layers.image_result import ResultLayers
+from napari_hmrf.layers.metadata import BOUNDARY, role_of
+from napari_hmrf.layers.read import Request
+from napari_hmrf.layers.slice_view import fits
+from napari_hmrf.layers.viewer_layers import shared
+from napari_hmrf.layers.viewer_undo import undo_of
+from napari_hmrf.study.study_model import BRIGHTNESS, ImageChoice, Part
+from napari_hmrf.tissue.row_table import change
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
+from napari_hmrf.ui.dock_form import DockForm
+from napari_hmrf.ui.events import Listening
+from napari_hmrf.ui.messages import CHOOSE, EDGE_GOES, NOT_CHOSEN, WELCOME
+
+
+class FormBinding:
+    """Writes the forms' values to the `StudyModel`, and shows the model's changes in the forms.
+
+    Layers are chosen automatically as they come; that is no undo step.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    form : DockForm
+
+    Attributes
+    ----------
+    fields : dict of str to ValueWidget
+        Widget of each attribute of `ImageChoice`.
+    automatic : bool
+        True while values change that the user did not choose.
+    """
+
+    #: Emitted with a sentence on what was chosen together with something else.
+    said = Signal(str)
+
+    def __init__(self, viewer: Any, form: DockForm) -> None:
+        self._viewer, self._form = viewer, form
+        self._undo = undo = undo_of(viewer)
+        self._model = model = undo.model
+        motion = form.motion
+        self.fields: dict[str, Any] = {
+            "tissue": form.tissue.choice,
+            "boundary": motion.boundary.choice,
+            "confidence": motion.boundary.confidence,
+            "without_border": form.tissue.border,
+            "hold_edge": motion.edge,
+            "weight": motion.weight,
+            "extent": form.extent,
+            "compare_with": form.result.second,
+        }
+        self._image: Any = None
+        self.automatic = False
+        # True once the user chose an image, or none, or deformed one.
+        self._by_hand = False
+        # True if the last image was removed.
+        self._lost = False
+        model.select(None)
+        motion.boundary.choice.changed.connect(self._on_boundary)
+        form.image.changed.connect(self._on_image)
+        for field in (form.extent, form.tissue.choice, motion.boundary.choice):
+            field.changed.connect(self._on_extent)
+        form.model.choice = model.model  # of a dock that was closed
+        for table in form.tables:
+            table.changed.connect(self._write_tables)
+        for field in (form.image, *self.fields.values(), form.model, form.model.in_detail):
+            field.changed.connect(self.write, max_args=0)
+        form.tissue.editor.plot.edited.connect(self._take_curve)
+        form.tissue.editor.plot.settled.connect(model.end)
+        form.footer.undo.changed.connect(lambda _: undo.undo())
+        form.footer.redo.changed.connect(lambda _: undo.redo())
+        show = partial(form.footer.show_steps, undo)
+        self._heard = Listening(
+            (model.changed, self._on_changed),
+            (model.selected, self._on_selected),
+            (model.steps_changed, show),
+        )
+        undo.bind_keys(self)
+        self.write(step=False)
+        show()
+
+    @contextmanager
+    def automatically(self) -> Iterator[None]:
+        """Make changes inside the block without undo steps."""
+        before, self.automatic = self.automatic, True
+        try:
+            yield
+        finally:
+            self.automatic = before
+            if not before:
+                self.write(step=False)
+
+    def request(self) -> Request:
+        """Return all choices for the selected image, with the visible slice and its drawing.
+
+        Raises
+        ------
+        HmrfError
+            If there is nothing to work on.
+        """
+        if self.automatic:
+            self._write(step=False)
+        form, model, choice = self._form, self._model, self._model.choice
+        image, tissue = form.image.value, choice.tissue_layer
+        if image is None and (self._lost or not isinstance(tissue, Labels)):
+            raise HmrfError(CHOOSE if self._viewer.layers else WELCOME)
+        return Request.of(model, form.view(), form.motion.fields.preset.value)
+
+    # Automatic choice of layers
+
+    def look(self, *_: Any) -> None:
+        """Update the menus of layers; if the image was removed, choose another one."""
+        form, before = self._form, self._form.image.value
+        with self.automatically():
+            for choice in form.choices:
+                choice.reset_choices()
+            form.motion.boundary.landmarks.look()
+            if before is not None and form.image.value is None:
+                others = (form.tissue.choice.value, form.motion.boundary.confidence.value)
+                images = [layer for layer in form.image.offered if layer not in others]
+                self._by_hand = self._by_hand and bool(images)
+                if images:
+                    form.image.value = images[0]
+                else:  # the next image begins as the first did
+                    usual = ImageChoice()
+                    form.tissue.border.value = usual.without_border
+                    form.motion.edge.value = usual.hold_edge
+
+    def choose_first(self) -> None:
+        """Choose the image in front, or one that was edited, and the layers painted on it."""
+        self.look()
+        viewer, offered = self._viewer, self._form.image.offered
+        edited = self._drawn_on or shared(viewer, ResultLayers).sources
+        with self.automatically():
+            self._form.image.value = image = image_in_front(viewer, offered, edited)
+            for layer in reversed(viewer.layers) if image is None else ():
+                self._take_painted(layer)
+
+    def begin(self) -> None:
+        """Keep the chosen image from now on, whatever layers come."""
+        self._by_hand = True
+
+    def take(self, layer: Any) -> None:
+        """Choose a new layer: as image unless work on another has begun, or as paint on it."""
+        image = self._form.image
+        begun = self._by_hand or (image.value is not None and self._model.next_undo is not None)
+        with self.automatically():
+            if layer in image.offered and not begun:
+                image.value = layer
+            there = self._viewer.layers
+            if image.value is None or layer in painted_on(image.value, there, self._form.view()):
+                self._take_painted(layer)
+        if layer in image.offered and begun and not self.automatic:
+            covers = image.value and image_covering(self._viewer, image.value) is layer
+            # A covered image is reported anyway.
+            self.said.emit("" if covers else NOT_CHOSEN.format(layer.name))
+
+    def _take_painted(self, layer: Any) -> None:
+        """Choose a painted layer by its role, if none is chosen yet."""
+        choice = self.fields.get(role_of(layer) or "")
+        if choice is None or choice.value is not None or layer not in choice.offered:
+            return
+        if role_of(layer) == BOUNDARY and layer.data.any():  # it says all that is held
+            self._let_edge_go()
+        choice.value = layer
+
+    def _let_edge_go(self) -> None:
+        """Release the edge, as a part of choosing a boundary."""
+        edge = self._form.motion.edge
+        with edge.changed.blocked():
+            edge.value = False
+
+    @property
+    def _drawn_on(self) -> list[Any]:
+        """Images with a drawing on any slice."""
+        parts = [part for part in self._model.parts if part.kind == "drawing" and part.layer]
+        return [part.layer for part in parts if self._model.get(part).marks]
+
+    def _on_extent(self, _: str) -> None:
+        """Make napari's brush a ball where a volume is painted."""
+        for choice in (self._form.tissue.choice, self._form.motion.boundary.choice):
+            if isinstance(choice.value, Labels) and choice.value.ndim > 2:
+                choice.value.n_edit_dimensions = 3 if self._form.extent.is_volume else 2
+
+    def _on_boundary(self, layer: Any) -> None:
+        """Release the edge if a field prescribes its motion; hold it if there is no boundary."""
+        if holds_field(layer):
+            if self._form.motion.edge.value:
+                self.said.emit(EDGE_GOES.format(layer.name))
+            self._let_edge_go()
+        elif layer is None:
+            self._form.motion.edge.value = True
+
+    def _on_image(self, image: Any) -> None:
+        """Show what was chosen for an image before, or else choose layers for it."""
+        self._by_hand = self._by_hand or not self.automatic
+        before, self._image = self._image, image
+        if before is image:
+            return
+        # Choices for a removed image, or before there was one, are kept for the next.
+        stays = before is None or (image is None and self.automatic)
+        self._lost = image is None
+        known = self._model.select(image)
+        choice = self._model.choice
+        with self.automatically():
+            if not stays:
+                self._show(ImageChoice())
+            self._form.extent.look_at(image)
+            self._form.tissue.offer(self._model.curve)
+            if known:
+                self._show(choice)
+            elif image is not None:
+                self._begin_with(image)
+
+    def _begin_with(self, image: Any) -> None:
+        """Choose the layers that are painted on a new image, and drop those that do not fit it."""
+        model, view = self._model, self._form.view()
+        # Layers that were chosen for other images are not meant for this one.
+        others = [each for each in model.parts if each.kind == "choice" and each.layer]
+        theirs = [
+            layer for part in others if part.layer is not image for layer in model.get(part).layers
+        ]
+        for field in self.fields.values():
+            layer = field.value
+            # A field may lie anywhere.
+            if isinstance(layer, Layer) and not (holds_field(layer) or fits(layer, image, view)):
+                field.value = None
+        for layer in reversed(painted_on(image, self._viewer.layers, view)):
+            if layer not in theirs:
+                self._take_painted(layer)
+
+    def _show(self, choice: ImageChoice) -> None:
+        """Show choices in the form; a layer that was removed becomes none."""
+        with self.automatically():
+            if choice.tissue == BRIGHTNESS:
+                self._form.tissue.offer(self._model.curve)
+            for name, field in self.fields.items():
+                value, of_layers = getattr(choice, name), hasattr(field, "offered")
+                field.value = value if not of_layers or value in field.choices else None
+
+    # From the forms to the model
+
+    def release(self) -> None:
+        """Disconnect, as the dock was closed or its window is gone."""
+        self._undo.unbind_keys(self)
+        self._heard.release()
+
+    def write(self, *, step: bool = True) -> None:
+        """Write the forms' values to the model, unless they are changing automatically."""
+        if not self.automatic:
+            self._write(step)
+
+    def _write(self, step: bool) -> None:
+        self._write_tables(not step)
+        values = {name: field.value for name, field in self.fields.items()}
+        self._model.choose(step=step, **values)
+        self._model.choose_model(self._form.model.choice, step=step)
+
+    def _write_tables(self, automatic: bool) -> None:
+        for table in () if self.automatic and not automatic else self._form.tables:
+            layer = table.layer
+            if layer is None:
+                continue
+            before = self._model.table(table.role, layer)
+            word = "" if automatic or before is None else change(before, table.contents, layer.name)
+            self._model.set_table(table.role, layer, table.contents, word)
+
+    @property
+    def curve(self) -> StiffnessCurve | None:
+        """Curve from the image's brightness to stiffness, if it is in use; can be set."""
+        return self._form.tissue.curve
+
+    @curve.setter
+    def curve(self, curve: StiffnessCurve | None) -> None:
+        if curve is not None:
+            self._take_curve(curve)
+            self._model.end()
+        elif self.curve is not None:
+            self._form.tissue.choice.value = None
+
+    def _take_curve(self, curve: StiffnessCurve) -> None:
+        """Use a curve for the image: its first one, or the next state of an edit."""
+        image = self._form.image.value
+        if image is None:
+            raise HmrfError(WELCOME)
+        if self.curve is None:
+            self._form.tissue.go_by(self._model.curve or curve)
+        self._model.set_curve(curve, f"changed the curve of '{image.name}'")
+
+    # From the model to the forms
+
+    def _on_selected(self, image: Any) -> None:
+        """Show the selected image in the form."""
+        if image is not self._form.image.value:
+            with self.automatically():
+                self._form.image.value = image
+
+    def _on_changed(self, part: Part, value: Any, _: Any = None) -> None:
+        """Show a changed part in the form, and choose the image that it belongs to."""
+        form = self._form
+        if part.kind == "drawing" and part.layer is form.image.value:
+            return
+        with self.automatically():
+            others = [each for each in form.image.offered if each is not form.image.value]
+            if part.kind in ("drawing", "choice") and part.layer in others:
+                form.image.value = part.layer
+                uncover(self._viewer, part.layer)
+            if part.kind == "model":
+                form.model.choice = value
+            elif part.kind == "choice":
+                self._show(value)
+            elif part.kind == "curve" and part.layer is form.image.value:
+                form.tissue.go_by(value)
+            for table in form.tables:
+                if part == Part(table.role, table.layer):
+                    table.contents = value

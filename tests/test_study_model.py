@@ -1,0 +1,147 @@
+"""All that a user does, done to the `StudyModel` alone; and a window that follows it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from napari.layers import Image, Labels
+from napari.viewer import ViewerModel
+
+from napari_hmrf import Arrow, BoundaryRule, Drawing, Material, solve_study
+from napari_hmrf.field.frame import SlicePlace
+from napari_hmrf.io.study_file import load_study, save_study
+from napari_hmrf.layers.read import Request, read_study, study_layers
+from napari_hmrf.layers.slice_view import View
+from napari_hmrf.study.models import SolverDetails
+from napari_hmrf.study.study_model import ImageChoice, ModelChoice, StudyModel
+from napari_hmrf.tissue.row_table import RowTable
+from napari_hmrf.ui.soft_tissue import SoftTissue
+
+SHAPE = (24, 30)
+PULL = Arrow((12, 15), (0, 2), 3.0)
+SOFT, STIFF = Material(1, "soft", 10.0), Material(2, "stiff", 40.0)
+
+
+@pytest.fixture
+def layers():
+    brightness = np.linspace(0, 1, SHAPE[0] * SHAPE[1]).reshape(SHAPE) + 0.5
+    tissue, wall = np.ones(SHAPE, int), np.zeros(SHAPE, int)
+    tissue[8:16, 10:20] = 2
+    wall[0] = wall[-1] = 1
+    return {
+        "image": Image(brightness, name="brain"),
+        "tissue": Labels(tissue, name="Tissue"),
+        "boundary": Labels(wall, name="Boundary"),
+    }
+
+
+def study_of(model):
+    """The study that the window would read and solve."""
+    view = View.of(ViewerModel(ndisplay=2).dims)
+    study = read_study(Request.of(model, view))
+    return replace(study, prior=model.model.prior, optimizer=model.model.optimizer)
+
+
+def edited(layers):
+    """A model in which everything was chosen, painted with and drawn, in seven steps."""
+    model = StudyModel()
+    assert not model.select(layers["image"])
+    model.choose(step=False, hold_edge=False)
+    model.choose(tissue=layers["tissue"])
+    model.set_table("tissue", layers["tissue"], RowTable((SOFT,)))
+    model.set_table("tissue", layers["tissue"], RowTable((SOFT, STIFF)), "added a tissue")
+    model.choose(boundary=layers["boundary"])
+    model.set_table("boundary", layers["boundary"], RowTable(()))
+    rules = RowTable((BoundaryRule(1, "fixed"),))
+    model.set_table("boundary", layers["boundary"], rules, "added a rule")
+    model.select_slice(layers["image"])
+    model.begin_drawing("drew an arrow")
+    for by in (0.5, 1.0, 2.0):
+        model.update_drawing(Drawing((replace(PULL, by=(0, by)),)))
+    assert model.end_drawing() == "drew an arrow"
+    model.choose_model(ModelChoice(plane="strain"))
+    model.choose(without_border=False)
+    return model
+
+
+def test_all_that_a_user_does_is_done_to_the_model_without_a_window(layers, tmp_path):
+    model = edited(layers)
+    study = study_of(model)
+    solution = solve_study(study, backend="cpu")
+    np.testing.assert_allclose(solution.displacement[12, 15], (0, 2), atol=1e-3)
+    assert np.abs(solution.displacement[0]).max() == 0
+    assert (study.tissue.materials, study.prior.plane) == ((SOFT, STIFF), "strain")
+    again = StudyModel()
+    saved = load_study(save_study(tmp_path / "brain.study", study)).study
+    made = study_layers(saved)
+    again.restore(saved, made)
+    again.select_slice(made["image"])
+    again.draw(saved.motion.drawing, "")
+    assert again.next_undo is None
+    same = solve_study(study_of(again), backend="cpu")
+    np.testing.assert_array_equal(same.displacement, solution.displacement)
+
+
+def test_undo_goes_back_through_choices_tables_drawings_and_the_model_in_one_order(layers):
+    model = edited(layers)
+    words, states = [], []
+    while model.next_undo is not None:
+        states.append((model.choice, model.model, model.drawing))
+        words.append(model.undo().word)
+    assert words == [
+        "changed whether the dark border is tissue",
+        "chose another plane",
+        "drew an arrow",
+        "added a rule",
+        "chose another boundary",
+        "added a tissue",
+        "chose what says how stiff tissue is",
+    ]
+    assert model.choice == ImageChoice(hold_edge=False)
+    assert (model.model, model.drawing) == (ModelChoice(), Drawing())
+    for state in reversed(states):
+        model.redo()
+        assert (model.choice, model.model, model.drawing) == state
+
+
+def test_a_solver_detail_is_no_step(layers):
+    model = StudyModel()
+    model.choose_model(ModelChoice())
+    model.choose_model(ModelChoice(details=SolverDetails(accuracy=1e-2)))
+    assert model.next_undo is None
+    assert model.model.optimizer.tolerance == 1e-2
+
+
+def test_what_is_chosen_for_one_image_is_not_for_another(layers):
+    model, other = StudyModel(), Image(np.zeros(SHAPE), name="other")
+    model.select(layers["image"])
+    model.choose(tissue=layers["tissue"], weight=(1.0, 0.0))
+    model.select(other)
+    assert model.choice == ImageChoice()
+    model.choose(hold_edge=False)
+    assert model.select(layers["image"])
+    assert model.choice == ImageChoice(tissue=layers["tissue"], weight=(1.0, 0.0))
+
+
+def test_a_window_follows_the_model_and_the_model_a_window(qtbot, layers, at_rest):
+    viewer = ViewerModel()
+    for layer in layers.values():
+        viewer.add_layer(layer)
+    dock = SoftTissue(viewer)
+    qtbot.addWidget(dock.native)
+    at_rest.until(lambda: not dock.busy)
+    model = dock.study_model
+    model.choose(tissue=layers["tissue"], boundary=layers["boundary"], hold_edge=False)
+    model.set_table("tissue", layers["tissue"], RowTable((SOFT, STIFF)), "stiffened")
+    model.choose_model(ModelChoice(plane="strain"))
+    assert (dock.tissue, dock.boundary) == (layers["tissue"], layers["boundary"])
+    assert (dock.hold_edge, dock.plane, dock.materials) == (False, "strain", (SOFT, STIFF))
+    dock.hold_edge, dock.model = True, "paper"
+    assert (model.choice.hold_edge, model.model.name) == (True, "paper")
+    dock.undo()
+    assert (dock.model, model.model.name) == ("elastic", "elastic")
+    at_rest.until(lambda: not dock.busy)
+    model.draw(Drawing((PULL,)), "drew an arrow")
+    at_rest.until(lambda: dock.solution is not None and not dock.busy)
+    assert model.slice.place == SlicePlace.of(dock.study.grid.known_place)
+    np.testing.assert_allclose(dock.solution.displacement[12, 15], (0, 2), atol=1e-2)
