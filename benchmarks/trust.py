@@ -222,7 +222,7 @@ def why_refused(
     reach = float(np.abs(problem.observed[problem.known]).max(initial=0.0)) / problem.unit
     # Where several fields cost the same, the one of least motion has to be found.
     least = truth.least if truth.motions else min(truth.least, truth.least_found)
-    swing = _ROUNDING * reach / least
+    swing = _ROUNDING * reach / max(least, 1e-300)
     beyond = least < _BEYOND or swing > _TOO_MUCH * tolerance
     # A problem error says that there is no single answer.
     sensitive = beyond and isinstance(refusal, ConvergenceError)
