@@ -47,7 +47,7 @@ __all__ = [
     "count_folds",
     "deformation_gradient",
     "equivalent_strain",
-    "folds",
+    "fold_mask",
     "green_lagrange_strain",
     "jacobian_determinant",
     "magnitude",
@@ -94,7 +94,7 @@ def deformation_gradient(
     return on_sites(gradient + np.eye(mask.ndim), mask)
 
 
-def folds(
+def fold_mask(
     displacement: npt.ArrayLike,
     *,
     spacing: Spacing,

@@ -29,7 +29,7 @@ _WHITE = 99.9
 _LARGEST_FRAME = 2**20
 
 
-def save_moving_picture(
+def write_movie(
     path: str | os.PathLike[str],
     solution: Solution,
     image: npt.ArrayLike,

@@ -27,7 +27,7 @@ from napari_hmrf.solver.parameters import optimizer_from_dict, prior_from_dict
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.solution import SOLUTION_FORMAT, Solution
 from napari_hmrf.solver.solve import Progress
-from napari_hmrf.study.ground import solve_study, statement_of
+from napari_hmrf.study.ground import build_problem, solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
@@ -64,7 +64,7 @@ class Saved(NamedTuple):
     solution: Solution | None = None
 
 
-def save_study(
+def write_study(
     path: str | os.PathLike[str],
     study: Study,
     solution: Solution | None = None,
@@ -84,7 +84,7 @@ def save_study(
     solution : Solution, optional
     image : bool
         Whether to save the image itself. Otherwise its name and digest are saved, and the image
-        must be given to `load_study`.
+        must be given to `read_study`.
 
     Returns
     -------
@@ -109,7 +109,7 @@ def save_study(
     return array_file.write(target, STUDY_FORMAT, _Content(study, solution, image))
 
 
-def load_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> Saved:
+def read_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> Saved:
     """Read a study back, in this or an earlier version of the format.
 
     Parameters
@@ -138,7 +138,7 @@ def load_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None =
     return Saved(study, content.solution)
 
 
-def load_solved(path: str | os.PathLike[str]) -> tuple[Study | None, Solution]:
+def read_solved(path: str | os.PathLike[str]) -> tuple[Study | None, Solution]:
     """Read a study with its field, or a saved result, for which the study is None.
 
     Raises
@@ -154,8 +154,8 @@ def load_solved(path: str | os.PathLike[str]) -> tuple[Study | None, Solution]:
             "a saved result (.npz)."
         )
     if not is_study_file(path):
-        return None, Solution.load(path)
-    study, solution = load_study(path)
+        return None, Solution.read(path)
+    study, solution = read_study(path)
     if solution is None:
         raise FileFormatError(
             f"{Path(path).name}: the study was saved without its field. Solve it first."
@@ -190,17 +190,17 @@ def replay(
     Parameters
     ----------
     path, image
-        As for `load_study`.
+        As for `read_study`.
     progress : callable, optional
         As for `solve`.
 
     Raises
     ------
     HmrfError
-        As for `load_study` and `solve_study`; or if the file only refers to its image, from which
+        As for `read_study` and `solve_study`; or if the file only refers to its image, from which
         the tissue is derived, and the image is not given.
     """
-    study, solution = load_study(path, image=image)
+    study, solution = read_study(path, image=image)
     tissue = study.tissue
     if (
         study.pictures.image is None
@@ -212,7 +212,7 @@ def replay(
             "in the file. Give the image."
         )
     backend = "auto" if solution is None else solution.provenance.backend
-    return solve_study(study, stated=statement_of(study), backend=backend, progress=progress)
+    return solve_study(study, stated=build_problem(study), backend=backend, progress=progress)
 
 
 class _Content(NamedTuple):
@@ -385,7 +385,7 @@ def materials_of(rows: Any) -> tuple[Material, ...]:
     return _MATERIALS.validate_python([asdict(Material.of_row(**row)) for row in rows])
 
 
-#: The file that `save_study` writes.
+#: The file that `write_study` writes.
 STUDY_FORMAT: array_file.Format[_Content] = array_file.Format(
     name="napari-hmrf study",
     schema=1,

@@ -38,6 +38,9 @@ class Preset:
     source: str
     materials: tuple[Material, ...]
 
+    def __repr__(self) -> str:
+        return f"Preset({self.name!r}, {len(self.materials)} materials)"
+
     def take_over(self, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:
         """Put these materials in place of those of a table.
 
@@ -120,7 +123,7 @@ class Palette:
 
     @classmethod
     def of_preset(cls, preset: Preset | None = None, relative: bool = True) -> Palette:
-        """The tissues of a preset, the void, and what is rigid.
+        """Return the tissues of a preset, the void, and what is rigid.
 
         Parameters
         ----------
@@ -144,7 +147,7 @@ class Palette:
     def painted(
         self, labels: npt.NDArray[Any], before: npt.NDArray[Any], m: FloatArray, prior: Prior
     ) -> tuple[FloatArray, Prior]:
-        """Stiffness and energy where some tissue has become another.
+        """Return stiffness and energy where some tissue has become another.
 
         Parameters
         ----------
