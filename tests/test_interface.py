@@ -348,3 +348,24 @@ def test_what_is_no_kind_of_argument_is_caught_as_a_type_error_too():
     with pytest.raises(TypeError):
         solve(IMAGE)
     assert issubclass(ArgumentError, TypeError)
+
+
+def test_every_public_function_says_what_it_takes_and_returns():
+    for name, found in NAMES.items():
+        text = inspect.getdoc(found) or ""
+        if inspect.isfunction(found):
+            signature = inspect.signature(found)
+            returns = signature.return_annotation not in (None, "None")
+            assert not signature.parameters or "Parameters\n-----" in text, name
+            assert not returns or "Returns\n-----" in text, name
+        elif inspect.isclass(found) and not issubclass(found, Exception):
+            assert re.search(r"^(Parameters|Attributes)\n-----", text, re.M), name
+
+
+def test_a_function_of_a_displacement_cannot_be_called_without_its_spacing():
+    for name, found in NAMES.items():
+        parameters = inspect.signature(found).parameters if inspect.isfunction(found) else {}
+        if "displacement" in parameters and name != "magnitude":
+            spacing = parameters["spacing"]
+            assert spacing.kind is spacing.KEYWORD_ONLY, name
+            assert spacing.default is spacing.empty, name

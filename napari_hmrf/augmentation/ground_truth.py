@@ -97,6 +97,11 @@ def write_truth(
     **options
         Options of `RandomDeformation`, such as `amplitude`.
 
+    Returns
+    -------
+    list of Truth
+        One for each pair.
+
     Raises
     ------
     HmrfError, OSError

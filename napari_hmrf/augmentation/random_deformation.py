@@ -345,7 +345,7 @@ class RandomDeformation:
         return self._case.amplitude
 
     def write(self, path: str | os.PathLike[str]) -> Path:
-        """Save the unit solutions and their case to one .npz file, atomically.
+        """Write the unit solutions and their case to one .npz file, atomically.
 
         Parameters
         ----------

@@ -100,7 +100,7 @@ def fold_mask(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> BoolArray:
-    """Mark where tissue folds over itself or collapses: the sites that `count_folds` counts.
+    """Return a mask of the sites where tissue folds or collapses, which `count_folds` counts.
 
     Parameters
     ----------

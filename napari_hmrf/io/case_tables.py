@@ -105,6 +105,11 @@ def read_cases(path: str | os.PathLike[str]) -> tuple[NamedCase, ...]:
     path : str or path-like
         A .csv.
 
+    Returns
+    -------
+    tuple of NamedCase
+        In the order of the table.
+
     Raises
     ------
     FileFormatError

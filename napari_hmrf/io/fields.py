@@ -211,6 +211,10 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
         registrations write, and is inverted. A direction stored in the file, as in those of
         `write_field` and in Slicer's .nrrd, takes precedence.
 
+    Returns
+    -------
+    Field
+
     Raises
     ------
     FileFormatError

@@ -82,6 +82,11 @@ def read_points(path: str | os.PathLike[str]) -> LandmarkFile:
     path : str or path-like
         Ends in one of `POINT_SUFFIXES`.
 
+    Returns
+    -------
+    LandmarkFile
+        A named tuple of points, targets, names and unit.
+
     Raises
     ------
     FileFormatError
@@ -140,6 +145,11 @@ def write_points(
     targets : array_like, shape (N, 2) or (N, 3), optional
         Target positions of the same landmarks.
     names : sequence of str, optional
+
+    Returns
+    -------
+    Path
+        The written file.
 
     Raises
     ------

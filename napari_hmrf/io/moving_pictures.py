@@ -53,6 +53,11 @@ def write_movie(
     number : int, optional
         Number of the slice to show, along the first axis of a volume.
 
+    Returns
+    -------
+    Path
+        The written file.
+
     Raises
     ------
     FileFormatError

@@ -71,7 +71,7 @@ def write_study(
     *,
     image: bool = True,
 ) -> Path:
-    """Save a study, and its field if there is one, to one file, atomically.
+    """Write a study, and its field if there is one, to one file, atomically.
 
     The display settings of layers, such as colormaps, are not saved.
 
@@ -110,13 +110,18 @@ def write_study(
 
 
 def read_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> Saved:
-    """Read a study back, in this or an earlier version of the format.
+    """Read the file of a study, in this or an earlier version of the format.
 
     Parameters
     ----------
     path : str or path-like
     image : ndarray, optional
         The image, if the file only refers to it.
+
+    Returns
+    -------
+    tuple of Study and Solution
+        A named tuple; its `solution` is None if the file holds no field.
 
     Raises
     ------
@@ -164,7 +169,16 @@ def read_solved(path: str | os.PathLike[str]) -> tuple[Study | None, Solution]:
 
 
 def is_study_file(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file is marked as a study; reads only its beginning."""
+    """Return whether a file is marked as a study; reads only its beginning.
+
+    Parameters
+    ----------
+    path : str or path-like
+
+    Returns
+    -------
+    bool
+    """
     return array_file.claims_to_be(path, STUDY_FORMAT)
 
 
@@ -193,6 +207,10 @@ def replay(
         As for `read_study`.
     progress : callable, optional
         As for `solve`.
+
+    Returns
+    -------
+    Solution
 
     Raises
     ------

@@ -148,7 +148,15 @@ def phantom(name: str, size: int = 300) -> Phantom:
 
 
 def sample(name: str) -> Phantom:
-    """Open a phantom of size 300 as stored in `sample_data`; the same as ``phantom(name)``.
+    """Return the phantom of size 300 as stored in `sample_data`; the same as ``phantom(name)``.
+
+    Parameters
+    ----------
+    name : {"expansion", "mass-effect", "bar"}
+
+    Returns
+    -------
+    Phantom
 
     Raises
     ------
@@ -162,9 +170,13 @@ def sample(name: str) -> Phantom:
 
 
 def reference_displacement(name: str) -> npt.NDArray[np.float32]:
-    """Open the finite-element displacement of ``phantom(name)`` as stored in `sample_data`.
+    """Return the finite-element displacement of ``phantom(name)`` as stored in `sample_data`.
 
     Bilinear quads on the pixel grid, plane stress, Poisson's ratio 0.3, stored to 0.001 pixel.
+
+    Parameters
+    ----------
+    name : {"expansion", "mass-effect", "bar"}
 
     Returns
     -------

@@ -404,7 +404,16 @@ class Solution:
 
 
 def is_solution_file(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file is marked as a saved solution; reads only its beginning."""
+    """Return whether a file is marked as a saved solution; reads only its beginning.
+
+    Parameters
+    ----------
+    path : str or path-like
+
+    Returns
+    -------
+    bool
+    """
     return array_file.claims_to_be(path, SOLUTION_FORMAT)
 
 

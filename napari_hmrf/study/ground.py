@@ -290,6 +290,11 @@ def build_problem(study: Study) -> Statement:
     ----------
     study : Study
 
+    Returns
+    -------
+    Statement
+        With the attributes `problem`, `prior` and `optimizer`, the arguments of `solve`.
+
     Raises
     ------
     ProblemError

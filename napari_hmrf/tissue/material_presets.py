@@ -27,10 +27,18 @@ _VOID = Material(0, "no tissue", 0.0)
 
 @dataclass(frozen=True)
 class Preset:
-    """Materials that belong together, and where their values come from.
+    """Published materials that belong together, with their source.
 
     The stiffnesses of one preset share a unit and must not be mixed with those of another.
     Poisson's ratios are those of the source, if it has any.
+
+    Attributes
+    ----------
+    name : str
+    unit : str
+        Unit of stiffness; "" for ratios.
+    source : str
+    materials : tuple of Material
     """
 
     name: str

@@ -152,6 +152,10 @@ def lookup_tissue(name: str) -> KnownTissue | None:
     name : str
         As in segmentations: "Left-Cerebral-White-Matter", "lung_upper_lobe_left".
 
+    Returns
+    -------
+    KnownTissue or None
+
     Raises
     ------
     ArgumentError
