@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from public_names import PACKAGES
 
 import napari_hmrf
 from napari_hmrf.command_line import parser_of_commands
@@ -211,8 +212,10 @@ def test_the_commands_start_without_napari():
     assert "napari" not in packages(imports(PACKAGE / "cli.py", top_level_only=True))
 
 
-def test_importing_the_package_imports_nothing_heavy():
-    code = f"import sys, napari_hmrf; print([n for n in {HEAVY!r} if n in sys.modules])"
+@pytest.mark.parametrize("package", PACKAGES)
+def test_importing_a_package_imports_nothing_heavy(package):
+    names = f"from {package} import *"  # the names, too, of which some are loaded on first use
+    code = f"import sys; {names}; print([n for n in {HEAVY!r} if n in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

@@ -50,7 +50,7 @@ _SHAPE = TypeAdapter(tuple[int, ...])
 _LENGTHS = TypeAdapter(tuple[float, ...])
 
 
-class Saved(NamedTuple):
+class StudyFile(NamedTuple):
     """Content of the file of a study.
 
     Attributes
@@ -109,7 +109,7 @@ def write_study(
     return array_file.write(target, STUDY_FORMAT, _Content(study, solution, image))
 
 
-def read_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> Saved:
+def read_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> StudyFile:
     """Read the file of a study, in this or an earlier version of the format.
 
     Parameters
@@ -120,8 +120,8 @@ def read_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None =
 
     Returns
     -------
-    tuple of Study and Solution
-        A named tuple; its `solution` is None if the file holds no field.
+    StudyFile
+        A named tuple of the `study` and its `solution`, which is None if the file has no field.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def read_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None =
                 f"'{study.pictures.name}' as it was."
             )
         study = replace(study, pictures=replace(study.pictures, image=image))
-    return Saved(study, content.solution)
+    return StudyFile(study, content.solution)
 
 
 def read_solved(path: str | os.PathLike[str]) -> tuple[Study | None, Solution]:
