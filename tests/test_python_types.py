@@ -76,7 +76,7 @@ def solution():
         (lambda: write_movie("a.gif", ONES, ONES), "solution must be a Solution"),
         (lambda: reactions(Study(GRID), ONES), "problem must be a Problem, such as Problem"),
         (lambda: solve_cases("cases.csv", "out"), r"cases must be a tuple of NamedCase, .*read_c"),
-        (lambda: solve_study(Study(GRID), stated=3), "stated must be a Statement, such as state"),
+        (lambda: solve_study(Study(GRID), stated=3), "stated must be a Statement, such as build_p"),
     ],
 )
 def test_an_argument_of_another_type_is_refused_by_name(call, said):

@@ -287,7 +287,7 @@ def test_a_file_that_is_none_or_disagrees_with_itself_is_refused(tmp_path):
     path = write_study(tmp_path / "case.npz", flat().sample(0).study)
     with pytest.raises(FileFormatError, match="another kind of file"):
         RandomDeformation.read(path)
-    whole = dict(np.load(flat().save(path)))
+    whole = dict(np.load(flat().write(path)))
     for name, value, said in (
         ("displacements", whole["displacements"][1:], "its solutions are"),
         ("displacements", whole["displacements"] * np.float32(np.nan), "not numbers"),
