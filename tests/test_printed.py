@@ -44,7 +44,7 @@ def test_every_public_record_is_printed_in_a_short_line(tmp_path):
         *(study, study.grid, study.tissue, study.motion, study.pictures, stated, stated.problem),
         *(solution, solution.provenance, solution.measure(LABELS)[0]),
         *(ElasticPrior(RATIOS), NeoHookeanPrior(RATIOS), SeilerPrior(), ICM(), Multigrid()),
-        *(phantom("bar", 32), head_phantom(24), LiveSolver(print)),
+        *(phantom("bar", 32), head_phantom(24), head_phantom(24).frame, LiveSolver(print)),
         *(Picture(RATIOS), Warper(RATIOS, spacing=1), growth(RATIOS)),
         *(read_field(tmp_path / "field.mha"), read_points(tmp_path / "pairs.csv")),
         *(materials_by_name({1: "brain", 2: "?"}), lookup_tissue("brain"), *PRESETS),
