@@ -39,14 +39,13 @@ from napari_hmrf import (
     Solution,
     Study,
     Tissue,
-    is_solution_file,
-    is_study_file,
-    load_study,
-    phantom,
-    save_study,
+    read_study,
     solve,
     solve_study,
+    write_study,
 )
+from napari_hmrf.data import phantom
+from napari_hmrf.fields import is_solution_file, is_study_file
 
 MOST_SECONDS = 2.0
 MOST_BYTES = 100e6
@@ -166,16 +165,16 @@ def plain(value: Any) -> Any:
     return [plain(each) for each in value] if isinstance(value, tuple | list) else repr(value)
 
 
-SOLUTIONS = Kept(is_solution_file, Solution.load, lambda path, it: it.save(path), told)
-STUDIES = Kept(is_study_file, load_study, lambda path, it: save_study(path, *it), plain)
+SOLUTIONS = Kept(is_solution_file, Solution.read, lambda path, it: it.write(path), told)
+STUDIES = Kept(is_study_file, read_study, lambda path, it: write_study(path, *it), plain)
 
 
 def _save_result(folder: Path) -> Path:
     problem = phantom("expansion", 24).problem
-    return solve(problem, SeilerPrior(), backend="cpu").save(folder / "a.npz")
+    return solve(problem, SeilerPrior(), backend="cpu").write(folder / "a.npz")
 
 
-def _save_study(folder: Path) -> Path:
+def _write_study(folder: Path) -> Path:
     sample = phantom("mass-effect", 32)
     labels = sample.tissue_labels.astype(np.uint8)
     study = Study(
@@ -184,7 +183,7 @@ def _save_study(folder: Path) -> Path:
         Motion(hold_edge=True, drawing=Drawing((Arrow((16, 12), (0.5, 1), 2.0),))),
         pictures=Pictures(sample.image, labels, "t1"),
     )
-    return save_study(folder / "a.study", study, solve_study(study, backend="cpu"))
+    return write_study(folder / "a.study", study, solve_study(study, backend="cpu"))
 
 
 def flipped(content: bytes, dice: random.Random) -> bytes:
@@ -346,7 +345,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
-        make, kept = (_save_study, STUDIES) if options.of == "study" else (_save_result, SOLUTIONS)
+        make, kept = (_write_study, STUDIES) if options.of == "study" else (_save_result, SOLUTIONS)
         saved = make(Path(folder))
         path = saved.with_stem("damaged")
         original = kept.load(saved)

@@ -27,9 +27,11 @@ import numpy as np
 import psutil
 from damaged import cut, flipped, torn
 
-from napari_hmrf import FileFormatError, load_points, read_field, save_points, write_field
+from napari_hmrf import FileFormatError
+from napari_hmrf.fields import read_field, write_field
 from napari_hmrf.io.fields import FIELD_SUFFIXES
 from napari_hmrf.io.landmark_files import POINT_SUFFIXES
+from napari_hmrf.landmarks import read_points, write_points
 
 MOST_SECONDS = 3.0
 MOST_MEGABYTES = 20.0
@@ -95,7 +97,7 @@ def make_foreign(path: Path) -> None:
 def make_landmarks(path: Path) -> None:
     """Write pairs of landmarks, or one list where a file holds no pairs."""
     points = np.random.default_rng(0).normal(size=(40, 3))
-    save_points(path, points, points + 1 if path.suffix == ".csv" else None)
+    write_points(path, points, points + 1 if path.suffix == ".csv" else None)
 
 
 def read_all(path: Path) -> tuple[Any, ...]:
@@ -107,9 +109,9 @@ def read_all(path: Path) -> tuple[Any, ...]:
     return vectors.dtype.str, vectors.shape, vectors.tobytes(), *place
 
 
-def read_points(path: Path) -> tuple[Any, ...]:
+def read_landmarks(path: Path) -> tuple[Any, ...]:
     """Read landmarks, to be compared."""
-    found = load_points(path)
+    found = read_points(path)
     targets = b"" if found.targets is None else found.targets.tobytes()
     return found.points.tobytes(), targets, found.names, found.unit
 
@@ -117,7 +119,10 @@ def read_points(path: Path) -> tuple[Any, ...]:
 KINDS = (
     *(Kind("ours", suffix, make_field, read_all, is_sealed=True) for suffix in FIELD_SUFFIXES),
     *(Kind("foreign", suffix, make_foreign, read_all) for suffix in (*FIELD_SUFFIXES, ".tfm")),
-    *(Kind("ours", suffix, make_landmarks, read_points, is_text=True) for suffix in POINT_SUFFIXES),
+    *(
+        Kind("ours", suffix, make_landmarks, read_landmarks, is_text=True)
+        for suffix in POINT_SUFFIXES
+    ),
 )
 
 

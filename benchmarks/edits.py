@@ -27,8 +27,8 @@ from napari.components import ViewerModel
 from napari.layers import Layer
 from qtpy.QtWidgets import QApplication
 
-from napari_hmrf import phantom
 from napari_hmrf.contributions import phantom_layers
+from napari_hmrf.data import phantom
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 _STEPS = 20

@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from napari_hmrf import BackendError, ElasticPrior, Multigrid, phantom, solve
+from napari_hmrf import BackendError, ElasticPrior, Multigrid, solve
+from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends import compute_thread, host
 from napari_hmrf.solver.backends.opengl import OpenGLBackend
 from napari_hmrf.solver.optimizers.cycle import Cycle

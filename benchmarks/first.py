@@ -105,7 +105,7 @@ def child(model: str, backend: str, size: int) -> First:
     import napari_hmrf
 
     importing = time.perf_counter() - begun
-    problem = napari_hmrf.phantom("expansion", size).problem
+    problem = napari_hmrf.data.phantom("expansion", size).problem
     prior, optimizer = MODELS[model]()
     taken = watch_compiler()
     seconds = []

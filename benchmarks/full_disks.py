@@ -33,34 +33,33 @@ from napari_hmrf import (
     Grid,
     Motion,
     Pictures,
-    RandomDeformation,
     Solution,
     Study,
     Tissue,
-    export_field,
-    phantom,
-    save_moving_picture,
-    save_points,
-    save_study,
     solve,
     solve_study,
-    write_field,
+    write_study,
 )
 from napari_hmrf.augmentation.ground_truth import write_truth
 from napari_hmrf.cli import main as command
-from napari_hmrf.contributions import save_solution
+from napari_hmrf.contributions import write_solution
+from napari_hmrf.data import phantom
 from napari_hmrf.errors import HmrfError, in_words
 from napari_hmrf.field.measurement import Measurement
-from napari_hmrf.io.apply import FieldFile, apply_field, save_field
+from napari_hmrf.fields import write_field, write_movie
+from napari_hmrf.io.apply import FieldFile, apply_field, write_field_file
 from napari_hmrf.io.case import Case, solve_case
-from napari_hmrf.io.csv_files import save_csv
-from napari_hmrf.io.figures import save_pictures, save_result_pictures, save_volume_pictures
-from napari_hmrf.io.images import ImageFile, save_image
-from napari_hmrf.io.material_tables import save_materials
-from napari_hmrf.io.tables import save_measurements, save_named_materials
-from napari_hmrf.io.tissue_names import materials_by_name
+from napari_hmrf.io.csv_files import write_csv
+from napari_hmrf.io.fields import export_field
+from napari_hmrf.io.figures import write_pictures, write_result_pictures, write_volume_pictures
+from napari_hmrf.io.images import ImageFile, write_image
+from napari_hmrf.io.material_tables import write_preset
+from napari_hmrf.io.tables import write_measurements, write_named_materials
+from napari_hmrf.landmarks import write_points
+from napari_hmrf.random import RandomDeformation
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.material_presets import PRESETS
+from napari_hmrf.tissue.tissue_names import materials_by_name
 
 _SHAPE = (14, 16)
 
@@ -127,7 +126,7 @@ def _field(folder: Path, suffix: str) -> None:
 
 def _pictures(folder: Path) -> None:
     sample = phantom("expansion", 16)
-    save_pictures(folder, sample.image, sample.problem, solve(sample.problem, backend="cpu"))
+    write_pictures(folder, sample.image, sample.problem, solve(sample.problem, backend="cpu"))
 
 
 def _case() -> Case:
@@ -145,15 +144,15 @@ def _inputs() -> Path:
     made = tempfile.TemporaryDirectory()
     folder = Path(made.name)
     _KEPT.append(made)
-    save_image(folder / "noise.mha", ImageFile(_pixels()))
-    save_image(folder / "noise.png", ImageFile(_pixels()))
-    save_image(folder / "labels.png", ImageFile(np.ones(_SHAPE, np.uint8)))
-    save_study(folder / "case.study", study(), solution())
+    write_image(folder / "noise.mha", ImageFile(_pixels()))
+    write_image(folder / "noise.png", ImageFile(_pixels()))
+    write_image(folder / "labels.png", ImageFile(np.ones(_SHAPE, np.uint8)))
+    write_study(folder / "case.study", study(), solution())
     (folder / "m.csv").write_text("label,name,stiffness\n1,brain,3\n")
     (folder / "names.csv").write_text("label,name\n1,liver\n2,spleen\n")
     rim = np.zeros(_SHAPE, np.uint8)
     rim[0], rim[-1] = 1, 2
-    save_image(folder / "rim.png", ImageFile(rim))
+    write_image(folder / "rim.png", ImageFile(rim))
     (folder / "r.csv").write_text("label,name,action,row,col\n1,,fixed,,\n2,rim,move,0,1\n")
     titles = "name,image,labels,materials,boundary,rules"
     cells = "noise.png,labels.png,m.csv,rim.png,r.csv"
@@ -177,9 +176,9 @@ def writers() -> list[Writer]:
     rows = [Measurement(*([1] * (len(Measurement._fields) - 1)))]
     named = materials_by_name({1: "liver", 2: "something"}, name="names")
     made: dict[str, Callable[[Path], Any]] = {
-        "solver.solution.Solution.save": lambda at: solution().save(at / "a.npz"),
-        "io.study_file.save_study": lambda at: save_study(at / "a.study", study(), solution()),
-        "augmentation.random_deformation.RandomDeformation.save": lambda at: _deformation().save(
+        "solver.solution.Solution.write": lambda at: solution().write(at / "a.npz"),
+        "io.study_file.write_study": lambda at: write_study(at / "a.study", study(), solution()),
+        "augmentation.random_deformation.RandomDeformation.write": lambda at: _deformation().write(
             at / "a.npz"
         ),
         **{
@@ -187,38 +186,42 @@ def writers() -> list[Writer]:
             for suffix in (".nii", ".nii.gz", ".mha", ".nrrd", ".h5")
         },
         "io.fields.export_field": lambda at: export_field(at / "a.mha", solution(), placed=False),
-        "io.apply.save_field": lambda at: save_field(at / "a.nrrd", FieldFile.of(solution())),
+        "io.apply.write_field_file": lambda at: write_field_file(
+            at / "a.nrrd", FieldFile.of(solution())
+        ),
         "io.apply.apply_field": _moved,
         **{
-            f"io.images.save_image {suffix}": partial(
-                lambda at, suffix: save_image(at / f"a{suffix}", ImageFile(_pixels())),
+            f"io.images.write_image {suffix}": partial(
+                lambda at, suffix: write_image(at / f"a{suffix}", ImageFile(_pixels())),
                 suffix=suffix,
             )
             for suffix in (".png", ".tif", ".jpg", ".bmp", ".nii.gz", ".nii", ".mha", ".nrrd")
         },
         **{
-            f"io.landmark_files.save_points {suffix}": partial(
-                lambda at, suffix: save_points(at / f"a{suffix}", points), suffix=suffix
+            f"io.landmark_files.write_points {suffix}": partial(
+                lambda at, suffix: write_points(at / f"a{suffix}", points), suffix=suffix
             )
             for suffix in (".csv", ".mrk.json", ".fcsv")
         },
-        "io.moving_pictures.save_moving_picture": lambda at: save_moving_picture(
+        "io.moving_pictures.write_movie": lambda at: write_movie(
             at / "a.gif", solution(), _pixels(), frames=2
         ),
-        "io.csv_files.save_csv": lambda at: save_csv(at / "a.csv", ["a", "b"], [[1, "c" * 99]]),
-        "io.tables.save_named_materials": lambda at: save_named_materials(at / "a.csv", named),
-        "io.tables.save_measurements": lambda at: save_measurements(at / "a.csv", rows),
-        "io.material_tables.save_materials": lambda at: save_materials(at / "a.json", PRESETS[0]),
-        "io.figures.save_pictures": _pictures,
-        "io.figures.save_result_pictures": lambda at: save_result_pictures(at, solution()),
-        "io.figures.save_volume_pictures": lambda at: save_volume_pictures(
+        "io.csv_files.write_csv": lambda at: write_csv(at / "a.csv", ["a", "b"], [[1, "c" * 99]]),
+        "io.tables.write_named_materials": lambda at: write_named_materials(at / "a.csv", named),
+        "io.tables.write_measurements": lambda at: write_measurements(at / "a.csv", rows),
+        "io.material_tables.write_preset": lambda at: write_preset(at / "a.json", PRESETS[0]),
+        "io.figures.write_pictures": _pictures,
+        "io.figures.write_result_pictures": lambda at: write_result_pictures(at, solution()),
+        "io.figures.write_volume_pictures": lambda at: write_volume_pictures(
             at, *_volume(), (3, 4, 4)
         ),
         "augmentation.ground_truth.write_truth": lambda at: write_truth(
             _case(), at, amplitude=1.0, backend="cpu"
         ),
         "io.case.solve_case": lambda at: solve_case(_case(), at, backend="cpu"),
-        "contributions.save_solution": lambda at: save_solution(str(at / "a.npz"), None, _layer()),
+        "contributions.write_solution": lambda at: write_solution(
+            str(at / "a.npz"), None, _layer()
+        ),
     }
     return [Writer(name, write) for name, write in made.items()]
 

@@ -36,12 +36,11 @@ from napari_hmrf import (
     Pictures,
     Study,
     Tissue,
-    load_study,
-    read_field,
-    save_study,
+    read_study,
     solve_study,
-    write_field,
+    write_study,
 )
+from napari_hmrf.fields import read_field, write_field
 
 Save = Callable[[], Any]
 #: What may be left.
@@ -122,7 +121,7 @@ def _vectors(path: Path) -> bytes:
 
 def _study_of(path: Path) -> Any:
     """Read a study, to be compared."""
-    return plain(load_study(path).study)
+    return plain(read_study(path).study)
 
 
 def _sizes(folder: Path) -> Iterator[int]:
@@ -197,26 +196,26 @@ def _kill_studies(options: argparse.Namespace, dice: random.Random) -> Counter[t
         known = {"first": plain(first), "second": plain(second)}
 
         def save() -> None:
-            save_study(path, second, solution)
+            write_study(path, second, solution)
 
-        save_study(path, first)
+        write_study(path, first)
         start, count = steps_of(save)
         before = dice.sample(range(1, start), min(options.packing, start - 1))
         for step in (*sorted(before), *range(start, count + 1, options.every)):
-            save_study(path, first)
+            write_study(path, first)
             when = "packing" if step < start else "writing"
             came = killed_at(step, save)
             outcomes[when if came else f"{when}, not killed", left(path, known)] += 1
         if options.half:
             large = study(1.0, 2000)
             known["large"] = plain(large)
-            size = save_study(path, large).stat().st_size
+            size = write_study(path, large).stat().st_size
 
             def save_large() -> None:
-                save_study(path, large)
+                write_study(path, large)
 
         for _ in range(options.half):
-            save_study(path, first)
+            write_study(path, first)
             came = killed_at_size(dice.randrange(size), path.parent, save_large)
             outcomes["half written" if came else "half written, not killed", left(path, known)] += 1
     return outcomes

@@ -20,16 +20,9 @@ import numpy as np
 import scipy
 
 from benchmarks import random_large_motion
-from napari_hmrf import (
-    ElasticPrior,
-    Multigrid,
-    NeoHookeanPrior,
-    Problem,
-    growth,
-    phantom,
-    solve,
-    weight,
-)
+from napari_hmrf import ElasticPrior, Multigrid, NeoHookeanPrior, Problem, solve
+from napari_hmrf.data import phantom
+from napari_hmrf.loads import growth, weight
 from napari_hmrf.solver.backends.cpu import elastic_model, finite_model
 from napari_hmrf.solver.backends.thread import compute_thread
 from tests.finite_oracle import bar, solved, turned

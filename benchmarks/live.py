@@ -30,7 +30,8 @@ from typing import Any
 import numpy as np
 import psutil
 
-from napari_hmrf import ElasticPrior, LiveSolver, Problem, phantom
+from napari_hmrf import ElasticPrior, LiveSolver, Problem
+from napari_hmrf.data import phantom
 from napari_hmrf.field.live_warp import Warper
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.live_solver import Update

@@ -37,8 +37,8 @@ from napari_hmrf.solver.live_solver import TOLERANCE, Update
 
 #: Tolerance of cold solves, in pixels.
 COLD = 1e-4
-#: Rounding of a field that is stored in single precision, as a part of its largest value.
-ROUNDED = 1.2e-7
+#: Difference that is no violation, in pixels: rounding in double precision adds up to less.
+GRACE = 1e-9
 #: Seconds after which the live solver is not waited for; the sequence ends there.
 PATIENCE = 120.0
 _EXPLAINED, _LATE = "one refuses, rightly", "late"
@@ -249,8 +249,7 @@ def _compared(update: Update, state: State, sequence: int, step: int, kind: str)
     apart = (both[0].astype(np.float64) - both[1]) / problem.unit
     difference = float(np.hypot(apart[..., 0], apart[..., 1]).max())
     errors = update.solution.convergence.error, cold.convergence.error
-    rounding = ROUNDED * float(np.abs(both[1]).max()) / problem.unit
-    outcome = "agree" if difference <= sum(errors) + rounding else "differ"
+    outcome = "agree" if difference <= sum(errors) + GRACE else "differ"
     return Answer(outcome=outcome, difference=difference, live=errors[0], cold=errors[1], **about)
 
 

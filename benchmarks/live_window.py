@@ -26,7 +26,7 @@ from qtpy.QtCore import QEvent, QEventLoop, QObject, QPoint, QPointF, Qt, QTimer
 from qtpy.QtGui import QMouseEvent
 from qtpy.QtWidgets import QApplication
 
-from napari_hmrf import phantom
+from napari_hmrf.data import phantom
 from napari_hmrf.field.live_warp import Warper
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.drawing import Rendering

@@ -26,11 +26,12 @@ from typing import NamedTuple
 import numpy as np
 import psutil
 
-from napari_hmrf import phantom, read_cases, solve_cases
+from napari_hmrf.cases import read_cases, solve_cases
+from napari_hmrf.data import phantom
 from napari_hmrf.io.batch import one_thread
 from napari_hmrf.io.case import solve_case
 from napari_hmrf.io.case_records import RECORD
-from napari_hmrf.io.images import ImageFile, save_image
+from napari_hmrf.io.images import ImageFile, write_image
 
 SIZE, WORKERS = 256, 2
 #: dask has its workers give memory back at once and look at what they do a hundred times a second,
@@ -50,7 +51,7 @@ def write_cases(folder: Path, count: int, broken: bool = True) -> Path:
         "rim": case.boundary_labels,
     }
     for name, pixels in images.items():
-        save_image(folder / f"{name}.tif", ImageFile(np.asarray(pixels).astype(np.uint8)))
+        write_image(folder / f"{name}.tif", ImageFile(np.asarray(pixels).astype(np.uint8)))
     rows = [f"{row.label},{row.stiffness},{row.poisson}" for row in case.materials]
     (folder / "materials.csv").write_text("\n".join(["label,stiffness,poisson", *rows]))
     (folder / "rules.csv").write_text("label,action,amount\n1,fixed,\n2,expand,4\n")

@@ -28,9 +28,9 @@ from scipy.ndimage import (
     distance_transform_edt,
 )
 
-from napari_hmrf import Solution, load_study, warp
+from napari_hmrf import Solution, read_study, warp
 from napari_hmrf.cli import main as shell
-from napari_hmrf.io.images import ImageFile, load_image, save_image
+from napari_hmrf.io.images import ImageFile, read_image, write_image
 
 #: By which share of the image's range a pixel may differ.
 _SAME = 1e-3
@@ -94,11 +94,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     out, number = options.out, options.slice
     out.mkdir(parents=True, exist_ok=True)
     t1, grey, white = (options.folder / f"{name}.nii.gz" for name in ("t1", "gm", "wm"))
-    maps = [load_image(path).pixels[number].astype(float) for path in (grey, white)]
+    maps = [read_image(path).pixels[number].astype(float) for path in (grey, white)]
     likely = np.maximum(*maps) > max(map(np.max, maps)) / 2
     brain = binary_fill_holes(binary_closing(likely, iterations=4))
     rim = painted(brain, (maps[1] > maps[0]) & likely, options.size)
-    save_image(out / "rim.png", ImageFile(rim))
+    write_image(out / "rim.png", ImageFile(rim))
     (out / "materials.csv").write_text(_MATERIALS)
     (out / "rules.csv").write_text(_RULES.format(growth=options.growth))
     tables = ("--materials", out / "materials.csv", "--rules", out / "rules.csv")
@@ -108,7 +108,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     typed.append(run("export", saved, field, "--force"))
     typed.append(run("measure", saved, "-o", out / "measured.csv", "--force"))
     typed.append(run("replay", saved))
-    study, solution = load_study(saved)
+    study, solution = read_study(saved)
     assert solution is not None
     before = np.asarray(study.pictures.image, dtype=float)
     ours = warp(before, solution.displacement, spacing=solution.spacing, tissue=solution.tissue)

@@ -20,7 +20,10 @@ import numpy as np
 import scipy
 from report.page import load, machine
 
-from napari_hmrf import RIGID, Material, Picture, RandomDeformation, folds, solve_study
+from napari_hmrf import Material, solve_study
+from napari_hmrf.fields import Picture, fold_mask
+from napari_hmrf.random import RandomDeformation
+from napari_hmrf.tissue import RIGID
 
 MATERIALS = (
     Material(0, "air", 0.0),
@@ -96,7 +99,7 @@ def measure(size: int, axes: int, fields: int, times: int) -> bool:
     digests, folded, scales, farthest = [], 0, [], []
     for seed in range(fields):
         sample = deformation.sample(seed)
-        folded += bool(folds(sample.displacement, spacing=1, tissue=sample.tissue).any())
+        folded += bool(fold_mask(sample.displacement, spacing=1, tissue=sample.tissue).any())
         digests.append(hashlib.sha256(sample.displacement).digest())
         scales.append(sample.scale)
         farthest.append(float(np.linalg.norm(sample.displacement, axis=-1).max()))

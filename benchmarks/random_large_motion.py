@@ -13,7 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf import HmrfError, Loads, NeoHookeanPrior, Problem, count_folds, growth, solve
+from napari_hmrf import HmrfError, NeoHookeanPrior, Problem, solve
+from napari_hmrf.fields import count_folds
+from napari_hmrf.loads import Loads, growth
 from napari_hmrf.solver.optimizers import Multigrid
 from tests.finite_oracle import least_corner, turned
 

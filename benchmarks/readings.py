@@ -18,7 +18,8 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 from fem import plane_stress_displacement, rmsd
 
-from napari_hmrf import Problem, phantom
+from napari_hmrf import Problem
+from napari_hmrf.data import phantom
 from napari_hmrf.solver.priors import line_steps, line_weights
 
 BAR_LENGTHS = (8, 64, 256, 1200)

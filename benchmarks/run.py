@@ -26,17 +26,8 @@ from figures import save_figures
 from literal import solve_literally
 from report.page import Target
 
-from napari_hmrf import (
-    ICM,
-    BackendError,
-    ElasticPrior,
-    Multigrid,
-    Phantom,
-    SeilerPrior,
-    Solution,
-    phantom,
-    solve,
-)
+from napari_hmrf import ICM, BackendError, ElasticPrior, Multigrid, SeilerPrior, Solution, solve
+from napari_hmrf.data import Phantom, phantom
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Prior
 

@@ -35,9 +35,10 @@ from skimage.measure import ransac
 from skimage.transform import AffineTransform
 from skimage.transform import warp as sampled
 
-from napari_hmrf import ElasticPrior, Multigrid, Problem, Solution, at_edges, solve, warp
+from napari_hmrf import ElasticPrior, Multigrid, Problem, Solution, solve, warp
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.moved_points import moved_points
+from napari_hmrf.tissue import edge_confidence
 
 Points = npt.NDArray[np.float64]
 Fit = Callable[[Points, Points], Callable[[Points], Points]]
@@ -169,7 +170,7 @@ def _registered(fixed: npt.NDArray[Any], moving: npt.NDArray[Any]) -> npt.NDArra
 
 def _followed(fixed: npt.NDArray[Any], field: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Elastic tissue that takes a field as observed where the picture has edges."""
-    c = np.repeat(at_edges(fixed)[..., None], 2, axis=-1)
+    c = np.repeat(edge_confidence(fixed)[..., None], 2, axis=-1)
     problem = Problem(field, c, np.ones(fixed.shape))
     prior = ElasticPrior(0.3, penalty=0.3)
     return solve(problem, prior, optimizer=Multigrid(_NEAR)).displacement

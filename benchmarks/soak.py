@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 import psutil
 
-from napari_hmrf import BackendError, SeilerPrior, phantom, solve
+from napari_hmrf import BackendError, SeilerPrior, solve
+from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends import compute_thread
 
 ENERGIES = ("paper", "elastic")

@@ -220,9 +220,9 @@ def why_refused(
     if free_motions(problem) if blanket else truth.least == 0:
         return "refused, free"
     reach = float(np.abs(problem.observed[problem.known]).max(initial=0.0)) / problem.unit
-    swing = _ROUNDING * reach / truth.least
     # Where several fields cost the same, the one of least motion has to be found.
     least = truth.least if truth.motions else min(truth.least, truth.least_found)
+    swing = _ROUNDING * reach / max(least, 1e-300)
     beyond = least < _BEYOND or swing > _TOO_MUCH * tolerance
     # A problem error says that there is no single answer.
     sensitive = beyond and isinstance(refusal, ConvergenceError)

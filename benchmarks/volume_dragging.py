@@ -17,13 +17,14 @@ from pathlib import Path
 
 import numpy as np
 
-from napari_hmrf import Arrow, Drawing, Grid, Motion, Pictures, Study, head_phantom, solve
-from napari_hmrf.io.images import load_image
+from napari_hmrf import Arrow, Drawing, Grid, Motion, Pictures, Study, solve
+from napari_hmrf.data import head_phantom
+from napari_hmrf.io.images import read_image
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.study.coarse_grid import CoarseGrid, Glance
 from napari_hmrf.study.engine import Deformation, Engine
-from napari_hmrf.study.ground import statement_of
+from napari_hmrf.study.ground import build_problem
 from napari_hmrf.ui.live_study import GLANCED
 
 
@@ -38,7 +39,7 @@ def main() -> None:
         head = head_phantom(options.size)
         pixels, spacing = head.image, head.spacing
     else:
-        image = load_image(options.image)
+        image = read_image(options.image)
         pixels = image.pixels
         spacing = (1.0,) * 3 if image.place is None else image.place.spacing
     still = Study(
@@ -78,7 +79,7 @@ def main() -> None:
             last = pulled(2 + 0.5 * options.moves)
             after = wait(last, None)
             print(f"all of it {after:.2f} s after that, {which}")
-        stated = statement_of(last)
+        stated = build_problem(last)
         since = time.perf_counter()
         solution = solve(stated.problem, stated.prior, optimizer=stated.optimizer)
         alone = time.perf_counter() - since

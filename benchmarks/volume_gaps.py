@@ -25,8 +25,9 @@ os.environ.setdefault("NAPARI_HMRF_COMPILE", "here")
 import numpy as np
 from volumes import WITHIN, growing, squeezed_shell
 
-from napari_hmrf import ElasticPrior, Problem, Solution, Warper
+from napari_hmrf import ElasticPrior, Problem, Solution
 from napari_hmrf.field.quantities import values_of
+from napari_hmrf.fields import Warper
 from napari_hmrf.layers.result_layers import result_layers
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.solve import run_here

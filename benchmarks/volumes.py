@@ -52,21 +52,13 @@ from random_volumes import TOLERANCE, judge
 from volume_oracle import parameters
 from volume_rivals import print_direct, print_torch_fem
 
-from napari_hmrf import (
-    ICM,
-    ElasticPrior,
-    Multigrid,
-    Problem,
-    SeilerPrior,
-    Solution,
-    Warper,
-    head_phantom,
-    solve,
-)
+from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, SeilerPrior, Solution, solve
+from napari_hmrf.data import head_phantom
 from napari_hmrf.errors import BackendError, ConvergenceError
 from napari_hmrf.field.deformation import arrows_apart, smallest_determinant
 from napari_hmrf.field.resample import resample
 from napari_hmrf.field.warp import inverse_map_and_overlaps
+from napari_hmrf.fields import Warper
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.priors import Prior

@@ -6,7 +6,7 @@ it is pushed, so that after two steps hardly anything is left to do.
 
 import numpy as np
 
-from napari_hmrf import Arrow, Drawing, Grid, Motion, Study, Tissue, solve, statement_of
+from napari_hmrf import Arrow, Drawing, Grid, Motion, Study, Tissue, build_problem, solve
 
 grid = Grid((120, 120), (1, 1))
 rows, cols = np.indices(grid.shape)
@@ -16,7 +16,7 @@ found = []
 cold = warm = 0
 for step in range(1, 9):
     pull = Drawing((Arrow(at=(60, 50), by=(0, step), radius=5),))
-    stated = statement_of(Study(grid, tissue, Motion(hold_edge=True, drawing=pull)))
+    stated = build_problem(Study(grid, tissue, Motion(hold_edge=True, drawing=pull)))
 
     alone = solve(stated.problem, stated.prior)
     solution = solve(stated.problem, stated.prior, initial=found[-2:])

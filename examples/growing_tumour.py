@@ -7,7 +7,8 @@ file, which napari opens as well. Grown by more, linear tissue folds, and large 
 
 import numpy as np
 
-from napari_hmrf import ElasticPrior, NeoHookeanPrior, Solution, phantom, solve
+from napari_hmrf import ElasticPrior, NeoHookeanPrior, Solution, solve
+from napari_hmrf.data import phantom
 
 brain = phantom("mass-effect", size=150).growing(0.4)
 solution = solve(brain.problem)
@@ -25,8 +26,8 @@ labels = solution.warp(brain.tissue_labels, order=0)
 before, after = (brain.tissue_labels == 3).sum(), (labels == 3).sum()
 print(f"pixels of tumour: {before} before, {after} after")
 
-path = solution.save("growing-tumour.npz")
-print(f"{path}: {Solution.load(path)}")
+path = solution.write("growing-tumour.npz")
+print(f"{path}: {Solution.read(path)}")
 np.save("growing-tumour-image.npy", image)
 
 more = phantom("mass-effect", size=150).growing(1.5).problem

@@ -6,14 +6,8 @@ ratio of 0.3 and in plane stress, comes with the package.
 
 import numpy as np
 
-from napari_hmrf import (
-    ElasticPrior,
-    Multigrid,
-    SeilerPrior,
-    reference_displacement,
-    sample,
-    solve,
-)
+from napari_hmrf import ElasticPrior, Multigrid, SeilerPrior, solve
+from napari_hmrf.data import reference_displacement, sample
 
 problem = sample("expansion").problem
 reference = reference_displacement("expansion")

@@ -6,14 +6,10 @@ solve. Bone keeps its shape, nothing folds, and labels and points move with the 
 
 import numpy as np
 
-from napari_hmrf import (
-    Material,
-    RandomDeformation,
-    equivalent_strain,
-    green_lagrange_strain,
-    phantom,
-    solve_study,
-)
+from napari_hmrf import Material, solve_study
+from napari_hmrf.data import phantom
+from napari_hmrf.fields import equivalent_strain, green_lagrange_strain
+from napari_hmrf.random import RandomDeformation
 
 brain = phantom("mass-effect", size=96)
 materials = [

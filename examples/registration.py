@@ -10,15 +10,10 @@ import numpy as np
 import SimpleITK as sitk
 from scipy.ndimage import binary_dilation
 
-from napari_hmrf import (
-    ElasticPrior,
-    Problem,
-    at_edges,
-    equivalent_strain,
-    green_lagrange_strain,
-    phantom,
-    solve,
-)
+from napari_hmrf import ElasticPrior, Problem, solve
+from napari_hmrf.data import phantom
+from napari_hmrf.fields import equivalent_strain, green_lagrange_strain
+from napari_hmrf.tissue import edge_confidence
 
 brain = phantom("mass-effect", size=150)
 tissue, bone = brain.tissue_labels > 0, brain.tissue_labels == 3
@@ -45,7 +40,7 @@ registered = sitk.GetArrayFromImage(demons.Execute(fixed, moving))[..., ::-1]
 
 # That is y; c is complete at the edges of the image and nothing elsewhere. Bone is not asked, nor
 # what touches it: it moves as one.
-sure = at_edges(seen[0]) * ~binary_dilation(bone, iterations=2)
+sure = edge_confidence(seen[0]) * ~binary_dilation(bone, iterations=2)
 edges = np.repeat(sure[..., None], 2, axis=-1)
 elastic = solve(Problem(registered, edges, stiffness), ElasticPrior()).displacement
 

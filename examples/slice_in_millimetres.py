@@ -6,7 +6,7 @@ Places are (row, col) in pixels. The outer edge of the tissue is held.
 
 import numpy as np
 
-from napari_hmrf import Drawing, Grid, Landmark, Motion, Study, Tissue, solve_study, statement_of
+from napari_hmrf import Drawing, Grid, Landmark, Motion, Study, Tissue, build_problem, solve_study
 
 grid = Grid(shape=(60, 120), spacing=(1.5, 0.75), unit="mm")
 landmarks = Drawing(
@@ -22,7 +22,7 @@ study = Study(
     Motion(hold_edge=True, drawing=landmarks),
 )
 
-problem = statement_of(study).problem  # what is solved: three images on one grid
+problem = build_problem(study).problem  # what is solved: three images on one grid
 print(f"{int(problem.known.any(axis=-1).sum())} of {problem.tissue.size} pixels are known")
 
 solution = solve_study(study)

@@ -6,7 +6,8 @@ as stiff as what is around it.
 
 import numpy as np
 
-from napari_hmrf import Problem, principal_strains, solve
+from napari_hmrf import Problem, solve
+from napari_hmrf.fields import principal_strains
 
 shape = (96, 96)
 rows, cols = np.indices(shape)

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 from tifffile import imwrite
 
-from napari_hmrf import load_study, phantom, read_cases, solve_cases
+from napari_hmrf import read_study
+from napari_hmrf.cases import read_cases, solve_cases
+from napari_hmrf.data import phantom
 
 MATERIALS = """\
 label,name,stiffness,poisson
@@ -34,10 +36,10 @@ def main() -> None:
     (files / "cases.csv").write_text(CASES)
 
     for outcome in solve_cases(read_cases(files / "cases.csv"), files / "out", jobs=2):
-        study, solution = load_study(files / "out" / outcome.case / "brain.study")
+        study, solution = read_study(files / "out" / outcome.case / "brain.study")
         names = {row.label: row.name for row in study.tissue.materials}
         rows = solution.measure(brain.tissue_labels, names=names)
-        areas = {row.name: row.area_change for row in rows}
+        areas = {row.name: row.size_change for row in rows}
         print(f"{outcome.case}: ventricles {areas['ventricles']:.2f} %, {outcome.folds} folds")
     print(f"all of them: {files / 'out' / 'summary.csv'}")
 

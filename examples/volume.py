@@ -6,7 +6,9 @@ on the compiled loops, with elastic tissue.
 
 import numpy as np
 
-from napari_hmrf import ElasticPrior, head_phantom, magnitude, solve
+from napari_hmrf import ElasticPrior, solve
+from napari_hmrf.data import head_phantom
+from napari_hmrf.fields import magnitude
 
 head = head_phantom(size=64, growth=3.0)
 solution = solve(head.problem, ElasticPrior(0.45))

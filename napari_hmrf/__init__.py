@@ -1,16 +1,49 @@
-"""napari-hmrf: how soft tissue moves, computed on the pixels of an image.
+"""Soft tissue that moves, computed on the pixels of an image.
 
-Paint the inputs, or make them, then::
+A `Study` states what tissue is where and what moves it; `solve_study` finds how all tissue moves.
+Images are arrays ([D,] H, W), and displacements ([D,] H, W, 2 or 3) are in the unit of `spacing`,
+the size of a pixel: the tissue at X moves to X + d(X). In this volume a ball of tissue grows by a
+fifth in all directions, and an image moves with it:
 
-    from napari_hmrf import Problem, solve
+>>> import numpy as np
+>>> from napari_hmrf import Grid, Material, Motion, Study, Tissue, solve_study
+>>> away = np.linalg.norm(np.indices((24, 24, 24)) - 11.5, axis=0)
+>>> brain, tumour = Material(1, "brain", 1.0), Material(2, "tumour", 4.0, growth=0.2)
+>>> tissue = Tissue(labels=np.where(away < 5, 2, 1), materials=(brain, tumour))
+>>> study = Study(Grid(away.shape, (1, 1, 1), "mm"), tissue, Motion(hold_edge=True))
+>>> solution = solve_study(study)
+>>> deformed = solution.warp(away)
+>>> f"{solution.at([(11.5, 11.5, 16.5)])[0, 2]:.1f} mm"
+'0.8 mm'
 
-    solution = solve(Problem(observed, confidence, stiffness))
-    solution.displacement  # (H, W, 2): the tissue at X moves to X + d(X)
+`solve` takes a `Problem` of arrays instead, and `LiveSolver` solves while a problem is edited.
+A `Solution` has methods for everything that needs its spacing, tissue or place: `warp`, `at`,
+`jacobian`, `strain`, `measure`, `export`. Names of functions that read files begin with ``read_``,
+and of those that write files with ``write_``.
+
+===================== ==========================================================================
+package               contents
+===================== ==========================================================================
+napari_hmrf           problems, studies, models, solvers, results, errors
+napari_hmrf.fields    what a displacement does to images and tissue; files of fields; movies
+napari_hmrf.tissue    materials with published stiffness; stiffness from labels and intensities
+napari_hmrf.loads     growth, weight, pressure, traction; reactions
+napari_hmrf.landmarks files of points
+napari_hmrf.cases     tables of many cases, solved by several processes
+napari_hmrf.random    random deformations, to augment data and to validate registrations
+napari_hmrf.data      phantoms and reference solutions
+===================== ==========================================================================
+
+Go on with ``help(napari_hmrf.solve_study)``, ``help(napari_hmrf.Study)`` and
+``help(napari_hmrf.fields)``, with the folders ``examples`` and ``docs`` of the repository, or with
+the window: ``napari``, then *Plugins > Soft tissue*.
 
 Importing this package imports neither napari nor Qt, OpenGL or numba, nor any part of SciPy.
 """
 
-from napari_hmrf.augmentation.random_deformation import RandomDeformation, RandomSample
+from importlib import import_module
+from typing import Any
+
 from napari_hmrf.errors import (
     ArgumentError,
     BackendError,
@@ -20,172 +53,70 @@ from napari_hmrf.errors import (
     HmrfError,
     ProblemError,
 )
-from napari_hmrf.field.brightness import at_edges, luminance
-from napari_hmrf.field.deformation import (
-    arrows,
-    count_folds,
-    deformation_grid,
-    jacobian_determinant,
-    magnitude,
-)
-from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.live_warp import Picture, Warper
-from napari_hmrf.field.measurement import Measurement, measure
-from napari_hmrf.field.resample import resample
-from napari_hmrf.field.strain import (
-    deformation_gradient,
-    equivalent_strain,
-    folds,
-    green_lagrange_strain,
-    principal_strains,
-    small_strain,
-    strain_through_slice,
-)
-from napari_hmrf.field.warp import inverse_map, warp
-from napari_hmrf.io.batch import BatchProgress, solve_cases
-from napari_hmrf.io.case_options import Case
-from napari_hmrf.io.case_records import CaseOutcome
-from napari_hmrf.io.case_tables import NamedCase, read_cases
-from napari_hmrf.io.fields import Field, export_field, read_field, write_field
-from napari_hmrf.io.landmark_files import LandmarkFile, load_points, save_points
-from napari_hmrf.io.moving_pictures import save_moving_picture
-from napari_hmrf.io.segmentation_tables import read_label_names
-from napari_hmrf.io.study_file import is_study_file, load_study, replay, save_study
-from napari_hmrf.io.tissue_names import (
-    KnownTissue,
-    NamedMaterials,
-    known_tissue,
-    materials_by_name,
-)
-from napari_hmrf.samples.head import HeadPhantom, head_phantom
-from napari_hmrf.samples.phantoms import (
-    PHANTOM_NAMES,
-    Phantom,
-    phantom,
-    reference_displacement,
-    sample,
-)
-from napari_hmrf.solver.body_forces import pressure, traction, weight
-from napari_hmrf.solver.live_solver import LiveSolver
-from napari_hmrf.solver.loads import Loads, growth
+from napari_hmrf.field.warp import warp
+from napari_hmrf.io.study_file import read_study, replay, write_study
+from napari_hmrf.solver.live_solver import LiveSolver, Update
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
-from napari_hmrf.solver.reactions import reactions
-from napari_hmrf.solver.solution import Provenance, Solution, is_solution_file
+from napari_hmrf.solver.solution import Provenance, Solution
 from napari_hmrf.solver.solve import solve
-from napari_hmrf.study.ground import solve_study, statement_of
+from napari_hmrf.study.ground import build_problem, solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
-from napari_hmrf.tissue.boundary_rules import (
-    RIGID,
-    BoundaryRule,
-    Material,
-    boundary_images,
-    poisson_image,
-    stiffness_image,
-)
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
-from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
 __version__ = "0.1.0"
 
 __all__ = [
     "ICM",
-    "PHANTOM_NAMES",
-    "RIGID",
     "ArgumentError",
     "Arrow",
     "BackendError",
-    "BatchProgress",
     "BoundaryRule",
     "Cancelled",
-    "Case",
-    "CaseOutcome",
     "ConvergenceError",
     "Drawing",
     "ElasticPrior",
-    "Field",
     "FileFormatError",
-    "Frame",
     "Grid",
-    "HeadPhantom",
     "HmrfError",
-    "KnownTissue",
     "Landmark",
-    "LandmarkFile",
     "LiveSolver",
-    "Loads",
     "Material",
-    "Measurement",
     "Monitor",
     "Motion",
     "Multigrid",
-    "NamedCase",
-    "NamedMaterials",
     "NeoHookeanPrior",
-    "Phantom",
-    "Picture",
     "Pictures",
     "Problem",
     "ProblemError",
     "Provenance",
-    "RandomDeformation",
-    "RandomSample",
     "SeilerPrior",
     "Solution",
-    "StiffnessCurve",
     "Stroke",
     "Study",
     "Tissue",
-    "Warper",
+    "Update",
     "__version__",
-    "arrows",
-    "at_edges",
-    "boundary_images",
-    "count_folds",
-    "deformation_gradient",
-    "deformation_grid",
-    "equivalent_strain",
-    "export_field",
-    "folds",
-    "green_lagrange_strain",
-    "growth",
-    "head_phantom",
-    "inverse_map",
-    "is_solution_file",
-    "is_study_file",
-    "jacobian_determinant",
-    "known_tissue",
-    "load_points",
-    "load_study",
-    "luminance",
-    "magnitude",
-    "materials_by_name",
-    "measure",
-    "phantom",
-    "poisson_image",
-    "pressure",
-    "principal_strains",
-    "reactions",
-    "read_cases",
-    "read_field",
-    "read_label_names",
-    "reference_displacement",
+    "build_problem",
+    "read_study",
     "replay",
-    "resample",
-    "sample",
-    "save_moving_picture",
-    "save_points",
-    "save_study",
-    "small_strain",
     "solve",
-    "solve_cases",
     "solve_study",
-    "statement_of",
-    "stiffness_image",
-    "strain_through_slice",
-    "traction",
     "warp",
-    "weight",
-    "write_field",
+    "write_study",
 ]
+
+#: Public packages beside this one; each is imported on first use.
+_PACKAGES = ("cases", "data", "fields", "landmarks", "loads", "random", "tissue")
+
+
+def __getattr__(name: str) -> Any:
+    if name in _PACKAGES:
+        return import_module(f"{__name__}.{name}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_PACKAGES})

@@ -80,17 +80,17 @@ def _selftest(_: argparse.Namespace) -> int:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.apply import load_field, save_field
+    from napari_hmrf.io.apply import read_field_file, write_field_file
 
-    field = load_field(options.result)
+    field = read_field_file(options.result)
     refuse_overwriting([options.out], overwrite=options.force)
-    print(save_field(options.out, field, forward=options.forward))
+    print(write_field_file(options.out, field, forward=options.forward))
     return 0
 
 
 def _apply(options: argparse.Namespace) -> int:
     from napari_hmrf.field.warp import has_volume_loops
-    from napari_hmrf.io.apply import apply_field, load_field
+    from napari_hmrf.io.apply import apply_field, read_field_file
 
     names = [file.name for file in options.files]
     twice = next((name for name in names if names.count(name) > 1), None)
@@ -109,7 +109,7 @@ def _apply(options: argparse.Namespace) -> int:
         ]
         if not any(same):
             refuse_overwriting(moved, overwrite=options.force)
-    field = load_field(options.field)
+    field = read_field_file(options.field)
     if len(field.shape) == 3 and not has_volume_loops():
         _tell("compiling loops that move volumes, once on a machine ...")
     options.out.mkdir(parents=True, exist_ok=True)
@@ -129,8 +129,8 @@ def _apply(options: argparse.Namespace) -> int:
 def _materials(options: argparse.Namespace) -> int:
     from napari_hmrf.io.results import labels_in
     from napari_hmrf.io.segmentation_tables import read_label_names
-    from napari_hmrf.io.tables import named_materials_in_words, save_named_materials
-    from napari_hmrf.io.tissue_names import materials_by_name
+    from napari_hmrf.io.tables import named_materials_in_words, write_named_materials
+    from napari_hmrf.tissue.tissue_names import materials_by_name
 
     names = read_label_names(options.table)
     if options.out is not None:
@@ -141,7 +141,7 @@ def _materials(options: argparse.Namespace) -> int:
     found = materials_by_name(names)
     print(named_materials_in_words(found))
     if options.out is not None:
-        print(f"written: {save_named_materials(options.out, found)}")
+        print(f"written: {write_named_materials(options.out, found)}")
     return 0
 
 
@@ -149,7 +149,7 @@ def _measure(options: argparse.Namespace) -> int:
     from pandas import DataFrame
 
     from napari_hmrf.io.results import measured
-    from napari_hmrf.io.tables import measurement_table, save_measurements
+    from napari_hmrf.io.tables import measurement_table, write_measurements
 
     found = measured(options.result, options.labels)
     if options.out is not None:
@@ -160,7 +160,7 @@ def _measure(options: argparse.Namespace) -> int:
     if found.note:
         print(f"note: {found.note}")
     if options.out is not None:
-        path = save_measurements(options.out, found.rows, found.unit, volume=found.of_volume)
+        path = write_measurements(options.out, found.rows, found.unit, volume=found.of_volume)
         print(f"written: {path}")
     return 0
 
@@ -171,7 +171,7 @@ def _short(value: float) -> str:
 
 
 def _play(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.moving_pictures import save_moving_picture
+    from napari_hmrf.io.moving_pictures import write_movie
     from napari_hmrf.io.results import image_of
 
     solution, image = image_of(options.result, options.image)
@@ -185,7 +185,7 @@ def _play(options: argparse.Namespace) -> int:
             _note(f"slice {number} of 0 to {shape[0] - 1}, in the middle; --slice takes another")
         elif not 0 <= number < shape[0]:
             raise HmrfError(f"the volume has slices 0 to {shape[0] - 1}, and --slice is {number}")
-    print(f"written: {save_moving_picture(options.out, solution, image, number=number)}")
+    print(f"written: {write_movie(options.out, solution, image, number=number)}")
     return 0
 
 
@@ -257,11 +257,11 @@ def _batch(options: argparse.Namespace) -> int:
 
 
 def _replay(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.images import load_image
-    from napari_hmrf.io.study_file import load_study, replay
+    from napari_hmrf.io.images import read_image
+    from napari_hmrf.io.study_file import read_study, replay
 
-    image = None if options.image is None else load_image(options.image).pixels
-    study, before = load_study(options.study, image=image)
+    image = None if options.image is None else read_image(options.image).pixels
+    study, before = read_study(options.study, image=image)
     if image is not None and study.pictures.image is not image:
         raise HmrfError(f"{options.study.name} holds its own image. Leave out --image.")
     with _shown_progress() as progress:

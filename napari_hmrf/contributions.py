@@ -1,4 +1,4 @@
-"""What napari asks of this package beside the widget: samples, files, and commands."""
+"""napari contributions: samples, readers, writers and commands."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def sample_head() -> list[LayerData]:
 
 
 def volume_layers(head: HeadPhantom) -> list[LayerData]:
-    """The layers of a head where they lie in the patient; all of it is deformed at once."""
+    """Return the layers of a head, placed in the patient, to be deformed as a volume."""
     from napari_hmrf.layers.metadata import METADATA
 
     place = head.frame.placement()
@@ -62,7 +62,7 @@ def _sample(name: str) -> list[LayerData]:
 
 
 def phantom_layers(found: Phantom | HeadPhantom) -> list[LayerData]:
-    """An image and its two painted layers, with the tables that the widget opens with."""
+    """Return an image and its two painted layers, with the tables that the widget opens with."""
     from napari_hmrf.layers.label_colours import boundary_colours
     from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, described
 
@@ -115,7 +115,7 @@ def _read(path: PathOrPaths) -> list[LayerData]:
     layers: list[LayerData] = []
     for each in _listed(path):
         try:
-            made = result_layers(Solution.load(each)).layers["arrows"]
+            made = result_layers(Solution.read(each)).layers["arrows"]
         except ValueError as error:
             if isinstance(error, FileFormatError):
                 raise
@@ -138,7 +138,7 @@ def _read_scans(path: PathOrPaths) -> list[LayerData]:
     from pathlib import Path
 
     from napari_hmrf.io.fields import is_field_file
-    from napari_hmrf.io.images import load_image
+    from napari_hmrf.io.images import read_image
     from napari_hmrf.layers.metadata import IMAGE, described
 
     layers: list[LayerData] = []
@@ -146,7 +146,7 @@ def _read_scans(path: PathOrPaths) -> list[LayerData]:
         if is_field_file(each):
             layers.append(_field(each))
             continue
-        image = load_image(each).upright
+        image = read_image(each).upright
         attributes = {
             "name": Path(each).name.partition(".")[0],
             "rgb": image.colours,
@@ -181,11 +181,11 @@ def open_landmarks(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]
 def _read_landmarks(path: PathOrPaths) -> list[LayerData]:
     from pathlib import Path
 
-    from napari_hmrf.io.landmark_files import load_points
+    from napari_hmrf.io.landmark_files import read_points
 
     layers: list[LayerData] = []
     for each in _listed(path):
-        file, name = load_points(each), Path(each).name.partition(".")[0]
+        file, name = read_points(each), Path(each).name.partition(".")[0]
         n = file.points.shape[1]
         place = {"units": (file.unit,) * n if file.unit else _units_of_images(n)}
         layers.append((file.points, {"name": name, **place}, "points"))
@@ -208,10 +208,10 @@ def _field(path: str) -> LayerData:
     """A displacement field as a layer that holds it as it is stored, in pixels."""
     from pathlib import Path
 
-    from napari_hmrf.io.apply import load_field
+    from napari_hmrf.io.apply import read_field_file
     from napari_hmrf.layers.field_layer import field_layer
 
-    field, frame = load_field(path).in_pixels
+    field, frame = read_field_file(path).in_pixels
     return field_layer(field, frame.placement(), Path(path).name.partition(".")[0])
 
 
@@ -220,7 +220,7 @@ def _listed(path: PathOrPaths) -> list[str]:
     return [path] if isinstance(path, str) else path
 
 
-def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
+def write_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
     """Save the result that a layer of arrows belongs to: whole, or its field for other tools.
 
     Parameters
@@ -244,7 +244,7 @@ def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
     """
     from napari.utils.notifications import show_info
 
-    from napari_hmrf.io.apply import FieldFile, save_field
+    from napari_hmrf.io.apply import FieldFile, write_field_file
     from napari_hmrf.io.fields import FIELD_SUFFIXES
     from napari_hmrf.layers.metadata import METADATA
     from napari_hmrf.solver.solution import Solution
@@ -258,9 +258,9 @@ def save_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]
             "that it made."
         )
     if path.lower().endswith(FIELD_SUFFIXES):
-        show_info(save_field(path, FieldFile.of(solution)))
+        show_info(write_field_file(path, FieldFile.of(solution)))
         return [path]
-    return [str(solution.save(path))]
+    return [str(solution.write(path))]
 
 
 #: As napari's menu names it, so that it finds it open.
@@ -268,7 +268,7 @@ _TITLE = "Soft tissue (napari-hmrf)"
 
 
 def dock(viewer: Any = None) -> SoftTissue:
-    """The dock of a viewer, in sight; opened if there is none yet.
+    """Show the dock of a viewer and return it; open one if there is none yet.
 
     Parameters
     ----------
@@ -305,13 +305,13 @@ def deform_now() -> None:
 
 
 def live() -> None:
-    """Have the result follow every edit, or no longer."""
+    """Switch live mode on or off, in which the result follows every edit."""
     found = dock()
     found.live = not found.live
 
 
 def pull() -> None:
-    """Have the mouse pull tissue, or move the view again."""
+    """Start or stop pulling tissue with the mouse."""
     found = dock()
     if found.active:
         found.stop()
@@ -321,12 +321,12 @@ def pull() -> None:
 
 
 def undo() -> None:
-    """Take back what was done last."""
+    """Undo the last edit."""
     dock().undo()
 
 
 def redo() -> None:
-    """Do again what was taken back."""
+    """Redo the edit that was undone last."""
     dock().redo()
 
 

@@ -10,19 +10,8 @@ from PIL import Image
 from tutorial import open_dock
 from window import ROOT, Person, save, wait_until
 
-from napari_hmrf import (
-    Arrow,
-    Drawing,
-    Grid,
-    Material,
-    Motion,
-    Pictures,
-    Study,
-    Tissue,
-    phantom,
-    sample,
-    save_study,
-)
+from napari_hmrf import Arrow, Drawing, Grid, Material, Motion, Pictures, Study, Tissue, write_study
+from napari_hmrf.data import phantom, sample
 
 FOLDER = ROOT / "docs" / "validation" / "images"
 SIZE = (1400, 900)
@@ -92,7 +81,7 @@ def pair(study: Study) -> None:
     person = Person(SIZE)
     dock = open_dock(person)
     with tempfile.TemporaryDirectory() as folder:
-        dock.open_study(save_study(Path(folder) / f"{name}.study", study))
+        dock.open_study(write_study(Path(folder) / f"{name}.study", study))
     person.viewer.reset_view()
     seen = []
     for model in ("elastic", "large motion"):
@@ -100,7 +89,7 @@ def pair(study: Study) -> None:
         wait_until(lambda: not dock.busy)
         dock.overlay = "folds" if "folds" in dock.warning else "grid"
         wait_until(lambda: not dock.busy)
-        changes = {row.name: f"{row.area_change:+.0f} %" for row in dock.more.measure()}
+        changes = {row.name: f"{row.size_change:+.0f} %" for row in dock.more.measure()}
         print(f"{name}, {model}: areas {changes}. {dock.warning}")
         seen.append(person.sight().crop(person.region(person.canvas, margin=0)))
     both = Image.new("RGB", (2 * seen[0].width, seen[0].height))

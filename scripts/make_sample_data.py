@@ -19,7 +19,7 @@ sys.path.insert(0, str(ROOT / "benchmarks"))
 
 from fem import plane_stress_displacement  # noqa: E402
 
-from napari_hmrf import PHANTOM_NAMES, phantom  # noqa: E402
+from napari_hmrf.data import PHANTOM_NAMES, phantom  # noqa: E402
 
 #: A fixed date in the archives, so that the same arrays make the same bytes.
 DATE = (2000, 1, 1, 0, 0, 0)

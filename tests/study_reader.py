@@ -12,9 +12,9 @@ from studies import Study
 
 from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, SeilerPrior
 from napari_hmrf.layers.landmarks import read_landmarks
-from napari_hmrf.layers.read import Request, read_study
+from napari_hmrf.layers.read import Request, study_from_layers
 from napari_hmrf.layers.slice_view import View, frame_of
-from napari_hmrf.study.ground import Ground, statement_of
+from napari_hmrf.study.ground import Ground, build_problem
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
@@ -53,14 +53,14 @@ def read(study: Study) -> Read:
         drawing=drawing,
         curve=curve,
     )
-    stated = statement_of(replace(read_study(request), prior=prior, optimizer=optimizer))
+    stated = build_problem(replace(study_from_layers(request), prior=prior, optimizer=optimizer))
     return Read(stated.problem, stated.prior, stated.optimizer)
 
 
 def read_ground(image: Any, tissue: Any = None, boundary: Any = None, **how: Any) -> Ground:
     """Read what is drawn on; by default its edge is held."""
     chosen = {"hold_edge": True, "drawing": Drawing(), **how}
-    return Ground.of(read_study(Request(tissue, boundary, image, **chosen)))
+    return Ground.of(study_from_layers(Request(tissue, boundary, image, **chosen)))
 
 
 class Stated(NamedTuple):
@@ -76,7 +76,7 @@ class Stated(NamedTuple):
 def read_layers(request: Request, prior: Any = None, optimizer: Any = None) -> Stated:
     """Read chosen layers to the end; by default for the paper's prior and schedule."""
     model = {"prior": prior or SeilerPrior(), "optimizer": optimizer or ICM()}
-    study = replace(read_study(request), **model)
+    study = replace(study_from_layers(request), **model)
     ground = Ground.of(study)
     stated = ground.statement()
     return Stated(

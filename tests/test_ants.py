@@ -5,8 +5,8 @@ import pytest
 from test_fields import PLACES, Case, inside
 from test_foreign_fields import check
 
-from napari_hmrf import read_field
 from napari_hmrf.field.inverse_field import inverse_displacement
+from napari_hmrf.fields import read_field
 
 ants = pytest.importorskip("ants")
 

@@ -20,10 +20,10 @@ from napari_hmrf import (
     Solution,
     array_file,
     atomic_write,
-    is_solution_file,
-    phantom,
     solve,
 )
+from napari_hmrf.data import phantom
+from napari_hmrf.fields import is_solution_file
 from napari_hmrf.solver.optimizers.base import LevelRun
 
 MEMBERS = {"displacement.npy", "energy.npy", "header.npy", "tissue.npy"}
@@ -59,7 +59,7 @@ def solution():
 
 @pytest.fixture
 def path(solution, tmp_path):
-    return solution.save(tmp_path / "result.npz")
+    return solution.write(tmp_path / "result.npz")
 
 
 def as_json(provenance):
@@ -107,7 +107,7 @@ def with_header(path, target, **changes):
 def refusal(path):
     """The one sentence with which a file is refused."""
     with pytest.raises(FileFormatError) as caught:
-        Solution.load(path)
+        Solution.read(path)
     message = str(caught.value)
     start = f"{path.name}: not a valid napari-hmrf result: "
     assert message.startswith(start)
@@ -118,13 +118,13 @@ def refusal(path):
 
 
 def test_what_was_saved_comes_back_exactly(solution, path):
-    assert_same(Solution.load(path), solution)
-    assert_same(Solution.load(str(path)), solution)
+    assert_same(Solution.read(path), solution)
+    assert_same(Solution.read(str(path)), solution)
 
 
 def test_a_real_solution_comes_back(tmp_path):
     solution = solve(phantom("mass-effect", 32).problem, SeilerPrior(), backend="cpu")
-    back = Solution.load(solution.save(tmp_path / "solution.npz"))
+    back = Solution.read(solution.write(tmp_path / "solution.npz"))
     assert_same(back, solution)
     assert back.iterations == solution.iterations
     assert back.mean_energy == solution.mean_energy
@@ -132,7 +132,7 @@ def test_a_real_solution_comes_back(tmp_path):
 
 def test_a_field_of_zeros_is_a_field_however_well_it_packs(tmp_path):
     still = dataclasses.replace(made_up((600, 600)), displacement=np.zeros((600, 600, 2), "f4"))
-    assert not Solution.load(still.save(tmp_path / "still.npz")).displacement.any()
+    assert not Solution.read(still.write(tmp_path / "still.npz")).displacement.any()
 
 
 def test_numpy_alone_can_read_it(solution, path):
@@ -156,15 +156,15 @@ def test_numpy_alone_can_read_it(solution, path):
     ],
 )
 def test_a_file_has_the_name_that_was_given(solution, tmp_path, given, written):
-    assert solution.save(tmp_path / given) == tmp_path / written
+    assert solution.write(tmp_path / given) == tmp_path / written
     assert os.listdir(tmp_path) == [written]
-    assert_same(Solution.load(tmp_path / written), solution)
+    assert_same(Solution.read(tmp_path / written), solution)
 
 
 def test_saving_again_replaces_the_file(solution, path):
     other = made_up((5, 5))
-    other.save(path)
-    assert_same(Solution.load(path), other)
+    other.write(path)
+    assert_same(Solution.read(path), other)
     assert os.listdir(path.parent) == [path.name]
 
 
@@ -173,9 +173,9 @@ def test_a_link_is_followed_not_replaced(solution, path):
     link = path.with_name("link.npz")
     link.symlink_to(path)
     other = made_up((5, 5))
-    other.save(link)
+    other.write(link)
     assert link.is_symlink()
-    assert_same(Solution.load(path), other)
+    assert_same(Solution.read(path), other)
 
 
 def disk_full(*_):
@@ -186,18 +186,18 @@ def disk_full(*_):
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(solution, path, monkeypatch, step):
     monkeypatch.setattr(atomic_write.os, step, disk_full)
     with pytest.raises(OSError, match=r"cannot save the file: No space left.*result\.npz"):
-        made_up((5, 5)).save(path)
+        made_up((5, 5)).write(path)
     monkeypatch.undo()
-    assert_same(Solution.load(path), solution)
+    assert_same(Solution.read(path), solution)
     assert os.listdir(path.parent) == [path.name]
 
 
 def test_a_disk_that_does_not_keep_what_it_was_given_is_found_out(solution, path, monkeypatch):
     monkeypatch.setattr(atomic_write.Path, "read_bytes", lambda _: b"")
     with pytest.raises(OSError, match=r"'result\.npz'.*did not keep"):
-        made_up((5, 5)).save(path)
+        made_up((5, 5)).write(path)
     monkeypatch.undo()
-    assert_same(Solution.load(path), solution)
+    assert_same(Solution.read(path), solution)
     assert os.listdir(path.parent) == [path.name]
 
 
@@ -219,27 +219,27 @@ def test_a_file_held_open_elsewhere_is_tried_again(solution, path, monkeypatch):
     monkeypatch.setattr(atomic_write.os, "replace", held)
     monkeypatch.setattr(atomic_write.time, "sleep", lambda _: None)
     other = made_up((5, 5))
-    other.save(path)
-    assert_same(Solution.load(path), other)
+    other.write(path)
+    assert_same(Solution.read(path), other)
     monkeypatch.setattr(atomic_write.os, "replace", always_held)
     with pytest.raises(PermissionError, match=r"cannot save the file: held.*result\.npz"):
-        solution.save(path)
-    assert_same(Solution.load(path), other)
+        solution.write(path)
+    assert_same(Solution.read(path), other)
 
 
 def test_a_missing_or_closed_folder_is_named(solution, tmp_path, monkeypatch):
     with pytest.raises(FileNotFoundError, match=r"cannot save the file.*nowhere"):
-        solution.save(tmp_path / "nowhere" / "result.npz")
+        solution.write(tmp_path / "nowhere" / "result.npz")
     (tmp_path / "folder.npz").mkdir()
     with pytest.raises(IsADirectoryError, match=r"cannot save .*folder"):
-        solution.save(tmp_path / "folder.npz")
+        solution.write(tmp_path / "folder.npz")
 
     def closed(*_, **__):
         raise PermissionError(errno.EACCES, "Permission denied")
 
     monkeypatch.setattr("builtins.open", closed)
     with pytest.raises(PermissionError, match=r"cannot save the file: Permission denied"):
-        solution.save(tmp_path / "result.npz")
+        solution.write(tmp_path / "result.npz")
 
 
 def test_what_a_killed_process_left_behind_is_removed_once_it_is_old(solution, tmp_path):
@@ -249,7 +249,7 @@ def test_what_a_killed_process_left_behind_is_removed_once_it_is_old(solution, t
         leftover.write_bytes(b"half")
     os.utime(old, (0, 0))
     os.utime(foreign, (0, 0))
-    solution.save(tmp_path / "result.npz")
+    solution.write(tmp_path / "result.npz")
     assert sorted(os.listdir(tmp_path)) == [young.name, "result.npz", foreign.name]
 
 
@@ -257,10 +257,10 @@ def test_a_solution_that_could_not_be_read_back_is_not_written(path, solution):
     bad = made_up()
     bad.displacement[0, 0] = np.nan
     with pytest.raises(ValueError, match=r"cannot be saved.*not numbers"):
-        bad.save(path)
+        bad.write(path)
     with pytest.raises(TypeError, match="JSON"):
-        made_up(frame={"layer": object()}).save(path)
-    assert_same(Solution.load(path), solution)
+        made_up(frame={"layer": object()}).write(path)
+    assert_same(Solution.read(path), solution)
 
 
 @pytest.mark.parametrize("part", [0.0, 0.001, 0.3, 0.7, 0.99, 0.9999])
@@ -279,7 +279,7 @@ def test_a_flipped_bit_is_found_wherever_it_is(solution, path):
         damaged[at] ^= 0x10
         path.write_bytes(damaged)
         try:
-            back = Solution.load(path)
+            back = Solution.read(path)
         except FileFormatError:
             found += 1
         else:  # a bit that means nothing, such as in a date
@@ -301,7 +301,7 @@ def test_an_archive_whose_table_points_nowhere_is_refused(path):
 def test_a_disk_that_cannot_be_read_is_not_the_files_fault(path, monkeypatch):
     monkeypatch.setattr(array_file.zipfile, "ZipFile", disk_full)
     with pytest.raises(OSError, match="No space"):
-        Solution.load(path)
+        Solution.read(path)
 
 
 @pytest.mark.parametrize("content", [b"", b"PK", b"row,col\n1,2\n", b"\x93NUMPY", b"\0" * 999])
@@ -329,7 +329,7 @@ def test_a_lone_array_or_foreign_archive_is_another_kind_of_file(tmp_path):
 
 def test_a_missing_file_is_missing_not_invalid(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"none\.npz"):
-        Solution.load(tmp_path / "none.npz")
+        Solution.read(tmp_path / "none.npz")
     assert not is_solution_file(tmp_path / "none.npz")
     assert refusal(tmp_path) == "it is a folder"
     assert not is_solution_file(tmp_path)
@@ -444,8 +444,8 @@ def test_the_same_member_twice_is_refused(path, tmp_path):
 def test_whatever_happens_to_a_file_it_is_what_was_saved_or_refused_for_little_memory(tmp_path):
     path = tmp_path / "damaged.npz"
     original = made_up(frame={"units": ["mm", "mm"], "slice": 3})
-    content = original.save(path).read_bytes()
-    original = Solution.load(path)
+    content = original.write(path).read_bytes()
+    original = Solution.read(path)
     outcomes = set()
     tracemalloc.start()
     for version in damaged(content, 300):
@@ -478,7 +478,7 @@ def test_a_header_nested_too_deeply_to_be_saved_again_is_refused(path, tmp_path)
         deep = [deep]
     assert "nested" in refusal(with_header(path, tmp_path / "deep.npz", frame={"deep": deep}))
     with pytest.raises(ValueError, match=r"cannot be saved.*nested"):
-        made_up(frame={"deep": deep}).save(path)
+        made_up(frame={"deep": deep}).write(path)
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
@@ -489,7 +489,7 @@ def test_members_packed_as_no_result_is_are_refused_unread(path, tmp_path, metho
 
 def test_members_that_are_not_packed_are_read(solution, path, tmp_path):
     stored = repacked(path, tmp_path / "stored.npz", zipfile.ZIP_STORED)
-    assert_same(Solution.load(stored), solution)
+    assert_same(Solution.read(stored), solution)
 
 
 def test_a_member_that_claims_to_be_longer_than_the_file_costs_no_memory(path):
@@ -506,8 +506,8 @@ def test_a_member_that_claims_to_be_longer_than_the_file_costs_no_memory(path):
 def test_what_a_later_version_adds_to_the_provenance_is_passed_over(solution, path, tmp_path):
     provenance = {**header_of(path)["provenance"], "mood": "sunny"}
     newer = with_header(path, tmp_path / "newer.npz", provenance=provenance)
-    assert_same(Solution.load(newer), solution)
+    assert_same(Solution.read(newer), solution)
 
 
 def test_a_saved_solution_is_recognised_by_its_content_not_its_name(solution, tmp_path):
-    assert is_solution_file(solution.save(tmp_path / "anything.dat"))
+    assert is_solution_file(solution.write(tmp_path / "anything.dat"))

@@ -14,7 +14,6 @@ import pytest
 
 from napari_hmrf import (
     BoundaryRule,
-    Case,
     FileFormatError,
     Grid,
     HmrfError,
@@ -22,15 +21,14 @@ from napari_hmrf import (
     Motion,
     Study,
     Tissue,
-    load_study,
-    read_cases,
-    save_study,
-    solve_cases,
+    read_study,
+    write_study,
 )
+from napari_hmrf.cases import Case, read_cases, solve_cases
 from napari_hmrf.cli import main
 from napari_hmrf.io import batch
 from napari_hmrf.io.folder_lock import exclusive, marks_in
-from napari_hmrf.io.images import ImageFile, load_image, save_image
+from napari_hmrf.io.images import ImageFile, read_image, write_image
 from napari_hmrf.io.sweeps import Change, changed
 
 SHAPE = (24, 30)
@@ -48,8 +46,8 @@ def files(tmp_path, monkeypatch):
     rim[:, 0], rim[:, -1] = 1, 2
     film = np.random.default_rng(0).integers(1, 200, (3, *SHAPE), dtype=np.uint8)
     for name, pixels in {"labels.tif": labels, "rim.tif": rim, "image.tif": labels}.items():
-        save_image(name, ImageFile(pixels))
-    save_image("film.tif", ImageFile(film))
+        write_image(name, ImageFile(pixels))
+    write_image("film.tif", ImageFile(film))
     (tmp_path / "m.csv").write_text("label,name,stiffness\n1,brain,3\n2,tumour,8\n")
     (tmp_path / "r.csv").write_text("label,name,action,row,col\n1,,fixed,,\n2,rim,move,0,2\n")
     return tmp_path
@@ -73,7 +71,7 @@ def summary(folder):
 
 
 def moved(folder, name):
-    study, solution = load_study(folder / name / "image.study")
+    study, solution = read_study(folder / name / "image.study")
     assert study is not None
     return float(np.abs(solution.displacement).max())
 
@@ -202,7 +200,7 @@ def test_one_case_that_fails_stops_no_other_and_is_named(files, capsys):
     own = study()
     labels = own.motion.labels.copy()
     labels[-1] = 2
-    save_study("own.study", replace(own, motion=replace(own.motion, labels=labels)))
+    write_study("own.study", replace(own, motion=replace(own.motion, labels=labels)))
     table = write_table(files, "a,image.tif,4;5", "broken,gone.tif,4", more=",amount:rim")
     with open(table, "a") as file:
         file.write("\nstudy,own.study,,,,,3\n")
@@ -230,7 +228,7 @@ def test_one_case_that_fails_stops_no_other_and_is_named(files, capsys):
     assert 0 < float(rows["a_amount-rim-5"]["error_bound"]) < 0.01
     assert rows["study"]["folds"] == "0"
     assert moved(out, "a_amount-rim-4") == pytest.approx(4)
-    assert load_study(out / "study" / "own.study").solution is not None
+    assert read_study(out / "study" / "own.study").solution is not None
     # What is there is not written over, nor done again, but for what the table says otherwise.
     assert main(["batch", str(table), "out"]) == 1
     assert "'a_amount-rim-4' is there already. Resume the batch" in capsys.readouterr().err
@@ -260,7 +258,7 @@ def test_names_of_folders_need_no_quotation_marks(tmp_path):
 
 def test_a_case_whose_files_changed_is_solved_again(files, caplog):
     for name in ("b.tif", "c.tif"):
-        save_image(name, load_image("image.tif"))
+        write_image(name, read_image("image.tif"))
     table = write_table(
         files, *(f"{name}.tif,4" for name in ("a,image", "b,b", "c,c")), more=",amount:rim"
     )
@@ -270,7 +268,7 @@ def test_a_case_whose_files_changed_is_solved_again(files, caplog):
     os.utime(files / "image.tif")  # touched, and still the same
     assert solve_cases(cases, files / "out", jobs=1, resume=True) == first
     assert not caplog.messages
-    save_image("b.tif", ImageFile(np.full(SHAPE, 7, np.uint8)))
+    write_image("b.tif", ImageFile(np.full(SHAPE, 7, np.uint8)))
     (files / "c.tif").unlink()
     told = []
     again = solve_cases(cases, files / "out", jobs=1, resume=True, tell=told.append)
@@ -295,7 +293,7 @@ def test_a_finished_case_with_a_damaged_result_is_solved_again(files, caplog):
         assert told.pop() == "solved again, as files of the result are damaged or missing: a"
         assert not told
         assert again[1] == first[1]
-        load_study(saved)
+        read_study(saved)
 
 
 HELD = """
@@ -364,7 +362,7 @@ def test_a_summary_has_no_formula_and_says_what_was_guessed(files):
 
 ENDLESS = """
 import sys
-from napari_hmrf import read_cases, solve_cases
+from napari_hmrf.cases import read_cases, solve_cases
 if __name__ == "__main__":
     said = lambda progress: print(progress.newest.case, flush=True)
     solve_cases(read_cases("cases.csv"), "out", jobs=1, progress=said)

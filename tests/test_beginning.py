@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from napari_hmrf import ElasticPrior, Multigrid, NeoHookeanPrior, Problem, phantom, solve
+from napari_hmrf import ElasticPrior, Multigrid, NeoHookeanPrior, Problem, solve
+from napari_hmrf.data import phantom
 from napari_hmrf.solver.warm_start import beginning
 
 WITHIN = Multigrid(0.01)
@@ -151,7 +152,7 @@ def models_last():
 
 def test_a_result_without_a_cycle_can_be_saved_and_read(tmp_path):
     found = solve(pushed(2), PRIOR, optimizer=WITHIN, backend="cpu", initial=well_known())
-    read = type(found).load(found.save(tmp_path / "found.npz"))
+    read = type(found).read(found.write(tmp_path / "found.npz"))
     assert (read.iterations, len(read.energy)) == (0, 1)
 
 

@@ -12,9 +12,9 @@ from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QFileDialog, QTableView
 from screen import Screen, head
 
-from napari_hmrf.contributions import open_solution, phantom_layers, save_solution
+from napari_hmrf.contributions import open_solution, phantom_layers, write_solution
 from napari_hmrf.field.warp import warp
-from napari_hmrf.io.material_tables import load_materials
+from napari_hmrf.io.material_tables import read_preset
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.samples.phantoms import PHANTOM_NAMES, sample
 from napari_hmrf.study.ground import Ground
@@ -215,7 +215,7 @@ def test_materials_are_taken_from_layers_and_files_and_saved(
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (path, ""))
     monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (path, ""))
     screen.entry("Materials", "Save to file").trigger()
-    assert load_materials(path).materials == before
+    assert read_preset(path).materials == before
     viewer.add_labels(np.ones((20, 24), int), name="other")
     dock.tissue = viewer.layers["other"]
     dock.materials = (Material(1, "jelly", 7.0),)
@@ -234,7 +234,7 @@ def test_a_result_brings_the_materials_it_was_made_with(
     dock, _ = deform
     small_sample(viewer)
     arrows = run(dock).layers["arrows"]
-    (path,) = save_solution(str(tmp_path / "gel.npz"), arrows.data, arrows.attributes)
+    (path,) = write_solution(str(tmp_path / "gel.npz"), arrows.data, arrows.attributes)
     viewer.layers.clear()
     small_sample(viewer)
     dock.materials = (Material(0, "x", 1.0), Material(1, "y", 2.0))
@@ -377,7 +377,7 @@ def test_a_pulled_result_is_saved_with_its_drawing(grab, pulled, viewer, wait_fo
     wait_for(lambda: any(each.name.startswith("MR arrows, elastic") for each in viewer.layers))
     arrows = layer(viewer, "MR arrows, elastic")
     attributes = {"name": arrows.name, "metadata": arrows.metadata}
-    (path,) = save_solution(str(tmp_path / "pulled.npz"), arrows.data, attributes)
+    (path,) = write_solution(str(tmp_path / "pulled.npz"), arrows.data, attributes)
     (again,) = open_solution(path)(path)
     solution = again[1]["metadata"]["napari-hmrf"]["solution"]
     np.testing.assert_array_equal(solution.displacement, moved)

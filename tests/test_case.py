@@ -21,20 +21,20 @@ from napari_hmrf import (
     ProblemError,
     Study,
     Tissue,
-    at_edges,
-    load_study,
-    save_points,
-    save_study,
+    read_study,
     solve,
     solve_study,
-    write_field,
+    write_study,
 )
 from napari_hmrf.cli import main
+from napari_hmrf.fields import write_field
 from napari_hmrf.io.case import read_case, solve_case
 from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.fields import Place, place_of
-from napari_hmrf.io.images import ImageFile, load_image, save_image
+from napari_hmrf.io.images import ImageFile, read_image, write_image
 from napari_hmrf.io.tables import read_materials, read_rules
+from napari_hmrf.landmarks import write_points
+from napari_hmrf.tissue import edge_confidence
 from napari_hmrf.tissue.boundary_rules import RIGID, boundary_images, stiffness_image
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
@@ -53,9 +53,9 @@ def files(tmp_path):
     labels[10:20, 12:24] = 2
     rim = np.zeros(SHAPE, np.uint8)
     rim[0], rim[-1], rim[:, 0] = 1, 2, 1
-    save_image(tmp_path / "scan.nii.gz", ImageFile(scan, PLACE))
-    save_image(tmp_path / "labels.png", ImageFile(labels))
-    save_image(tmp_path / "rim.png", ImageFile(rim))
+    write_image(tmp_path / "scan.nii.gz", ImageFile(scan, PLACE))
+    write_image(tmp_path / "labels.png", ImageFile(labels))
+    write_image(tmp_path / "rim.png", ImageFile(rim))
     (tmp_path / "m.csv").write_text("label,name,stiffness,poisson\n1,brain,3,0.49\n2,bone,Rigid,\n")
     (tmp_path / "r.csv").write_text(
         "label,action,row,col,confidence\n1,fixed,,,\n2,move,1.5,-0.5,1\n"
@@ -114,8 +114,8 @@ def test_what_is_wrong_with_a_table_is_said_by_its_line(tmp_path, text, sentence
 def test_the_shell_takes_growth_pressure_and_large_motion(tmp_path, capsys):
     labels, paint = np.ones((24, 24), np.uint8), np.zeros((24, 24), np.uint8)
     labels[8:16, 8:16], paint[-1], paint[0, 6:18] = 2, 1, 2
-    save_image(tmp_path / "labels.png", ImageFile(labels))
-    save_image(tmp_path / "paint.png", ImageFile(paint))
+    write_image(tmp_path / "labels.png", ImageFile(labels))
+    write_image(tmp_path / "paint.png", ImageFile(paint))
     (tmp_path / "m.csv").write_text("label,stiffness,growth\n1,1,\n2,6,0/0.4\n")
     (tmp_path / "r.csv").write_text("label,action,amount\n1,fixed,\n2,press,0.2\n")
     given = ["solve", "labels.png", "--labels", "labels.png", "--materials", "m.csv"]
@@ -125,7 +125,7 @@ def test_the_shell_takes_growth_pressure_and_large_motion(tmp_path, capsys):
     assert (
         "note: forces are in the unit of stiffness, which is not known" in capsys.readouterr().out
     )
-    study, solution = load_study(tmp_path / "out" / "labels.study")
+    study, solution = read_study(tmp_path / "out" / "labels.study")
     assert study.model_name == "large motion"
     assert study.tissue.materials[1].growth == (0.0, 0.4)
     assert solution.displacement[0, 12, 0] > 1  # pressed downwards
@@ -137,7 +137,7 @@ def test_a_pressed_label_without_a_surface_is_named(files, capsys, monkeypatch):
     monkeypatch.chdir(folder)
     paint = np.zeros(SHAPE, np.uint8)
     paint[-1], paint[5, 5] = 1, 2
-    save_image(folder / "paint.png", ImageFile(paint))
+    write_image(folder / "paint.png", ImageFile(paint))
     (folder / "press.csv").write_text("label,action,amount\n1,fixed,\n2,press,0.2\n")
     told = "solve labels.png --hold-edge --boundary paint.png --rules press.csv -o out"
     assert main(told.split()) == 1
@@ -152,7 +152,7 @@ def test_the_shell_solves_what_python_would(files, capsys):
     command += ["--rules", folder / "r.csv", "-o", out, "--backend", "cpu"]
     assert main([str(each) for each in command]) == 0
     assert "elastic, moved up to" in capsys.readouterr().out
-    study, solution = load_study(out / "scan.study")
+    study, solution = read_study(out / "scan.study")
     spacing = PLACE.spacing[1:]
     y, c = boundary_images(rim, read_rules(folder / "r.csv"), spacing=spacing)
     problem = Problem(
@@ -161,7 +161,7 @@ def test_the_shell_solves_what_python_would(files, capsys):
     expected = solve(problem, study.prior.__class__(0.49), backend="cpu")
     np.testing.assert_allclose(solution.displacement, expected.displacement, atol=1e-5)
     np.testing.assert_array_equal(study.pictures.image, scan[1])
-    seen = load_image(out / "scan deformed.nrrd")
+    seen = read_image(out / "scan deformed.nrrd")
     assert seen.pixels.shape == SHAPE
     np.testing.assert_allclose(seen.place.origin, (-10, 20, 7)), "the second slice"
     assert main(["replay", str(out / "scan.study")]) == 0
@@ -174,9 +174,9 @@ def test_a_slice_knows_its_number_and_is_exported_where_it_lies_in_the_volume(fi
     pull = Drawing((Arrow((12, 14), (1.0, 2.0), 2.0),))
     before = replace(before, motion=replace(before.motion, drawing=pull))
     # Saved without a field: what is solved afterwards lies in the same place.
-    study = load_study(save_study(folder / "a.study", before)).study
+    study = read_study(write_study(folder / "a.study", before)).study
     assert study.grid.place.index == (1, 0, 0)
-    path = save_study(folder / "b.study", study, solve_study(study, backend="cpu"))
+    path = write_study(folder / "b.study", study, solve_study(study, backend="cpu"))
     assert main(["export", str(path), str(folder / "field.mha")]) == 0
     field = sitk.ReadImage(str(folder / "field.mha"))
     volume = sitk.ReadImage(str(folder / "scan.nii.gz"))
@@ -188,8 +188,8 @@ def test_a_slice_knows_its_number_and_is_exported_where_it_lies_in_the_volume(fi
 
 def test_a_slice_of_a_stack_that_lies_nowhere_knows_its_number_too(tmp_path):
     stack = np.random.default_rng(0).integers(1, 200, (4, *SHAPE), dtype=np.uint8)
-    save_image(tmp_path / "stack.tif", ImageFile(stack))
-    save_image(tmp_path / "pulled.tif", ImageFile((np.indices(SHAPE)[0] == 9).astype(np.uint8)))
+    write_image(tmp_path / "stack.tif", ImageFile(stack))
+    write_image(tmp_path / "pulled.tif", ImageFile((np.indices(SHAPE)[0] == 9).astype(np.uint8)))
     (tmp_path / "r.csv").write_text("label,action,row,col\n1,move,0.5,0\n")
     how = {"boundary": tmp_path / "pulled.tif", "rules": tmp_path / "r.csv"}
     given = Case(tmp_path / "stack.tif", slice=2, hold_edge=True, **how)
@@ -279,14 +279,14 @@ def test_what_would_change_nothing_or_fits_nowhere_is_refused_in_the_shell(
 ):
     folder, *_ = files
     monkeypatch.chdir(folder)
-    save_image(folder / "zero.png", ImageFile(np.zeros(SHAPE, np.uint8)))
-    save_image(folder / "colours.png", ImageFile(np.zeros((*SHAPE, 3), np.uint8), colours=True))
-    save_points(folder / "pairs.csv", np.array([[3.0, 4], [900, 4]]), np.ones((2, 2)))
+    write_image(folder / "zero.png", ImageFile(np.zeros(SHAPE, np.uint8)))
+    write_image(folder / "colours.png", ImageFile(np.zeros((*SHAPE, 3), np.uint8), colours=True))
+    write_points(folder / "pairs.csv", np.array([[3.0, 4], [900, 4]]), np.ones((2, 2)))
     (folder / "plane.csv").write_text("label,action,plane,row,col\n1,fixed,,,\n2,move,1,0,0\n")
     (folder / "empty.png").write_bytes(b"")
     (folder / "none.csv").write_text('"a","false","1","2","3","4"\n')
     (folder / "two.csv").write_text('"a","true",10,12,3,4\n"b","true",10,12.2,8,9\n')
-    save_image(folder / "complex.tif", ImageFile(np.ones(SHAPE, np.complex64)))
+    write_image(folder / "complex.tif", ImageFile(np.ones(SHAPE, np.complex64)))
     assert main(["solve", "rim.png", "-o", "out", *options.split()]) == 1
     said = capsys.readouterr().err
     assert sentence in said
@@ -311,7 +311,7 @@ def test_a_study_says_itself_what_to_compute_and_what_was_guessed_is_said(files,
     assert main(["measure", study, "-o", str(folder / "t.xlsx")]) == 1
     said = capsys.readouterr().err
     assert "t.xlsx: measurements are saved as comma-separated text. End its name in .csv." in said
-    save_image(folder / "small.png", ImageFile(np.ones((4, 5), np.uint8)))
+    write_image(folder / "small.png", ImageFile(np.ones((4, 5), np.uint8)))
     for what in (["measure", study, "--labels"], ["play", study, str(folder / "a.gif"), "--image"]):
         assert main([*what, str(folder / "small.png")]) == 1
         assert "small.png: is 4 x 5, but the field 30 x 36" in capsys.readouterr().err
@@ -347,15 +347,15 @@ def test_what_the_system_says_of_files_is_said_plainly(
 
 def test_a_mask_is_labels_and_of_what_folds_the_shell_says_so(files, capsys):
     folder, _, labels, _ = files
-    save_image(folder / "mask.tif", ImageFile(labels > 1))
+    write_image(folder / "mask.tif", ImageFile(labels > 1))
     (folder / "m01.csv").write_text("label,stiffness\n0,3\n1,9\n")
-    save_points(folder / "far.csv", np.array([[15.0, 12]]), np.array([[15.0, 26]]))
+    write_points(folder / "far.csv", np.array([[15.0, 12]]), np.array([[15.0, 26]]))
     command = "solve rim.png --labels mask.tif --materials m01.csv --boundary far.csv -o out"
     here = [str(folder / each) if "." in each else each for each in command.split()[:-1]]
     assert main([*here, str(folder / "out"), "--hold-edge", "--backend", "cpu"]) == 0
     said = capsys.readouterr().out
     assert re.search("note: the tissue folds over itself at [1-9][0-9]* pixels, which no", said)
-    study, _ = load_study(folder / "out" / "rim.study")
+    study, _ = read_study(folder / "out" / "rim.study")
     np.testing.assert_array_equal(study.tissue.labels, labels > 1)
 
 
@@ -367,7 +367,7 @@ def test_maps_of_how_likely_tissues_are_say_where_they_are(files):
     maps[:, :, 10:, -5:] = np.reshape((100, 110), (2, 1, 1, 1))  # where tissues meet
     paths = [folder / "gm.nii.gz", folder / "wm.nii.gz"]
     for path, values in zip(paths, maps, strict=True):
-        save_image(path, ImageFile(values, PLACE))
+        write_image(path, ImageFile(values, PLACE))
     labels = read_case(case(folder, maps=paths, hold_edge=True)).tissue.labels
     assert set(np.unique(labels[:10, 5:])) == {1}
     assert set(np.unique(labels[15:])) == {2}
@@ -385,7 +385,7 @@ def test_a_tumour_grows_in_a_head_by_the_shell_alone_as_simpleitk_sees_it(tmp_pa
     t1 = 90.0 * grey + 150 * white + 20 * np.sin(rows / 3) * planes[0]
     for name, values in (("t1", t1), ("gm", 255 * grey), ("wm", 255 * white)):
         volume = np.stack([values] * 3).clip(0, 255).astype(np.uint8)
-        save_image(tmp_path / f"{name}.nii.gz", ImageFile(volume, place))
+        write_image(tmp_path / f"{name}.nii.gz", ImageFile(volume, place))
     out = tmp_path / "out"
     assert mri.main([str(tmp_path), "--slice", "1", "--size", "8", "-o", str(out)]) == 0
     said = capsys.readouterr().out
@@ -399,7 +399,7 @@ def test_landmarks_lead_tissue_where_the_patient_has_them(files):
     folder, *_ = files
     # BigWarp's points are in the images' units, from the first pixel on.
     local = [np.array(each) * PLACE.spacing for each in ([[1.0, 10, 12]], [[1.0, 11, 13]])]
-    save_points(folder / "pairs.csv", *local)
+    write_points(folder / "pairs.csv", *local)
     study = read_case(case(folder, boundary=folder / "pairs.csv", hold_edge=True))
     radius = usual_radius(SHAPE, PLACE.spacing[1:])
     (mark,) = study.motion.drawing.marks
@@ -417,7 +417,7 @@ def test_a_registration_s_field_is_observed_where_the_image_has_edges(files):
     assert isinstance(study.motion, Motion)
     np.testing.assert_allclose(study.motion.observed[3:-3, 3:-3], d[3:-3, 3:-3], atol=0.02)
     counts = study.motion.confidence
-    np.testing.assert_array_equal(counts, at_edges(scan[1]))
+    np.testing.assert_array_equal(counts, edge_confidence(scan[1]))
     assert 0.05 < counts.mean() < 0.15
 
 
@@ -447,7 +447,7 @@ def test_a_field_in_mm_moves_an_image_without_them_by_its_pixels(tmp_path):
     d[..., 0], d[..., 1] = 1.0, -0.5
     for name, size in (("photo.png", 1.0), ("scan.mha", 0.5)):
         place = None if size == 1 else Place((size,) * 2, (0.0, 0.0), np.eye(2))
-        save_image(tmp_path / name, ImageFile(np.ones(SHAPE, np.uint8), place))
+        write_image(tmp_path / name, ImageFile(np.ones(SHAPE, np.uint8), place))
     write_field(tmp_path / "mm.mha", d, spacing=(0.5, 0.25), forward=True)
     study = read_case(Case(tmp_path / "photo.png", boundary=tmp_path / "mm.mha"))
     np.testing.assert_allclose(study.motion.observed, np.broadcast_to((2.0, -2.0), d.shape))
@@ -469,9 +469,9 @@ def test_a_field_of_a_picture_moves_a_scan_of_its_pixels(tmp_path):
     grid, motion = Grid(SHAPE, (1.0, 1.0)), Motion(hold_edge=True, drawing=pull)
     study = Study(grid, Tissue(stiffness=np.ones(SHAPE)), motion)
     solution = solve_study(study, backend="cpu")
-    path = save_study(tmp_path / "photo.study", study, solution)
+    path = write_study(tmp_path / "photo.study", study, solution)
     place = Place((0.5, 0.5), (7.0, 9.0), np.eye(2))
-    save_image(tmp_path / "scan.mha", ImageFile(np.ones(SHAPE, np.uint8), place))
+    write_image(tmp_path / "scan.mha", ImageFile(np.ones(SHAPE, np.uint8), place))
     observed = read_case(Case(tmp_path / "scan.mha", boundary=path)).motion.observed
     np.testing.assert_allclose(observed, 0.5 * solution.displacement, atol=1e-5)
 
@@ -479,7 +479,7 @@ def test_a_field_of_a_picture_moves_a_scan_of_its_pixels(tmp_path):
 def test_an_image_of_another_place_is_refused_though_it_is_as_large(files, capsys):
     folder, scan, *_ = files
     far = PLACE._replace(origin=(0.0, 0.0, 0.0))
-    save_image(folder / "far.nii.gz", ImageFile(np.ones(scan.shape, np.uint8), far))
+    write_image(folder / "far.nii.gz", ImageFile(np.ones(scan.shape, np.uint8), far))
     with pytest.raises(ProblemError, match=r"far\.nii\.gz: lies elsewhere than the image"):
         read_case(case(folder, labels=folder / "far.nii.gz"))
     write_field(folder / "f.mha", np.zeros((*scan.shape, 3)), **PLACE._asdict())
@@ -489,7 +489,7 @@ def test_an_image_of_another_place_is_refused_though_it_is_as_large(files, capsy
     saved = solve_case(case(folder, hold_edge=True, **how), folder / "out", backend="cpu")
     assert saved.study.grid.unit == "millimeter"
     labels = ImageFile(np.ones(SHAPE, np.uint8)[np.newaxis], far)
-    save_image(folder / "flat.nrrd", labels)
+    write_image(folder / "flat.nrrd", labels)
     study = folder / "out" / "scan.study"
     assert main(["measure", str(study), "--labels", str(folder / "flat.nrrd")]) == 1
     assert "flat.nrrd: lies elsewhere than the field" in capsys.readouterr().err
@@ -498,7 +498,7 @@ def test_an_image_of_another_place_is_refused_though_it_is_as_large(files, capsy
 def test_a_field_moves_a_slice_of_a_volume_that_was_cut_from_the_side(tmp_path):
     side = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # as sagittal scans lie
     place = Place((2.0, 0.5, 0.7), (3.0, 4.0, 5.0), side)
-    save_image(tmp_path / "side.mha", ImageFile(np.ones((4, *SHAPE), np.uint8), place))
+    write_image(tmp_path / "side.mha", ImageFile(np.ones((4, *SHAPE), np.uint8), place))
     d = np.zeros((4, *SHAPE, 3))
     d[..., 1], d[..., 2] = 1.0, -0.6
     write_field(tmp_path / "field.mha", d, **place._asdict(), forward=True)
@@ -511,7 +511,7 @@ def test_a_field_moves_a_slice_of_a_volume_that_was_cut_from_the_side(tmp_path):
 def test_an_edge_is_where_the_image_is_steep():
     image = np.zeros((40, 40), np.uint8)
     image[:, 20:] = 100
-    assert set(np.flatnonzero(at_edges(image).any(axis=0))) == {18, 19, 20, 21}
+    assert set(np.flatnonzero(edge_confidence(image).any(axis=0))) == {18, 19, 20, 21}
 
 
 @pytest.mark.parametrize(
@@ -524,8 +524,8 @@ def test_an_edge_is_where_the_image_is_steep():
 )
 def test_what_does_not_fit_is_said_by_the_file_s_name(files, more, sentence):
     folder, *_ = files
-    save_image(folder / "small.png", ImageFile(np.ones((4, 5), np.uint8)))
-    save_points(folder / "one.csv", np.ones((2, 2)))
+    write_image(folder / "small.png", ImageFile(np.ones((4, 5), np.uint8)))
+    write_points(folder / "one.csv", np.ones((2, 2)))
     given = {key: folder / each if isinstance(each, str) else each for key, each in more.items()}
     with pytest.raises(ProblemError, match=sentence):
         read_case(Case(**{"image": folder / "scan.nii.gz", "slice": 1, **given}))

@@ -10,10 +10,11 @@ import pytest
 from patience import LONG_MS
 
 import napari_hmrf
-from napari_hmrf import SeilerPrior, Solution, cli, phantom, solve
+from napari_hmrf import SeilerPrior, Solution, cli, solve
+from napari_hmrf.data import phantom
 from napari_hmrf.field.frame import PATIENT_AXES
 from napari_hmrf.io import figures
-from napari_hmrf.io.study_file import load_study
+from napari_hmrf.io.study_file import read_study
 from napari_hmrf.samples import selftest
 from napari_hmrf.samples.demo import demonstrate
 from napari_hmrf.solver.backends.kept import VOLUMES
@@ -37,8 +38,8 @@ def pictures():
 @pytest.fixture(autouse=True)
 def _no_pictures(request, monkeypatch):
     if "pictures" not in request.fixturenames:
-        monkeypatch.setattr(figures, "save_pictures", lambda *_, **__: [])
-        monkeypatch.setattr(figures, "save_volume_pictures", lambda *_, **__: [])
+        monkeypatch.setattr(figures, "write_pictures", lambda *_, **__: [])
+        monkeypatch.setattr(figures, "write_volume_pictures", lambda *_, **__: [])
 
 
 def demo(tmp_path, *more):
@@ -75,7 +76,7 @@ def test_the_demo_is_elastic_and_has_the_papers_beside_it(tmp_path, capsys):
     assert papers[OTHER] == "-"
     far = [each[FEM].partition(" px")[0] for each in (elastic, papers)]
     assert 0 < float(far[0]) < float(far[1])
-    written = Solution.load(tmp_path / "out" / "solution.npz")
+    written = Solution.read(tmp_path / "out" / "solution.npz")
     assert written.provenance.model == "elastic"
 
 
@@ -139,7 +140,7 @@ def test_the_demo_writes_pictures_and_a_result_that_opens_again(tmp_path, capsys
         with Image.open(tmp_path / "out" / name) as picture:
             assert min(picture.size) > 300
             assert len(set(picture.convert("L").resize((64, 64)).tobytes())) > 3, "an empty page"
-    solution = Solution.load(tmp_path / "out" / "solution.npz")
+    solution = Solution.read(tmp_path / "out" / "solution.npz")
     assert solution.displacement.shape == (16, 48, 2)
     pull = solution.displacement[8, :, 1]
     assert pull[0] < pull[24] < pull[-1], "the bar is pulled to the right"
@@ -176,7 +177,7 @@ def test_arrows_in_pictures_point_where_the_tissue_goes():
 
 @pytest.mark.parametrize("kind", ["magnitude", "jacobian", "strain"])
 def test_pictures_of_quantities_let_the_image_through_and_say_when_it_was_so(kind):
-    from napari_hmrf import phantom
+    from napari_hmrf.data import phantom
 
     bar = phantom("bar", 48)
     solution = solve(bar.problem, SeilerPrior(), backend="cpu")
@@ -363,7 +364,7 @@ def test_the_demo_of_a_volume_grows_a_tumour_and_says_by_how_much(tmp_path, caps
     assert {path.name for path in written.iterdir()} == {
         *("head.study", "before.png", "after.png", "magnitude.png")
     }
-    saved = load_study(written / "head.study")
+    saved = read_study(written / "head.study")
     assert saved.solution.displacement.shape == (38, 48, 38, 3)
     assert saved.study.grid.place.axis_labels == tuple(PATIENT_AXES)
 

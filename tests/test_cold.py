@@ -25,10 +25,10 @@ from napari_hmrf import (
     Problem,
     SeilerPrior,
     compiling,
-    phantom,
     solve,
     warp,
 )
+from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends import COMPILING, compiler, kept, loader, loops, open_backend
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.preparation import job_of
@@ -107,7 +107,8 @@ def test_nothing_on_the_way_imports_the_compiler():
     code = """
 import sys
 import numpy as np
-from napari_hmrf import ElasticPrior, phantom, solve
+from napari_hmrf import ElasticPrior, solve
+from napari_hmrf.data import phantom
 problem = phantom("bar", 30).problem
 found = solve(problem, ElasticPrior(0.3), backend="opengl")
 found.warp(np.ones(problem.shape))

@@ -10,7 +10,6 @@ import pytest
 
 from napari_hmrf import (
     Arrow,
-    Case,
     Drawing,
     Grid,
     HmrfError,
@@ -18,15 +17,16 @@ from napari_hmrf import (
     Pictures,
     Study,
     Tissue,
-    load_study,
-    save_study,
+    read_study,
     solve_study,
-    write_field,
+    write_study,
 )
+from napari_hmrf.cases import Case
 from napari_hmrf.cli import main
 from napari_hmrf.command_line import parser_of_commands
+from napari_hmrf.fields import write_field
 from napari_hmrf.io.case import read_case
-from napari_hmrf.io.images import ImageFile, save_image
+from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.study.models import chosen
 
@@ -58,7 +58,7 @@ def test_every_command_has_a_sentence_an_example_and_help_for_each_option(name):
 
 @pytest.mark.parametrize("command", ["measure {}", "play {} x.gif", "export {} x.mha"])
 def test_an_image_in_place_of_a_result_is_refused_with_what_to_give(tmp_path, capsys, command):
-    save_image(tmp_path / "photo.png", ImageFile(np.ones(SHAPE, np.uint8)))
+    write_image(tmp_path / "photo.png", ImageFile(np.ones(SHAPE, np.uint8)))
     assert main(command.format(tmp_path / "photo.png").split()) == 1
     said = capsys.readouterr().err
     assert "damaged" not in said
@@ -79,9 +79,9 @@ def files(tmp_path, monkeypatch):
     labels[6:12, 6:12] = 2
     rim = np.zeros(SHAPE, np.uint8)
     rim[0], rim[-1] = 1, 2
-    save_image("labels.png", ImageFile(labels))
-    save_image("rim.png", ImageFile(rim))
-    save_image("image.png", ImageFile(50 * labels))
+    write_image("labels.png", ImageFile(labels))
+    write_image("rim.png", ImageFile(rim))
+    write_image("image.png", ImageFile(50 * labels))
     (tmp_path / "m.csv").write_text("label,name,stiffness,poisson\n1,brain,3,0.4\n2,fat,1,\n")
     (tmp_path / "r.csv").write_text("label,action,row,col\n1,fixed,,\n2,move,1,0\n")
     return tmp_path
@@ -102,7 +102,7 @@ def test_the_shell_says_how_far_loops_are_that_a_solve_waits_for(
 ):
     grid = Grid(SHAPE, (1, 1))
     pull = Drawing((Arrow(at=(10, 12), by=(0, 3), radius=3),))
-    save_study("a.study", Study(grid, Tissue(), Motion(hold_edge=True, drawing=pull)))
+    write_study("a.study", Study(grid, Tissue(), Motion(hold_edge=True, drawing=pull)))
 
     def slowly(study, *, progress, **more):
         for message in ("compiling loops (3 of 22), about 9 s left", "level 2"):
@@ -120,7 +120,7 @@ def test_the_shell_says_how_far_loops_are_that_a_solve_waits_for(
 def test_an_area_is_printed_in_full(files, capsys):
     pull = Drawing((Arrow(at=(10, 12), by=(0, 30), radius=30),))
     study = Study(Grid(SHAPE, (10, 10)), Tissue(), Motion(hold_edge=True, drawing=pull))
-    save_study("a.study", study, solve_study(study, backend="cpu"))
+    write_study("a.study", study, solve_study(study, backend="cpu"))
     code, out, _ = run("measure a.study", capsys)
     assert code == 0
     assert "48000" in out
@@ -164,7 +164,7 @@ def test_the_shell_gives_the_energy_its_parameters(files, capsys):
     code, out, err = run(f"{line} --weight=-0.01/0.02", capsys)
     assert code == 0, err
     assert "note: --poisson 0.3 replaces the Poisson's ratios of m.csv\n" in out
-    study, solution = load_study(files / "out" / "image.study")
+    study, solution = read_study(files / "out" / "image.study")
     assert {row.poisson for row in study.tissue.materials} == {0.3}
     assert study.motion.weight == (-0.01, 0.02)
     prior, optimizer = (solution.provenance.parameters[part] for part in ("prior", "optimizer"))
@@ -209,7 +209,7 @@ def test_a_parameter_that_is_no_number_is_refused_before_any_work(files, capsys,
 def test_a_field_leads_forward_where_its_file_cannot_say_so(tmp_path):
     d = np.zeros((*SHAPE, 2))
     d[..., 1] = np.linspace(0, 3, SHAPE[1])
-    save_image(tmp_path / "image.png", ImageFile(np.ones(SHAPE, np.uint8)))
+    write_image(tmp_path / "image.png", ImageFile(np.ones(SHAPE, np.uint8)))
     import SimpleITK as sitk
 
     bare = sitk.GetImageFromArray(d[..., ::-1], isVector=True)
@@ -271,7 +271,7 @@ def test_of_a_volume_the_middle_slice_is_played_and_said(tmp_path, capsys):
         Motion(hold_edge=True, drawing=pull),
         pictures=Pictures(image),
     )
-    path = save_study(tmp_path / "v.study", study, solve_study(study, backend="cpu"))
+    path = write_study(tmp_path / "v.study", study, solve_study(study, backend="cpu"))
     code, out, _ = run(f"play {path} {tmp_path / 'a.gif'}", capsys)
     assert code == 0
     assert "note: slice 3 of 0 to 5, in the middle; --slice takes another\n" in out
@@ -292,7 +292,7 @@ def test_a_demo_writes_over_its_own_folder_alone_and_says_so(tmp_path, capsys, m
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("CI", "true")
-    monkeypatch.setattr(figures, "save_pictures", lambda *_, **__: [])
+    monkeypatch.setattr(figures, "write_pictures", lambda *_, **__: [])
     line = "demo --size 24 --backend cpu --no-window"
     assert run(line, capsys)[0] == 0
     code, out, _ = run(line, capsys)

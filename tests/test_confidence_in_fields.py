@@ -7,7 +7,8 @@ from elastic_oracle import direct_solution
 from opengl_here import require_opengl
 from scipy import ndimage
 
-from napari_hmrf import Cancelled, ElasticPrior, Multigrid, Problem, phantom, solve
+from napari_hmrf import Cancelled, ElasticPrior, Multigrid, Problem, solve
+from napari_hmrf.data import phantom
 
 PRIOR = ElasticPrior(0.3)
 

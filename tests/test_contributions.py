@@ -8,15 +8,7 @@ from napari.layers import Image, Labels, Layer
 from npe2 import PluginManifest
 from study_reader import read_layers
 
-from napari_hmrf import (
-    ElasticPrior,
-    Multigrid,
-    Problem,
-    SeilerPrior,
-    read_field,
-    save_points,
-    solve,
-)
+from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, solve
 from napari_hmrf.contributions import (
     open_landmarks,
     open_scan,
@@ -27,12 +19,14 @@ from napari_hmrf.contributions import (
     sample_growth,
     sample_head,
     sample_mass_effect,
-    save_solution,
+    write_solution,
 )
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.field.frame import PATIENT_AXES, Frame
+from napari_hmrf.fields import read_field
 from napari_hmrf.io.fields import Place
-from napari_hmrf.io.images import ImageFile, save_image
+from napari_hmrf.io.images import ImageFile, write_image
+from napari_hmrf.landmarks import write_points
 from napari_hmrf.layers.metadata import METADATA, rows_of
 from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.result_layers import result_layers
@@ -150,7 +144,7 @@ def test_samples_can_be_painted_on_and_their_tables_saved_as_text():
 def test_arrows_are_saved_whole_and_come_back_in_their_place(arrows, solution, tmp_path):
     path = tmp_path / "kept.npz"
     data, attributes, _ = arrows.as_layer_data_tuple()
-    assert save_solution(str(path), data, attributes) == [str(path)]
+    assert write_solution(str(path), data, attributes) == [str(path)]
     reader = open_solution(str(path))
     ((found, kwargs, kind),) = reader(str(path))
     again = Layer.create(found, kwargs, kind)
@@ -167,7 +161,7 @@ def test_arrows_are_saved_whole_and_come_back_in_their_place(arrows, solution, t
 
 
 def test_a_solution_that_came_from_no_layer_lies_at_the_origin(solution, tmp_path):
-    path = str(solution.save(tmp_path / "script.npz"))
+    path = str(solution.write(tmp_path / "script.npz"))
     ((data, kwargs, kind),) = open_solution(path)(path)
     layer = Layer.create(data, kwargs, kind)
     np.testing.assert_array_equal(layer.scale, (1.0, 0.5))
@@ -175,7 +169,7 @@ def test_a_solution_that_came_from_no_layer_lies_at_the_origin(solution, tmp_pat
 
 def test_arrows_of_others_are_not_saved_as_a_solution(tmp_path):
     with pytest.raises(ValueError, match="'flow' is not a result"):
-        save_solution(
+        write_solution(
             str(tmp_path / "x.npz"), np.zeros((1, 2, 2)), {"name": "flow", "metadata": {}}
         )
     assert not list(tmp_path.iterdir())
@@ -184,7 +178,7 @@ def test_arrows_of_others_are_not_saved_as_a_solution(tmp_path):
 def test_archives_of_others_are_left_to_other_readers(tmp_path, solution):
     foreign = tmp_path / "foreign.npz"
     np.savez(foreign, a=np.zeros(3))
-    ours = str(solution.save(tmp_path / "ours.npz"))
+    ours = str(solution.write(tmp_path / "ours.npz"))
     assert open_solution(str(foreign)) is None
     assert open_solution([ours, str(foreign)]) is None
     assert open_solution(str(tmp_path / "missing.npz")) is None
@@ -194,7 +188,7 @@ def test_archives_of_others_are_left_to_other_readers(tmp_path, solution):
 def test_a_file_whose_frame_is_nonsense_is_refused_by_name(solution, tmp_path):
     from dataclasses import replace
 
-    path = str(replace(solution, frame={"plane": "up"}).save(tmp_path / "odd.npz"))
+    path = str(replace(solution, frame={"plane": "up"}).write(tmp_path / "odd.npz"))
     with pytest.raises(FileFormatError, match=r"odd\.npz"):
         open_solution(path)(path)
 
@@ -210,7 +204,7 @@ def test_napari_saves_and_opens_the_result(make_napari_viewer, arrows, tmp_path)
 
 def test_the_field_of_a_result_is_saved_for_other_tools(arrows, solution, tmp_path):
     data, attributes, _ = arrows.as_layer_data_tuple()
-    (path,) = save_solution(str(tmp_path / "field.mha"), data, attributes)
+    (path,) = write_solution(str(tmp_path / "field.mha"), data, attributes)
     assert 0 < np.abs(read_field(path).displacement).max() < 2.5
 
 
@@ -235,7 +229,7 @@ def test_a_scan_is_opened_where_it_lies_in_the_patient(tmp_path):
     turn = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
     place = Place((2.0, 0.5, 0.7), (-10.0, 20.0, 5.0), turn)
     pixels = np.arange(4 * 5 * 6, dtype=np.int16).reshape(4, 5, 6)
-    path = str(save_image(tmp_path / "head.scan.nii.gz", ImageFile(pixels, place)))
+    path = str(write_image(tmp_path / "head.scan.nii.gz", ImageFile(pixels, place)))
     ((data, attributes, kind),) = open_scan(path)(path)
     layer = Layer.create(data, attributes, kind)
     assert layer.name == "head"
@@ -244,7 +238,7 @@ def test_a_scan_is_opened_where_it_lies_in_the_patient(tmp_path):
     for z, y, x in ((0, 0, 0), (3, 4, 5), (1, 4, 0)):
         lps = place.origin + turn @ (np.array([x, y, z]) * [0.7, 0.5, 2.0])
         np.testing.assert_allclose(layer.data_to_world((z, y, x)), lps[::-1], atol=1e-5)
-    one = str(save_image(tmp_path / "one.mha", ImageFile(pixels[0], place)))
+    one = str(write_image(tmp_path / "one.mha", ImageFile(pixels[0], place)))
     ((data, attributes, kind),) = open_scan(one)(one)
     assert Layer.create(data, attributes, kind).data.shape == (1, 5, 6), "a slice of a volume"
 
@@ -256,7 +250,7 @@ def test_a_folder_is_a_scan_only_if_it_holds_one(tmp_path):
 
 
 def test_landmarks_of_slicer_lie_on_a_scan_of_the_patient(tmp_path):
-    path = str(save_points(tmp_path / "nose.mrk.json", [[5.0, 20.0, -10.0]]))
+    path = str(write_points(tmp_path / "nose.mrk.json", [[5.0, 20.0, -10.0]]))
     ((data, attributes, kind),) = open_landmarks(path)(path)
     layer = Layer.create(data, attributes, kind)
     np.testing.assert_array_equal(layer.data_to_world(layer.data[0]), (5.0, 20.0, -10.0))
@@ -264,7 +258,7 @@ def test_landmarks_of_slicer_lie_on_a_scan_of_the_patient(tmp_path):
 
 
 def test_pairs_of_bigwarp_become_two_layers_of_points_in_one_order(tmp_path):
-    path = str(save_points(tmp_path / "pairs.csv", [[1.0, 2], [3, 4]], [[1.5, 2], [3, 5]]))
+    path = str(write_points(tmp_path / "pairs.csv", [[1.0, 2], [3, 4]], [[1.5, 2], [3, 5]]))
     where, should = (Layer.create(*made) for made in open_landmarks(path)(path))
     assert (where.name, should.name) == ("pairs", "pairs, should be")
     np.testing.assert_array_equal(should.data - where.data, [[0.5, 0], [0, 1]])
@@ -276,7 +270,7 @@ def test_pairs_of_bigwarp_become_two_layers_of_points_in_one_order(tmp_path):
 def test_pairs_of_bigwarp_are_in_the_unit_of_the_image_that_is_open(tmp_path, make_napari_viewer):
     viewer = make_napari_viewer()
     viewer.add_image(np.zeros((8, 9)), scale=(2, 2), units=("mm", "mm"))
-    path = save_points(tmp_path / "pairs.csv", [[1.0, 2], [3, 4]], [[1.5, 2], [3, 5]])
+    path = write_points(tmp_path / "pairs.csv", [[1.0, 2], [3, 4]], [[1.5, 2], [3, 5]])
     where, should = viewer.open(path, plugin="napari-hmrf")
     assert {str(unit) for each in (where, should) for unit in each.units} == {"millimeter"}
 
@@ -289,7 +283,7 @@ def test_the_dock_is_in_the_menus():
 
 
 def test_a_study_that_was_saved_under_another_ending_is_offered_to_be_opened(tmp_path):
-    from napari_hmrf import Grid, Motion, Study, save_study
+    from napari_hmrf import Grid, Motion, Study, write_study
 
-    path = save_study(tmp_path / "mine.npz", Study(Grid((8, 8), (1.0, 1.0)), motion=Motion(True)))
+    path = write_study(tmp_path / "mine.npz", Study(Grid((8, 8), (1.0, 1.0)), motion=Motion(True)))
     assert open_solution(str(path)) is open_study(str(path)) is not None

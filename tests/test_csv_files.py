@@ -5,13 +5,13 @@ import csv
 import pytest
 
 from napari_hmrf.arguments import nearest_word
-from napari_hmrf.io.csv_files import read_cells, read_csv, save_csv
+from napari_hmrf.io.csv_files import read_cells, read_csv, write_csv
 
 CELLS = ["=1+2", "+x", "-brain", "@SUM(A1)", "'=x", "'quoted", "plain", "-0.5", -0.5, 3, None]
 
 
 def test_text_that_looks_like_a_formula_is_written_as_text_and_read_back(tmp_path):
-    path = save_csv(tmp_path / "t.csv", ["=title", *"bcdefghijk"], [CELLS])
+    path = write_csv(tmp_path / "t.csv", ["=title", *"bcdefghijk"], [CELLS])
     with open(path, newline="") as file:
         titles, written = csv.reader(file)
     assert titles[0] == "'=title"

@@ -14,7 +14,7 @@ from screen import Cell
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.brightness import luminance
-from napari_hmrf.io.material_tables import load_materials
+from napari_hmrf.io.material_tables import read_preset
 from napari_hmrf.layers.metadata import METADATA, TISSUE, described
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
@@ -562,7 +562,7 @@ def test_materials_go_through_a_file(widget, small_sample, monkeypatch, tmp_path
     widget.materials = (Material(0, "x", 1.0), Material(1, "y", 2.0))
     entries(widget._form.tissue.menu)["Load from file ..."].trigger()
     assert widget.materials == before
-    assert load_materials(path).unit == "kPa"
+    assert read_preset(path).unit == "kPa"
     widget.materials = (Material(0, "x", 1.0), Material(1, "y", 2.0))
     widget.take_materials(path)
     assert widget.materials == before
@@ -577,16 +577,16 @@ def test_a_saved_table_says_whose_values_they_are(widget, small_sample, tmp_path
     small_sample(widget._viewer)
     preset = PRESETS[1]
     widget.take_materials(preset)
-    found = load_materials(widget.save_materials(tmp_path / "own.json"))
+    found = read_preset(widget.save_materials(tmp_path / "own.json"))
     assert (found.name, found.source) == (preset.name, preset.source)
     widget.materials = (*widget.materials[:-1], replace(widget.materials[-1], stiffness=123.0))
     widget.materials = (*widget.materials[:-1], replace(widget.materials[-1], stiffness=124.0))
-    changed = load_materials(widget.save_materials(tmp_path / "changed.json"))
+    changed = read_preset(widget.save_materials(tmp_path / "changed.json"))
     assert changed.name == preset.name
     assert changed.source == f"changed since taken from: {preset.source}"
     widget.undo()
     widget.undo()
-    again = load_materials(widget.save_materials(tmp_path / "again.json"))
+    again = read_preset(widget.save_materials(tmp_path / "again.json"))
     assert again.source == preset.source
 
 
@@ -616,12 +616,12 @@ def test_a_file_of_void_alone_is_refused(widget, small_sample, tmp_path):
 
 
 def test_a_saved_result_keeps_its_materials_for_other_images(widget, small_sample, run, tmp_path):
-    from napari_hmrf.contributions import open_solution, save_solution
+    from napari_hmrf.contributions import open_solution, write_solution
 
     viewer = widget._viewer
     small_sample(viewer)
     arrows = run(widget).layers["arrows"]
-    (path,) = save_solution(str(tmp_path / "gel.npz"), arrows.data, arrows.attributes)
+    (path,) = write_solution(str(tmp_path / "gel.npz"), arrows.data, arrows.attributes)
     viewer.layers.clear()
     small_sample(viewer)
     widget.materials = (Material(0, "x", 1.0), Material(1, "y", 2.0))

@@ -3,17 +3,16 @@
 import numpy as np
 import pytest
 
-from napari_hmrf import (
-    ProblemError,
+from napari_hmrf import ProblemError
+from napari_hmrf.data import phantom, reference_displacement
+from napari_hmrf.field.strain import fold_mask
+from napari_hmrf.fields import (
     arrows,
     count_folds,
     deformation_grid,
     jacobian_determinant,
     magnitude,
-    phantom,
-    reference_displacement,
 )
-from napari_hmrf.field.strain import folds
 
 
 def places(shape):
@@ -87,7 +86,7 @@ def test_folds_are_those_at_corners_of_elements_that_are_all_tissue(shape):
                 ends = [(*corner[:axis], low + end, *corner[axis + 1 :]) for end in (0, 1)]
                 edges.append(place[ends[1]] - place[ends[0]])
             expected[corner] |= np.linalg.det(edges) <= 0
-    np.testing.assert_array_equal(folds(d, spacing=1, tissue=tissue), expected)
+    np.testing.assert_array_equal(fold_mask(d, spacing=1, tissue=tissue), expected)
     assert count_folds(d, spacing=1, tissue=tissue) == expected.sum()
     assert expected.any() == (min(shape) > 1)
 

@@ -7,14 +7,14 @@ import pytest
 from napari.layers import Layer
 from test_fields import Case
 
-from napari_hmrf import read_field
 from napari_hmrf.cli import main
 from napari_hmrf.contributions import open_scan
 from napari_hmrf.field import inverse_field
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.inverse_field import inverse_displacement, origins_at
 from napari_hmrf.field.moved_points import looked_up, looked_up_with_slopes
-from napari_hmrf.io.images import ImageFile, save_image
+from napari_hmrf.fields import read_field
+from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.layers.field_layer import field_of
 from napari_hmrf.solver.problem import grid_in_words
 
@@ -80,7 +80,7 @@ def test_images_of_a_volume_are_moved_by_a_field_that_leads_back_without_an_inve
     volume, inverted, tmp_path
 ):
     case, path = volume
-    save_image(tmp_path / "scan.tif", ImageFile(np.ones(case.shape, np.uint8)))
+    write_image(tmp_path / "scan.tif", ImageFile(np.ones(case.shape, np.uint8)))
     inverted.clear()
     assert main(["apply", str(path), str(tmp_path / "scan.tif"), "-o", str(tmp_path / "out")]) == 0
     assert inverted == []
@@ -91,7 +91,7 @@ def test_a_volume_is_no_field_of_a_slice_which_is_said_before_it_is_inverted(
 ):
     case, path = volume
     labels = tmp_path / "labels.tif"
-    save_image(labels, ImageFile(np.ones(case.shape, np.uint8)))
+    write_image(labels, ImageFile(np.ones(case.shape, np.uint8)))
     inverted.clear()
     options = ["--labels", str(labels), "--boundary", str(path), "--slice", "3"]
     assert main(["solve", str(labels), *options, "-o", str(tmp_path / "out")]) != 0

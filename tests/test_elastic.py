@@ -17,9 +17,9 @@ from napari_hmrf import (
     Multigrid,
     Problem,
     ProblemError,
-    phantom,
     solve,
 )
+from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends.cpu import elastic_model, forces
 from napari_hmrf.solver.backends.cpu.elastic_model import CpuElasticModel
 from napari_hmrf.solver.coarse_levels import smoother_bounds

@@ -19,7 +19,8 @@ from linear_levels import (
 )
 from opengl_here import left, on_compute_thread, require_opengl
 
-from napari_hmrf import BackendError, Cancelled, ElasticPrior, Multigrid, Problem, phantom, solve
+from napari_hmrf import BackendError, Cancelled, ElasticPrior, Multigrid, Problem, solve
+from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends.opengl import OpenGLBackend
 from napari_hmrf.solver.backends.opengl.device import the_device
 from napari_hmrf.solver.optimizers.cycle import STRETCHING, Cycle, chebyshev

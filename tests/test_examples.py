@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from napari_hmrf import Solution, phantom
+from napari_hmrf import Solution
+from napari_hmrf.data import phantom
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
@@ -49,8 +50,31 @@ def test_a_tumour_grows_at_the_cost_of_what_is_around_it(said, tmp_path):
     assert number("large motion, grown by 150 %: folds at # pixels", text) == 0
     before, after = re.findall(r"(\d+) before, (\d+) after", text)[0]
     assert int(after) > 1.2 * int(before)
-    saved = Solution.load(tmp_path / "growing-tumour.npz")
+    saved = Solution.read(tmp_path / "growing-tumour.npz")
     assert (saved.tissue == phantom("mass-effect", size=150).problem.tissue).all()
+
+
+def test_a_sphere_grows_in_a_slice_and_in_a_volume_and_files_lie_where_the_scan_does(
+    said, tmp_path
+):
+    sitk = pytest.importorskip("SimpleITK")
+    away = np.linalg.norm((np.indices((16, 20, 24)).T - (8, 10, 12)) * (3, 2, 2), axis=-1).T
+    scan = sitk.GetImageFromArray(np.float32(away < 10))
+    scan.SetSpacing((2, 2, 3))
+    scan.SetOrigin((-10, 20, 30))
+    sitk.WriteImage(scan, str(tmp_path / "scan.nii.gz"))
+    text = said("growing_sphere")
+    assert 20 < number("slice: the tumour grows by # %", text) < 44, "free, it grows by 44 %"
+    assert 30 < number("volume: the tumour grows by # %", text) < 73, "free, it grows by 73 %"
+    deformed = sitk.ReadImage(str(tmp_path / "volume-deformed.nii.gz"))
+    assert deformed.GetOrigin() == pytest.approx(scan.GetOrigin(), abs=1e-4)
+    assert sitk.GetArrayFromImage(deformed).sum() > 1.3 * (away < 10).sum()
+    # The same by SimpleITK, from the field alone
+    field = sitk.ReadImage(str(tmp_path / "volume-field.nii.gz"), sitk.sitkVectorFloat64)
+    moved = sitk.Resample(scan, sitk.DisplacementFieldTransform(field))
+    difference = sitk.GetArrayFromImage(moved) - sitk.GetArrayFromImage(deformed)
+    assert np.abs(difference[2:-2, 2:-2, 2:-2]).mean() < 0.01
+    assert (tmp_path / "slice-field.nii.gz").exists()
 
 
 def test_landmarks_go_where_they_should_be_in_millimetres(said):

@@ -12,14 +12,15 @@ import pytest
 from damaged_fields import make_field, make_foreign, read_all
 from test_fields import Case
 
-from napari_hmrf import FileFormatError, read_field, write_field
+from napari_hmrf import FileFormatError
 from napari_hmrf.atomic_write import CANNOT_SAVE
 from napari_hmrf.cli import main
 from napari_hmrf.contributions import open_scan
+from napari_hmrf.fields import read_field, write_field
 from napari_hmrf.io import decoder_process, itk_decoder, itk_files, seal
 from napari_hmrf.io.decoder_process import DecoderProcess, Undecodable, decoder
 from napari_hmrf.io.fields import FIELD_SUFFIXES, is_field_file
-from napari_hmrf.io.images import ImageFile, load_image, save_image
+from napari_hmrf.io.images import ImageFile, read_image, write_image
 
 sitk = pytest.importorskip("SimpleITK")
 
@@ -85,7 +86,7 @@ def test_a_file_that_crashes_its_decoder_is_refused(tmp_path):
 
 
 def test_the_shell_says_which_file_is_damaged(hanging, tmp_path, capsys):
-    save_image(tmp_path / "image.png", ImageFile(np.ones((20, 24), np.uint8)))
+    write_image(tmp_path / "image.png", ImageFile(np.ones((20, 24), np.uint8)))
     image, out = str(tmp_path / "image.png"), str(tmp_path / "out")
     for words in (
         ["apply", str(hanging), image, "-o", out],
@@ -108,7 +109,7 @@ def test_a_device_or_a_pipe_is_no_field_or_image(tmp_path):
     os.mkfifo(tmp_path / "a.mha")
     os.symlink("/dev/zero", tmp_path / "b.h5")
     for name in ("a.mha", "b.h5"):
-        for read in (read_field, load_image):
+        for read in (read_field, read_image):
             with pytest.raises(FileFormatError, match=f"{name}: it is a pipe or a device"):
                 read(tmp_path / name)
         assert not is_field_file(tmp_path / name)

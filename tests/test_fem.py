@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from fem import plane_stress_displacement, rmsd
 
-from napari_hmrf import Problem, phantom, reference_displacement
+from napari_hmrf import Problem
+from napari_hmrf.data import phantom, reference_displacement
 
 NU = 0.3
 

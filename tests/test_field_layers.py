@@ -8,13 +8,15 @@ from napari.components import ViewerModel
 from napari.layers import Layer
 from screen import Screen
 
-from napari_hmrf import ProblemError, at_edges, write_field
+from napari_hmrf import ProblemError
 from napari_hmrf.contributions import open_scan, open_solution
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import PixelField
+from napari_hmrf.fields import write_field
 from napari_hmrf.layers.field_layer import field_layer, field_of
 from napari_hmrf.layers.metadata import described
+from napari_hmrf.tissue import edge_confidence
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 pytest.importorskip("SimpleITK")
@@ -129,14 +131,14 @@ def test_a_field_counts_where_a_mask_an_image_or_edges_say(tmp_path, dock_beside
         (None, np.ones(SHAPE)),
         (viewer.layers["mask"], mask > 0),
         (viewer.layers["sure"], sure),
-        ("edges", at_edges(layers[0].data)),
+        ("edges", edge_confidence(layers[0].data)),
     ):
         dock.confidence = chosen
         motion = dock.study.motion
         np.testing.assert_array_equal(motion.confidence, np.repeat(counts[..., None], 2, axis=-1))
         np.testing.assert_allclose(motion.observed, held, atol=1e-6)
     wait_for(lambda: not dock.busy)
-    known = at_edges(layers[0].data) > 0
+    known = edge_confidence(layers[0].data) > 0
     away = np.linalg.norm(dock.solution.displacement - held, axis=-1)
     assert away[known & dock.solution.tissue].max() < 0.01, "what is sure is held"
 
@@ -272,7 +274,7 @@ def test_a_reference_that_reaches_a_part_is_compared_there(pulled, wait_for):
 def test_another_model_s_result_from_a_file_is_a_reference(tmp_path, pulled, run, wait_for):
     dock, viewer = pulled()
     first = dock.solution.displacement.copy()
-    path = str(dock.solution.save(tmp_path / "elastic.npz"))
+    path = str(dock.solution.write(tmp_path / "elastic.npz"))
     dock.model = "paper"
     run(dock)
     wait_for(lambda: not dock.busy)

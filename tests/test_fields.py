@@ -7,20 +7,11 @@ import numpy as np
 import pytest
 from napari.layers import Image
 
-from napari_hmrf import (
-    FileFormatError,
-    HmrfError,
-    Problem,
-    ProblemError,
-    count_folds,
-    export_field,
-    read_field,
-    solve,
-    write_field,
-)
+from napari_hmrf import FileFormatError, HmrfError, Problem, ProblemError, solve
 from napari_hmrf.cli import main
 from napari_hmrf.field.inverse_field import inverse_displacement
-from napari_hmrf.io.fields import FIELD_SUFFIXES
+from napari_hmrf.fields import count_folds, read_field, write_field
+from napari_hmrf.io.fields import FIELD_SUFFIXES, export_field
 from napari_hmrf.layers.slice_view import View, frame_of
 
 sitk = pytest.importorskip("SimpleITK")

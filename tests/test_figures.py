@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from napari_hmrf import ElasticPrior, Multigrid, SeilerPrior, phantom, solve
+from napari_hmrf import ElasticPrior, Multigrid, SeilerPrior, solve
+from napari_hmrf.data import phantom
 from napari_hmrf.io.figures import energy_picture
 
 

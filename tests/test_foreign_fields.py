@@ -12,7 +12,8 @@ import pytest
 from damaged_fields import make_field
 from test_fields import PLACES, Case
 
-from napari_hmrf import FileFormatError, read_field
+from napari_hmrf import FileFormatError
+from napari_hmrf.fields import read_field
 
 sitk = pytest.importorskip("SimpleITK")
 

@@ -13,11 +13,10 @@ from napari_hmrf import (
     Stroke,
     Study,
     Tissue,
-    folds,
-    jacobian_determinant,
+    build_problem,
     solve_study,
-    statement_of,
 )
+from napari_hmrf.fields import fold_mask, jacobian_determinant
 from napari_hmrf.solver.optimizers import ICM, Multigrid
 from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
 
@@ -60,7 +59,7 @@ def test_the_inside_of_a_patch_grows_evenly(paint, amount, middle, model, even):
     """Moved pixel by pixel its middle was torn apart, or pushed through itself."""
     field = solve_study(study_of(paint(middle, amount), **model)).displacement
     area, far = jacobian_determinant(field, spacing=1), away(middle)
-    assert not folds(field, spacing=1).any()
+    assert not fold_mask(field, spacing=1).any()
     assert area[far < RADIUS - 3] == pytest.approx((1 + amount / RADIUS) ** 2, rel=even)
     outline = field[(far <= RADIUS) & (far > RADIUS - 1)]
     assert np.linalg.norm(outline, axis=-1) == pytest.approx(abs(amount), rel=0.01)
@@ -78,12 +77,12 @@ def test_what_grows_by_the_lengths_that_a_tool_begins_with_folds_nothing(shape, 
     ball = Stroke("expand", ((middle,),), radius=radius, amount=step)
     motion = Motion(hold_edge=True, drawing=Drawing((ball,)))
     field = solve_study(Study(Grid(shape, spacing), Tissue(stiffness=np.ones(shape)), motion))
-    assert not folds(field.displacement, spacing=spacing).any()
+    assert not fold_mask(field.displacement, spacing=spacing).any()
 
 
 def test_a_brush_and_a_layer_say_the_same():
     brushed, painted = (
-        statement_of(study_of(paint((60, 60), 6.0))).problem for paint in (by_brush, by_label)
+        build_problem(study_of(paint((60, 60), 6.0))).problem for paint in (by_brush, by_label)
     )
     np.testing.assert_array_equal(brushed.confidence, painted.confidence)
     np.testing.assert_allclose(brushed.observed, painted.observed, atol=1e-5)
@@ -93,7 +92,7 @@ def test_a_brush_and_a_layer_say_the_same():
 def test_the_inside_of_a_patch_is_free_though_the_edge_of_the_tissue_is_held(paint):
     air_above = np.ones(SHAPE)
     air_above[:60] = 0
-    known = statement_of(study_of(paint((60, 60), 2.0), air_above)).problem.known.any(axis=-1)
+    known = build_problem(study_of(paint((60, 60), 2.0), air_above)).problem.known.any(axis=-1)
     assert known[60, :31].all(), "the edge beside it, and its rim"
     assert not known[60, 33:88].any()
     assert known[60, 89:].all()

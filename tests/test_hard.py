@@ -8,7 +8,8 @@ from report import rivals, tissues
 from report.reference import bodies, exact_field, rigid_field
 from report.rivals import PRIOR, Run, distance
 
-from napari_hmrf import ElasticPrior, Problem, phantom
+from napari_hmrf import ElasticPrior, Problem
+from napari_hmrf.data import phantom
 
 N = 17
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import label
 
-from napari_hmrf import ArgumentError, head_phantom, solve, warp
+from napari_hmrf import ArgumentError, solve, warp
+from napari_hmrf.data import head_phantom
 from napari_hmrf.field.strain import jacobian_determinant
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from napari_hmrf import FileFormatError
 from napari_hmrf.io.fields import Place
-from napari_hmrf.io.images import ImageFile, load_image, save_image
+from napari_hmrf.io.images import ImageFile, read_image, write_image
 
 sitk = pytest.importorskip("SimpleITK")
 
@@ -21,7 +21,7 @@ def pixels(shape, kind=np.uint8):
 @pytest.mark.parametrize(("shape", "kind"), [((5, 12, 9), np.int16), ((12, 9), np.float32)])
 def test_a_scan_comes_back_with_its_place(tmp_path, suffix, shape, kind):
     before = ImageFile(pixels(shape, kind), VOLUME)
-    after = load_image(save_image(tmp_path / f"scan{suffix}", before))
+    after = read_image(write_image(tmp_path / f"scan{suffix}", before))
     assert after.pixels.dtype == kind
     np.testing.assert_array_equal(after.pixels, before.pixels)
     for one, other in zip(after.place, VOLUME, strict=True):
@@ -32,7 +32,7 @@ def test_a_scan_comes_back_with_its_place(tmp_path, suffix, shape, kind):
 @pytest.mark.parametrize("shape", [(12, 9), (12, 9, 3)])
 def test_a_picture_comes_back(tmp_path, suffix, shape):
     before = ImageFile(pixels(shape), colours=len(shape) > 2)
-    after = load_image(save_image(tmp_path / f"photo{suffix}", before))
+    after = read_image(write_image(tmp_path / f"photo{suffix}", before))
     np.testing.assert_array_equal(after.pixels, before.pixels)
     assert (after.colours, after.place) == (before.colours, None)
 
@@ -54,7 +54,7 @@ def test_a_folder_of_dicom_is_a_volume(tmp_path):
         writer.KeepOriginalImageUIDOn()
         writer.SetFileName(str(tmp_path / f"{number}.dcm"))
         writer.Execute(image)
-    found = load_image(tmp_path)
+    found = read_image(tmp_path)
     np.testing.assert_array_equal(found.pixels, volume)
     np.testing.assert_allclose(found.place.spacing, (3.0, 0.5, 0.7))
     np.testing.assert_allclose(found.place.origin, (-10, 20, 5))
@@ -64,18 +64,18 @@ def test_what_is_no_image_is_refused_in_a_sentence(tmp_path):
     for name in ("broken.nii.gz", "broken.png"):
         (tmp_path / name).write_bytes(b"nothing of the kind")
         with pytest.raises(FileFormatError, match=rf"{name}: not an image that can be read"):
-            load_image(tmp_path / name)
+            read_image(tmp_path / name)
     empty = tmp_path / "series"
     empty.mkdir()
     with pytest.raises(FileFormatError, match=r"series: the folder holds no DICOM file"):
-        load_image(empty)
+        read_image(empty)
     with pytest.raises(FileNotFoundError, match=r"gone\.png"):
-        load_image(tmp_path / "gone.png")
+        read_image(tmp_path / "gone.png")
 
 
 def test_pixels_that_a_format_does_not_hold_are_not_written(tmp_path):
     with pytest.raises(FileFormatError, match=r"a\.png: float64 pixels .* Take \.tif, or \.nrrd"):
-        save_image(tmp_path / "a.png", ImageFile(np.zeros((4, 5))))
+        write_image(tmp_path / "a.png", ImageFile(np.zeros((4, 5))))
     with pytest.raises(FileFormatError, match=r"a\.txt: no image is written as such a file"):
-        save_image(tmp_path / "a.txt", ImageFile(np.zeros((4, 5))))
+        write_image(tmp_path / "a.txt", ImageFile(np.zeros((4, 5))))
     assert not list(tmp_path.iterdir())

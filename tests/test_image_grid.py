@@ -9,7 +9,6 @@ from napari_hmrf import (
     ArgumentError,
     Arrow,
     Drawing,
-    Frame,
     Grid,
     HmrfError,
     Motion,
@@ -17,15 +16,16 @@ from napari_hmrf import (
     ProblemError,
     Study,
     Tissue,
-    export_field,
-    load_study,
-    save_study,
+    read_study,
     solve,
     solve_study,
     warp,
+    write_study,
 )
 from napari_hmrf.cli import main
-from napari_hmrf.io.images import load_image
+from napari_hmrf.fields import Frame
+from napari_hmrf.io.fields import export_field
+from napari_hmrf.io.images import read_image
 
 sitk = pytest.importorskip("SimpleITK")
 
@@ -140,11 +140,11 @@ def test_the_field_of_a_slice_moves_that_slice_alone(kind, axis, tmp_path, capsy
     )
 
     sitk.WriteImage(image, str(tmp_path / "scan.nrrd"))
-    save_study(tmp_path / "a.study", Study(grid, Tissue(stiffness=np.ones(grid.shape))), solution)
-    assert load_study(tmp_path / "a.study").study.grid == grid
+    write_study(tmp_path / "a.study", Study(grid, Tissue(stiffness=np.ones(grid.shape))), solution)
+    assert read_study(tmp_path / "a.study").study.grid == grid
     told = ["apply", str(tmp_path / "a.study"), str(tmp_path / "scan.nrrd")]
     assert main([*told, "--out", str(tmp_path / "out")]) == 0, capsys.readouterr().err
-    moved = load_image(tmp_path / "out" / "scan.nrrd").pixels
+    moved = read_image(tmp_path / "out" / "scan.nrrd").pixels
     if kind == "nibabel":
         moved = moved.transpose(2, 1, 0)
     np.testing.assert_allclose(moved.take(3, axis), by_us, atol=1e-3)
@@ -155,7 +155,7 @@ def test_a_slice_of_unknown_place_moves_no_volume(tmp_path, capsys):
     sitk.WriteImage(scan(), str(tmp_path / "scan.nii.gz"))
     grid = Grid(SHAPE[1:], SPACING[1:])
     study = Study(grid, Tissue(stiffness=np.ones(grid.shape)))
-    save_study(tmp_path / "a.study", study, solved(grid))
+    write_study(tmp_path / "a.study", study, solved(grid))
     told = ["apply", str(tmp_path / "a.study"), str(tmp_path / "scan.nii.gz")]
     assert main([*told, "--out", str(tmp_path / "out")]) == 1
     said = capsys.readouterr().err

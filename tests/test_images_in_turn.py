@@ -6,8 +6,8 @@ from conftest import quick
 from napari.layers import Layer
 from screen import Screen
 
-from napari_hmrf import head_phantom
 from napari_hmrf.contributions import phantom_layers, volume_layers
+from napari_hmrf.data import head_phantom
 from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.samples.phantoms import phantom
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Stroke

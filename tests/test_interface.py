@@ -1,11 +1,14 @@
 """The public face: what a script imports, how it is called, and what it says of a mistake."""
 
+import doctest
 import inspect
 import math
+import re
 from typing import get_args
 
 import numpy as np
 import pytest
+from public_names import PACKAGES, public_names
 
 import napari_hmrf
 from napari_hmrf import (
@@ -18,24 +21,19 @@ from napari_hmrf import (
     Material,
     Multigrid,
     NeoHookeanPrior,
-    Picture,
     Problem,
     Provenance,
     SeilerPrior,
     Solution,
-    StiffnessCurve,
-    Warper,
-    boundary_images,
-    equivalent_strain,
-    folds,
-    green_lagrange_strain,
-    poisson_image,
     solve,
-    stiffness_image,
 )
+from napari_hmrf.fields import Picture, Warper, equivalent_strain, fold_mask, green_lagrange_strain
 from napari_hmrf.solver.model_names import ModelName, model_name
 from napari_hmrf.study.models import chosen
+from napari_hmrf.tissue import StiffnessCurve, boundary_images, poisson_image, stiffness_image
 
+#: The public names without their packages.
+NAMES = {full.rpartition(".")[2]: found for full, found in public_names().items()}
 #: How many arguments may go without their name.
 WHAT_A_CALL_IS_ABOUT = {
     "BoundaryRule": 2,
@@ -52,37 +50,36 @@ WHAT_A_CALL_IS_ABOUT = {
     "StiffnessCurve": 1,
     "Warper": 1,
     "arrows": 1,
-    "at_edges": 1,
+    "edge_confidence": 1,
     "head_phantom": 1,
     "boundary_images": 2,
     "count_folds": 1,
     "deformation_gradient": 1,
     "deformation_grid": 1,
-    "folds": 1,
+    "fold_mask": 1,
     "green_lagrange_strain": 1,
     "growth": 1,
     "inverse_map": 1,
     "jacobian_determinant": 1,
     "resample": 3,
-    "export_field": 2,
-    "load_study": 1,
+    "read_study": 1,
     "materials_by_name": 1,
-    "measure": 2,
     "pressure": 3,
     "reactions": 3,
     "traction": 3,
     "weight": 2,
-    "save_moving_picture": 3,
+    "write_movie": 3,
     "read_field": 1,
     "replay": 1,
-    "save_points": 3,
-    "save_study": 3,
+    "write_points": 3,
+    "write_study": 3,
     "small_strain": 1,
     "solve": 2,
     "solve_cases": 2,
     "solve_study": 1,
     "warp": 2,
     "write_field": 2,
+    "write_truth": 2,
 }
 
 
@@ -97,23 +94,57 @@ def test_a_script_makes_tissue_solves_and_measures_it_with_what_the_package_expo
     strain = equivalent_strain(green_lagrange_strain(field, spacing=1, tissue=solution.tissue))
     assert np.ptp(field[10, :, 1]) == pytest.approx(3, abs=0.01)
     assert 0.03 < strain.mean() < 0.3
-    assert not folds(field, spacing=1).any()
+    assert not fold_mask(field, spacing=1).any()
     bright = StiffnessCurve(((0, 1), (255, 100)))
     assert bright(np.uint8([[0, 255]])).tolist() == [[1, 100]]
 
 
 def test_every_name_that_is_exported_is_there_once_and_says_what_it_is():
-    names = napari_hmrf.__all__
-    assert len(names) == len(set(names))
-    for name in names:
-        found = getattr(napari_hmrf, name)
+    assert len(NAMES) == len(public_names()), "no two packages have the same name"
+    for module in PACKAGES.values():
+        assert len(module.__all__) == len(set(module.__all__))
+    for found in NAMES.values():
         assert not inspect.ismodule(found)
         assert not callable(found) or inspect.getdoc(found)
 
 
+def test_the_top_has_few_names_and_leads_to_the_packages_without_another_import():
+    assert len(napari_hmrf.__all__) < 40
+    for package, module in PACKAGES.items():
+        name = package.removeprefix("napari_hmrf").lstrip(".")
+        assert not name or getattr(napari_hmrf, name) is module
+        assert set(module.__all__) <= set(dir(module))
+    with pytest.raises(AttributeError, match="'napari_hmrf' has no attribute 'phantom'"):
+        napari_hmrf.phantom  # noqa: B018
+    with pytest.raises(AttributeError, match=r"'napari_hmrf\.tissue' has no attribute 'Material'"):
+        napari_hmrf.tissue.Material  # noqa: B018
+
+
+def test_help_is_a_page_with_every_package_and_an_example_that_runs():
+    page = inspect.getdoc(napari_hmrf)
+    for package, module in PACKAGES.items():
+        assert re.search(rf"^{package} +\w", page, re.M), package
+        assert inspect.getdoc(module), package
+    (example,) = doctest.DocTestFinder(recurse=False).find(napari_hmrf)
+    assert len(example.examples) <= 10
+    said: list[str] = []
+    doctest.DocTestRunner().run(example, out=said.append)
+    assert said == []
+
+
+def test_files_are_read_and_written_by_one_pair_of_verbs():
+    methods = {each for found in NAMES.values() if isinstance(found, type) for each in dir(found)}
+    verbs = {name.partition("_")[0] for name in {*NAMES, *methods}}
+    assert {"read", "write"} <= verbs
+    assert not verbs & {"save", "open", "dump", "store"}
+    assert not [name for name in NAMES if name.startswith("load_")], (
+        "the load of a prior is a force"
+    )
+
+
 @pytest.mark.parametrize(("name", "count"), WHAT_A_CALL_IS_ABOUT.items())
 def test_all_but_what_a_call_is_about_has_to_be_named(name, count):
-    parameters = inspect.signature(getattr(napari_hmrf, name)).parameters.values()
+    parameters = inspect.signature(NAMES[name]).parameters.values()
     unnamed = [each for each in parameters if each.kind is each.POSITIONAL_OR_KEYWORD]
     assert len(unnamed) == count
 
@@ -126,8 +157,7 @@ def test_whatever_has_a_choice_is_in_that_list():
     records |= {"BatchProgress", "Case", "CaseOutcome", "NamedCase"}
     records |= {"Drawing", "Arrow", "Landmark", "Stroke"}
     choices = set()
-    for name in napari_hmrf.__all__:
-        found = getattr(napari_hmrf, name)
+    for name, found in NAMES.items():
         if callable(found) and not (isinstance(found, type) and issubclass(found, Exception)):
             given = inspect.signature(found).parameters.values()
             if any(each.default is not each.empty for each in given):
@@ -136,7 +166,7 @@ def test_whatever_has_a_choice_is_in_that_list():
 
 
 def test_tissue_is_elastic_unless_a_script_asks_for_the_papers_and_a_result_says_which(tmp_path):
-    problem = napari_hmrf.phantom("mass-effect", 32).problem
+    problem = napari_hmrf.data.phantom("mass-effect", 32).problem
     usual, elastic, large, papers, converged = (
         solve(problem, backend="cpu"),
         solve(problem, ElasticPrior(), optimizer=Multigrid(), backend="cpu"),
@@ -150,8 +180,8 @@ def test_tissue_is_elastic_unless_a_script_asks_for_the_papers_and_a_result_says
     assert papers.iterations == 6 * 70
     assert np.abs(papers.displacement - usual.displacement).max() > 0.1
     for solution in models:
-        path = solution.save(tmp_path / "kept.npz")
-        assert Solution.load(path).provenance.model == solution.provenance.model
+        path = solution.write(tmp_path / "kept.npz")
+        assert Solution.read(path).provenance.model == solution.provenance.model
         with np.load(path, allow_pickle=False) as file:
             assert f'"model": "{solution.provenance.model}"' in str(file["header"])
 
@@ -170,7 +200,7 @@ def test_what_is_not_told_has_no_name(parameters):
 
 
 def test_the_blanket_reading_has_a_name_of_its_own():
-    problem = napari_hmrf.phantom("bar", 32).problem
+    problem = napari_hmrf.data.phantom("bar", 32).problem
     blanket = SeilerPrior(conditional="blanket")
     for optimizer, name in ((ICM(3), "paper, blanket"), (Multigrid(), "paper, blanket, converged")):
         solution = solve(problem, blanket, optimizer=optimizer, backend="cpu")
@@ -211,7 +241,7 @@ CALLS = {
     "inverse_map": MOVED,
     "jacobian_determinant": MOVED,
     "count_folds": MOVED,
-    "folds": MOVED,
+    "fold_mask": MOVED,
     "deformation_gradient": MOVED,
     "small_strain": MOVED,
     "green_lagrange_strain": MOVED,
@@ -252,9 +282,9 @@ CALLS_OF = {
     "intensities": (StiffnessCurve(((0, 1), (1, 2))), {"intensities": IMAGE}),
     "percentiles": (StiffnessCurve.from_percentiles, {"intensities": np.arange(20.0)}),
     "a stored curve": (StiffnessCurve.from_dict, {"values": {"points": ((0, 1), (1, 2))}}),
-    "a stored solution": (Solution.load, {"path": "none.npz"}),
+    "a stored solution": (Solution.read, {"path": "none.npz"}),
 }
-CALLS_OF |= {name: (getattr(napari_hmrf, name), good) for name, good in CALLS.items()}
+CALLS_OF |= {name: (NAMES[name], good) for name, good in CALLS.items()}
 
 WRONG = [
     *(None, "a", b"a", 3, -1, 0.5, 1j, math.nan, math.inf, True, object(), {1}, {"a": 1}),
@@ -305,7 +335,7 @@ def test_whatever_is_given_by_mistake_is_refused_by_an_error_of_ours_in_short(
         (lambda: Problem("a", 1, 2), r"stiffness: has shape \(\), but a 2-D image"),
         (lambda: Problem("a", HELD, IMAGE), "observed: is 'a', of type str. Give real numbers"),
         (lambda: stiffness_image(LABELS, {1: 5.0}), "materials must be a list, each a Material"),
-        (lambda: napari_hmrf.phantom("liver"), "no phantom 'liver'; choose from expansion"),
+        (lambda: napari_hmrf.data.phantom("liver"), "no phantom 'liver'; choose from expansion"),
     ],
 )
 def test_a_mistake_is_answered_by_what_was_given_and_what_to_give(mistake, says):
@@ -318,3 +348,24 @@ def test_what_is_no_kind_of_argument_is_caught_as_a_type_error_too():
     with pytest.raises(TypeError):
         solve(IMAGE)
     assert issubclass(ArgumentError, TypeError)
+
+
+def test_every_public_function_says_what_it_takes_and_returns():
+    for name, found in NAMES.items():
+        text = inspect.getdoc(found) or ""
+        if inspect.isfunction(found):
+            signature = inspect.signature(found)
+            returns = signature.return_annotation not in (None, "None")
+            assert not signature.parameters or "Parameters\n-----" in text, name
+            assert not returns or "Returns\n-----" in text, name
+        elif inspect.isclass(found) and not issubclass(found, Exception):
+            assert re.search(r"^(Parameters|Attributes)\n-----", text, re.M), name
+
+
+def test_a_function_of_a_displacement_cannot_be_called_without_its_spacing():
+    for name, found in NAMES.items():
+        parameters = inspect.signature(found).parameters if inspect.isfunction(found) else {}
+        if "displacement" in parameters and name != "magnitude":
+            spacing = parameters["spacing"]
+            assert spacing.kind is spacing.KEYWORD_ONLY, name
+            assert spacing.default is spacing.empty, name

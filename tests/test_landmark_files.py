@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from napari_hmrf import FileFormatError, ProblemError, load_points, save_points
+from napari_hmrf import FileFormatError, ProblemError
+from napari_hmrf.landmarks import read_points, write_points
 
 AT = np.array([[1.5, 2.25, -3.0], [40.0, 5.0, 6.125]])  # z, y, x
 TO = AT + np.array([0.5, -1.0, 2.0])
@@ -16,7 +17,7 @@ def test_bigwarp_pairs_are_moving_x_first_then_target(tmp_path):
     path.write_text(
         '"Pt-0","true","-3.0","2.25","1.5","-1.0","1.25","2.0"\n"Pt-1","false","1","2","3","4","5","6"\n'
     )
-    found = load_points(path)
+    found = read_points(path)
     assert found.names == ("Pt-0",), "what is switched off is left out"
     np.testing.assert_array_equal(found.points, AT[:1])
     np.testing.assert_array_equal(found.targets, TO[:1])
@@ -26,8 +27,8 @@ def test_bigwarp_pairs_are_moving_x_first_then_target(tmp_path):
 @pytest.mark.parametrize("pairs", [True, False])
 def test_a_csv_comes_back(tmp_path, n, pairs):
     path = tmp_path / "landmarks.csv"
-    save_points(path, AT[:, -n:], TO[:, -n:] if pairs else None, names=["nose", "chin"])
-    found = load_points(path)
+    write_points(path, AT[:, -n:], TO[:, -n:] if pairs else None, names=["nose", "chin"])
+    found = read_points(path)
     np.testing.assert_array_equal(found.points, AT[:, -n:])
     if pairs:
         np.testing.assert_array_equal(found.targets, TO[:, -n:])
@@ -40,9 +41,9 @@ def test_a_csv_comes_back(tmp_path, n, pairs):
 @pytest.mark.parametrize("suffix", [".mrk.json", ".fcsv"])
 def test_slicer_s_files_come_back_and_say_which_way_is_left(tmp_path, suffix):
     path = tmp_path / f"points{suffix}"
-    save_points(path, AT, names=["nose, tip", "chin"])
+    write_points(path, AT, names=["nose, tip", "chin"])
     assert "LPS" in path.read_text()
-    found = load_points(path)
+    found = read_points(path)
     np.testing.assert_array_equal(found.points, AT)
     assert found.names == ("nose, tip", "chin")
     assert found.unit == "mm"
@@ -54,13 +55,13 @@ def test_what_slicer_keeps_in_ras_is_turned(tmp_path):
         "controlPoints": [{"label": "F", "position": [3, -2.25, 1.5]}],
     }
     (tmp_path / "a.mrk.json").write_text(json.dumps({"markups": [markups]}))
-    np.testing.assert_array_equal(load_points(tmp_path / "a.mrk.json").points, AT[:1])
+    np.testing.assert_array_equal(read_points(tmp_path / "a.mrk.json").points, AT[:1])
     (tmp_path / "old.fcsv").write_text(
         "# Markups fiducial file version = 4.6\n# CoordinateSystem = 0\n"
         "# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID\n"
         "vtk_1,3,-2.25,1.5,0,0,0,1,1,1,0,F-1,,\n"
     )
-    np.testing.assert_array_equal(load_points(tmp_path / "old.fcsv").points, AT[:1])
+    np.testing.assert_array_equal(read_points(tmp_path / "old.fcsv").points, AT[:1])
 
 
 @pytest.mark.parametrize(
@@ -90,14 +91,14 @@ def test_what_slicer_keeps_in_ras_is_turned(tmp_path):
 def test_what_is_no_file_of_landmarks_is_refused_in_a_sentence(tmp_path, name, text, sentence):
     (tmp_path / name).write_text(text)
     with pytest.raises(FileFormatError, match=sentence):
-        load_points(tmp_path / name)
+        read_points(tmp_path / name)
 
 
 def test_what_cannot_be_saved_is_said_and_nothing_is_written(tmp_path):
     with pytest.raises(ProblemError, match=r"have shape \(1, 3\), but the points \(2, 3\)"):
-        save_points(tmp_path / "a.csv", AT, TO[:1])
+        write_points(tmp_path / "a.csv", AT, TO[:1])
     with pytest.raises(FileFormatError, match=r"such a file holds one list of points"):
-        save_points(tmp_path / "a.fcsv", AT, TO)
+        write_points(tmp_path / "a.fcsv", AT, TO)
     with pytest.raises(ProblemError, match=r"have shape \(2, 1\)"):
-        save_points(tmp_path / "a.csv", AT[:, :1])
+        write_points(tmp_path / "a.csv", AT[:, :1])
     assert not list(tmp_path.iterdir())

@@ -8,15 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from napari_hmrf import (
-    ConvergenceError,
-    NeoHookeanPrior,
-    Problem,
-    Solution,
-    count_folds,
-    growth,
-    solve,
-)
+from napari_hmrf import ConvergenceError, NeoHookeanPrior, Problem, Solution, solve
+from napari_hmrf.fields import count_folds
+from napari_hmrf.loads import growth
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.cpu.finite_model import CpuFiniteModel
 from napari_hmrf.solver.caveats import shortfall
@@ -144,14 +138,14 @@ def test_crushed_tissue_that_did_not_come_to_rest_is_named(tmp_path) -> None:
     said = shortfall(reach, "mm")
     assert f"{reach.unbalanced:.3g} mm from balance" in said
     assert str(reach.unbalanced_at) in said
-    assert Solution.load(found.save(tmp_path / "crushed.npz")).reach == reach
+    assert Solution.read(found.write(tmp_path / "crushed.npz")).reach == reach
 
 
 @pytest.mark.parametrize("precision", [np.float32, np.float64])
 def test_a_file_keeps_the_precision_in_which_nothing_folds(precision, tmp_path) -> None:
     solution = solve(dragged(0.5), PRIOR, backend="cpu")
     solution = replace(solution, displacement=(solution.displacement + 1 / 3).astype(precision))
-    loaded = Solution.load(solution.save(tmp_path / "precise.npz"))
+    loaded = Solution.read(solution.write(tmp_path / "precise.npz"))
     assert loaded.displacement.dtype == precision
     np.testing.assert_array_equal(loaded.displacement, solution.displacement)
 

@@ -13,7 +13,6 @@ from napari_hmrf import (
     BackendError,
     Cancelled,
     ElasticPrior,
-    Loads,
     Multigrid,
     NeoHookeanPrior,
     Problem,
@@ -21,6 +20,7 @@ from napari_hmrf import (
     Solution,
     solve,
 )
+from napari_hmrf.loads import Loads
 
 Field = npt.NDArray[np.float64]
 
@@ -234,6 +234,6 @@ def test_what_it_does_not_take_is_refused_in_a_sentence() -> None:
 
 def test_how_far_it_got_is_saved_with_it(tmp_path) -> None:
     found = solve(bar(8, 12, np.broadcast_to([0.0, 4.0], (8, 2))), NeoHookeanPrior(), backend="cpu")
-    again = Solution.load(found.save(tmp_path / "far.npz"))
+    again = Solution.read(found.write(tmp_path / "far.npz"))
     assert again.reach == found.reach
     assert again.provenance.model == "large motion"

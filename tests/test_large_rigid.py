@@ -7,16 +7,8 @@ import numpy.typing as npt
 import pytest
 from finite_oracle import solved
 
-from napari_hmrf import (
-    Loads,
-    NeoHookeanPrior,
-    Problem,
-    ProblemError,
-    Solution,
-    growth,
-    reactions,
-    solve,
-)
+from napari_hmrf import NeoHookeanPrior, Problem, ProblemError, Solution, solve
+from napari_hmrf.loads import Loads, growth, reactions
 
 Field = npt.NDArray[np.float64]
 

@@ -15,10 +15,9 @@ from napari_hmrf import (
     NeoHookeanPrior,
     Problem,
     ProblemError,
-    growth,
     solve,
-    weight,
 )
+from napari_hmrf.loads import growth, weight
 from napari_hmrf.solver.optimizers.large_slip import LargeSlip
 
 SIZE = 30

@@ -6,7 +6,8 @@ from napari.components import ViewerModel
 from qtpy.QtWidgets import QPushButton, QTableWidget
 from screen import Screen
 
-from napari_hmrf import NeoHookeanPrior, count_folds
+from napari_hmrf import NeoHookeanPrior
+from napari_hmrf.fields import count_folds
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.ui.soft_tissue import SoftTissue

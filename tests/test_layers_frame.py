@@ -124,7 +124,7 @@ def saved(tmp_path, stored):
         provenance=Provenance("cpu", "a test"),
         frame=stored,
     )
-    return str(solution.save(tmp_path / "odd.npz"))
+    return str(solution.write(tmp_path / "odd.npz"))
 
 
 def good_frame():

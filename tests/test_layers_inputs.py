@@ -13,7 +13,7 @@ from study_reader import read_layers
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.pixel_copy import LayerCopies
-from napari_hmrf.layers.read import Request, read_study
+from napari_hmrf.layers.read import Request, study_from_layers
 from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
@@ -89,25 +89,25 @@ def test_nothing_that_is_painted_later_changes_what_was_read():
 
 def test_reading_again_tells_whether_anything_that_matters_changed():
     wanted, copies = request(), LayerCopies()
-    first = read_study(wanted, copies=copies)
-    assert first.same_as(read_study(wanted, copies=copies))
+    first = study_from_layers(wanted, copies=copies)
+    assert first.same_as(study_from_layers(wanted, copies=copies))
     wanted.tissue.data[5, 5] = 2
     wanted.tissue.refresh()
-    second = read_study(wanted, copies=copies)
+    second = study_from_layers(wanted, copies=copies)
     assert not first.same_as(second)
     assert second.motion.labels is first.motion.labels, "what did not change is not copied again"
     wanted.boundary.data[6, 6] = 2
     copies.forget()
-    assert not second.same_as(read_study(wanted, copies=copies)), "nobody told of this one"
+    assert not second.same_as(study_from_layers(wanted, copies=copies)), "nobody told of this one"
 
 
 def test_arrows_that_did_not_change_are_the_same_observation():
     arrows = Vectors(np.array([[[5.0, 5.0], [1.0, 0.0]]]), name="Arrows")
     wanted, copies = request(boundary=arrows), LayerCopies()
-    first = read_study(wanted, copies=copies)
-    assert first.same_as(read_study(wanted, copies=copies))
+    first = study_from_layers(wanted, copies=copies)
+    assert first.same_as(study_from_layers(wanted, copies=copies))
     arrows.data = arrows.data * 2
-    assert not first.same_as(read_study(wanted, copies=copies))
+    assert not first.same_as(study_from_layers(wanted, copies=copies))
 
 
 def test_a_label_without_a_row_can_be_given_one_and_it_is_said():

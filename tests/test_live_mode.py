@@ -14,7 +14,7 @@ from screen import Cell, Screen
 from napari_hmrf import Multigrid, solve
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.study.ground import statement_of
+from napari_hmrf.study.ground import build_problem
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.ui.messages import CHOOSE, STILL
 
@@ -33,7 +33,7 @@ def by_name(widget, name):
 
 def cold(widget):
     """What a script finds for the same layers."""
-    stated = statement_of(widget.study)
+    stated = build_problem(widget.study)
     near = Multigrid(1e-4) if isinstance(stated.optimizer, Multigrid) else stated.optimizer
     return solve(stated.problem, stated.prior, optimizer=near, backend="cpu")
 

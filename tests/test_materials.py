@@ -9,7 +9,7 @@ import pytest
 from napari.layers import Image, Labels
 
 from napari_hmrf.errors import FileFormatError
-from napari_hmrf.io.material_tables import load_materials, save_materials
+from napari_hmrf.io.material_tables import read_preset, write_preset
 from napari_hmrf.layers.metadata import (
     METADATA,
     TISSUE,
@@ -33,11 +33,11 @@ LIVER = Preset(
 
 @pytest.mark.parametrize("preset", [*PRESETS, LIVER], ids=lambda preset: preset.name)
 def test_what_is_saved_comes_back_as_it_was(tmp_path, preset):
-    assert load_materials(save_materials(tmp_path / "table.json", preset)) == preset
+    assert read_preset(write_preset(tmp_path / "table.json", preset)) == preset
 
 
 def test_a_file_is_for_people_to_read(tmp_path):
-    path = save_materials(tmp_path / "mine", LIVER)
+    path = write_preset(tmp_path / "mine", LIVER)
     assert path.name == "mine.json"
     text = path.read_text(encoding="utf-8")
     assert '"name": "liver, größer"' in text
@@ -50,7 +50,7 @@ def test_what_a_person_leaves_out_is_filled_in(tmp_path):
     path.write_text(
         json.dumps({"format": "napari-hmrf materials", "version": 1, "materials": rows})
     )
-    assert load_materials(path) == Preset("by hand", "", "", (Material(1, "", 3.0, 0.45),))
+    assert read_preset(path) == Preset("by hand", "", "", (Material(1, "", 3.0, 0.45),))
 
 
 def spoilt(**changes):
@@ -92,7 +92,7 @@ def test_a_bad_file_is_refused_in_one_sentence_that_names_it(tmp_path, values, s
     path = tmp_path / "table.json"
     path.write_text(json.dumps(values))
     with pytest.raises(FileFormatError, match=r"^table\.json ") as error:
-        load_materials(path)
+        read_preset(path)
     assert said in str(error.value)
 
 
@@ -100,8 +100,8 @@ SKULL = Preset("Head", "kPa", "", (Material(1, "brain", 3.0), Material(2, "skull
 
 
 def test_rigid_is_a_word_in_a_file_and_one_that_earlier_versions_do_not_misread(tmp_path):
-    path = save_materials(tmp_path / "head.json", SKULL)
-    assert load_materials(path) == SKULL
+    path = write_preset(tmp_path / "head.json", SKULL)
+    assert read_preset(path) == SKULL
     values = json.loads(path.read_text(), parse_constant=pytest.fail)
     assert values["materials"][1]["stiffness"] == "rigid"
     assert values["version"] == 2, "they say that they are too old"
@@ -110,7 +110,7 @@ def test_rigid_is_a_word_in_a_file_and_one_that_earlier_versions_do_not_misread(
 def test_rigid_may_be_written_by_hand_in_a_file_of_any_version(tmp_path):
     path = tmp_path / "by hand.json"
     path.write_text(json.dumps(spoilt(stiffness=" Rigid ")))
-    assert load_materials(path).materials[0].is_rigid
+    assert read_preset(path).materials[0].is_rigid
 
 
 def test_what_a_layer_and_a_saved_result_keep_of_rigid_tissue_is_json():
@@ -131,13 +131,13 @@ def test_what_is_no_json_is_refused(tmp_path, content):
     path = tmp_path / "table.json"
     path.write_bytes(content)
     with pytest.raises(FileFormatError, match=r"table\.json"):
-        load_materials(path)
+        read_preset(path)
 
 
 def test_what_could_not_be_read_again_is_not_written(tmp_path):
     bad = replace(LIVER, materials=(Material(1, "gel", float("nan")),))
     with pytest.raises(FileFormatError, match="stiffness is 'nan'"):
-        save_materials(tmp_path / "table.json", bad)
+        write_preset(tmp_path / "table.json", bad)
     assert list(tmp_path.iterdir()) == []
 
 

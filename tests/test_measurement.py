@@ -17,16 +17,15 @@ from napari_hmrf import (
     ProblemError,
     Study,
     Tissue,
-    equivalent_strain,
-    load_study,
-    measure,
-    save_moving_picture,
-    save_study,
+    read_study,
     solve,
     solve_study,
     warp,
+    write_study,
 )
 from napari_hmrf.cli import main
+from napari_hmrf.field.measurement import measure
+from napari_hmrf.fields import equivalent_strain, write_movie
 from napari_hmrf.solver.solution import Provenance, Solution
 
 SHAPE = (40, 40)
@@ -45,8 +44,8 @@ def test_tissue_that_is_stretched_by_a_tenth_has_a_tenth_more_area():
     labels[:, 30:] = 7
     one, other = measure(stretched(), labels, names={7: "liver"})
     assert (one.label, one.name, other.label, other.name) == (1, "", 7, "liver")
-    assert (one.pixels, one.area) == (1200, 300)
-    assert one.area_change == pytest.approx(10, abs=0.01)
+    assert (one.pixels, one.size) == (1200, 300)
+    assert one.size_change == pytest.approx(10, abs=0.01)
     assert other.largest_displacement == pytest.approx(0.05 * 39, abs=1e-3)
     assert other.mean_displacement == pytest.approx(0.05 * 34.5, abs=1e-3)
     # As its edge keeps it as wide as it was, all of it becomes thinner by nu / (1 - nu) of 0.1.
@@ -70,11 +69,11 @@ def test_a_change_of_area_or_volume_is_the_true_one_where_tissue_folds(shape):
     solution = Solution(held, np.zeros(1), (), tissue, (1.0,) * len(shape), Provenance("cpu", ""))
     (all_of_it,) = measure(solution, np.ones(shape, int))
     assert all_of_it.folds > 10
-    assert all_of_it.area_change == pytest.approx(0, abs=1e-6)
+    assert all_of_it.size_change == pytest.approx(0, abs=1e-6)
     halves = np.where(sites[..., -1] < shape[-1] // 2, 1, 2)
     one, other = measure(solution, halves)
-    assert one.area_change == pytest.approx(-other.area_change, abs=1e-6)
-    assert abs(one.area_change) > 0.5
+    assert one.size_change == pytest.approx(-other.size_change, abs=1e-6)
+    assert abs(one.size_change) > 0.5
 
 
 def test_tissue_too_thin_for_cells_changes_as_its_pixels_do():
@@ -83,7 +82,7 @@ def test_tissue_too_thin_for_cells_changes_as_its_pixels_do():
     tissue = np.ones((1, 10), bool)
     solution = Solution(held, np.zeros(1), (), tissue, (1.0, 1.0), Provenance("cpu", ""))
     (found,) = measure(solution, np.ones((1, 10), int))
-    assert found.area_change == pytest.approx(20, abs=1e-3)
+    assert found.size_change == pytest.approx(20, abs=1e-3)
 
 
 def test_a_displacement_alone_is_refused_by_name():
@@ -111,13 +110,13 @@ def solved(tmp_path):
         Motion(hold_edge=True, drawing=pull),
         pictures=Pictures(photo, name="photo"),
     )
-    return save_study(tmp_path / "case", study, solve_study(study, backend="cpu"))
+    return write_study(tmp_path / "case", study, solve_study(study, backend="cpu"))
 
 
 def test_without_labels_all_tissue_is_measured_as_in_the_window(tmp_path, capsys):
     pull = Drawing((Arrow((8, 8), (0, 2), 3),))
     study = Study(Grid((16, 16), (1.0, 1.0)), motion=Motion(hold_edge=True, drawing=pull))
-    path = save_study(tmp_path / "plain", study, solve_study(study, backend="cpu"))
+    path = write_study(tmp_path / "plain", study, solve_study(study, backend="cpu"))
     assert main(["measure", str(path)]) == 0
     assert "tissue" in capsys.readouterr().out
 
@@ -126,13 +125,14 @@ def test_the_shell_prints_and_writes_the_table(solved, tmp_path, capsys):
     assert main(["measure", str(solved), "-o", str(tmp_path / "table.csv")]) == 0
     said = capsys.readouterr().out
     assert "lump" in said
-    study, solution = load_study(solved)
+    study, solution = read_study(solved)
     names = {row.label: row.name for row in study.tissue.materials}
     found = measure(solution, study.tissue.labels, names=names)
     lines = (tmp_path / "table.csv").read_text().splitlines()
     titles = lines[0].split(",")
     named = [each.removesuffix("_percent").replace("elastic_", "") for each in titles]
-    assert named == [*found[0]._fields[:-1], "unit"]
+    of_image = [name.replace("size", "area") for name in found[0]._fields[:-1]]
+    assert named == [*of_image, "unit"]
     per_cent = [each.removesuffix("_percent") for each in titles if each.endswith("_percent")]
     assert per_cent == ["area_change", "mean_elastic_strain", "largest_elastic_strain"]
     assert [line.split(",")[1] for line in lines[1:]] == ["skin", "lump"]
@@ -140,9 +140,9 @@ def test_the_shell_prints_and_writes_the_table(solved, tmp_path, capsys):
 
 
 def test_a_picture_moves_from_rest_to_the_end_and_back(solved, tmp_path):
-    study, solution = load_study(solved)
+    study, solution = read_study(solved)
     photo = study.pictures.image
-    path = save_moving_picture(tmp_path / "photo.gif", solution, photo, frames=5)
+    path = write_movie(tmp_path / "photo.gif", solution, photo, frames=5)
     with Image.open(path) as moving:
         assert moving.n_frames == 8
         assert moving.info["loop"] == 0, "again and again"
@@ -164,24 +164,24 @@ def test_a_moving_picture_of_oblong_pixels_has_the_image_s_proportions(tmp_path)
     study = Study(Grid((16, 24), (2.0, 1.0)), motion=Motion(hold_edge=True, drawing=pull))
     solution = solve_study(study, backend="cpu")
     photo = np.arange(16 * 24, dtype=float).reshape(16, 24)
-    with Image.open(save_moving_picture(tmp_path / "a.gif", solution, photo, frames=2)) as moving:
+    with Image.open(write_movie(tmp_path / "a.gif", solution, photo, frames=2)) as moving:
         assert moving.size == (24, 32)
 
 
 def test_what_is_no_moving_picture_is_refused(solved, tmp_path):
-    study, solution = load_study(solved)
+    study, solution = read_study(solved)
     photo = study.pictures.image
     with pytest.raises(FileFormatError, match=r"a\.png: no picture that moves .* \.gif or \.mp4"):
-        save_moving_picture(tmp_path / "a.png", solution, photo)
+        write_movie(tmp_path / "a.png", solution, photo)
     with pytest.raises(ArgumentError, match=r"frames must be at least 2, not 1"):
-        save_moving_picture(tmp_path / "a.gif", solution, photo, frames=1)
+        write_movie(tmp_path / "a.gif", solution, photo, frames=1)
     assert main(["play", str(solved), str(tmp_path / "case.gif")]) == 0
     assert (tmp_path / "case.gif").exists()
 
 
 def test_a_film_is_one_for_all_that_play_films(solved, tmp_path):
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    study, solution = load_study(solved)
-    path = save_moving_picture(tmp_path / "a.mp4", solution, study.pictures.image, frames=4)
+    study, solution = read_study(solved)
+    path = write_movie(tmp_path / "a.mp4", solution, study.pictures.image, frames=4)
     assert b"ftyp" in path.read_bytes()[:12]
     assert imageio_ffmpeg.count_frames_and_secs(str(path))[0] == 6, "there and back"

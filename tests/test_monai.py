@@ -6,7 +6,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from napari_hmrf import RIGID, ArgumentError, Material, ProblemError, RandomDeformation
+from napari_hmrf import ArgumentError, Material, ProblemError
+from napari_hmrf.random import RandomDeformation
+from napari_hmrf.tissue import RIGID
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -17,7 +19,7 @@ with warnings.catch_warnings():
     from monai.data import DataLoader, Dataset, MetaTensor
     from monai.transforms import Compose, RandFlipd
 
-    from napari_hmrf.augmentation.monai_transforms import RandPhysicalDeformationd
+    from napari_hmrf.random import RandPhysicalDeformationd
 
 MATERIALS = Material(0, "muscle", 3.0), Material(1, "bone", RIGID)
 

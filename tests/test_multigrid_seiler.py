@@ -14,9 +14,9 @@ from napari_hmrf import (
     Problem,
     ProblemError,
     SeilerPrior,
-    phantom,
     solve,
 )
+from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.cpu.seiler_model import CpuSeilerModel
 

@@ -5,7 +5,8 @@ import pytest
 import scipy.sparse.linalg as spl
 from elastic_oracle import direct_solution, stiffness_matrix
 
-from napari_hmrf import ElasticPrior, Multigrid, Problem, ProblemError, SeilerPrior, phantom, solve
+from napari_hmrf import ElasticPrior, Multigrid, Problem, ProblemError, SeilerPrior, solve
+from napari_hmrf.data import phantom
 
 
 def reference(problem, prior):
@@ -221,6 +222,6 @@ def test_a_solution_says_how_close_it_is(tmp_path):
     assert closer.convergence.error < solution.convergence.error / 10
     assert np.abs(solution.displacement - closer.displacement).max() < 0.01
     assert np.all(np.diff(solution.energy) <= 0)
-    loaded = type(solution).load(solution.save(tmp_path / "a.npz"))
+    loaded = type(solution).read(solution.write(tmp_path / "a.npz"))
     assert loaded.convergence == solution.convergence
     assert solve(problem, SeilerPrior()).convergence is None

@@ -19,17 +19,17 @@ from napari_hmrf import (
     Problem,
     Study,
     Tissue,
-    load_study,
-    reactions,
+    read_study,
     replay,
-    save_study,
     solve,
     solve_study,
+    write_study,
 )
 from napari_hmrf.array_file import header_of
+from napari_hmrf.loads import reactions
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.parameters import prior_from_dict
-from napari_hmrf.study.ground import statement_of
+from napari_hmrf.study.ground import build_problem
 from napari_hmrf.study.models import HOLD_ALL, details_of, prior_of
 
 SIZE = 24
@@ -173,8 +173,8 @@ def test_files_and_forms_keep_each_rule(tmp_path, kind, penalty):
     prior = kind(0.3, penalty=penalty)
     study = study_of(doubted(), prior)
     solution = solve_study(study, backend="cpu")
-    saved = save_study(tmp_path / "a.study", study, solution)
-    again = load_study(saved)
+    saved = write_study(tmp_path / "a.study", study, solution)
+    again = read_study(saved)
     assert again.study.prior == prior
     np.testing.assert_array_equal(replay(saved).displacement, solution.displacement)
     of_solution = again.solution.provenance.parameters["prior"]
@@ -189,9 +189,9 @@ def study_model(kind):
 
 def test_files_of_earlier_versions_are_read_as_they_were_solved(tmp_path):
     # There "inf" in a study was the rule by confidence; in a solution it held everything.
-    saved = save_study(tmp_path / "a.study", study_of(doubted(), ElasticPrior()))
+    saved = write_study(tmp_path / "a.study", study_of(doubted(), ElasticPrior()))
     assert header_of(saved)["prior"]["penalty"] == "inf"
-    assert load_study(saved).study.prior.penalty is None
+    assert read_study(saved).study.prior.penalty is None
     assert prior_from_dict({"name": "ElasticPrior", "penalty": "inf"}).penalty == math.inf
 
 
@@ -206,6 +206,6 @@ def test_the_study_states_the_confidence_that_was_drawn():
     pull = Arrow(at=(12, 12), by=(0, 2), radius=2, confidence=0.05)
     motion = Motion(hold_edge=True, drawing=Drawing((pull,)))
     grid = Grid((SIZE, SIZE), (1.0, 1.0))
-    stated = statement_of(Study(grid, Tissue(stiffness=np.ones(grid.shape)), motion))
+    stated = build_problem(Study(grid, Tissue(stiffness=np.ones(grid.shape)), motion))
     assert set(np.unique(stated.problem.confidence)) == {0, np.float32(0.05), 1}
     assert stated.prior.penalty is None

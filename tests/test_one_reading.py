@@ -13,9 +13,9 @@ from study_reader import read_ground
 from napari_hmrf import ElasticPrior, Multigrid, SeilerPrior, solve
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
-from napari_hmrf.layers.read import Request, read_study
+from napari_hmrf.layers.read import Request, study_from_layers
 from napari_hmrf.layers.slice_view import frame_of
-from napari_hmrf.study.ground import Ground, statement_of
+from napari_hmrf.study.ground import Ground, build_problem
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import RIGID, BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Rendering, Stroke
@@ -92,14 +92,14 @@ def test_layers_and_arrays_are_one_problem(seed, table, rules, drawing, hold_edg
         "tissue": Labels(tissue, metadata=described(TISSUE, table), **PLACE),
         "boundary": Labels(boundary, metadata=described(BOUNDARY, rules), **PLACE),
     }
-    by_layers = read_study(Request(**layers, hold_edge=hold_edge, drawing=drawing))
+    by_layers = study_from_layers(Request(**layers, hold_edge=hold_edge, drawing=drawing))
     by_arrays = Study(
         Grid(SHAPE, SPACING),
         Tissue(labels=tissue, materials=table),
         Motion(hold_edge, boundary, rules, drawing=drawing),
         pictures=Pictures(picture),
     )
-    same_problem(statement_of(by_layers), statement_of(by_arrays))
+    same_problem(build_problem(by_layers), build_problem(by_arrays))
 
 
 @settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.too_slow])
@@ -115,7 +115,7 @@ def test_a_drawing_is_one_problem_however_one_came_to_it(seed, table, rules, dra
     for drawing in drawings:
         rendering.show(drawing)
     motion = replace(ground.study.motion, drawing=drawings[-1])
-    at_once = statement_of(replace(ground.study, motion=motion))
+    at_once = build_problem(replace(ground.study, motion=motion))
     same_problem(ground.statement(rendering.canvas), at_once)
 
 
@@ -134,7 +134,7 @@ def test_landmarks_of_layers_and_of_a_study_are_one_problem(pairs):
         Motion(drawing=own),
         pictures=Pictures(np.zeros(SHAPE)),
     )
-    same_problem(statement_of(read_study(asked)), statement_of(study))
+    same_problem(build_problem(study_from_layers(asked)), build_problem(study))
 
 
 def test_arrows_and_an_observed_field_are_one_problem():
@@ -152,7 +152,7 @@ def test_arrows_and_an_observed_field_are_one_problem():
     counts[tuple(starts.T)] = sure[tuple(starts.T)]
     motion = Motion(observed=observed, confidence=counts)
     study = Study(Grid(SHAPE, SPACING), Tissue(stiffness=np.ones(SHAPE)), motion)
-    same_problem(statement_of(read_study(asked)), statement_of(study))
+    same_problem(build_problem(study_from_layers(asked)), build_problem(study))
 
 
 @pytest.fixture
@@ -178,12 +178,12 @@ def tumour(qtbot):
 
 
 def test_what_is_drawn_is_read_with_what_is_painted(tumour):
-    before = statement_of(tumour.study)
+    before = build_problem(tumour.study)
     assert before.prior.can_slip(before.problem)
     assert tumour.start()
-    same_problem(before, statement_of(tumour.study))
+    same_problem(before, build_problem(tumour.study))
     tumour.drawing = Drawing((Arrow((9.0, 6.0), (0.0, 1.0), 1.5),))
-    drawn = statement_of(tumour.study)
+    drawn = build_problem(tumour.study)
     assert drawn.prior.can_slip(drawn.problem)
     at = drawn.problem.observed[9, 6], drawn.problem.confidence[9, 6]
     assert np.all(at == np.array([(0.0, 1.0), (1.0, 1.0)]))
@@ -201,7 +201,7 @@ def test_the_field_of_the_window_is_that_of_python_bit_by_bit(tumour, qtbot, ene
     with qtbot.waitSignal(deform.finished, timeout=240_000):
         deform.deform()
     seen = deform.solution
-    stated = statement_of(deform.study)
+    stated = build_problem(deform.study)
     kind = {"elastic": (ElasticPrior, Multigrid), "paper": (SeilerPrior, object)}[energy]
     assert isinstance(stated.prior, kind[0])
     assert isinstance(stated.optimizer, kind[1])
@@ -221,7 +221,7 @@ def test_what_is_seen_while_tissue_is_pulled_is_the_field_of_python(tumour, qtbo
     for by in (1.0, 1.5, 2.0):
         grab.drawing = Drawing((Arrow((9.0, 6.0), (0.0, by), 1.5),))
     qtbot.waitUntil(lambda: not grab.busy, timeout=240_000)
-    stated = statement_of(grab.study)
+    stated = build_problem(grab.study)
     cold = solve(stated.problem, stated.prior, optimizer=stated.optimizer)
     warm = next(each.solution for each in reversed(seen) if each.solution is not None)
     pixels = np.abs(warm.displacement - cold.displacement)[Ground.of(grab.study).body] / SPACING

@@ -10,7 +10,7 @@ from person import CTRL, Person
 from qtpy.QtCore import Qt
 from screen import Screen
 
-from napari_hmrf.field.strain import folds
+from napari_hmrf.field.strain import fold_mask
 from napari_hmrf.layers.metadata import BOUNDARY, known_of, rows_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.tissue.drawing import Arrow, Drawing
@@ -452,7 +452,7 @@ def test_folds_are_marked_when_asked_for_and_gone_with_what_folded(folding, run,
     settle(folding)
     layer = folding._viewer.layers["MR folds, paper"]
     solution = folding.solution
-    folded = folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
+    folded = fold_mask(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
     seen = np.argwhere(folded) + solution.displacement[folded] / solution.spacing
     places = {tuple(place) for place in np.rint(seen).astype(int) if min(place) >= 0}
     assert {*map(tuple, np.argwhere(layer.data))} == places

@@ -18,7 +18,7 @@ from napari_hmrf.contributions import open_scan
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.frame import PATIENT_AXES
 from napari_hmrf.io.fields import Place
-from napari_hmrf.io.images import ImageFile, save_image
+from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.layers.screen_directions import Sides, ways_of
 from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
@@ -42,7 +42,7 @@ def head(folder, direction=DIRECTIONS["LPS"]):
     pixels[tuple(at[::-1])] = 200
     centre = direction @ np.full(3, 11.5)
     place = place._replace(origin=tuple(-centre))
-    return str(save_image(folder / "head.nii.gz", ImageFile(pixels, place)))
+    return str(write_image(folder / "head.nii.gz", ImageFile(pixels, place)))
 
 
 def add_head(viewer, folder, direction=DIRECTIONS["LPS"]):

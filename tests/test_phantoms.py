@@ -4,16 +4,8 @@ import numpy as np
 import pytest
 from fem import rmsd
 
-from napari_hmrf import (
-    ICM,
-    PHANTOM_NAMES,
-    ElasticPrior,
-    SeilerPrior,
-    phantom,
-    reference_displacement,
-    sample,
-    solve,
-)
+from napari_hmrf import ICM, ElasticPrior, SeilerPrior, solve
+from napari_hmrf.data import PHANTOM_NAMES, phantom, reference_displacement, sample
 from napari_hmrf.study.models import chosen
 from napari_hmrf.tissue.boundary_rules import boundary_images, stiffness_image
 

@@ -12,7 +12,8 @@ import pytest
 from opengl_here import require_opengl
 from patience import LONG
 
-from napari_hmrf import SeilerPrior, Solution, phantom, solve
+from napari_hmrf import SeilerPrior, Solution, solve
+from napari_hmrf.data import phantom
 
 needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
 
@@ -22,7 +23,8 @@ import sys
 
 import numpy as np
 
-from napari_hmrf import ElasticPrior, SeilerPrior, phantom, solve
+from napari_hmrf import ElasticPrior, SeilerPrior, solve
+from napari_hmrf.data import phantom
 
 
 def displacement(prior):
@@ -64,7 +66,8 @@ import os
 
 import numpy as np
 
-from napari_hmrf import BackendError, SeilerPrior, phantom, solve
+from napari_hmrf import BackendError, SeilerPrior, solve
+from napari_hmrf.data import phantom
 
 problem = phantom("expansion", size=40).problem
 expected = solve(problem, SeilerPrior(), backend="opengl").displacement
@@ -94,7 +97,8 @@ IN_THE_MIDDLE = """
 import os
 import threading
 
-from napari_hmrf import BackendError, SeilerPrior, phantom, solve
+from napari_hmrf import BackendError, SeilerPrior, solve
+from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends.thread import compute_thread
 
 problem = phantom("expansion", size=24).problem
@@ -138,12 +142,12 @@ import numpy as np
 from napari_hmrf import Solution
 
 path = sys.argv[1]
-one = Solution.load(path)
-other = Solution.load(sys.argv[2])
+one = Solution.read(path)
+other = Solution.read(sys.argv[2])
 print("begun", flush=True)
 while True:
-    one.save(path)
-    other.save(path)
+    one.write(path)
+    other.write(path)
 """
 
 
@@ -167,7 +171,7 @@ def test_a_process_killed_in_the_middle_of_saving_leaves_a_whole_file(tmp_path):
     sizes = (48, 40)
     paths = [tmp_path / f"{size}.npz" for size in sizes]
     for path, size in zip(paths, sizes, strict=True):
-        solve(phantom("expansion", size=size).problem, SeilerPrior(), backend="cpu").save(path)
+        solve(phantom("expansion", size=size).problem, SeilerPrior(), backend="cpu").write(path)
     path = paths[0]
     # When a file has been begun, when some is in it, and when it needs only its name.
     for written in (0, 1, path.stat().st_size // 2):
@@ -178,4 +182,4 @@ def test_a_process_killed_in_the_middle_of_saving_leaves_a_whole_file(tmp_path):
             process.kill()
         for left in tmp_path.glob("*.tmp"):
             left.unlink()
-        assert Solution.load(path).displacement.shape[0] in sizes
+        assert Solution.read(path).displacement.shape[0] in sizes

@@ -8,21 +8,12 @@ import pytest
 from napari.layers import Image, Labels
 from study_reader import read_ground
 
-from napari_hmrf import (
-    Grid,
-    Motion,
-    Multigrid,
-    ProblemError,
-    Study,
-    Tissue,
-    solve,
-    solve_study,
-)
+from napari_hmrf import Grid, Motion, Multigrid, ProblemError, Study, Tissue, solve, solve_study
 from napari_hmrf.field.inverse_point import inverse_point
 from napari_hmrf.layers.arrow_layer import arrow_layer, arrow_lines
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
 from napari_hmrf.layers.pixel_copy import LayerCopies
-from napari_hmrf.layers.read import Request, read_study
+from napari_hmrf.layers.read import Request, study_from_layers
 from napari_hmrf.layers.slice_view import frame_of
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.study_model import StudyModel
@@ -349,7 +340,7 @@ def test_a_study_is_the_same_until_something_is_painted():
     image, copies = Image(picture), LayerCopies()
 
     def read(**how):
-        return read_study(Request(image=image, drawing=Drawing(), **how), copies=copies)
+        return study_from_layers(Request(image=image, drawing=Drawing(), **how), copies=copies)
 
     one = read()
     assert one.same_as(read())

@@ -19,7 +19,7 @@ from napari_hmrf import (
 )
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.io.case import Case, read_case
-from napari_hmrf.io.images import ImageFile, save_image
+from napari_hmrf.io.images import ImageFile, write_image
 
 SHAPE = 20, 24
 
@@ -101,8 +101,8 @@ def test_python_and_the_shell_read_the_same_tissue_from_maps(tmp_path):
     names = []
     for name, values in maps().items():
         names.append(tmp_path / f"{name}.tif")
-        save_image(names[-1], ImageFile(values.astype(np.float32)))
-    save_image(tmp_path / "a.tif", ImageFile(np.ones(SHAPE, np.uint8)))
+        write_image(names[-1], ImageFile(values.astype(np.float32)))
+    write_image(tmp_path / "a.tif", ImageFile(np.ones(SHAPE, np.uint8)))
     of_shell = read_case(Case(tmp_path / "a.tif", maps=names, hold_edge=True))
     tissue = Tissue.from_maps(
         maps(), [Material(7, "white matter", 2), Material(9, "grey matter", 3)]
@@ -173,8 +173,8 @@ def test_a_slice_of_maps_has_the_scale_of_the_whole_files(tmp_path):
     maps[1, 0] = 255
     paths = [tmp_path / "gm.nrrd", tmp_path / "wm.nrrd"]
     for path, values in zip(paths, maps, strict=True):
-        save_image(path, ImageFile(values))
-    save_image(tmp_path / "t1.nrrd", ImageFile(np.ones((4, 8, 8), np.uint8)))
+        write_image(path, ImageFile(values))
+    write_image(tmp_path / "t1.nrrd", ImageFile(np.ones((4, 8, 8), np.uint8)))
     case = Case(tmp_path / "t1.nrrd", maps=paths, hold_edge=True)
     whole, part = read_case(case), read_case(replace(case, slice=2))
     np.testing.assert_array_equal(part.tissue.labels, whole.tissue.labels[2])

@@ -18,19 +18,18 @@ from napari_hmrf import (
     Stroke,
     Study,
     Tissue,
-    export_field,
-    known_tissue,
-    materials_by_name,
-    measure,
-    phantom,
-    reactions,
-    save_moving_picture,
-    save_study,
+    build_problem,
     solve,
-    solve_cases,
     solve_study,
-    statement_of,
+    write_study,
 )
+from napari_hmrf.cases import solve_cases
+from napari_hmrf.data import phantom
+from napari_hmrf.field.measurement import measure
+from napari_hmrf.fields import write_movie
+from napari_hmrf.io.fields import export_field
+from napari_hmrf.loads import reactions
+from napari_hmrf.tissue import lookup_tissue, materials_by_name
 
 SHAPE = 6, 7
 GRID = Grid(SHAPE, (1.0, 1.0))
@@ -69,15 +68,15 @@ def solution():
         (lambda: Grid(SHAPE, (1, 1), None), 'unit must be a str, such as "mm", not None'),
         (lambda: materials_by_name(["bone"]), "names must be a mapping of labels to names"),
         (lambda: materials_by_name({"bone": 1}), "names must be a mapping of labels to names"),
-        (lambda: known_tissue(3), 'name must be a str, such as "liver", not 3'),
-        (lambda: save_study("a.study", ONES), "study must be a Study"),
-        (lambda: save_study("a.study", Study(GRID), ONES), "solution must be a Solution"),
+        (lambda: lookup_tissue(3), 'name must be a str, such as "liver", not 3'),
+        (lambda: write_study("a.study", ONES), "study must be a Study"),
+        (lambda: write_study("a.study", Study(GRID), ONES), "solution must be a Solution"),
         (lambda: export_field("a.mha", ONES), r"solution is an array\. .* write_field\(path"),
         (lambda: export_field("a.mha", Study(GRID)), "solution must be a Solution"),
-        (lambda: save_moving_picture("a.gif", ONES, ONES), "solution must be a Solution"),
+        (lambda: write_movie("a.gif", ONES, ONES), "solution must be a Solution"),
         (lambda: reactions(Study(GRID), ONES), "problem must be a Problem, such as Problem"),
         (lambda: solve_cases("cases.csv", "out"), r"cases must be a tuple of NamedCase, .*read_c"),
-        (lambda: solve_study(Study(GRID), stated=3), "stated must be a Statement, such as state"),
+        (lambda: solve_study(Study(GRID), stated=3), "stated must be a Statement, such as build_p"),
     ],
 )
 def test_an_argument_of_another_type_is_refused_by_name(call, said):
@@ -94,7 +93,7 @@ def test_arguments_beside_a_solution_are_refused_by_name(solution):
         export_field("a.mha", solution, grid=(16, 16))
 
 
-@pytest.mark.parametrize("call", [solve_study, statement_of])
+@pytest.mark.parametrize("call", [solve_study, build_problem])
 def test_a_problem_is_sent_to_solve(call):
     problem = Problem(np.zeros((*SHAPE, 2)), np.ones((*SHAPE, 2)), ONES)
     with pytest.raises(ArgumentError, match=r"study is a Problem\. Call solve\(problem\)"):

@@ -3,16 +3,18 @@
 import numpy as np
 import pytest
 
-from napari_hmrf import ProblemError, count_folds, jacobian_determinant, phantom
+from napari_hmrf import ProblemError
+from napari_hmrf.data import phantom
 from napari_hmrf.field.strain import (
     deformation_gradient,
     equivalent_strain,
-    folds,
+    fold_mask,
     green_lagrange_strain,
     principal_strains,
     small_strain,
     strain_through_slice,
 )
+from napari_hmrf.fields import count_folds, jacobian_determinant
 from napari_hmrf.samples.phantoms import reference_displacement
 
 SPACING = np.array([2.0, 0.5])
@@ -102,11 +104,11 @@ def test_folds_are_those_that_are_counted():
     displacement = np.zeros((8, 20, 2))
     displacement[:, :10, 1] = 2.5
     displacement[2, 15, 1] = -1.5  # jumps over its neighbour: central differences do not see it
-    found = folds(displacement, spacing=1)
+    found = fold_mask(displacement, spacing=1)
     assert found[:, 9:11].all()
     assert found[2, 15]
     assert found.sum() == count_folds(displacement, spacing=1)
-    assert not folds(
+    assert not fold_mask(
         reference_displacement("bar"), spacing=1, tissue=phantom("bar").problem.tissue
     ).any()
 
@@ -124,7 +126,7 @@ def test_nothing_is_known_of_void_and_nothing_taken_from_it():
     for derived in (principal_strains(strain), equivalent_strain(strain)):
         assert np.isfinite(derived[tissue]).all()
         assert np.isnan(derived[~tissue]).all()
-    assert not folds(displacement, spacing=SPACING, tissue=tissue)[~tissue].any()
+    assert not fold_mask(displacement, spacing=SPACING, tissue=tissue)[~tissue].any()
 
 
 def test_a_strain_of_a_millionth_is_not_lost():
@@ -140,7 +142,7 @@ def test_a_strain_of_a_millionth_is_not_lost():
         (lambda: small_strain(np.zeros((4, 4)), spacing=1), "displacement: has shape"),
         (lambda: deformation_gradient(np.zeros((4, 4, 2)), spacing=(1, 0)), "spacing"),
         (
-            lambda: folds(np.zeros((4, 4, 2)), spacing=1, tissue=np.ones((3, 4))),
+            lambda: fold_mask(np.zeros((4, 4, 2)), spacing=1, tissue=np.ones((3, 4))),
             "tissue: has shape",
         ),
         (lambda: principal_strains(np.zeros((4, 3))), "strain: has shape"),

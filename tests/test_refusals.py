@@ -95,6 +95,7 @@ def test_an_extreme_penalty_is_answered(penalty):
         pytest.param((5, 49), id="mild tissue that cycles see badly"),
         pytest.param((5, 295), id="slow motions that early cycles do not tell"),
         pytest.param((7, 1793), id="pixels twice as long as wide"),
+        pytest.param((12, 635), id="tissue that is hard to compress"),
         pytest.param((9, 1177), id="much tissue that hangs at a few pixels"),
     ],
 )

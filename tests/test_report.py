@@ -9,7 +9,8 @@ from report.assembly import assemble, solve_directly
 from report.page import Section, Settings, Target, write_page
 from report.warm import moved_patch
 
-from napari_hmrf import ElasticPrior, Multigrid, Problem, phantom, solve
+from napari_hmrf import ElasticPrior, Multigrid, Problem, solve
+from napari_hmrf.data import phantom
 
 
 def random_problem(spacing=(1.0, 1.0)):

@@ -9,13 +9,14 @@ from PIL import Image as Picture
 from qtpy.QtWidgets import QFileDialog, QLabel, QTableWidget
 from screen import Screen
 
-from napari_hmrf import HmrfError, measure, read_field, warp
+from napari_hmrf import HmrfError, warp
 from napari_hmrf.contributions import open_solution
 from napari_hmrf.field.elastic_strain import strain_note
 from napari_hmrf.field.inverse_field import inverse_displacement
-from napari_hmrf.field.measurement import Measurement
+from napari_hmrf.field.measurement import Measurement, measure
 from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.units import as_seen
+from napari_hmrf.fields import read_field
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 MM = {"units": ("mm", "mm"), "scale": (0.5, 0.8)}
@@ -264,7 +265,7 @@ def test_in_the_table_what_nobody_sees_is_nothing(result, monkeypatch):
 def test_a_result_from_a_file_is_measured_by_the_labels_that_are_there(result, tmp_path):
     dock, viewer = result()
     one = dock.more.measure()
-    path = str(dock.solution.save(tmp_path / "kept.npz"))
+    path = str(dock.solution.write(tmp_path / "kept.npz"))
     ((data, attributes, _),) = open_solution(path)(path)
     dock.result = viewer.add_vectors(data, **attributes)
     assert dock.more.measure() == one

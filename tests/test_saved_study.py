@@ -19,18 +19,18 @@ from napari_hmrf import (
     Material,
     Motion,
     Pictures,
-    StiffnessCurve,
     Stroke,
     Study,
     Tissue,
-    load_study,
+    read_study,
     replay,
-    save_study,
+    write_study,
 )
 from napari_hmrf.cli import main
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.io.fields import place_of
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
+from napari_hmrf.tissue import StiffnessCurve
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 SHAPE = (36, 44)
@@ -159,7 +159,7 @@ def test_what_is_opened_is_nothing_to_take_back_and_paint_is_seen_only_where_not
     motion = Motion(hold_edge=True, drawing=DRAWING if moves else Drawing())
     pictures = Pictures(np.ones(SHAPE), name="image")
     study = Study(Grid(SHAPE, (1.0, 1.0)), labels, motion, pictures=pictures)
-    second.open_study(save_study(tmp_path / "painted", study))
+    second.open_study(write_study(tmp_path / "painted", study))
     assert other.layers["Tissue"].visible != moves
 
 
@@ -169,7 +169,7 @@ def test_a_slice_that_is_opened_and_saved_again_still_lies_in_its_volume(
     first = made(stack())
     run(first)
     path = first.save_study(tmp_path / "case")
-    assert load_study(path).study.grid.place.index[0] == 1, "of the stack that it was cut from"
+    assert read_study(path).study.grid.place.index[0] == 1, "of the stack that it was cut from"
     second = made(ViewerModel())
     second.open_study(path)
     wait_for(lambda: not second.busy)
@@ -177,7 +177,7 @@ def test_a_slice_that_is_opened_and_saved_again_still_lies_in_its_volume(
     again = second.save_study(tmp_path / "again")
     corner = first._viewer.layers["t1"].data_to_world((1, 0, 0))
     for each in (path, again):
-        place = place_of(load_study(each).solution)
+        place = place_of(read_study(each).solution)
         np.testing.assert_allclose(place.origin[::-1], corner)
         np.testing.assert_allclose(place.spacing, (3.0, 0.5, 0.8))
 
@@ -186,7 +186,7 @@ def test_a_field_from_nothing_is_replayed_bit_by_bit(made, run, wait_for, tmp_pa
     dock = made(stack())
     run(dock)
     path = dock.save_study(tmp_path / "case")
-    saved = load_study(path).solution
+    saved = read_study(path).solution
     assert saved.provenance.backend == "cpu"
     assert np.array_equal(replay(path).displacement, saved.displacement)
 
@@ -201,13 +201,13 @@ def test_a_field_that_followed_a_hand_is_replayed_within_its_tolerance(
         dock.drawing = Drawing((Arrow(at=(18, col), by=(0.5, 2.0), radius=2.0),))
         wait_for(lambda: not dock.busy)
     path = dock.save_study(tmp_path / "case")
-    study, saved = load_study(path)
+    study, saved = read_study(path)
     apart = np.abs(replay(path).displacement - saved.displacement).max()
     assert 0 < apart < 0.002, "it began warm"
     assert main(["replay", str(path)]) == 0
     assert "the same field within its tolerance" in capsys.readouterr().out
     other = replace(saved, displacement=saved.displacement + np.float32(0.01))
-    assert main(["replay", str(save_study(path, study, other))]) == 1
+    assert main(["replay", str(write_study(path, study, other))]) == 1
     assert "fields differ by at most" in capsys.readouterr().out
 
 
@@ -229,7 +229,7 @@ def test_a_study_of_python_opens_in_the_window(made, wait_for, tmp_path, tissue,
     grid = Grid(SHAPE, (0.5, 0.8), "millimeter")
     study = Study(grid, tissue, motion, model=model, pictures=Pictures(image, name="photo"))
     dock = made(ViewerModel())
-    dock.open_study(save_study(tmp_path / "case", study))
+    dock.open_study(write_study(tmp_path / "case", study))
     wait_for(lambda: not dock.busy)
     assert dock.model == model
     read = dock.study
@@ -249,7 +249,7 @@ def test_a_registration_s_field_opens_as_arrows_with_how_sure_they_are(made, wai
         Grid(SHAPE, (1.0, 1.0)), motion=Motion(observed=y, confidence=c), pictures=Pictures(image)
     )
     dock = made(ViewerModel())
-    dock.open_study(save_study(tmp_path / "case", study))
+    dock.open_study(write_study(tmp_path / "case", study))
     wait_for(lambda: not dock.busy)
     read = dock.study.motion
     there = c > 0
@@ -260,7 +260,7 @@ def test_a_registration_s_field_opens_as_arrows_with_how_sure_they_are(made, wai
 
 def test_a_study_that_lies_nowhere_adds_no_layer(made, tmp_path):
     grid = Grid(SHAPE, (1.0, 1.0), place=Frame.at((1.0, 1.0), ("mm", "mm")))
-    path = save_study(tmp_path / "case", Study(grid, pictures=Pictures(np.ones(SHAPE))))
+    path = write_study(tmp_path / "case", Study(grid, pictures=Pictures(np.ones(SHAPE))))
     with np.load(path) as parts:
         header = json.loads(str(parts["header"]))
         header["grid"]["place"]["plane"] = [0, 7]
@@ -279,7 +279,7 @@ def test_file_open_has_it_all_in_the_dock(make_napari_viewer, at_rest, tmp_path)
         motion=Motion(hold_edge=True, drawing=DRAWING),
         pictures=Pictures(np.full(SHAPE, 100, np.uint8), name="photo"),
     )
-    path = save_study(tmp_path / "case", study)
+    path = write_study(tmp_path / "case", study)
     viewer = make_napari_viewer()
     viewer.open(str(path), plugin="napari-hmrf")
     dock = dock_in(viewer)
@@ -306,7 +306,7 @@ def test_landmarks_that_were_not_taken_are_not_in_the_file_and_that_is_said(made
     screen.press("Take as landmarks")
     dock.save_study(path)
     assert "Landmarks" not in dock.status
-    assert len(load_study(path).study.motion.drawing.marks) == 2
+    assert len(read_study(path).study.motion.drawing.marks) == 2
     viewer.layers["ought"].data = [[11, 10], [20, 33]]
     dock.save_study(path)
     assert "Landmarks of 'is' are not in it" in dock.status, "the layers say something else now"
@@ -327,6 +327,6 @@ def test_what_was_done_so_far_is_saved_before_there_is_a_result(
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(path), ""))
     screen.press("Save study ...")
     assert dock.status.startswith("Saved begun.study, without a field")
-    study, solution = load_study(path)
+    study, solution = read_study(path)
     assert solution is None
     assert study.motion.drawing == DRAWING

@@ -8,8 +8,9 @@ from napari.components import ViewerModel
 from screen import Screen
 from test_images_in_turn import opened
 
-from napari_hmrf import Arrow, Drawing, Landmark, head_phantom
+from napari_hmrf import Arrow, Drawing, Landmark
 from napari_hmrf.contributions import phantom_layers, volume_layers
+from napari_hmrf.data import head_phantom
 from napari_hmrf.samples.phantoms import phantom
 from napari_hmrf.ui.soft_tissue import SoftTissue
 

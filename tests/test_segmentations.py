@@ -6,20 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from napari_hmrf import (
-    RIGID,
-    FileFormatError,
-    Material,
-    known_tissue,
-    load_study,
-    materials_by_name,
-    read_label_names,
-)
+from napari_hmrf import FileFormatError, Material, read_study
 from napari_hmrf.cli import main
-from napari_hmrf.io.images import ImageFile, save_image
+from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.io.segmentation_tables import tissue_table
 from napari_hmrf.io.tables import read_materials
 from napari_hmrf.resources import resource_folder
+from napari_hmrf.tissue import RIGID, lookup_tissue, materials_by_name, read_label_names
 
 TOTAL = {
     5: "liver",
@@ -251,7 +244,7 @@ def test_columns_of_other_tools_beside_names_are_no_materials(tmp_path):
     ],
 )
 def test_what_is_not_known_for_sure_is_not_guessed(name):
-    assert known_tissue(name) is None
+    assert lookup_tissue(name) is None
 
 
 @pytest.mark.parametrize(
@@ -267,7 +260,7 @@ def test_what_is_not_known_for_sure_is_not_guessed(name):
     ],
 )
 def test_of_two_names_the_longer_counts(name, tissue):
-    assert known_tissue(name).name == tissue
+    assert lookup_tissue(name).name == tissue
 
 
 def test_every_tissue_has_a_source_a_stiffness_that_can_be_solved_and_names_of_its_own():
@@ -280,7 +273,7 @@ def test_every_tissue_has_a_source_a_stiffness_that_can_be_solved_and_names_of_i
         assert row["source"]
         assert row["stiffness"] == "rigid" or 0 <= row["stiffness"] < 100
         assert 0 <= row["poisson"] <= 0.49
-        assert {known_tissue(name).name for name in row["names"]} == {row["name"]}
+        assert {lookup_tissue(name).name for name in row["names"]} == {row["name"]}
 
 
 @pytest.fixture
@@ -290,9 +283,9 @@ def files(tmp_path, monkeypatch):
     labels = np.full((24, 30), 91, np.uint8)
     labels[3:-3, 3:-3] = 90
     labels[10:14, 10:14], labels[10:14, 20:24] = 16, 20
-    save_image("labels.png", ImageFile(labels))
-    save_image("image.png", ImageFile(labels))
-    save_image("rim.png", ImageFile(np.uint8(np.arange(24) == 5)[:, None].repeat(30, axis=1)))
+    write_image("labels.png", ImageFile(labels))
+    write_image("image.png", ImageFile(labels))
+    write_image("rim.png", ImageFile(np.uint8(np.arange(24) == 5)[:, None].repeat(30, axis=1)))
     (tmp_path / "classes.json").write_text(json.dumps(TOTAL))
     (tmp_path / "rules.csv").write_text("label,action,row,col\n1,move,0,1\n")
     return tmp_path
@@ -326,7 +319,7 @@ def test_the_shell_solves_with_the_names_of_a_segmentation(files, capsys):
         "note: classes.json: the table only names its labels, so published stiffness is used for "
         "16 (trachea), 90 (brain), 91 (skull)\n"
     ) in said
-    study, _ = load_study(files / "out" / "image.study")
+    study, _ = read_study(files / "out" / "image.study")
     assert study.tissue.unit == "kPa"
     assert {row.label for row in study.tissue.materials} == set(TOTAL) - {20}
     (files / "none.json").write_text(json.dumps({1: "a", 2: "b"}))

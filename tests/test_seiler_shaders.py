@@ -20,7 +20,8 @@ from linear_levels import (
 )
 from opengl_here import left, on_compute_thread, require_opengl
 
-from napari_hmrf import Cancelled, Multigrid, Problem, SeilerPrior, phantom, solve
+from napari_hmrf import Cancelled, Multigrid, Problem, SeilerPrior, solve
+from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends.opengl import OpenGLBackend, is_software_renderer
 from napari_hmrf.solver.backends.opengl.device import the_device
 from napari_hmrf.solver.backends.opengl.seiler import GLSeilerModel

@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from napari_hmrf import Arrow, BoundaryRule, Case, Drawing, Grid, Motion, Study, Tissue, solve_study
+from napari_hmrf import Arrow, BoundaryRule, Drawing, Grid, Motion, Study, Tissue, solve_study
+from napari_hmrf.cases import Case
 from napari_hmrf.io.case import solve_case
-from napari_hmrf.io.study_file import replay, save_study
+from napari_hmrf.io.study_file import replay, write_study
 
 SHAPE = 20, 24
 
@@ -26,7 +27,7 @@ def test_a_result_that_folds_says_at_how_many_pixels(tmp_path):
     assert folds > 0
     (said,) = about(solution.notes, "folds over itself")
     assert f"at {folds} pixels" in said
-    path = save_study(tmp_path / "far.study", pulled_far())
+    path = write_study(tmp_path / "far.study", pulled_far())
     assert said in replay(path).notes
     solved = solve_case(Case(image=path), tmp_path / "out", backend="cpu")
     assert about(solved.notes, "folds over itself") == [said]
@@ -37,7 +38,7 @@ def test_folds_of_a_volume_are_counted_only_when_asked_for(tmp_path):
     solution = solve_study(volume, backend="cpu")
     assert solution.count_folds() > 0
     assert not about(solution.notes, "fold")
-    path = save_study(tmp_path / "far.study", volume)
+    path = write_study(tmp_path / "far.study", volume)
     solved = solve_case(Case(image=path), tmp_path / "out", backend="cpu")
     assert len(about(solved.notes, f"at {solved.folds} voxels")) == 1
 

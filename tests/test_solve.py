@@ -161,7 +161,7 @@ def test_an_argument_of_another_kind_is_named_before_anything_is_done(
 
 def test_numbers_of_numpys_are_saved_as_any_others(tmp_path):
     prior = ElasticPrior(np.float32(0.3), penalty=np.float32(2))
-    solve(frame_problem((8, 8)), prior, backend="cpu").save(tmp_path / "numbers.npz")
+    solve(frame_problem((8, 8)), prior, backend="cpu").write(tmp_path / "numbers.npz")
 
 
 def test_kernels_run_on_the_compute_thread_only():

@@ -20,15 +20,15 @@ from napari_hmrf import (
     Problem,
     ProblemError,
     SeilerPrior,
-    StiffnessCurve,
     Stroke,
     Study,
     Tissue,
+    build_problem,
     solve,
     solve_study,
-    statement_of,
 )
 from napari_hmrf.study.ground import Ground
+from napari_hmrf.tissue import StiffnessCurve
 from napari_hmrf.tissue.material_presets import PRESETS
 
 SHAPE = (20, 26)
@@ -88,7 +88,7 @@ def test_a_study_is_the_problem_of_its_arrays():
     stiffness = np.full(SHAPE, 4.0)
     study = Study(GRID, Tissue(stiffness=stiffness), Motion(observed=observed, confidence=counts))
     problem = Problem(observed, counts, stiffness, spacing=GRID.spacing)
-    own = statement_of(study).problem
+    own = build_problem(study).problem
     for name in ("observed", "confidence", "stiffness"):
         np.testing.assert_array_equal(getattr(own, name), getattr(problem, name))
     same = solve(problem, backend="cpu").displacement
@@ -106,7 +106,7 @@ def test_tissue_is_told_by_labels_by_a_curve_or_by_what_the_image_shows():
 
     def stiffness(tissue):
         study = pulled(tissue=tissue, pictures=Pictures(image))
-        return statement_of(study).problem.stiffness
+        return build_problem(study).problem.stiffness
 
     np.testing.assert_array_equal(stiffness(by_labels), np.where(inside, 5.0, 0.0))
     found = stiffness(Tissue(curve=curve))
@@ -120,7 +120,7 @@ def test_later_parts_of_a_motion_count_over_earlier_ones():
     labels = np.zeros(SHAPE, int)
     labels[4:17, 10:15] = labels[0, 5] = 1
     rules = (BoundaryRule(1, "move", vector=(3.0, 0.0)),)
-    stated = statement_of(pulled(motion=Motion(True, labels, rules, drawing=PULL))).problem
+    stated = build_problem(pulled(motion=Motion(True, labels, rules, drawing=PULL))).problem
     assert stated.observed[10, 12].tolist() == [0, 2], "what is drawn lies over what is painted"
     assert stated.observed[5, 12].tolist() == [3, 0]
     assert stated.observed[0, 5].tolist() == [3, 0], (
@@ -136,7 +136,7 @@ def test_what_is_painted_as_another_tissue_is_so_many_times_as_stiff():
     other = next(row for row in tissues if row.is_deformable and row.stiffness != usual.stiffness)
     stroke = Stroke("tissue", (((10.0, 12.0),),), 2.0, label=other.label)
     motion = Motion(hold_edge=True, drawing=Drawing((*PULL.marks, stroke)))
-    found = statement_of(pulled(tissue=Tissue(), motion=motion)).problem.stiffness
+    found = build_problem(pulled(tissue=Tissue(), motion=motion)).problem.stiffness
     assert found[10, 12] == pytest.approx(other.stiffness / usual.stiffness)
     assert found[1, 1] == 1
 
@@ -160,12 +160,12 @@ def test_parts_that_do_not_go_together_are_refused(wrong, said):
 
 def test_what_is_wrong_is_said_of_the_part():
     with pytest.raises(ProblemError, match="is 0 everywhere: there is no tissue"):
-        statement_of(pulled(tissue=Tissue(stiffness=np.zeros(SHAPE))))
+        build_problem(pulled(tissue=Tissue(stiffness=np.zeros(SHAPE))))
     with pytest.raises(ProblemError, match=r"observed|confidence"):
-        statement_of(pulled(motion=Motion()))
+        build_problem(pulled(motion=Motion()))
     curve = StiffnessCurve(((50.0, 1.0), (150.0, 2.0)))
     with pytest.raises(ProblemError, match=r"tissue: is given by a curve .* no image\. Give one"):
-        statement_of(pulled(tissue=Tissue(curve=curve)))
+        build_problem(pulled(tissue=Tissue(curve=curve)))
 
 
 def test_values_that_are_no_numbers_are_said():

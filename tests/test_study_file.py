@@ -33,20 +33,20 @@ from napari_hmrf import (
     Pictures,
     SeilerPrior,
     Solution,
-    StiffnessCurve,
     Stroke,
     Study,
     Tissue,
-    is_study_file,
-    load_points,
-    load_study,
+    read_study,
     replay,
-    save_study,
     solve_study,
+    write_study,
 )
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.io.material_tables import load_materials
+from napari_hmrf.fields import is_study_file
+from napari_hmrf.io.material_tables import read_preset
 from napari_hmrf.io.tables import read_materials
+from napari_hmrf.landmarks import read_points
+from napari_hmrf.tissue import StiffnessCurve
 
 SHAPE = (20, 24)
 GRID = Grid(SHAPE, (0.5, 0.8), "millimeter", Frame.at((0.5, 0.8), ("mm", "mm")))
@@ -129,7 +129,7 @@ def study(request):
 
 def test_what_was_saved_comes_back(study, tmp_path):
     solution = solve_study(study, backend="cpu")
-    saved = load_study(save_study(tmp_path / "case", study, solution))
+    saved = read_study(write_study(tmp_path / "case", study, solution))
     assert plain(saved.study) == plain(study)
     assert plain(saved.solution.displacement) == plain(solution.displacement)
     assert saved.solution.provenance.model == study.model_name
@@ -141,31 +141,31 @@ def test_stiffness_may_be_a_picture_of_whole_numbers(tmp_path):
         study = Study(
             Grid(shades.shape, (1.0, 1.0)), Tissue(stiffness=shades.astype(kind)), Motion(True)
         )
-        saved = load_study(save_study(tmp_path / "case", study)).study
+        saved = read_study(write_study(tmp_path / "case", study)).study
         assert plain(saved.tissue.stiffness) == plain(study.tissue.stiffness)
 
 
 def test_a_study_needs_no_field(study, tmp_path):
-    path = save_study(tmp_path / "case.study", study)
+    path = write_study(tmp_path / "case.study", study)
     assert path.name == "case.study"
     assert is_study_file(path)
-    saved = load_study(path)
+    saved = read_study(path)
     assert saved.solution is None
     assert plain(saved.study) == plain(study)
 
 
 SOLVE = """
 import sys
-from napari_hmrf import load_study, save_study, solve_study
+from napari_hmrf import read_study, solve_study, write_study
 for path in sys.argv[1:]:
-    study = load_study(path).study
-    save_study(path, study, solve_study(study, backend="cpu"))
+    study = read_study(path).study
+    write_study(path, study, solve_study(study, backend="cpu"))
 """
 REPLAY = """
 import sys
-from napari_hmrf import load_study, replay
+from napari_hmrf import read_study, replay
 for path in sys.argv[1:]:
-    before, now = load_study(path).solution, replay(path)
+    before, now = read_study(path).solution, replay(path)
     print((before.displacement == now.displacement).all(), before.provenance.backend)
     assert before.provenance.backend == now.provenance.backend
 """
@@ -177,7 +177,7 @@ def test_the_field_is_made_again_bit_by_bit_in_a_fresh_process(tmp_path):
         for make in STUDIES:
             study = make()
             solution = solve_study(study, backend=backend)
-            path = save_study(tmp_path / f"{make.__name__}-{backend}", study, solution)
+            path = write_study(tmp_path / f"{make.__name__}-{backend}", study, solution)
             paths[backend].append(path)
             solutions[path] = solution
     # Who compiles a loop, as this process may have, rounds otherwise than who finds it on disk; one
@@ -185,7 +185,7 @@ def test_the_field_is_made_again_bit_by_bit_in_a_fresh_process(tmp_path):
     alone = {**os.environ, "NUMBA_NUM_THREADS": "1"}
     subprocess.run([sys.executable, "-c", SOLVE, *paths["cpu"]], check=True, env=alone)
     for path in paths["cpu"]:
-        found = load_study(path).solution.displacement
+        found = read_study(path).solution.displacement
         np.testing.assert_allclose(found, solutions[path].displacement, atol=1e-5)
     command = [sys.executable, "-c", REPLAY, *solutions]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -212,37 +212,37 @@ def test_a_study_killed_at_any_step_of_saving_leaves_a_whole_file():
 
 def test_an_image_may_be_left_out_and_is_given_by_whom_it_is_known(tmp_path):
     study = by_curve()
-    path = save_study(tmp_path / "case", study, solve_study(study, backend="cpu"), image=False)
-    assert load_study(path).study.pictures.image is None
-    assert plain(load_study(path, image=picture()).study) == plain(study)
+    path = write_study(tmp_path / "case", study, solve_study(study, backend="cpu"), image=False)
+    assert read_study(path).study.pictures.image is None
+    assert plain(read_study(path, image=picture()).study) == plain(study)
     with pytest.raises(FileFormatError, match=r"case.study: it was made from another image .*'t1'"):
-        load_study(path, image=picture(4))
+        read_study(path, image=picture(4))
     with pytest.raises(HmrfError, match=r"case.study: its tissue is derived from 't1'"):
         replay(path)
     again = replay(path, image=picture())
-    assert np.array_equal(again.displacement, load_study(path).solution.displacement)
+    assert np.array_equal(again.displacement, read_study(path).solution.displacement)
 
 
 def test_another_file_is_no_study(tmp_path):
-    solution = solve_study(by_arrays(), backend="cpu").save(tmp_path / "result.npz")
+    solution = solve_study(by_arrays(), backend="cpu").write(tmp_path / "result.npz")
     assert not is_study_file(solution)
     with pytest.raises(FileFormatError, match=r"not a valid napari-hmrf study: it is another kind"):
-        load_study(solution)
+        read_study(solution)
 
 
 def test_an_image_that_no_file_keeps_is_refused_and_the_old_file_stays(tmp_path):
     study = by_curve()
-    path = save_study(tmp_path / "case", study)
+    path = write_study(tmp_path / "case", study)
     strange = Pictures(picture().astype(complex), name="t1")
     with pytest.raises(ValueError, match=r"cannot be saved: its image is complex128"):
-        save_study(path, dataclasses.replace(study, pictures=strange))
-    assert plain(load_study(path).study) == plain(study)
+        write_study(path, dataclasses.replace(study, pictures=strange))
+    assert plain(read_study(path).study) == plain(study)
 
 
 def test_whatever_happens_to_a_file_it_is_what_was_saved_or_refused_for_little_memory(tmp_path):
     study, path = by_labels(), tmp_path / "damaged.study"
-    content = save_study(path, study, solve_study(study, backend="cpu")).read_bytes()
-    original, outcomes = load_study(path), set()
+    content = write_study(path, study, solve_study(study, backend="cpu")).read_bytes()
+    original, outcomes = read_study(path), set()
     tracemalloc.start()
     for version in damaged(content, 300):
         path.write_bytes(version.content)
@@ -284,7 +284,7 @@ def spoiled_header(path, part, name, value):
 def test_arrays_are_expanded_only_if_header_and_shapes_allow(fault, tmp_path):
     size = (6000, 6000)
     study = Study(GRID, Tissue(stiffness=np.ones(SHAPE)), pictures=Pictures(labels=labels()))
-    path = save_study(tmp_path / "good", study)
+    path = write_study(tmp_path / "good", study)
     large, changed = as_npy(np.zeros(size, np.uint8)), {}
     if fault == "shape":
         changed = {"boundary_labels": large}
@@ -302,7 +302,7 @@ def test_arrays_are_expanded_only_if_header_and_shapes_allow(fault, tmp_path):
     assert bomb.stat().st_size < 1e6
     tracemalloc.start()
     with pytest.raises(FileFormatError, match=r"bomb\.study: not a valid napari-hmrf study"):
-        load_study(bomb)
+        read_study(bomb)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert most < 5e6
@@ -310,9 +310,9 @@ def test_arrays_are_expanded_only_if_header_and_shapes_allow(fault, tmp_path):
 
 def test_an_array_is_expanded_into_its_own_memory_alone(tmp_path):
     image = np.zeros((3000, 3000), np.uint8)
-    path = save_study(tmp_path / "a", Study(Grid(image.shape, (1, 1)), pictures=Pictures(image)))
+    path = write_study(tmp_path / "a", Study(Grid(image.shape, (1, 1)), pictures=Pictures(image)))
     tracemalloc.start()
-    load_study(path)
+    read_study(path)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert most < 1.5 * image.nbytes
@@ -325,10 +325,10 @@ def test_devices_and_pipes_are_no_studies_and_no_tables(tmp_path):
     device.symlink_to("/dev/zero")
     for path in (fifo, device):
         assert not is_study_file(path)
-        for load in (load_study, Solution.load):
+        for load in (read_study, Solution.read):
             with pytest.raises(FileFormatError, match=r"\.study: it is a pipe or a device"):
                 load(path)
-    for load, name in ((load_points, "a.csv"), (read_materials, "a.csv"), (load_materials, "a")):
+    for load, name in ((read_points, "a.csv"), (read_materials, "a.csv"), (read_preset, "a")):
         endless = tmp_path / f"endless-{load.__name__}-{name}"
         endless.symlink_to("/dev/zero")
         with pytest.raises(FileFormatError, match="too large"):

@@ -11,7 +11,6 @@ from napari_hmrf import (
     ElasticPrior,
     FileFormatError,
     Grid,
-    Loads,
     Material,
     Motion,
     NeoHookeanPrior,
@@ -19,22 +18,19 @@ from napari_hmrf import (
     ProblemError,
     Study,
     Tissue,
-    growth,
-    load_study,
-    phantom,
-    pressure,
+    read_study,
     replay,
-    save_study,
     solve,
     solve_study,
-    traction,
-    weight,
+    write_study,
 )
+from napari_hmrf.data import phantom
 from napari_hmrf.field.held_forces import held_forces
-from napari_hmrf.io.material_tables import load_materials, save_materials
+from napari_hmrf.io.material_tables import read_preset, write_preset
 from napari_hmrf.io.tables import read_materials, read_rules
+from napari_hmrf.loads import Loads, growth, pressure, traction, weight
 from napari_hmrf.solver.caveats import shortfall
-from napari_hmrf.study.ground import Ground, statement_of
+from napari_hmrf.study.ground import Ground, build_problem
 from napari_hmrf.tissue.material_presets import Preset
 
 SHAPE, SPACING = (24, 30), (0.5, 0.8)
@@ -61,7 +57,7 @@ def same(problem, loads):
 def test_a_tumour_grows_as_its_row_of_the_table_says(model):
     grown = study(model=model)
     prior = (ElasticPrior if model == "elastic" else NeoHookeanPrior)(0.45)
-    known = solve(same(statement_of(grown).problem, growth(0.2 * DISC)), prior)
+    known = solve(same(build_problem(grown).problem, growth(0.2 * DISC)), prior)
     solution = solve_study(grown)
     np.testing.assert_array_equal(solution.displacement, known.displacement)
     assert solution.provenance.model == model
@@ -96,7 +92,7 @@ def test_pressure_pulls_and_weight_are_those_of_the_solver():
     )
     motion = Motion(labels=paint, rules=rules, weight=(0.01, 0.0))
     tissue = Tissue(labels=np.ones(SHAPE, int), materials=(BRAIN,), unit="kPa")
-    stated = statement_of(Study(Grid(SHAPE, SPACING, "mm"), tissue, motion))
+    stated = build_problem(Study(Grid(SHAPE, SPACING, "mm"), tissue, motion))
     m, loads = np.full(SHAPE, 2.0), stated.problem.loads
     known = (
         pressure(m, paint == 2, 0.3, spacing=SPACING)
@@ -153,8 +149,8 @@ def test_a_weight_of_too_few_components_is_refused():
 def test_a_study_with_loads_comes_back_from_its_file(tmp_path):
     given = study(BRAIN, replace(TUMOUR, growth=(0.2, 0.0)), weight=(0.01, 0.0))
     solution = solve_study(given)
-    path = save_study(tmp_path / "grown", given, solution)
-    back = load_study(path).study
+    path = write_study(tmp_path / "grown", given, solution)
+    back = read_study(path).study
     assert back.tissue.materials == given.tissue.materials
     assert back.motion.weight == given.motion.weight
     np.testing.assert_array_equal(replay(path).displacement, solution.displacement)
@@ -162,16 +158,16 @@ def test_a_study_with_loads_comes_back_from_its_file(tmp_path):
 
 def test_large_motion_comes_back_from_its_file(tmp_path):
     given = replace(study(), prior=NeoHookeanPrior(0.3, plane="strain"))
-    path = save_study(tmp_path / "far", given)
-    assert load_study(path).study.prior == given.prior
-    assert load_study(path).study.model_name == "large motion"
+    path = write_study(tmp_path / "far", given)
+    assert read_study(path).study.prior == given.prior
+    assert read_study(path).study.model_name == "large motion"
 
 
 @pytest.mark.parametrize("amount", [0.2, (0.2, 0.0)])
 def test_growth_goes_with_a_table_of_materials(tmp_path, amount):
     rows = (BRAIN, replace(TUMOUR, growth=amount))
-    path = save_materials(tmp_path / "table", Preset("Mine", "kPa", "me", rows))
-    assert load_materials(path).materials == rows
+    path = write_preset(tmp_path / "table", Preset("Mine", "kPa", "me", rows))
+    assert read_preset(path).materials == rows
 
 
 def test_a_spreadsheet_says_growth_and_forces(tmp_path):

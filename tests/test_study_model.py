@@ -9,8 +9,8 @@ from napari.viewer import ViewerModel
 
 from napari_hmrf import Arrow, BoundaryRule, Drawing, Material, solve_study
 from napari_hmrf.field.frame import SlicePlace
-from napari_hmrf.io.study_file import load_study, save_study
-from napari_hmrf.layers.read import Request, read_study, study_layers
+from napari_hmrf.io.study_file import read_study, write_study
+from napari_hmrf.layers.read import Request, study_from_layers, study_layers
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.study.models import SolverDetails
 from napari_hmrf.study.study_model import ImageChoice, ModelChoice, StudyModel
@@ -38,7 +38,7 @@ def layers():
 def study_of(model):
     """The study that the window would read and solve."""
     view = View.of(ViewerModel(ndisplay=2).dims)
-    study = read_study(Request.of(model, view))
+    study = study_from_layers(Request.of(model, view))
     return replace(study, prior=model.model.prior, optimizer=model.model.optimizer)
 
 
@@ -72,7 +72,7 @@ def test_all_that_a_user_does_is_done_to_the_model_without_a_window(layers, tmp_
     assert np.abs(solution.displacement[0]).max() == 0
     assert (study.tissue.materials, study.prior.plane) == ((SOFT, STIFF), "strain")
     again = StudyModel()
-    saved = load_study(save_study(tmp_path / "brain.study", study)).study
+    saved = read_study(write_study(tmp_path / "brain.study", study)).study
     made = study_layers(saved)
     again.restore(saved, made)
     again.select_slice(made["image"])

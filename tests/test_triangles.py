@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from napari_hmrf import SeilerPrior, phantom, solve
+from napari_hmrf import SeilerPrior, solve
+from napari_hmrf.data import phantom
 from napari_hmrf.field import triangle_arrays, triangle_raster
 
 

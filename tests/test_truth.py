@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from napari_hmrf import load_points, load_study, solve_study, warp
+from napari_hmrf import read_study, solve_study, warp
 from napari_hmrf.cli import main
 from napari_hmrf.io.fields import Place
-from napari_hmrf.io.images import ImageFile, load_image, save_image
+from napari_hmrf.io.images import ImageFile, read_image, write_image
+from napari_hmrf.landmarks import read_points
 
 sitk = pytest.importorskip("SimpleITK")
 
@@ -29,8 +30,8 @@ def smooth_image(shape):
 def files(tmp_path):
     labels = np.ones(SHAPE, np.uint8)
     labels[blob(SHAPE, (20, 24), 7)] = 2
-    save_image(tmp_path / "scan.mha", ImageFile(smooth_image(SHAPE).astype(np.float32), PLACE))
-    save_image(tmp_path / "labels.png", ImageFile(labels))
+    write_image(tmp_path / "scan.mha", ImageFile(smooth_image(SHAPE).astype(np.float32), PLACE))
+    write_image(tmp_path / "labels.png", ImageFile(labels))
     (tmp_path / "m.csv").write_text("label,name,stiffness\n1,brain,3\n2,bone,rigid\n")
     return tmp_path
 
@@ -56,7 +57,7 @@ def test_the_field_that_is_written_makes_the_deformed_image_for_simpleitk(files,
     off = np.abs(seen - sitk.GetArrayFromImage(deformed))[inner]
     moved = np.abs(sitk.GetArrayFromImage(image) - sitk.GetArrayFromImage(deformed))[inner]
     assert off.max() < 0.05 * moved.max()
-    points = load_points(out / "001" / "landmarks.csv")
+    points = read_points(out / "001" / "landmarks.csv")
     back = [transform.TransformPoint(tuple(to[::-1]))[::-1] for to in points.targets]
     off = np.linalg.norm(np.array(back) - points.points, axis=1)
     assert np.quantile(off, 0.9) < 0.005
@@ -67,21 +68,21 @@ def test_the_field_that_is_written_makes_the_deformed_image_for_simpleitk(files,
 def test_labels_move_with_the_image_and_the_study_solves_to_the_field(files):
     assert truth(files, "--amplitude", 2, "--seed", 4) == 0
     pair = files / "out" / "001"
-    study, solution = load_study(pair / "truth.study")
+    study, solution = read_study(pair / "truth.study")
     assert study.grid.unit == "millimeter"
     again = solve_study(study, backend="cpu").displacement
     assert (np.abs(again - solution.displacement) / solution.spacing).max() < 0.01
-    labels = load_image(files / "out" / "labels.mha").pixels
+    labels = read_image(files / "out" / "labels.mha").pixels
     moved = warp(labels, solution.displacement, spacing=solution.spacing, order=0)
-    np.testing.assert_array_equal(load_image(pair / "deformed_labels.mha").pixels, moved)
+    np.testing.assert_array_equal(read_image(pair / "deformed_labels.mha").pixels, moved)
 
 
 def test_each_of_several_pairs_is_another_and_a_seed_repeats_them(files):
     assert truth(files, "--count", 2, "--seed", 1) == 0
-    first = [load_image(files / "out" / f"00{n}" / "deformed.mha").pixels for n in (1, 2)]
+    first = [read_image(files / "out" / f"00{n}" / "deformed.mha").pixels for n in (1, 2)]
     assert not np.array_equal(*first)
     assert truth(files, "--count", 1, "--seed", 1, "--force") == 0
-    again = load_image(files / "out" / "001" / "deformed.mha").pixels
+    again = read_image(files / "out" / "001" / "deformed.mha").pixels
     np.testing.assert_array_equal(again, first[0])
 
 
@@ -90,8 +91,8 @@ def test_a_volume_is_deformed_too(tmp_path):
     labels = np.ones(shape, np.uint8)
     labels[blob(shape, (6, 7, 8), 2.5)] = 2
     place = Place((2.0, 0.5, 0.7), (-10.0, 20.0, 5.0), np.eye(3))
-    save_image(tmp_path / "scan.mha", ImageFile(smooth_image(shape).astype(np.float32), place))
-    save_image(tmp_path / "labels.mha", ImageFile(labels, place))
+    write_image(tmp_path / "scan.mha", ImageFile(smooth_image(shape).astype(np.float32), place))
+    write_image(tmp_path / "labels.mha", ImageFile(labels, place))
     (tmp_path / "m.csv").write_text("label,name,stiffness\n1,brain,3\n2,bone,rigid\n")
     arguments = ["truth", tmp_path / "scan.mha", "--labels", tmp_path / "labels.mha"]
     arguments += ["--materials", tmp_path / "m.csv", "-o", tmp_path / "out", "--patches", 1]
@@ -103,11 +104,11 @@ def test_a_volume_is_deformed_too(tmp_path):
 
 def test_a_picture_lies_in_its_pixels(files):
     picture = np.clip(smooth_image(SHAPE), 0, 255).astype(np.uint8)
-    save_image(files / "scan.png", ImageFile(picture))
+    write_image(files / "scan.png", ImageFile(picture))
     arguments = ["truth", files / "scan.png", "--labels", files / "labels.png", "--materials"]
     arguments += [files / "m.csv", "-o", files / "out", "--patches", 2]
     assert main([*map(str, arguments)]) == 0
-    assert load_image(files / "out" / "image.mha").pixels.dtype == np.uint8
+    assert read_image(files / "out" / "image.mha").pixels.dtype == np.uint8
 
 
 def test_an_amplitude_that_is_no_length_is_refused(files, capsys):
@@ -142,7 +143,7 @@ def test_a_slice_of_a_volume_with_maps_lies_in_its_volume(tmp_path):
     pictures = {"scan": smooth_image(shape).astype(np.float32)}
     pictures |= {name: pixels.astype(np.uint8) for name, pixels in maps.items()}
     for name, pixels in pictures.items():
-        save_image(tmp_path / f"{name}.nii.gz", ImageFile(pixels, place))
+        write_image(tmp_path / f"{name}.nii.gz", ImageFile(pixels, place))
     (tmp_path / "m.csv").write_text("label,name,stiffness\n0,air,0\n1,brain,3\n2,bone,rigid\n")
     arguments = [tmp_path / "scan.nii.gz", "--slice", 3, "--maps", tmp_path / "soft.nii.gz"]
     arguments += [tmp_path / "stiff.nii.gz", "--materials", tmp_path / "m.csv", "--patches", 2]
@@ -157,9 +158,9 @@ def test_a_slice_of_a_volume_with_maps_lies_in_its_volume(tmp_path):
         )
     labels = sitk.GetArrayFromImage(sitk.ReadImage(str(out / "labels.mha")))[0]
     np.testing.assert_array_equal(labels, 1 + second[3])
-    points = load_points(out / "001" / "landmarks.csv")
+    points = read_points(out / "001" / "landmarks.csv")
     np.testing.assert_allclose(points.points[:, 0], written[0].GetOrigin()[2], atol=1e-5)
-    motion = load_study(out / "001" / "truth.study").study.motion
+    motion = read_study(out / "001" / "truth.study").study.motion
     assert motion.weight
     assert motion.hold_edge
 
@@ -170,12 +171,12 @@ def test_a_study_with_its_labels_is_all_it_takes(files, capsys):
     again = ["truth", str(saved), "-o", str(files / "again"), "--patches", "4", "--seed", "4"]
     assert main([*again, "--amplitude", "2"]) == 0
     first, second = (
-        load_image(files / name / "001" / "deformed.mha").pixels for name in ("out", "again")
+        read_image(files / name / "001" / "deformed.mha").pixels for name in ("out", "again")
     )
     np.testing.assert_array_equal(first, second)
     assert main([*again, "--free-edge", "--amplitude", "1.5-2", "--force"]) == 0
-    drawn = load_study(files / "again" / "001" / "truth.study").study.motion.rules
+    drawn = read_study(files / "again" / "001" / "truth.study").study.motion.rules
     assert 1.5 <= max(np.linalg.norm(rule.vector) for rule in drawn) <= 2
-    assert not load_study(files / "again" / "001" / "truth.study").study.motion.hold_edge
+    assert not read_study(files / "again" / "001" / "truth.study").study.motion.hold_edge
     assert main(["truth", str(files / "scan.mha"), "-o", str(files / "none")]) == 1
     assert "without labels: give --labels, or --maps" in capsys.readouterr().err

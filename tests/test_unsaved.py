@@ -18,7 +18,7 @@ from qtpy.QtCore import QEvent, QFile, QObject, QSettings, Qt
 from qtpy.QtWidgets import QFileDialog, QMessageBox
 from screen import Screen
 
-from napari_hmrf import Arrow, Drawing, Grid, Motion, Study, load_study, save_study
+from napari_hmrf import Arrow, Drawing, Grid, Motion, Study, read_study, write_study
 from napari_hmrf.io import recovery
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
@@ -183,7 +183,7 @@ def test_save_saves_where_somebody_says_and_then_where_it_was_saved(
     assert not dock.unsaved, "it is as it was saved"
     dock.drawing = OTHER
     assert close(dock)
-    assert load_study(path).study.motion.drawing == OTHER
+    assert read_study(path).study.motion.drawing == OTHER
     assert not kept()
 
 
@@ -225,7 +225,7 @@ def test_all_slices_are_saved_by_one_answer(window, close, at_rest, tmp_path, mo
     assert len(asked.questions) == 1
     assert names == ["MR slice 0.study", "MR slice 2.study"]
     for name, drawing in zip(names, (DRAWING, OTHER), strict=True):
-        assert load_study(tmp_path / name).study.motion.drawing == drawing
+        assert read_study(tmp_path / name).study.motion.drawing == drawing
 
 
 def test_slices_of_two_orientations_are_saved_by_one_answer(
@@ -243,7 +243,7 @@ def test_slices_of_two_orientations_are_saved_by_one_answer(
     asked = Asked(dock, "save")
     assert close(dock)
     assert len(asked.questions) == 1
-    axial, coronal = (load_study(tmp_path / f"{each}.study").study for each in ("axial", "coronal"))
+    axial, coronal = (read_study(tmp_path / f"{each}.study").study for each in ("axial", "coronal"))
     assert (axial.grid.shape, axial.motion.drawing) == ((64, 64), DRAWING)
     assert (coronal.grid.shape, coronal.motion.drawing) == ((40, 64), OTHER)
 
@@ -332,11 +332,11 @@ def test_work_is_kept_at_rest_and_never_while_a_button_is_down(window, at_rest, 
     assert not kept()
     person.release(36, 38)
     at_rest.until(lambda: len(kept()) == 1)
-    study, _ = load_study(kept()[0])
+    study, _ = read_study(kept()[0])
     assert study.motion.drawing == dock.drawing
     dock.clear()
     dock.undo()
-    at_rest.until(lambda: load_study(kept()[0]).study.motion.drawing == dock.drawing)
+    at_rest.until(lambda: read_study(kept()[0]).study.motion.drawing == dock.drawing)
     person.key(Qt.Key.Key_Z, CTRL)
     assert not dock.drawing.marks
     at_rest.until(lambda: not kept())
@@ -416,7 +416,7 @@ def test_what_a_killed_process_left_is_thrown_away_also_if_it_cannot_be_read(bes
         its.setattr(os, "getpid", lambda: over.pid)
         file = recovery.new_file(settings() / "unsaved")
     study = Study(Grid((20, 24), (1.0, 1.0)), motion=Motion(drawing=DRAWING))
-    file.write_bytes(save_study(file, study).read_bytes()[:200])
+    file.write_bytes(write_study(file, study).read_bytes()[:200])
     dock = beside(ViewerModel())
     thrown = []
     monkeypatch.setattr(QFile, "moveToTrash", lambda each: bool(thrown.append(each.fileName())))

@@ -493,7 +493,7 @@ def test_a_solve_is_cancelled():
 
 def test_a_solution_is_saved_and_loaded(tmp_path):
     found = solve(squeezed(np.ones((5, 6, 7)), OBLONG))
-    again = Solution.load(found.save(tmp_path / "volume.npz"))
+    again = Solution.read(found.write(tmp_path / "volume.npz"))
     np.testing.assert_array_equal(again.displacement, found.displacement)
     assert again.tissue.shape == (5, 6, 7)
     assert again.spacing == OBLONG

@@ -3,24 +3,18 @@
 import numpy as np
 import pytest
 
-from napari_hmrf import (
-    BoundaryRule,
-    ElasticPrior,
-    ProblemError,
-    head_phantom,
-    load_study,
-    save_points,
-    solve,
-    write_field,
-)
+from napari_hmrf import BoundaryRule, ElasticPrior, ProblemError, read_study, solve
 from napari_hmrf.cli import main
+from napari_hmrf.data import head_phantom
 from napari_hmrf.field.frame import PATIENT_AXES
+from napari_hmrf.fields import write_field
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.fields import Place, place_of
-from napari_hmrf.io.images import ImageFile, load_image, save_image
+from napari_hmrf.io.images import ImageFile, read_image, write_image
 from napari_hmrf.io.tables import read_rules
-from napari_hmrf.study.ground import statement_of
+from napari_hmrf.landmarks import write_points
+from napari_hmrf.study.ground import build_problem
 
 sitk = pytest.importorskip("SimpleITK")
 
@@ -45,9 +39,9 @@ def files(head, tmp_path_factory):
     turned = Place(head.spacing, (-70.0, -90.0, 66.0), SIDEWAYS)
     images = {"t1": head.image, "labels": head.tissue_labels, "rim": head.boundary_labels}
     for name, pixels in images.items():
-        save_image(folder / f"{name}.nii.gz", ImageFile(pixels, place))
+        write_image(folder / f"{name}.nii.gz", ImageFile(pixels, place))
         from_side = pixels[::-1].transpose(2, 0, 1)
-        save_image(folder / f"{name}-side.mha", ImageFile(from_side, turned))
+        write_image(folder / f"{name}-side.mha", ImageFile(from_side, turned))
     (folder / "m.csv").write_text(MATERIALS)
     (folder / "r.csv").write_text(RULES)
     return folder
@@ -56,7 +50,7 @@ def files(head, tmp_path_factory):
 def solved(folder, out, *more, image="t1.nii.gz"):
     command = ["solve", folder / image, "-o", out, "--backend", "cpu", *more]
     assert main([str(each) for each in command]) == 0
-    return load_study(out / f"{image.partition('.')[0]}.study")
+    return read_study(out / f"{image.partition('.')[0]}.study")
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +62,7 @@ def grown(files):
 
 def test_the_shell_solves_a_volume_as_python_would(head, grown):
     out, (study, solution) = grown
-    problem = statement_of(study).problem
+    problem = build_problem(study).problem
     for name in ("observed", "confidence", "stiffness"):
         found, expected = getattr(problem, name), getattr(head.problem, name)
         np.testing.assert_allclose(found, expected, atol=1e-4)
@@ -77,7 +71,7 @@ def test_the_shell_solves_a_volume_as_python_would(head, grown):
     assert study.grid.unit == "millimeter"
     assert study.grid.place.plane == (0, 1, 2)
     assert study.grid.place.axis_labels == tuple(PATIENT_AXES)
-    seen = load_image(out / "t1 deformed.nrrd")
+    seen = read_image(out / "t1 deformed.nrrd")
     assert seen.pixels.shape == head.image.shape
     assert (seen.pixels != head.image).any()
     np.testing.assert_allclose(seen.place.origin, (-70, -90, -70))
@@ -95,7 +89,7 @@ def test_what_comes_of_a_volume_is_replayed_exported_applied_and_measured(grown,
     np.testing.assert_allclose(field.GetOrigin(), volume.GetOrigin(), atol=1e-4)
     tumour = str(files / "labels.nii.gz")
     assert main(["apply", study, tumour, "--labels", "-o", str(out / "moved")]) == 0
-    before, after = (load_image(each).pixels == 3 for each in (tumour, out / "moved/labels.nii.gz"))
+    before, after = (read_image(each).pixels == 3 for each in (tumour, out / "moved/labels.nii.gz"))
     assert 1.3 * before.sum() < after.sum() < 1.3**3 * before.sum()
     table = out / "measured.csv"
     assert main(["measure", study, "-o", str(table)]) == 0
@@ -123,14 +117,14 @@ def test_a_volume_that_was_cut_from_the_side_is_turned_with_all_that_lies_on_it(
 
 def test_maps_and_labels_without_a_place_are_of_the_same_voxels(files, head):
     bare = head.tissue_labels[::-1].transpose(2, 0, 1)
-    save_image(files / "bare.tif", ImageFile(bare))
+    write_image(files / "bare.tif", ImageFile(bare))
     case = Case(files / "t1-side.mha", labels=files / "bare.tif", hold_edge=True)
     np.testing.assert_array_equal(read_case(case).tissue.labels, head.tissue_labels[::-1])
     maps = [files / f"map{label}.mha" for label in (1, 3)]
-    place = load_image(files / "t1.nii.gz").place
+    place = read_image(files / "t1.nii.gz").place
     for path, label in zip(maps, (1, 3), strict=True):
         likely = (head.tissue_labels == label).astype(np.float32)
-        save_image(path, ImageFile(likely, place))
+        write_image(path, ImageFile(likely, place))
     found = read_case(Case(files / "t1.nii.gz", maps=maps, hold_edge=True)).tissue.labels
     assert (found == 2)[head.tissue_labels == 3].all()
     assert not found[head.tissue_labels == 0].any()
@@ -139,8 +133,8 @@ def test_maps_and_labels_without_a_place_are_of_the_same_voxels(files, head):
 @pytest.mark.parametrize("image", ["t1.nii.gz", "t1-side.mha"])
 def test_landmarks_of_the_patient_lead_through_slices(files, image):
     where, should = [[0.0, 10.0, 20.0]], [[8.0, 10.0, 16.0]]
-    save_points(files / "pairs.csv", where, should)
-    volume = load_image(files / image)
+    write_points(files / "pairs.csv", where, should)
+    volume = read_image(files / image)
     study = read_case(Case(files / image, boundary=files / "pairs.csv", hold_edge=True))
     (mark,) = study.motion.drawing.marks
     # BigWarp's points are in the images' units, from the first voxel on, by the file's axes.
@@ -154,7 +148,7 @@ def test_landmarks_of_the_patient_lead_through_slices(files, image):
 def test_a_field_is_observed_in_all_of_a_volume_or_where_it_has_edges(files, head):
     d = np.zeros((*head.image.shape, 3))
     d[..., 0] = 1.5
-    place = load_image(files / "t1.nii.gz").place
+    place = read_image(files / "t1.nii.gz").place
     write_field(files / "field.mha", d, **place._asdict(), forward=True)
     back = files / "back.nii.gz"
     write_field(back, d, **place._asdict())
@@ -179,16 +173,16 @@ def test_a_rule_may_lead_across_the_planes_of_a_volume(tmp_path):
 
 def test_a_stack_that_lies_nowhere_is_a_volume_in_voxels(tmp_path):
     stack = np.random.default_rng(0).integers(100, 200, (6, 8, 9), dtype=np.uint8)
-    save_image(tmp_path / "stack.tif", ImageFile(stack))
+    write_image(tmp_path / "stack.tif", ImageFile(stack))
     seen = np.zeros(stack.shape, np.uint8)
     seen[2:4, 3:5, 3:5] = 1
-    save_image(tmp_path / "seen.tif", ImageFile(seen))
+    write_image(tmp_path / "seen.tif", ImageFile(seen))
     (tmp_path / "r.csv").write_text("label,action,row,col\n1,move,0.2,0\n")
     how = ["--boundary", tmp_path / "seen.tif", "--rules", tmp_path / "r.csv", "--hold-edge"]
     study, solution = solved(tmp_path, tmp_path / "out", *how, image="stack.tif")
     assert study.grid.unit == "pixel"
     assert solution.displacement.shape == (6, 8, 9, 3)
-    assert load_image(tmp_path / "out" / "stack deformed.tif").pixels.shape == (6, 8, 9)
+    assert read_image(tmp_path / "out" / "stack deformed.tif").pixels.shape == (6, 8, 9)
 
 
 def test_the_paper_s_model_of_a_volume_says_what_hangs_on_nothing(tmp_path, capsys):
@@ -196,7 +190,7 @@ def test_the_paper_s_model_of_a_volume_says_what_hangs_on_nothing(tmp_path, caps
     labels[:, :, :6], labels[:, :, 8:] = 1, 1
     seen[:, :3, :6], seen[:, -3:, :6] = 1, 2
     for name, pixels in (("labels", labels), ("seen", seen)):
-        save_image(tmp_path / f"{name}.tif", ImageFile(pixels))
+        write_image(tmp_path / f"{name}.tif", ImageFile(pixels))
     (tmp_path / "m.csv").write_text("label,stiffness\n0,0\n1,3\n")
     (tmp_path / "r.csv").write_text("label,action,row,col\n1,fixed,,\n2,move,0.5,0\n")
     options = ["--labels", tmp_path / "labels.tif", "--materials", tmp_path / "m.csv"]
@@ -206,10 +200,10 @@ def test_the_paper_s_model_of_a_volume_says_what_hangs_on_nothing(tmp_path, caps
 
 
 def test_what_lies_elsewhere_is_refused_by_its_name(files, head):
-    place = load_image(files / "t1.nii.gz").place._replace(origin=(0.0, 0.0, 0.0))
-    save_image(files / "far.mha", ImageFile(head.tissue_labels, place))
+    place = read_image(files / "t1.nii.gz").place._replace(origin=(0.0, 0.0, 0.0))
+    write_image(files / "far.mha", ImageFile(head.tissue_labels, place))
     with pytest.raises(ProblemError, match=r"far\.mha: lies elsewhere than the image"):
         read_case(Case(files / "t1.nii.gz", labels=files / "far.mha"))
-    save_image(files / "small.mha", ImageFile(head.tissue_labels[1:], place))
+    write_image(files / "small.mha", ImageFile(head.tissue_labels[1:], place))
     with pytest.raises(ProblemError, match=r"small\.mha: is 29 x 38 x 30, but the image 30 x 38"):
         read_case(Case(files / "t1.nii.gz", labels=files / "small.mha"))

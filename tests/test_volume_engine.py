@@ -9,7 +9,7 @@ from scipy.ndimage import binary_erosion, label
 from napari_hmrf import Arrow, Drawing, Grid, Motion, Study, Tissue, solve_study, warp
 from napari_hmrf.study.coarse_grid import CoarseGrid, Glance
 from napari_hmrf.study.engine import Engine
-from napari_hmrf.study.ground import statement_of
+from napari_hmrf.study.ground import build_problem
 from napari_hmrf.study.study import Pictures
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.tissue.drawing import Landmark, Stroke
@@ -68,7 +68,7 @@ def test_a_closed_shell_that_is_painted_thinly_is_closed_on_a_coarse_grid(step):
     )
     coarse = CoarseGrid(step).study(study).motion.labels
     assert label(coarse == 0)[1] == 2, "what is in it, and what is around it"
-    statement_of(CoarseGrid(step).study(study))  # by no open sheet
+    build_problem(CoarseGrid(step).study(study))  # by no open sheet
 
 
 def test_every_mark_lies_on_the_coarse_grid_where_it_was():

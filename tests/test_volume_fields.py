@@ -8,18 +8,19 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from napari_hmrf import ProblemError, inverse_map, warp
+from napari_hmrf import ProblemError, warp
 from napari_hmrf.field.deformation import arrows, deformation_grid, magnitude
 from napari_hmrf.field.moved_points import looked_up, moved_points
 from napari_hmrf.field.strain import (
     deformation_gradient,
     equivalent_strain,
-    folds,
+    fold_mask,
     green_lagrange_strain,
     jacobian_determinant,
     principal_strains,
     small_strain,
 )
+from napari_hmrf.fields import inverse_map
 
 SHAPE = (9, 11, 13)
 SIZE = (1.0, 1.7, 0.6)
@@ -140,7 +141,7 @@ def test_tissue_one_voxel_thin_survives():
 def test_what_folds_shows_the_part_that_is_not_turned_over():
     d = np.zeros((*SHAPE, 3))
     d[5, 3:8, 3:8, 0] = -2.5
-    assert folds(d, spacing=1).any()
+    assert fold_mask(d, spacing=1).any()
     _, covered = inverse_map(d, spacing=1)
     assert covered.all()
 
@@ -150,7 +151,7 @@ def test_the_volume_changes_as_the_determinant_says():
     ratio = jacobian_determinant(linear(matrix), spacing=SIZE)
     np.testing.assert_allclose(ratio, np.linalg.det(matrix), rtol=1e-6)
     flipped = linear(np.diag([1.0, -0.1, 1.0]))
-    assert folds(flipped, spacing=SIZE).all()
+    assert fold_mask(flipped, spacing=SIZE).all()
 
 
 @pytest.mark.parametrize("axis", range(3))

@@ -16,27 +16,23 @@ from napari_hmrf import (
     ProblemError,
     Study,
     Tissue,
-    export_field,
-    is_study_file,
-    load_points,
-    load_study,
-    read_field,
-    save_moving_picture,
-    save_points,
-    save_study,
+    read_study,
     solve,
     warp,
+    write_study,
 )
 from napari_hmrf.cli import main
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.moved_points import moved_points
-from napari_hmrf.io.apply import apply_field, load_field
-from napari_hmrf.io.fields import FIELD_SUFFIXES, Place, place_of
-from napari_hmrf.io.figures import save_result_pictures
-from napari_hmrf.io.images import ImageFile, load_image, save_image
+from napari_hmrf.fields import is_study_file, read_field, write_movie
+from napari_hmrf.io.apply import apply_field, read_field_file
+from napari_hmrf.io.fields import FIELD_SUFFIXES, Place, export_field, place_of
+from napari_hmrf.io.figures import write_result_pictures
+from napari_hmrf.io.images import ImageFile, read_image, write_image
 from napari_hmrf.io.results import measured
-from napari_hmrf.io.tables import save_measurements
+from napari_hmrf.io.tables import write_measurements
+from napari_hmrf.landmarks import read_points, write_points
 from napari_hmrf.solver.backends import loader
 from napari_hmrf.solver.solution import Solution
 
@@ -196,22 +192,22 @@ def warp_by(image, origins):
 
 def test_images_labels_and_landmarks_go_with_a_result_of_a_volume(solution, tmp_path):
     pytest.importorskip("SimpleITK")
-    solution.save(tmp_path / "result.npz")
+    solution.write(tmp_path / "result.npz")
     scan, labels = smooth_image(), (smooth_image() // 40).astype(np.uint8)
     colours = np.stack([labels, 2 * labels, 3 * labels], axis=-1)
     for name, pixels in {"scan": scan, "labels": labels, "colours": colours}.items():
-        save_image(tmp_path / f"{name}.mha", ImageFile(pixels, PLACE, pixels.ndim > 3))
+        write_image(tmp_path / f"{name}.mha", ImageFile(pixels, PLACE, pixels.ndim > 3))
     out = str(tmp_path / "out")
     result = str(tmp_path / "result.npz")
     images = [str(tmp_path / f"{name}.mha") for name in ("scan", "colours")]
     at = np.array([[8.0, 15.0, 9.0], [7.5, 9.25, 8.5]])
-    save_points(tmp_path / "voxels.csv", at)
-    save_points(tmp_path / "patient.mrk.json", PLACE.to_space(at))
+    write_points(tmp_path / "voxels.csv", at)
+    write_points(tmp_path / "patient.mrk.json", PLACE.to_space(at))
     points = [str(tmp_path / name) for name in ("voxels.csv", "patient.mrk.json")]
     assert main(["apply", result, *images, *points, "-o", out]) == 0
     assert main(["apply", result, str(tmp_path / "labels.mha"), "--labels", "-o", out]) == 0
     read = {
-        name: load_image(tmp_path / f"out/{name}.mha") for name in ("scan", "labels", "colours")
+        name: read_image(tmp_path / f"out/{name}.mha") for name in ("scan", "labels", "colours")
     }
     np.testing.assert_array_equal(read["scan"].pixels, moved(scan, solution))
     np.testing.assert_array_equal(read["labels"].pixels, moved(labels, solution, order=0))
@@ -219,8 +215,8 @@ def test_images_labels_and_landmarks_go_with_a_result_of_a_volume(solution, tmp_
     np.testing.assert_allclose(read["scan"].place.origin, ORIGIN)
     goes = moved_points(at, solution.displacement, spacing=SIZE)
     assert np.abs(goes - at).max() > 1
-    np.testing.assert_allclose(load_points(tmp_path / "out/voxels.csv").points, goes, atol=1e-6)
-    there = load_points(tmp_path / "out/patient.mrk.json").points
+    np.testing.assert_allclose(read_points(tmp_path / "out/voxels.csv").points, goes, atol=1e-6)
+    there = read_points(tmp_path / "out/patient.mrk.json").points
     np.testing.assert_allclose(PLACE.to_pixels(there), goes, atol=1e-6)
 
 
@@ -230,8 +226,8 @@ def test_the_shell_says_that_moving_volumes_waits_for_loops(
 ):
     pytest.importorskip("SimpleITK")
     monkeypatch.setattr(loader, "is_cached", lambda loop: ready)
-    solution.save(tmp_path / "result.npz")
-    save_image(tmp_path / "scan.nii.gz", ImageFile(smooth_image(), place_of(solution)))
+    solution.write(tmp_path / "result.npz")
+    write_image(tmp_path / "scan.nii.gz", ImageFile(smooth_image(), place_of(solution)))
     command = ["apply", tmp_path / "result.npz", tmp_path / "scan.nii.gz", "-o", tmp_path / "out"]
     assert main([str(each) for each in command]) == 0
     said = capsys.readouterr().err
@@ -244,7 +240,7 @@ def test_an_image_in_another_order_of_axes_than_the_result_is_turned_to_it(solut
     turn = np.eye(3)[:, [1, 2, 0]]
     stored = ImageFile(smooth_image(), Place(SIZE, ORIGIN, turn))
     assert stored.upright.pixels.shape != SHAPE
-    save_image(tmp_path / "scan.mha", stored)
+    write_image(tmp_path / "scan.mha", stored)
     order = [SHAPE.index(size) for size in stored.upright.pixels.shape]
     upright = replace(
         solution,
@@ -253,25 +249,25 @@ def test_an_image_in_another_order_of_axes_than_the_result_is_turned_to_it(solut
         spacing=stored.upright.place.spacing,
         frame=stored.upright.place.frame(volume=True).as_dict(),
     )
-    upright.save(tmp_path / "result.npz")
-    field = load_field(tmp_path / "result.npz")
+    upright.write(tmp_path / "result.npz")
+    field = read_field_file(tmp_path / "result.npz")
     apply_field(field, tmp_path / "scan.mha", tmp_path / "out.mha", labels=False)
-    seen = load_image(tmp_path / "out.mha").upright
+    seen = read_image(tmp_path / "out.mha").upright
     np.testing.assert_allclose(
         seen.pixels, moved(smooth_image(), solution).transpose(order), atol=1e-4
     )
     labels = ImageFile((smooth_image() > 100).astype(np.uint8), Place(SIZE, ORIGIN, turn))
-    save_image(tmp_path / "labels.mha", labels)
+    write_image(tmp_path / "labels.mha", labels)
     rows = measured(tmp_path / "result.npz", tmp_path / "labels.mha").rows
     there = solution.tissue & (smooth_image() > 100)
     assert rows[1].pixels == there.sum()
 
 
 def test_measurements_of_a_volume_are_called_so(solution, tmp_path):
-    solution.save(tmp_path / "result.npz")
-    save_image(tmp_path / "labels.tif", ImageFile(np.ones(SHAPE, np.uint8)))
+    solution.write(tmp_path / "result.npz")
+    write_image(tmp_path / "labels.tif", ImageFile(np.ones(SHAPE, np.uint8)))
     rows = measured(tmp_path / "result.npz", tmp_path / "labels.tif").rows
-    path = save_measurements(tmp_path / "rows.csv", rows, "mm", volume=True)
+    path = write_measurements(tmp_path / "rows.csv", rows, "mm", volume=True)
     first, line = path.read_text().splitlines()
     assert first.startswith("label,name,voxels,volume,volume_change_percent,mean_displacement")
     voxels = solution.tissue.sum()
@@ -281,10 +277,10 @@ def test_measurements_of_a_volume_are_called_so(solution, tmp_path):
 
 def test_pictures_are_of_a_slice(solution, tmp_path):
     with pytest.raises(ProblemError, match="displacement: is of a volume"):
-        save_result_pictures(tmp_path, solution, smooth_image())
+        write_result_pictures(tmp_path, solution, smooth_image())
     assert not list(tmp_path.iterdir())
     with pytest.raises(ProblemError, match="displacement: is of a volume"):
-        save_moving_picture(tmp_path / "a.gif", solution, smooth_image())
+        write_movie(tmp_path / "a.gif", solution, smooth_image())
 
 
 def a_study(solution, **changes):
@@ -303,9 +299,9 @@ def a_study(solution, **changes):
 
 def test_a_study_of_a_volume_comes_back(solution, tmp_path):
     study = a_study(solution)
-    path = save_study(tmp_path / "case", study, solution)
+    path = write_study(tmp_path / "case", study, solution)
     assert is_study_file(path)
-    saved = load_study(path)
+    saved = read_study(path)
     assert saved.study.grid == study.grid
     assert saved.study.grid.place.plane == (0, 1, 2)
     for one, other in (
@@ -319,7 +315,7 @@ def test_a_study_of_a_volume_comes_back(solution, tmp_path):
     ):
         np.testing.assert_array_equal(one, other)
     assert Frame.of_solution(saved.solution) == study.grid.place
-    field = load_field(path)
+    field = read_field_file(path)
     np.testing.assert_array_equal(field.displacement, solution.displacement)
     np.testing.assert_allclose(field.place.direction, PLACE.direction, atol=1e-12)
     assert len(measured(path).rows) == 1
@@ -329,6 +325,6 @@ def test_a_study_of_a_volume_that_lies_as_a_slice_is_refused(solution, tmp_path)
     with pytest.raises(ProblemError, match=r"has 3 axes, but its place has 2"):
         Grid(SHAPE, SIZE, "millimeter", PLACE.frame(3))
     odd = replace(solution, frame=PLACE.frame(3).as_dict())
-    odd.save(tmp_path / "result.npz")
+    odd.write(tmp_path / "result.npz")
     with pytest.raises((FileFormatError, ValueError)):
-        Frame.of_solution(Solution.load(tmp_path / "result.npz"))
+        Frame.of_solution(Solution.read(tmp_path / "result.npz"))

@@ -10,7 +10,7 @@ from napari.layers import Image, Labels, Points
 from napari_hmrf import Arrow, BoundaryRule, Drawing, Grid, Motion, ProblemError, Study, Tissue
 from napari_hmrf.field.deformation import arrows_in_slices
 from napari_hmrf.layers.landmarks import read_landmarks
-from napari_hmrf.layers.read import Request, read_study, study_layers
+from napari_hmrf.layers.read import Request, study_from_layers, study_layers
 from napari_hmrf.layers.result_layers import layer_on, overlay_of, result_layers
 from napari_hmrf.layers.screen_directions import ways_of
 from napari_hmrf.layers.slice_view import View, frame_of, plane_shown
@@ -44,7 +44,7 @@ def test_all_of_a_volume_is_read_whichever_slice_is_shown(viewer):
         request = Request(
             tissue=labels, image=image, materials=rows, view=whole(viewer), drawing=Drawing()
         )
-        study = read_study(request)
+        study = study_from_layers(request)
         assert study.grid.shape == SHAPE
         assert study.grid.spacing == SCALE
         assert np.array_equal(study.pictures.image, image.data)
@@ -56,7 +56,7 @@ def test_a_volume_in_time_is_read_at_the_moment_that_is_shown():
     data = np.arange(3 * np.prod(SHAPE)).reshape(3, *SHAPE).astype(np.float32)
     image = viewer.add_image(data)
     viewer.dims.set_point(0, 2)
-    study = read_study(Request(image=image, view=whole(viewer), drawing=Drawing()))
+    study = study_from_layers(Request(image=image, view=whole(viewer), drawing=Drawing()))
     assert np.array_equal(study.pictures.image, data[2])
     assert study.grid.place.slice_name == "volume 2"
 
@@ -71,7 +71,7 @@ def test_layers_of_another_depth_are_refused(viewer):
     labels = Labels(np.ones((7, *SHAPE[1:]), int), scale=SCALE, units=UNITS, translate=(5, 6, 7))
     request = Request(tissue=labels, image=viewer.layers[0], view=whole(viewer), drawing=Drawing())
     with pytest.raises(ProblemError, match=r"lies elsewhere|8 x 12 x 10"):
-        read_study(request)
+        study_from_layers(request)
 
 
 @pytest.mark.parametrize(
@@ -124,9 +124,9 @@ def test_a_study_of_a_volume_becomes_the_layers_it_was_read_from(viewer):
         rules=rules,
         view=whole(viewer),
     )
-    study = read_study(request)
+    study = study_from_layers(request)
     made = study_layers(study)
-    again = read_study(
+    again = study_from_layers(
         Request(
             tissue=made["tissue"],
             image=made["image"],
@@ -144,7 +144,7 @@ def test_what_comes_of_a_volume_lies_where_it_does(viewer):
     image = viewer.layers[0]
     pull = Arrow((4, 6, 5), (0.0, 1.0, 1.0), 2.0)
     request = Request(image=image, view=whole(viewer), hold_edge=True, drawing=Drawing((pull,)))
-    study = read_study(request)
+    study = study_from_layers(request)
     solution = solve_study(study)
     outputs = result_layers(solution, study.grid.place, study.pictures)
     moved = outputs.layers["image"]

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from napari_hmrf import ProblemError, inverse_map, measure, warp
+from napari_hmrf import ProblemError, warp
 from napari_hmrf.field.animation import Motion
 from napari_hmrf.field.comparison import compare
 from napari_hmrf.field.deformation import jacobian_determinant, spread
@@ -15,6 +15,7 @@ from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.inverse_point import inverse_point
 from napari_hmrf.field.live_warp import Picture, Warper
+from napari_hmrf.field.measurement import measure
 from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.observation import PixelField, arrow_observation
 from napari_hmrf.field.other_grid import OtherGrid
@@ -26,6 +27,7 @@ from napari_hmrf.field.strain import (
     principal_strains,
 )
 from napari_hmrf.field.tissue_point import Points
+from napari_hmrf.fields import inverse_map
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.solution import Provenance, Solution
 
@@ -264,8 +266,8 @@ def test_tissue_that_grows_by_a_tenth_each_way_is_measured():
     labels[9:] = 4
     one, other = measure(solution(0.1 * places() * SIZE), labels, names={4: "liver"})
     assert (one.pixels, other.name) == (9 * 15 * 16, "liver")
-    assert one.area == pytest.approx(one.pixels * np.prod(SIZE))
-    assert one.area_change == pytest.approx(100 * (1.1**3 - 1), abs=1e-3)
+    assert one.size == pytest.approx(one.pixels * np.prod(SIZE))
+    assert one.size_change == pytest.approx(100 * (1.1**3 - 1), abs=1e-3)
     assert one.largest_strain == pytest.approx(0, abs=1e-4)
     assert one.folds == 0
 

@@ -540,7 +540,7 @@ def test_an_earlier_solution_leaves_less_to_do():
 
 def test_a_solution_is_saved_and_loaded(tmp_path):
     found = solve(squeezed((5, 6, 7), spacing=OBLONG), SeilerPrior(), optimizer=WITHIN)
-    again = Solution.load(found.save(tmp_path / "volume.npz"))
+    again = Solution.read(found.write(tmp_path / "volume.npz"))
     np.testing.assert_array_equal(again.displacement, found.displacement)
     assert in_words(again.provenance.parameters) == "the paper's prior (centred), converged"
 

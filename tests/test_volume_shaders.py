@@ -20,14 +20,7 @@ from linear_levels import (
 )
 from opengl_here import left, on_compute_thread, require_opengl
 
-from napari_hmrf import (
-    BackendError,
-    Cancelled,
-    ElasticPrior,
-    Multigrid,
-    Problem,
-    solve,
-)
+from napari_hmrf import BackendError, Cancelled, ElasticPrior, Multigrid, Problem, solve
 from napari_hmrf.solver.backends import COMPILING, compiler, host, loops, open_backend
 from napari_hmrf.solver.backends.cpu import CpuBackend
 from napari_hmrf.solver.backends.opengl import OpenGLBackend, volume_level

@@ -15,13 +15,13 @@ from napari_hmrf import (
     Stroke,
     Study,
     Tissue,
-    boundary_images,
     solve_study,
 )
 from napari_hmrf.layers.arrow_layer import arrow_lines
 from napari_hmrf.layers.paint_layer import painted_marks
-from napari_hmrf.study.ground import Ground, statement_of
+from napari_hmrf.study.ground import Ground, build_problem
 from napari_hmrf.study.study import Pictures
+from napari_hmrf.tissue import boundary_images
 from napari_hmrf.tissue.drawing import Canvas, Rendering
 
 SHAPE, SPACING = (12, 16, 14), (2.0, 1.0, 1.5)
@@ -40,7 +40,7 @@ def ball(radius, shape=SHAPE, spacing=SPACING):
 def test_a_ball_of_tissue_that_is_pulled_goes_where_it_is_drawn():
     pull = Arrow(at=(6, 8, 7), by=(1.0, 0.5, -1.5), radius=2.5)
     study = block(motion=Motion(hold_edge=True, drawing=Drawing((pull,))))
-    stated = statement_of(study)
+    stated = build_problem(study)
     moved = solve_study(study).displacement
     held = (stated.problem.observed == pull.by).all(axis=-1)
     away = np.linalg.norm((np.argwhere(held) - pull.at) * SPACING, axis=1)

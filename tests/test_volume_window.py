@@ -10,7 +10,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QFileDialog, QPushButton, QTableWidget
 from screen import Screen
 
-from napari_hmrf import count_folds
+from napari_hmrf.fields import count_folds
 from napari_hmrf.layers.metadata import METADATA, TISSUE, described, known_of
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.tissue.boundary_rules import Material

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from napari_hmrf import ProblemError, inverse_map, phantom, reference_displacement, resample, warp
+from napari_hmrf import ProblemError, warp
+from napari_hmrf.data import phantom, reference_displacement
 from napari_hmrf.field.deformation import count_folds
 from napari_hmrf.field.warp import inverse_map_and_overlaps
+from napari_hmrf.fields import inverse_map, resample
 
 
 def places(shape):

@@ -11,11 +11,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from napari_hmrf import SeilerPrior, atomic_write, phantom, solve
+from napari_hmrf import SeilerPrior, atomic_write, solve
 from napari_hmrf.atomic_write import write_whole
+from napari_hmrf.data import phantom
 from napari_hmrf.errors import in_words
 from napari_hmrf.io import figures
-from napari_hmrf.io.material_tables import save_materials
+from napari_hmrf.io.material_tables import write_preset
 from napari_hmrf.tissue.material_presets import PRESETS
 
 posix = pytest.mark.skipif(os.name != "posix", reason="permissions and FIFOs are of POSIX")
@@ -36,11 +37,11 @@ def test_what_the_system_says_of_a_file_is_said_in_a_sentence(number, said):
 
 
 def solution(path):
-    solve(phantom("expansion", size=16).problem, SeilerPrior(), backend="cpu").save(path)
+    solve(phantom("expansion", size=16).problem, SeilerPrior(), backend="cpu").write(path)
 
 
 def materials(path):
-    save_materials(path, PRESETS[0])
+    write_preset(path, PRESETS[0])
 
 
 def figure(path):

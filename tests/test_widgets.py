@@ -30,7 +30,7 @@ from napari_hmrf import (
 from napari_hmrf.layers.metadata import METADATA, known_of
 from napari_hmrf.solver.backends import BACKEND_NAMES
 from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.study.ground import statement_of
+from napari_hmrf.study.ground import build_problem
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.ui.messages import MODELS
@@ -604,11 +604,11 @@ def test_what_moves_tissue_too_far_is_called_what_it_is(widget, small_sample):
     small_sample(viewer_of(widget))
     widget.drawing = Drawing((Landmark((10, 12), (10, 900), 2.0),))
     with pytest.raises(ProblemError, match="'Landmark' moves tissue by up to 888"):
-        statement_of(widget.study)
+        build_problem(widget.study)
     widget.drawing = Drawing((Landmark((10, 12), (10, 13), 2.0),))
     widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, 900.0)))
     with pytest.raises(ProblemError, match="'Boundary' moves tissue by up to 900"):
-        statement_of(widget.study)
+        build_problem(widget.study)
 
 
 def test_painting_during_a_solve_marks_the_result(widget, small_sample, busy_thread, wait_for):

@@ -6,10 +6,10 @@ import pytest
 from napari.layers import Labels, Layer
 from screen import Screen
 
-from napari_hmrf import head_phantom
 from napari_hmrf.contributions import volume_layers
+from napari_hmrf.data import head_phantom
 from napari_hmrf.layers.metadata import METADATA
-from napari_hmrf.study.ground import statement_of
+from napari_hmrf.study.ground import build_problem
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.messages import CHOOSE
 
@@ -46,10 +46,10 @@ def test_the_confidence_counts_whether_or_not_the_dock_is_on_screen(widget, smal
     widget.native.setVisible(shown)
     widget.boundary = viewer.add_vectors(np.array([[(5, 3), (0, 0)], [(5, 20), (0, 2)]], float))
     widget.confidence = viewer.add_image(np.full((20, 24), 0.5), name="sure")
-    c = statement_of(widget.study).problem.confidence
+    c = build_problem(widget.study).problem.confidence
     assert set(np.unique(c)) == {0.0, 0.5}
     widget.boundary = viewer.layers["Boundary"]
-    assert statement_of(widget.study).problem.confidence.max() == 1, "of paint it says nothing"
+    assert build_problem(widget.study).problem.confidence.max() == 1, "of paint it says nothing"
 
 
 # Which image
@@ -120,7 +120,7 @@ def test_the_motion_is_as_long_as_the_table_says_whatever_the_units(widget, smal
     viewer.layers["Boundary"].scale = (0.5 * factor, 2.0 * factor)
     viewer.layers["Boundary"].units = (unit, unit)
     widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(1.0, 3.0)))
-    problem = statement_of(widget.study).problem
+    problem = build_problem(widget.study).problem
     np.testing.assert_allclose(problem.observed[10, -3] / problem.spacing, (2, 1.5))
 
 
@@ -193,7 +193,7 @@ def test_whatever_goes_wrong_in_looking_again_is_told_and_the_result_stays(
         raise ZeroDivisionError("no such slice")
 
     with monkeypatch.context() as broken:
-        broken.setattr("napari_hmrf.ui.live_study.read_study", fail)
+        broken.setattr("napari_hmrf.ui.live_study.study_from_layers", fail)
         widget.touch()
         wait_for(lambda: "no such slice The last result stays." in widget.status)
     assert widget.solution is outputs.solution

@@ -667,9 +667,9 @@ def test_a_saved_result_can_be_looked_at_with_and_without_an_image(
     c[:, 0] = c[:, -1] = 1
     y[:, -1] = (0, 2)
     path = str(
-        solve(Problem(y, c, np.ones((8, 9))), SeilerPrior(), optimizer=ICM(20), backend="cpu").save(
-            tmp_path / "kept.npz"
-        )
+        solve(
+            Problem(y, c, np.ones((8, 9))), SeilerPrior(), optimizer=ICM(20), backend="cpu"
+        ).write(tmp_path / "kept.npz")
     )
     ((data, attributes, _),) = open_solution(path)(path)
     viewer = viewer_of(widget)

@@ -15,7 +15,7 @@ from napari_hmrf.layers.read import Request
 from napari_hmrf.samples.phantoms import phantom
 from napari_hmrf.solver.model_advice import when_to_take
 from napari_hmrf.solver.model_names import ModelName, converged
-from napari_hmrf.study.ground import statement_of
+from napari_hmrf.study.ground import build_problem
 from napari_hmrf.study.models import SolverDetails
 from napari_hmrf.study.study_model import ModelChoice
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
@@ -72,7 +72,7 @@ def test_the_papers_energy_can_be_taken_to_convergence(widget, small_sample, run
 
 def solve_again(widget, prior, optimizer=None):
     """The study of the widget's layers, solved from a script."""
-    stated = statement_of(replace(widget.study, prior=prior))
+    stated = build_problem(replace(widget.study, prior=prior))
     return solve(stated.problem, stated.prior, optimizer=optimizer, backend="cpu")
 
 

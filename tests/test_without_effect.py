@@ -15,13 +15,13 @@ from napari_hmrf import (
     Stroke,
     Study,
     Tissue,
-    load_study,
+    read_study,
     replay,
-    save_study,
     solve_study,
+    write_study,
 )
 from napari_hmrf.cli import main
-from napari_hmrf.io.images import ImageFile, save_image
+from napari_hmrf.io.images import ImageFile, write_image
 
 SHAPE = 20, 24
 PULL = Arrow(at=(10, 12), by=(0, 2), radius=2)
@@ -95,13 +95,13 @@ def test_hold_edge_alone_and_rules_for_nothing_are_refused():
 
 
 def test_a_file_with_nothing_that_moves_is_replayed_as_it_was(tmp_path):
-    path = save_study(tmp_path / "still.study", a_study())
-    assert load_study(path).study.motion.hold_edge
+    path = write_study(tmp_path / "still.study", a_study())
+    assert read_study(path).study.motion.hold_edge
     assert not replay(path).displacement.any()
 
 
 def test_the_shell_refuses_what_asks_nothing_to_move(tmp_path, capsys):
-    save_image(tmp_path / "a.tif", ImageFile(np.full(SHAPE, 90, np.uint8)))
+    write_image(tmp_path / "a.tif", ImageFile(np.full(SHAPE, 90, np.uint8)))
     told = ["solve", str(tmp_path / "a.tif"), "--out", str(tmp_path / "out")]
     assert main([*told, "--hold-edge"]) == 1
     said = capsys.readouterr().err
@@ -109,7 +109,7 @@ def test_the_shell_refuses_what_asks_nothing_to_move(tmp_path, capsys):
 
     labels = np.zeros(SHAPE, np.uint8)
     labels[8:12, 8:12] = 2
-    save_image(tmp_path / "b.tif", ImageFile(labels))
+    write_image(tmp_path / "b.tif", ImageFile(labels))
     rules = tmp_path / "rules.csv"
     for action, code in (("fixed,,", 1), ("move,0,1", 0)):
         rules.write_text(f"label,action,row,col\n2,{action}\n7,move,0,1\n")

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from napari_hmrf import Problem, phantom
+from napari_hmrf import Problem
+from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends import compute_thread, open_backend
 from napari_hmrf.solver.backends import host as on_host
 from napari_hmrf.solver.optimizers.cycle import chebyshev

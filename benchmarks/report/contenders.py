@@ -24,7 +24,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse.linalg import spsolve
 
-from napari_hmrf import ElasticPrior, Multigrid, Problem, phantom, solve
+from napari_hmrf import ElasticPrior, Multigrid, Problem, solve
+from napari_hmrf.data import phantom
 from report import calculix
 from report.assembly import System, assemble, solve_directly
 from report.memory import peak_megabytes, peak_of_programs

@@ -7,15 +7,8 @@ from fem import plane_stress_displacement, rmsd
 from readings import solve_exactly
 from run import PHANTOMS
 
-from napari_hmrf import (
-    ConvergenceError,
-    ElasticPrior,
-    Multigrid,
-    Problem,
-    SeilerPrior,
-    phantom,
-    solve,
-)
+from napari_hmrf import ConvergenceError, ElasticPrior, Multigrid, Problem, SeilerPrior, solve
+from napari_hmrf.data import phantom
 from napari_hmrf.solver.priors.elastic import Plane
 from report import calculix
 from report.assembly import solve_directly

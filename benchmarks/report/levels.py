@@ -10,7 +10,8 @@ import numpy.typing as npt
 from literal import _prolong
 from readings import solve_exactly
 
-from napari_hmrf import ElasticPrior, Multigrid, Problem, phantom
+from napari_hmrf import ElasticPrior, Multigrid, Problem
+from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends import compute_thread, open_backend
 from napari_hmrf.solver.quadtree import levels, nearest_pixels
 from report.page import Section, Settings

@@ -13,18 +13,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf import (
-    ElasticPrior,
-    Loads,
-    Multigrid,
-    Problem,
-    growth,
-    pressure,
-    reactions,
-    solve,
-    traction,
-    weight,
-)
+from napari_hmrf import ElasticPrior, Multigrid, Problem, solve
+from napari_hmrf.loads import Loads, growth, pressure, reactions, traction, weight
 from report import calculix
 from report.page import Section, Settings, Target
 

@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from readings import solve_exactly
 
-from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, SeilerPrior, Solution, phantom, solve
+from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, SeilerPrior, Solution, solve
+from napari_hmrf.data import phantom
 from report.assembly import assemble, solve_directly
 from report.page import Section, Settings, Target
 from report.pictures import COLOURS, new_figure, save

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf import deformation_grid
+from napari_hmrf.fields import deformation_grid
 from report.page import Settings
 
 COLOURS = ("#0b7285", "#e8590c", "#5f3dc4", "#2b8a3e", "#868e96", "#c2255c", "#1864ab")

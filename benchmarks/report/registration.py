@@ -11,7 +11,8 @@ import numpy.typing as npt
 from fem import plane_stress_displacement, rmsd
 from run import PHANTOMS
 
-from napari_hmrf import ElasticPrior, Multigrid, phantom, solve, warp
+from napari_hmrf import ElasticPrior, Multigrid, solve, warp
+from napari_hmrf.data import phantom
 from report.page import Section, Settings
 from report.pictures import draw_differences, draw_grid, new_figure, save
 

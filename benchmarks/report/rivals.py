@@ -22,9 +22,9 @@ from napari_hmrf import (
     Problem,
     ProblemError,
     Solution,
-    phantom,
     solve,
 )
+from napari_hmrf.data import phantom
 from report.assembly import assemble, factorise
 from report.contenders import rigid_body_modes
 from report.memory import one_heap, peak_megabytes, trim_memory

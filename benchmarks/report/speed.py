@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf import Multigrid, Problem, phantom, solve
+from napari_hmrf import Multigrid, Problem, solve
+from napari_hmrf.data import phantom
 from report import contenders
 from report.assembly import assemble, solve_directly
 from report.bounds import add_bounds

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from napari_hmrf import phantom
+from napari_hmrf.data import phantom
 
 Array = npt.NDArray[Any]
 #: How far the last row is pushed, in pixels: 4, towards the first and to the right.

@@ -19,7 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from napari_hmrf import Multigrid, Problem, Solution, phantom, solve
+from napari_hmrf import Multigrid, Problem, Solution, solve
+from napari_hmrf.data import phantom
 from report.contenders import PHANTOM, PRIOR, WITHIN
 from report.page import Section, Settings, Target, duration
 

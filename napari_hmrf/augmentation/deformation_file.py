@@ -78,7 +78,7 @@ def _parse(header: Header, arrays: Arrays) -> UnitSolutions:
     return UnitSolutions(case, displacements, tissue)
 
 
-#: The file that `RandomDeformation.save` writes.
+#: The file that `RandomDeformation.write` writes.
 DEFORMATION_FORMAT: array_file.Format[UnitSolutions] = array_file.Format(
     name="napari-hmrf random deformation",
     schema=1,

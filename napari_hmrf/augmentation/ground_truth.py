@@ -17,9 +17,9 @@ from napari_hmrf.field.deformation import spread
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.fields import Place, place_of, write_field
-from napari_hmrf.io.images import ImageFile, save_image
-from napari_hmrf.io.landmark_files import save_points
-from napari_hmrf.io.study_file import save_study
+from napari_hmrf.io.images import ImageFile, write_image
+from napari_hmrf.io.landmark_files import write_points
+from napari_hmrf.io.study_file import write_study
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.study import Pictures, Study
 
@@ -97,6 +97,11 @@ def write_truth(
     **options
         Options of `RandomDeformation`, such as `amplitude`.
 
+    Returns
+    -------
+    list of Truth
+        One for each pair.
+
     Raises
     ------
     HmrfError, OSError
@@ -125,8 +130,8 @@ def write_truth(
         solution = replace(sample.solution, frame=frame)
         place = place_of(solution)
         if not number:
-            save_image(folder / "image.mha", ImageFile(image, place, colours))
-            save_image(folder / "labels.mha", ImageFile(labels, place))
+            write_image(folder / "image.mha", ImageFile(image, place, colours))
+            write_image(folder / "labels.mha", ImageFile(labels, place))
         within = folder / f"{number + 1:03}"
         within.mkdir(exist_ok=True)
         moved = {
@@ -134,9 +139,9 @@ def write_truth(
             "deformed_labels.mha": ImageFile(sample.labels(labels), place),
         }
         for name, each in moved.items():
-            save_image(within / name, each)
+            write_image(within / name, each)
         inexact = _write_motion(within, sample, solution, place)
-        save_study(within / "truth.study", _whole(study, sample), solution)
+        write_study(within / "truth.study", _whole(study, sample), solution)
         farthest = float(np.linalg.norm(sample.displacement, axis=-1).max())
         written.append(Truth(within, farthest, sample.scale, inexact))
         tell(written[-1])
@@ -153,7 +158,7 @@ def _write_motion(within: Path, sample: RandomSample, solution: Solution, place:
     for each in (points, sample.points(points)):
         # The place of a slice has an extra axis, on which the slice has index 0.
         ends.append(place.to_space(np.pad(each, ((0, 0), (len(place.spacing) - n, 0)))))
-    save_points(within / "landmarks.csv", *ends)
+    write_points(within / "landmarks.csv", *ends)
     return inexact
 
 

@@ -98,12 +98,12 @@ class RandomSample:
 
     @cached_property
     def study(self) -> Study:
-        """Study whose full solution is this field, for `solve_study` and `save_study`."""
+        """Study whose full solution is this field, for `solve_study` and `write_study`."""
         return self.case.study(self.causes)
 
     @cached_property
     def solution(self) -> Solution:
-        """The field as a Solution, for `measure`, `export_field`, `save_study` and the like."""
+        """The field as a Solution, for its methods and for `write_study`."""
         study, labels = self.study, self.case.labels
         rows, grown = study.tissue.materials, growth_loads(labels, study.tissue.materials)
         elasticity = Elasticity(
@@ -257,7 +257,8 @@ class RandomDeformation:
     Examples
     --------
     >>> import numpy as np
-    >>> from napari_hmrf import Material, RandomDeformation
+    >>> from napari_hmrf import Material
+    >>> from napari_hmrf.random import RandomDeformation
     >>> labels = np.ones((48, 48), int)
     >>> labels[20:28, 20:28] = 2
     >>> materials = [Material(1, "muscle", 10.0), Material(2, "bone", float("inf"))]
@@ -343,8 +344,8 @@ class RandomDeformation:
         """Bounds, (low, high), of the largest pull of a sample."""
         return self._case.amplitude
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Save the unit solutions and their case to one .npz file, atomically.
+    def write(self, path: str | os.PathLike[str]) -> Path:
+        """Write the unit solutions and their case to one .npz file, atomically.
 
         Parameters
         ----------
@@ -364,8 +365,8 @@ class RandomDeformation:
         return array_file.write(path, DEFORMATION_FORMAT, self._solutions)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> RandomDeformation:
-        """Load a file of `save` without solving; the same seeds give bit-identical samples.
+    def read(cls, path: str | os.PathLike[str]) -> RandomDeformation:
+        """Read a file of `write` without solving; the same seeds give bit-identical samples.
 
         Raises
         ------

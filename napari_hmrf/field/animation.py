@@ -13,7 +13,7 @@ from napari_hmrf.field.deformation import deformation_grid, pixels_between
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.quantities import Quantity, values_of
 from napari_hmrf.field.resample import emptiness
-from napari_hmrf.field.strain import folds
+from napari_hmrf.field.strain import fold_mask
 from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.solver.solution import Solution
 
@@ -157,7 +157,7 @@ def marked_sites(solution: Solution, mark: Mark) -> npt.NDArray[np.bool_]:
     """Find the sites where tissue folds, or all sites whose tissue overlaps other tissue."""
     tissue = solution.tissue
     if mark == "folds":
-        return folds(solution.displacement, spacing=solution.spacing, tissue=tissue)
+        return fold_mask(solution.displacement, spacing=solution.spacing, tissue=tissue)
     *_, overlaps = inverse_map_and_overlaps(solution.displacement, solution.spacing, tissue)
     sites, places = _moved_sites(solution, tissue)
     found = np.zeros(tissue.shape, bool)

@@ -1,4 +1,4 @@
-"""How bright a picture is, and where it has edges, at which what is observed of it is sure."""
+"""Brightness of images, and confidence at their edges."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import numpy.typing as npt
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.problem import as_numbers
 
-# Of red, green and blue: how bright they look (ITU-R BT.709).
+# Brightness of red, green and blue (ITU-R BT.709).
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
 # Pixels whose slope is steeper than that of this share of all are edges.
 _SHARE = 0.9
 
 
 def luminance(colours: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    """How bright colours are, from 0 to the largest value of their type.
+    """Compute the brightness of colours, from 0 to the largest value of their type.
 
     Parameters
     ----------
     colours : ndarray, shape (..., 3 or 4)
-        Red, green and blue; how opaque they are does not count.
+        Red, green and blue; opacity is ignored.
 
     Returns
     -------
@@ -42,14 +42,14 @@ def luminance(colours: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
     return bright
 
 
-def at_edges(image: npt.NDArray[Any], *, axes: int = 2) -> npt.NDArray[np.float32]:
-    """Complete confidence where an image has its steepest edges, and none elsewhere.
+def edge_confidence(image: npt.NDArray[Any], *, axes: int = 2) -> npt.NDArray[np.float32]:
+    """Return confidence 1 where an image has its steepest edges, and 0 elsewhere.
 
     Parameters
     ----------
     image : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
     axes : int
-        How many of it are not colours: 3 of a volume.
+        Number of axes without that of the colours: 3 for a volume.
 
     Returns
     -------

@@ -115,6 +115,10 @@ def count_folds(
     displacement, spacing, tissue
         As in `jacobian_determinant`.
 
+    Returns
+    -------
+    int
+
     Raises
     ------
     ProblemError

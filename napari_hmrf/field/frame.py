@@ -1,4 +1,4 @@
-"""Where a slice or a volume of a layer lies in the world, as a value that outlives the layer."""
+"""Place of a slice or a volume of a layer in the world, as a value that outlives the layer."""
 
 from __future__ import annotations
 
@@ -13,43 +13,44 @@ import numpy.typing as npt
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from napari_hmrf.field.units import is_unit, unit_factor, unit_symbol
+from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 
 Matrix = tuple[tuple[float, ...], ...]
 
-#: The axes of a volume's world, as layers carry them: called after the side of the patient that
-#: each leads to, here with the letters of that and of the side it comes from.
+#: Names of the world axes of a volume in layers: the side of the patient that each axis leads to,
+#: with the letters of that side and of the opposite one.
 PATIENT_AXES = {"superior": ("S", "I"), "posterior": ("P", "A"), "left": ("L", "R")}
-#: The attributes of a layer, and keyword arguments of a new one, that say where it lies.
+#: Attributes of a layer, and keyword arguments of a new one, that give its place.
 PLACE = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
-#: What a file holds of a `Frame`.
+#: Attributes of a `Frame` that a file holds.
 _STORED = ("plane", "index", *PLACE, "matrix")
 #: Two layers lie in the same place if their corners agree to this fraction of a pixel.
 _TOLERANCE = 1e-3
-#: Slices beyond this are nobody's.
+#: Largest index of a slice that a file may hold.
 _FARTHEST = 2**31
 
 
 @dataclass(frozen=True)
 class Frame:
-    """The place of a slice: which of a layer's axes are its rows and columns, and the transform.
+    """Place of a slice or a volume in the world: its axes of a layer, and the transform.
 
-    Or that of a volume, which has a third axis before these. "Slice" below stands for both.
+    A volume has a third axis before rows and columns. "Slice" below stands for both.
 
     Attributes
     ----------
     plane : (int, int) or (int, int, int)
-        The layer's axes that are those of the slice, (row, col), or of the volume, (depth, row,
-        col).
+        Axes of the layer that are the axes of the slice, (row, col), or of the volume, (depth,
+        row, col).
     index : tuple of int
-        Where the slice lies on each axis of the layer; 0 on those of the plane.
+        Position of the slice on each axis of the layer; 0 on the axes of the plane.
     scale, translate, rotate, shear, affine, units, axis_labels
-        The layer's own, as it takes them.
+        Of the layer, as napari takes them.
     matrix : (D + 1) x (D + 1) numbers
-        From the layer's pixels to the world, homogeneous.
+        Transform from pixels of the layer to the world, homogeneous.
     sliders : tuple of (float, float)
-        Where the viewer's slider of each axis begins and its step, in the world; nothing if there
-        was no viewer. Of no consequence but for the number of the slice that people read.
+        Start and step of the viewer's slider of each axis, in the world; empty without a viewer.
+        Used only for the displayed number of the slice.
     """
 
     plane: tuple[int, ...]
@@ -64,7 +65,7 @@ class Frame:
     matrix: Matrix
     sliders: tuple[tuple[float, float], ...] = field(default=(), compare=False)
 
-    # Of what a file holds.
+    # For `TypeAdapter`, which validates the content of a file.
     __pydantic_config__ = ConfigDict(allow_inf_nan=False)
 
     @classmethod
@@ -78,18 +79,18 @@ class Frame:
         axis_labels: Sequence[str] | None = None,
         volume: bool = False,
     ) -> Frame:
-        """A slice of pixels along the last two axes, as a layer has it that nobody has turned.
+        """Return the place of a slice along the last two axes of a layer that is not rotated.
 
         Parameters
         ----------
         scale : sequence of float
-            The size of a pixel along each axis.
+            Size of a pixel along each axis.
         units, index, axis_labels
-            As the frame has them; by default the first slice, and axes that nobody has named.
+            As the attributes; by default the first slice, and axes without names.
         affine : array_like, optional
-            To the world.
+            Transform to the world.
         volume : bool
-            Whether it is a volume, along the last three axes.
+            Whether to return the place of a volume, along the last three axes.
         """
         n = len(scale)
         turn = np.eye(n + 1) if affine is None else np.asarray(affine)
@@ -106,19 +107,24 @@ class Frame:
             matrix=as_tuples(turn @ np.diag([*scale, 1.0])),
         )
 
+    def __repr__(self) -> str:
+        sizes = f"{grid_in_words(self.spacing)} {self.unit}"
+        where = f"{self.slice_name}, " if self.slice_name else ""
+        return f"Frame({where}axes {self.plane} of {self.ndim}, pixels of {sizes})"
+
     @property
     def ndim(self) -> int:
-        """Axes of the layer."""
+        """Number of axes of the layer."""
         return len(self.index)
 
     @property
     def others(self) -> tuple[int, ...]:
-        """The layer's axes that the slice lies across."""
+        """Axes of the layer across the slice."""
         return tuple(axis for axis in range(self.ndim) if axis not in self.plane)
 
     @property
     def unit(self) -> str:
-        """The unit of length of `spacing`: that of the rows' axis."""
+        """Unit of length of `spacing`, which is the unit of the rows' axis."""
         return self.units[self.plane[-2]]
 
     @property
@@ -128,7 +134,7 @@ class Frame:
 
     @property
     def skew(self) -> float:
-        """By how many degrees the pixels' sides fail to be at right angles."""
+        """Deviation of the sides of a pixel from a right angle, in degrees."""
         steps = self._steps()
         sides = steps / np.linalg.norm(steps, axis=0)
         cosine = np.abs(np.triu(sides.T @ sides, k=1)).max()
@@ -138,25 +144,25 @@ class Frame:
         """World steps of one pixel along the axes of the plane, as columns, all in `unit`."""
         linear = np.array(self.matrix)[:-1, list(self.plane)]
         factors = np.array([unit_factor(unit, self.unit) for unit in self.units])
-        # World axes of a unit that is no such length (time) play no part.
+        # World axes whose unit is no length, such as time, are left out.
         steps: npt.NDArray[np.float64] = linear * np.nan_to_num(factors)[:, None]
         return steps
 
     @property
     def slice_name(self) -> str:
-        """Which slice, by its pixels; empty where it is all of a layer.
+        """Name of the slice by its index, such as "z = 12"; empty if it is a whole layer.
 
-        Such as "z = 12", or "slice 12" of the one axis that nobody has named.
+        The only axis across a slice, if it has no name, is called "slice".
         """
         return self._named(self.index)
 
     @property
     def slice_seen(self) -> str:
-        """The same for people to read: in a patient by where it lies, such as "S 22 mm".
+        """Displayed name of the slice: in a patient its place, such as "S 22 mm".
 
-        Else it is by the number that the viewer's slider shows. A slider counts from the end of
-        the world where the coordinates are lowest, which is the last slice of an axis that runs
-        backwards; and a study that is opened again has one slice, the first.
+        Elsewhere it has the number that the viewer's slider shows. A slider counts from the lowest
+        world coordinate, which is the last slice of an axis that runs backwards; and a study that
+        is opened again has one slice, the first.
         """
         world = np.array(self.matrix) @ np.array([*self.index, 1.0])
         seen = list(self.index)
@@ -166,18 +172,18 @@ class Frame:
         return self._named(seen, placed=True)
 
     def _in_patient(self, axis: int) -> str:
-        """Where the slice lies across an axis; "" if that is none of a patient."""
+        """Return the place of the slice on an axis of the patient; "" for other axes."""
         letters, unit = PATIENT_AXES.get(self.axis_labels[axis]), self.units[axis]
         if letters is None or unit == "pixel":
             return ""
-        # Along the normal, so that all of a slice that is aslant lies at one place.
+        # Along the normal, so that all points of an oblique slice have one place.
         matrix = np.array(self.matrix)
         normal = np.linalg.inv(matrix)[axis, :-1]
         towards = math.copysign(float(np.linalg.norm(normal)), normal[axis])
         far = float(normal @ (matrix @ [*self.index, 1.0])[:-1]) / towards
         # To a hundredth of the way to the next slice, or finer.
         digits = max(2 + math.ceil(math.log10(abs(towards))), 0)
-        # What a file or an inverse has lost is less than that.
+        # Hides rounding errors of files and inverses.
         far = round(round(far, digits + 4), digits)
         return f"{letters[int(far < 0)]} {abs(far):.12g} {unit_symbol(unit)}"
 
@@ -195,7 +201,7 @@ class Frame:
         return ", ".join(names)
 
     def plane_at(self, across: int, number: int) -> Frame:
-        """A plane of this volume: of those across one of its axes, the one of that number."""
+        """Return the place of one plane of this volume, by its number across an axis."""
         index = list(self.index)
         index[self.plane[across]] = number
         plane = (*self.plane[:across], *self.plane[across + 1 :])
@@ -203,15 +209,15 @@ class Frame:
 
     @property
     def pixels(self) -> tuple[int | slice, ...]:
-        """What picks the slice out of a layer's data."""
+        """Index that selects the slice from the data of a layer."""
         return tuple(slice(None) if n in self.plane else at for n, at in enumerate(self.index))
 
     def take(self, data: Any) -> npt.NDArray[Any]:
         """Copy the slice out of a layer's data, in the order of the plane; colours stay last."""
         part = data[self.pixels]
-        if hasattr(part, "compute"):  # of dask, whose own conversion would lose a mask
+        if hasattr(part, "compute"):  # dask: its own conversion would lose a mask
             part = part.compute()
-        # A mask is kept, for whoever can say whose it is.
+        # Keep a mask, which the caller refuses by the name of the layer.
         masked = isinstance(part, np.ma.MaskedArray)
         picture: npt.NDArray[Any] = np.ma.array(part, copy=True) if masked else np.array(part)
         return _ordered(picture, np.argsort(np.argsort(self.plane)))
@@ -230,8 +236,8 @@ class Frame:
     def put_vectors(self, arrows: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
         """Give arrows (N, 2, n) of (start, step) in pixels of the slice the layer's axes.
 
-        Without any, a two-dimensional layer gets one of no length, which is not seen: an empty one
-        napari cannot draw in three dimensions.
+        Without arrows, a two-dimensional layer gets an invisible one of length 0, because napari
+        cannot draw an empty layer in three dimensions.
         """
         if not len(arrows) and self.ndim == 2:
             arrows = np.zeros((1, 2, 2))
@@ -241,12 +247,12 @@ class Frame:
         return placed
 
     def placement(self, image: bool = False) -> dict[str, Any]:
-        """Keyword arguments that make a layer lie where the source does.
+        """Return the keyword arguments that place a layer like its source.
 
         Parameters
         ----------
         image : bool
-            Whether the layer's data come from `put_image`, and so begin at the slice itself.
+            Whether the data of the layer come from `put_image`, and so begin at the slice.
         """
         translate = np.array(self.translate)
         if image:
@@ -263,7 +269,7 @@ class Frame:
         }
 
     def same_place(self, other: Frame, shape: tuple[int, ...]) -> bool:
-        """Whether a slice of that shape covers the same part of the world in both frames.
+        """Return whether a slice of a shape covers the same part of the world in both frames.
 
         Layers of fewer dimensions lie on every slice: only the axes that both have are compared.
         """
@@ -274,16 +280,16 @@ class Frame:
         return bool(np.abs(apart).max() <= _TOLERANCE)
 
     def slice_in(self, other: Frame, sizes: Sequence[int], shape: tuple[int, ...]) -> Frame | None:
-        """The slice of another layer that covers the same part of the world; None if none does.
+        """Return the slice of another layer that covers the same part of the world, or None.
 
         Parameters
         ----------
         other : Frame
-            Of any slice of that layer, which may have more axes, or fewer.
+            Place of any slice of that layer, which may have more axes, or fewer.
         sizes : sequence of int
-            The pixels of that layer along its axes; it may be of that one slice alone.
+            Number of pixels of that layer along its axes.
         shape : tuple of int
-            Of this slice.
+            Shape of this slice.
         """
         more = other.ndim - self.ndim
         plane = tuple(axis + more for axis in self.plane)
@@ -295,7 +301,7 @@ class Frame:
         return found if self.same_place(found, shape) else None
 
     def has(self, pixels: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
-        """Which of some places, (N, D) in pixels of the layer, lie on the slice or beside it."""
+        """Return a mask of the places, (N, D) in pixels of the layer, that lie on the slice."""
         others = list(self.others)
         on = np.rint(pixels[:, others]) == np.array(self.index)[others]
         return np.asarray(on.all(axis=1))
@@ -303,7 +309,7 @@ class Frame:
     def place_of(
         self, pixel: npt.NDArray[np.float64], shape: tuple[int, ...]
     ) -> tuple[float, ...] | None:
-        """Where a pixel of the layer, (D,), lies on a slice of that shape; None if it does not.
+        """Return the place of a pixel of the layer, (D,), on a slice of a shape; None outside.
 
         Returns
         -------
@@ -318,20 +324,20 @@ class Frame:
     def from_pixels_of(
         self, other: Frame, axes: Iterable[int] | None = None
     ) -> npt.NDArray[np.float64] | None:
-        """Where the pixels of another layer lie on this one's axes.
+        """Return the transform from pixels of another layer to pixels of this one.
 
         Parameters
         ----------
         other : Frame
-            Which may have more axes, or fewer.
+            May have more axes, or fewer.
         axes : iterable of int, optional
-            Those of this layer on which it counts where something lies; on the others it is on the
-            slice. By default all that both have.
+            Axes of this layer to transform; on the others the result lies on the slice. By default
+            all that both layers have.
 
         Returns
         -------
         ndarray, shape (D, n + 1), or None
-            From (n + 1) homogeneous pixels; None if units do not go together.
+            From (n + 1) homogeneous pixels; None if the units cannot be converted.
         """
         more = other.ndim - self.ndim
         counted = [axis for axis in axes or range(self.ndim) if axis + more >= 0]
@@ -349,25 +355,25 @@ class Frame:
         return found
 
     def _corners(self, shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
-        """Those of a slice of that shape, in homogeneous pixels."""
+        """Return the corners of a slice of a shape, in homogeneous pixels."""
         ends = [*product(*((0, size) for size in shape))]
         corners = np.tile(np.array([*self.index, 1.0]), (len(ends), 1))
         corners[:, list(self.plane)] = ends
         return corners
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain JSON types, for `Solution.frame`."""
+        """Return the place in JSON types, for `Solution.frame`."""
         kept = asdict(self)
         return {name: kept[name] for name in _STORED}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Frame:
-        """The inverse of `as_dict`.
+        """Return the place of a dictionary of `as_dict`.
 
         Raises
         ------
         ValueError
-            If it is not what `as_dict` made, or no layer can lie there.
+            If the dictionary is not from `as_dict`, or no layer can have that place.
         """
         try:
             given = {name: values[name] for name in _STORED}
@@ -384,7 +390,7 @@ class Frame:
         return frame
 
     def _check(self) -> None:
-        """Raise ValueError if no layer can lie there."""
+        """Raise ValueError if no layer can have this place."""
         ndim, plane = self.ndim, self.plane
         known = len(plane) in (2, 3) and len({*plane}) == len(plane)
         if not known or not all(0 <= axis < ndim for axis in plane):
@@ -416,12 +422,12 @@ class Frame:
 
     @classmethod
     def of_solution(cls, solution: Solution) -> Frame:
-        """Where a solution lies: as its `frame` says, or at the origin if it came from no layer.
+        """Return the place of a solution, which is the origin if it has no `frame`.
 
         Raises
         ------
         ValueError
-            As of `from_dict`, or if it is the place of a slice, and the solution a volume.
+            As for `from_dict`; or if it is the place of a slice, and the solution is a volume.
         """
         n = solution.tissue.ndim
         if not solution.frame:
@@ -432,13 +438,13 @@ class Frame:
         return frame
 
 
-#: Checks the types of what a file holds.
+#: Validator of the content of a file.
 _PLACES = TypeAdapter(Frame)
 
 
 @dataclass(frozen=True)
 class SlicePlace:
-    """A slice: the axes of a layer it shows, where it lies on each, and its name to be read."""
+    """Slice of a layer: its axes, its position on each axis, and its displayed name."""
 
     plane: tuple[int, ...]
     index: tuple[int, ...]
@@ -446,22 +452,22 @@ class SlicePlace:
 
     @classmethod
     def of(cls, frame: Frame) -> SlicePlace:
-        """Where a slice lies."""
+        """Return the slice at a place."""
         return cls(frame.plane, frame.index, frame.slice_seen)
 
 
 def _ordered(picture: npt.NDArray[Any], axes: npt.NDArray[np.intp]) -> npt.NDArray[Any]:
-    """A picture with its axes in this order; colours, if there are any, stay last."""
+    """Return a picture with its axes in this order; colours, if there are any, stay last."""
     return picture.transpose(*axes, *range(len(axes), picture.ndim))
 
 
 def as_tuples(values: Any) -> Any:
-    """Numbers, or a matrix: napari keeps some shears as the one, some as the other."""
+    """Return numbers or a matrix as tuples: napari has both kinds of shears."""
     return tuple(map(as_tuples, values)) if np.ndim(values) else float(values)
 
 
 def is_flat(linear: npt.NDArray[np.float64]) -> bool:
-    """Whether a square matrix flattens space, however long its columns are."""
+    """Return whether a square matrix flattens space, however long its columns are."""
     lengths = np.linalg.norm(linear, axis=0)
     if not ((lengths > 0) & np.isfinite(lengths)).all():
         return True

@@ -61,6 +61,9 @@ class Picture:
     order: int = 1
     fill: float = 0
 
+    def __repr__(self) -> str:
+        return f"Picture({shown(self.image)}, order={self.order}, fill={self.fill})"
+
 
 class Warper:
     """Warper of pictures on one grid.

@@ -13,7 +13,7 @@ from napari_hmrf.arguments import refuse_unless, require_kind
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.deformation import determinant, jacobian_determinant
 from napari_hmrf.field.elastic_strain import StrainKind, strain_kind, values_of_strain
-from napari_hmrf.field.strain import equivalent_strain, folds, magnitude
+from napari_hmrf.field.strain import equivalent_strain, fold_mask, magnitude
 from napari_hmrf.field.warp import BoolArray, Float64Array, moved_sites
 from napari_hmrf.solver.problem import as_numbers, grid_in_words
 from napari_hmrf.solver.solution import Solution
@@ -31,10 +31,10 @@ class Measurement(NamedTuple):
     name : str
     pixels : int
         Number of pixels of the tissue before the motion.
-    area : float
+    size : float
         Area before the motion, in the squared unit of the spacing; in a volume the volume, in the
         cubed unit.
-    area_change : float
+    size_change : float
         Change of area, or in a volume of volume, in per cent. It is computed from the cells
         between pixels, each of which counts for the tissues at its corners; inverted cells count
         as negative.
@@ -53,8 +53,8 @@ class Measurement(NamedTuple):
     label: int
     name: str
     pixels: int
-    area: float
-    area_change: float
+    size: float
+    size_change: float
     mean_displacement: float
     largest_displacement: float
     mean_strain: float
@@ -101,7 +101,7 @@ def measure(
             f"{grid_in_words(tissue.shape)} pixels of the solution.",
         )
     spacing = solution.spacing
-    length, folded = magnitude(d), folds(d, spacing=spacing, tissue=tissue)
+    length, folded = magnitude(d), fold_mask(d, spacing=spacing, tissue=tissue)
     change, weight = _changes(solution)
     strain, kind = values_of_strain(solution, equivalent_strain), strain_kind(solution)
     pixel = float(np.prod(spacing))
@@ -113,8 +113,8 @@ def measure(
                 label=int(label),
                 name=(names or {}).get(int(label), ""),
                 pixels=int(there.sum()),
-                area=float(there.sum() * pixel),
-                area_change=float(100 * (np.average(change[there], weights=weight[there]) - 1)),
+                size=float(there.sum() * pixel),
+                size_change=float(100 * (np.average(change[there], weights=weight[there]) - 1)),
                 mean_displacement=float(length[there].mean()),
                 largest_displacement=float(length[there].max()),
                 mean_strain=float(100 * np.nanmean(strain[there])),

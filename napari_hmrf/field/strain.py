@@ -47,7 +47,7 @@ __all__ = [
     "count_folds",
     "deformation_gradient",
     "equivalent_strain",
-    "folds",
+    "fold_mask",
     "green_lagrange_strain",
     "jacobian_determinant",
     "magnitude",
@@ -94,13 +94,13 @@ def deformation_gradient(
     return on_sites(gradient + np.eye(mask.ndim), mask)
 
 
-def folds(
+def fold_mask(
     displacement: npt.ArrayLike,
     *,
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> BoolArray:
-    """Mark where tissue folds over itself or collapses: the sites that `count_folds` counts.
+    """Return a mask of the sites where tissue folds or collapses, which `count_folds` counts.
 
     Parameters
     ----------

@@ -21,14 +21,14 @@ from napari_hmrf.field.observation import PixelField
 from napari_hmrf.field.resample import unknown_values
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.fields import Place, placed, read_field, write_field
-from napari_hmrf.io.images import SAME, ImageFile, load_image, save_image
+from napari_hmrf.io.images import SAME, ImageFile, read_image, write_image
 from napari_hmrf.io.landmark_files import (
     POINT_SUFFIXES,
     LandmarkFile,
-    load_points,
-    save_points,
+    read_points,
+    write_points,
 )
-from napari_hmrf.io.study_file import is_study_file, load_solved
+from napari_hmrf.io.study_file import is_study_file, read_solved
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution, is_solution_file
 
@@ -116,7 +116,7 @@ class FieldFile:
         return self.field.displacement
 
 
-def load_field(path: str | os.PathLike[str], *, forward: bool = False) -> FieldFile:
+def read_field_file(path: str | os.PathLike[str], *, forward: bool = False) -> FieldFile:
     """Read the field of a saved result, of a study with its field, or of another tool.
 
     Parameters
@@ -139,7 +139,7 @@ def load_field(path: str | os.PathLike[str], *, forward: bool = False) -> FieldF
                 f"{Path(path).name} is a result, and its direction is known. Leave out that it "
                 "leads forward (`forward=True`)."
             )
-        return FieldFile.of(load_solved(path)[1])
+        return FieldFile.of(read_solved(path)[1])
     file = read_field(path, forward=forward)
     field, place = file.field, Place(file.spacing, file.origin, file.direction)
     across = field.vectors[..., 0]
@@ -148,7 +148,9 @@ def load_field(path: str | os.PathLike[str], *, forward: bool = False) -> FieldF
     return FieldFile(field, place)
 
 
-def save_field(path: str | os.PathLike[str], field: FieldFile, *, forward: bool = False) -> str:
+def write_field_file(
+    path: str | os.PathLike[str], field: FieldFile, *, forward: bool = False
+) -> str:
     """Write a field with `write_field`; return a sentence on its direction and inversion error.
 
     Raises
@@ -201,18 +203,18 @@ def apply_field(
         If the image is of another size, or would be overwritten; or if it is a volume and the
         field does not say which slice it belongs to.
     FileFormatError, HmrfError, OSError
-        As for `load_image`, `save_image`, `load_points` and `save_points`.
+        As for `read_image`, `write_image`, `read_points` and `write_points`.
     """
     name = Path(path).name
     if Path(target).exists() and Path(target).samefile(path):
         raise ProblemError(name, "would be written over. Give another folder for what has moved.")
     if name.lower().endswith(POINT_SUFFIXES):
         return _move_landmarks(field, path, target)
-    image, n = load_image(path), len(field.shape)
+    image, n = read_image(path), len(field.shape)
     order = 0 if labels else 1
     blended = "" if labels else _blended_labels(image.pixels, name)
     if n == 2 and image.ndim == 3 and image.place is not None:
-        return Applied(save_image(target, _slice_moved(field, image, name, order)), blended)
+        return Applied(write_image(target, _slice_moved(field, image, name, order)), blended)
     if n == 3:
         image = image.laid_as(field.in_patient)
     pixels = image.pixels
@@ -237,7 +239,7 @@ def apply_field(
         if len(pixels) > 1:
             note = f"{name} lies nowhere, so all its {len(pixels)} slices were moved alike"
     notes = filter(None, (note, blended, unknown_values(pixels, image.ndim, name)))
-    return Applied(save_image(target, image._replace(pixels=moved)), "; ".join(notes))
+    return Applied(write_image(target, image._replace(pixels=moved)), "; ".join(notes))
 
 
 def _blended_labels(pixels: Pixels, name: str) -> str:
@@ -325,7 +327,7 @@ def _slice_number(own: Place, image: ImageFile) -> int | None:
 def _move_landmarks(
     field: FieldFile, path: str | os.PathLike[str], target: str | os.PathLike[str]
 ) -> Applied:
-    file, name, n = load_points(path), Path(path).name, len(field.shape)
+    file, name, n = read_points(path), Path(path).name, len(field.shape)
     place = place_for(file, field.place, name, n)
     at = place.to_pixels(file.points)
     # As with images, points in other slices stay where they are.
@@ -337,7 +339,7 @@ def _move_landmarks(
     notes = [f"{apart} of {len(at)} points lie in other slices, and stay"] * bool(apart)
     if outside:
         notes.append(f"{outside} of {len(at)} points lie outside the image, and move as its edge")
-    written = save_points(target, place.to_space(at), file.targets, names=file.names)
+    written = write_points(target, place.to_space(at), file.targets, names=file.names)
     return Applied(written, "; ".join(notes))
 
 

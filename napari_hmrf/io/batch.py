@@ -45,7 +45,7 @@ from napari_hmrf.io.case_records import (
     output_digests,
 )
 from napari_hmrf.io.case_tables import NamedCase
-from napari_hmrf.io.csv_files import save_csv
+from napari_hmrf.io.csv_files import write_csv
 from napari_hmrf.io.folder_lock import exclusive
 from napari_hmrf.wording import in_words_of
 
@@ -286,7 +286,7 @@ class _Batch:
             own = self._parameters[outcome.case]
             first, *others = (getattr(outcome, title) for title in titles)
             rows.append([first, *(own.get(title) for title in swept), *others])
-        save_csv(self._folder / SUMMARY, [titles[0], *swept, *titles[1:]], rows)
+        write_csv(self._folder / SUMMARY, [titles[0], *swept, *titles[1:]], rows)
 
 
 # Local processes

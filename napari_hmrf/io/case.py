@@ -11,17 +11,17 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
-from napari_hmrf.field.brightness import at_edges
+from napari_hmrf.field.brightness import edge_confidence
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.warp import has_volume_loops
-from napari_hmrf.io.apply import load_field, place_for
+from napari_hmrf.io.apply import place_for, read_field_file
 from napari_hmrf.io.case_options import Case, energy_of, notes_on_ratio, weight_of
 from napari_hmrf.io.fields import Place, place_of
-from napari_hmrf.io.images import ImageFile, load_image, save_image
-from napari_hmrf.io.landmark_files import POINT_SUFFIXES, load_points
+from napari_hmrf.io.images import ImageFile, read_image, write_image
+from napari_hmrf.io.landmark_files import POINT_SUFFIXES, read_points
 from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.segmentation_tables import tissue_table
-from napari_hmrf.io.study_file import is_study_file, load_study, save_study
+from napari_hmrf.io.study_file import is_study_file, read_study, write_study
 from napari_hmrf.io.sweeps import Change, changed, with_ratio
 from napari_hmrf.io.tables import read_rules
 from napari_hmrf.solver.optimizers import Monitor
@@ -61,8 +61,8 @@ def read_case(case: Case) -> Study:
                 f"{case.image.name} is a study, which says itself what to compute. Leave out "
                 f"{', '.join(case.options)}, or give the image."
             )
-        return load_study(case.image).study
-    whole = load_image(case.image)
+        return read_study(case.image).study
+    whole = read_image(case.image)
     _refuse_unused(case, whole.ndim == 2)
     image, place = _part(whole, case)
     grid = _grid(image, whole, case)
@@ -172,7 +172,7 @@ def solve_case(
     Raises
     ------
     HmrfError, OSError
-        As for `read_case`, `changed`, `solve_study` and `save_study`.
+        As for `read_case`, `changed`, `solve_study` and `write_study`.
     """
     study = changed(read_case(case), changes)
     if case.boundary is None and not case.hold_edge and not is_study_file(case.image):
@@ -202,8 +202,8 @@ def solve_case(
         moved = solution.warp(image)
         where = None if study.grid.unit == "pixel" else place_of(solution)
         written = ImageFile(moved, where, colours=moved.ndim > len(study.grid.shape))
-        save_image(folder / f"{name} deformed{'.nrrd' if where else '.tif'}", written)
-    save_study(folder / f"{name}.study", study, solution)
+        write_image(folder / f"{name} deformed{'.nrrd' if where else '.tif'}", written)
+    write_study(folder / f"{name}.study", study, solution)
     folds = solution.count_folds()
     short = shortcomings(solution, study.grid.unit, folds)
     notes = (*short, *ground.unused(stated), *ground.notes_on(stated))
@@ -267,7 +267,7 @@ def _most_likely(case: Case, whole: ImageFile) -> tuple[npt.NDArray[np.integer],
         name = path.name if names.count(path.name) == 1 else str(path)
         if name in maps:
             raise ProblemError(name, "is given twice in --maps. Give it once.")
-        image = load_image(path)
+        image = read_image(path)
         maps[name], ranges[name] = _on_pixels(case, path, whole, image), MapRange.of(image.pixels)
     scale = scale_of(ranges, fix="")
     return most_likely(maps, scale), scale
@@ -275,7 +275,7 @@ def _most_likely(case: Case, whole: ImageFile) -> tuple[npt.NDArray[np.integer],
 
 def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> npt.NDArray[Any]:
     """Return a grey image on the same pixels; from a volume, the same slice."""
-    pixels = _on_pixels(case, path, whole, load_image(path))
+    pixels = _on_pixels(case, path, whole, read_image(path))
     return as_labels(pixels, path) if labels else pixels
 
 
@@ -324,7 +324,7 @@ def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Mo
             )
         return Motion(labels=labels, rules=rules)
     try:
-        field = load_field(path, forward=case.forward).in_pixels
+        field = read_field_file(path, forward=case.forward).in_pixels
     except FileFormatError as error:
         raise FileFormatError(f"{error} If it is an image of labels, give --rules, too.") from None
     counts, frame = _counts(case, whole), grid.place
@@ -359,13 +359,13 @@ def _counts(case: Case, whole: ImageFile) -> npt.NDArray[Any]:
     if case.confidence is None:
         return np.ones(part.pixels.shape[: part.ndim], np.float32)
     if case.confidence == "edges":
-        return at_edges(part.pixels, axes=part.ndim)
+        return edge_confidence(part.pixels, axes=part.ndim)
     counts = _pixels(case, case.confidence, whole).astype(np.float32)
     return counts / counts.max() if counts.max() > 1 else counts
 
 
 def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
-    file, n = load_points(path), len(grid.shape)
+    file, n = read_points(path), len(grid.shape)
     if file.targets is None:
         raise ProblemError(
             path.name, "says where things are, not where they should be. Give pairs, as BigWarp."

@@ -12,7 +12,7 @@ import pydantic
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.io.case_tables import NamedCase
-from napari_hmrf.io.study_file import load_study
+from napari_hmrf.io.study_file import read_study
 
 #: File in the folder of a case with its row of the table, its input digests, and its outcome.
 RECORD = "case.json"
@@ -113,7 +113,7 @@ def _is_intact(folder: Path, record: CaseRecord) -> bool:
         return all(_digest(folder / name) == one for name, one in record.outputs.items())
     try:  # earlier versions recorded no digests
         for path in folder.glob("*.study"):
-            load_study(path)
+            read_study(path)
     except (HmrfError, OSError):
         return False
     return True

@@ -24,7 +24,7 @@ from napari_hmrf.arguments import checked_path
 from napari_hmrf.errors import FileFormatError, HmrfError
 from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.csv_files import read_csv, unknown_column
-from napari_hmrf.io.images import load_image
+from napari_hmrf.io.images import read_image
 from napari_hmrf.io.sweeps import OF_BOUNDARIES, OF_TISSUES, Change
 from napari_hmrf.io.tables import value_of
 from napari_hmrf.solver.model_names import MODELS, as_word
@@ -104,6 +104,11 @@ def read_cases(path: str | os.PathLike[str]) -> tuple[NamedCase, ...]:
     ----------
     path : str or path-like
         A .csv.
+
+    Returns
+    -------
+    tuple of NamedCase
+        In the order of the table.
 
     Raises
     ------
@@ -238,7 +243,7 @@ def _values(title: str, text: str, image: Path) -> list[str]:
 def _slices(image: Path) -> int:
     """Return the number of slices of an image, or 1 if unreadable: solving it reports the error."""
     try:
-        file = load_image(image)
+        file = read_image(image)
     except (HmrfError, OSError):
         return 1
     return len(file.pixels) if file.ndim == 3 else 1

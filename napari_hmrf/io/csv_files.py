@@ -172,7 +172,7 @@ def read_csv(
     return CsvFile(titles, lines)
 
 
-def save_csv(
+def write_csv(
     path: str | os.PathLike[str],
     titles: Sequence[str],
     rows: Iterable[Iterable[Any]],

@@ -32,7 +32,7 @@ from napari_hmrf.io.itk_files import (
     Unreadable,
     encode,
     holds_vectors,
-    read_vectors,
+    read_itk_vectors,
     require_simpleitk,
 )
 from napari_hmrf.solver.problem import as_numbers, grid_in_words
@@ -79,6 +79,10 @@ class Field:
     field: DisplacementField
     origin: tuple[float, ...]
     direction: npt.NDArray[np.float64]
+
+    def __repr__(self) -> str:
+        sizes = f"{grid_in_words(self.field.vectors.shape[:-1])} sites"
+        return f"Field({sizes} of {grid_in_words(self.spacing)} mm)"
 
     @property
     def displacement(self) -> npt.NDArray[np.float64]:
@@ -207,6 +211,10 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
         registrations write, and is inverted. A direction stored in the file, as in those of
         `write_field` and in Slicer's .nrrd, takes precedence.
 
+    Returns
+    -------
+    Field
+
     Raises
     ------
     FileFormatError
@@ -218,7 +226,7 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
     """
     source = Path(checked_path(path))
     try:
-        image = read_vectors(source)
+        image = read_itk_vectors(source)
     except Unreadable as error:
         raise FileFormatError(_not_a_field(source, error)) from None
     leads = _leads(image.told) or (_FORTH if forward else _BACK)
@@ -422,7 +430,7 @@ def _placed_as(
         raise ProblemError(
             "displacement",
             "has no place: nothing says where its image lies. Make the study with grid = "
-            "Grid.from_image(image), or give export_field that grid. A picture (.png, .tif) has no "
+            "Grid.from_image(image), or export with grid= that grid. A picture (.png, .tif) has no "
             "place either: give placed=False, with which the field begins at the origin.",
         )
     return placed(solution)

@@ -42,7 +42,7 @@ _GRID_COLOUR = "#0b7285"
 _BEFORE = "{}\n(drawn on the tissue before it moves)"
 
 
-def save_pictures(
+def write_pictures(
     folder: Path, image: npt.ArrayLike, problem: Problem, solution: Solution
 ) -> list[Path]:
     """Draw a solve into PNG files.
@@ -72,7 +72,7 @@ def save_pictures(
     return _saved(folder, figures)
 
 
-def save_result_pictures(
+def write_result_pictures(
     folder: Path,
     solution: Solution,
     image: npt.ArrayLike | None = None,
@@ -114,7 +114,7 @@ def save_result_pictures(
     return _saved(folder, figures)
 
 
-def save_volume_pictures(
+def write_volume_pictures(
     folder: Path, image: npt.ArrayLike, solution: Solution, at: Sequence[int], unit: str = "px"
 ) -> list[Path]:
     """Draw three slices of a volume, across each other, into PNG files.

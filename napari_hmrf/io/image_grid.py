@@ -13,7 +13,7 @@ from napari_hmrf.arguments import is_whole, shown
 from napari_hmrf.errors import ArgumentError, ProblemError
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.io.fields import Place, check_rotation
-from napari_hmrf.io.images import load_image
+from napari_hmrf.io.images import read_image
 from napari_hmrf.study.study import Grid
 
 #: From right, anterior, superior (nibabel's convention) to left, posterior, superior.
@@ -43,7 +43,7 @@ def grid_of_image(
     ProblemError
         If the image's axes are not at right angles.
     HmrfError, OSError
-        As for `load_image`, for a path.
+        As for `read_image`, for a path.
     """
     if isinstance(image, str | os.PathLike):
         shape, place = _of_file(image)
@@ -91,7 +91,7 @@ def _slice_of(grid: Grid, frame: Frame, number: int, axis: int) -> Grid:
 
 
 def _of_file(path: str | os.PathLike[str]) -> tuple[tuple[int, ...], Place | None]:
-    image = load_image(path)
+    image = read_image(path)
     return tuple(image.pixels_in_place.shape[: image.pixels_in_place.ndim - image.colours]), (
         image.place
     )

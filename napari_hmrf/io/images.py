@@ -19,7 +19,7 @@ from napari_hmrf.arguments import checked_path
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.io.fields import Place
-from napari_hmrf.io.itk_files import ItkImage, Unreadable, encode, read_image, read_series
+from napari_hmrf.io.itk_files import ItkImage, Unreadable, encode, read_itk_image, read_itk_series
 from napari_hmrf.regular_file import refuse_irregular
 
 #: Largest distance, in pixels, between two grids that count as the same.
@@ -140,7 +140,7 @@ def apart(one: Place | None, other: Place | None, axes: int = 3) -> float:
     return float(np.abs(one.to_pixels(other.to_space(corners)) - corners).max())
 
 
-def load_image(path: str | os.PathLike[str]) -> ImageFile:
+def read_image(path: str | os.PathLike[str]) -> ImageFile:
     """Read an image, or a folder with the DICOM files of one series.
 
     A volume of one slice is read as that slice, with its place in the volume.
@@ -162,7 +162,7 @@ def load_image(path: str | os.PathLike[str]) -> ImageFile:
         if source.name.lower().endswith(PICTURE_SUFFIXES):
             return _picture(source)
     try:
-        image = read_series(source) if source.is_dir() else read_image(source)
+        image = read_itk_series(source) if source.is_dir() else read_itk_image(source)
     except Unreadable as error:
         if source.is_dir():
             why = str(error) or "the folder holds a damaged series"
@@ -205,7 +205,7 @@ def _is_dicom(file: Path) -> bool:
         return stream.read(132)[128:] == b"DICM"
 
 
-def save_image(path: str | os.PathLike[str], image: ImageFile) -> Path:
+def write_image(path: str | os.PathLike[str], image: ImageFile) -> Path:
     """Write an image, atomically, in the format of its name's ending.
 
     Raises
@@ -213,7 +213,7 @@ def save_image(path: str | os.PathLike[str], image: ImageFile) -> Path:
     FileFormatError
         If the ending is unknown, or its format cannot hold such pixels.
     HmrfError, OSError
-        As for `load_image`.
+        As for `read_image`.
     """
     target = Path(checked_path(path))
     name = target.name.lower()

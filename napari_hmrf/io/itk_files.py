@@ -71,7 +71,7 @@ class ItkImage(NamedTuple):
         return len(self.spacing)
 
 
-def read_image(source: Path) -> ItkImage:
+def read_itk_image(source: Path) -> ItkImage:
     """Read an image.
 
     Raises
@@ -89,13 +89,13 @@ def read_image(source: Path) -> ItkImage:
     return _image(_decode(source, "pixels"))
 
 
-def read_series(folder: Path) -> ItkImage:
+def read_itk_series(folder: Path) -> ItkImage:
     """Read the only series in a folder of DICOM files.
 
     Raises
     ------
     Unreadable
-        As for `read_image`; or if the folder holds no series, or several.
+        As for `read_itk_image`; or if the folder holds no series, or several.
     HmrfError
         If SimpleITK is not installed.
     """
@@ -106,15 +106,15 @@ def read_series(folder: Path) -> ItkImage:
     return _image(found)
 
 
-def read_vectors(source: Path) -> ItkImage:
+def read_itk_vectors(source: Path) -> ItkImage:
     """Read an image of vectors, or the field of a transform.
 
     Raises
     ------
     Unreadable
-        As for `read_image`; or if the file differs from what this package wrote.
+        As for `read_itk_image`; or if the file differs from what this package wrote.
     HmrfError, OSError
-        As for `read_image`.
+        As for `read_itk_image`.
     """
     _open_once(source)
     is_sealed = _is_sealed(source)

@@ -68,14 +68,24 @@ class LandmarkFile(NamedTuple):
     names: tuple[str, ...] = ()
     unit: str = ""
 
+    def __repr__(self) -> str:
+        pairs = "" if self.targets is None else " with targets"
+        unit = f", {self.unit}" if self.unit else ""
+        return f"LandmarkFile({len(self.points)} points{pairs}{unit})"
 
-def load_points(path: str | os.PathLike[str]) -> LandmarkFile:
+
+def read_points(path: str | os.PathLike[str]) -> LandmarkFile:
     """Read landmarks.
 
     Parameters
     ----------
     path : str or path-like
         Ends in one of `POINT_SUFFIXES`.
+
+    Returns
+    -------
+    LandmarkFile
+        A named tuple of points, targets, names and unit.
 
     Raises
     ------
@@ -116,7 +126,7 @@ def is_landmark_file(path: str | os.PathLike[str]) -> bool:
     return len(first) in (6, 8) and first[1].strip().casefold() in ("true", "false")
 
 
-def save_points(
+def write_points(
     path: str | os.PathLike[str],
     points: npt.ArrayLike,
     targets: npt.ArrayLike | None = None,
@@ -131,10 +141,15 @@ def save_points(
         ``.csv`` with `targets` is BigWarp's format, without them napari's; Slicer's files hold one
         list.
     points : array_like, shape (N, 2) or (N, 3)
-        ([z,] y, x); for Slicer in mm, as `load_points` gives them.
+        ([z,] y, x); for Slicer in mm, as `read_points` gives them.
     targets : array_like, shape (N, 2) or (N, 3), optional
         Target positions of the same landmarks.
     names : sequence of str, optional
+
+    Returns
+    -------
+    Path
+        The written file.
 
     Raises
     ------

@@ -48,7 +48,7 @@ ENDING = ".json"
 _LARGEST = 2**20
 
 
-def save_materials(path: str | Path, preset: Preset) -> Path:
+def write_preset(path: str | Path, preset: Preset) -> Path:
     """Write materials to a file, atomically, to use them with other images and to share them.
 
     Parameters
@@ -85,8 +85,8 @@ def save_materials(path: str | Path, preset: Preset) -> Path:
     return target
 
 
-def load_materials(path: str | Path) -> Preset:
-    """Read a file that was written by `save_materials` or by hand.
+def read_preset(path: str | Path) -> Preset:
+    """Read a file that was written by `write_preset` or by hand.
 
     Parameters
     ----------

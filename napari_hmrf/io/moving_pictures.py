@@ -29,7 +29,7 @@ _WHITE = 99.9
 _LARGEST_FRAME = 2**20
 
 
-def save_moving_picture(
+def write_movie(
     path: str | os.PathLike[str],
     solution: Solution,
     image: npt.ArrayLike,
@@ -52,6 +52,11 @@ def save_moving_picture(
     per_second : int
     number : int, optional
         Number of the slice to show, along the first axis of a volume.
+
+    Returns
+    -------
+    Path
+        The written file.
 
     Raises
     ------

@@ -15,8 +15,8 @@ from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.io.case import as_labels
 from napari_hmrf.io.fields import place_of
-from napari_hmrf.io.images import load_image
-from napari_hmrf.io.study_file import load_solved
+from napari_hmrf.io.images import read_image
+from napari_hmrf.io.study_file import read_solved
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 
@@ -55,7 +55,7 @@ def measured(path: Path, labels: Path | None = None) -> Measured:
     HmrfError, OSError
         If a file cannot be read; or if it has no field, or no labels and none are given.
     """
-    study, solution = load_solved(path)
+    study, solution = read_solved(path)
     tissue = None if study is None else study.tissue
     names = {} if tissue is None else {row.label: row.name for row in tissue.materials}
     image = None if tissue is None else tissue.labels
@@ -76,7 +76,7 @@ def labels_in(path: Path) -> tuple[int, ...]:
     HmrfError, OSError
         If the file cannot be read, or holds no labels.
     """
-    return tuple(np.unique(as_labels(load_image(path).pixels, path)).tolist())
+    return tuple(np.unique(as_labels(read_image(path).pixels, path)).tolist())
 
 
 def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArray[Any]]:
@@ -87,7 +87,7 @@ def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArr
     HmrfError, OSError
         If a file cannot be read; or if it has no field, or no image and none is given.
     """
-    study, solution = load_solved(path)
+    study, solution = read_solved(path)
     pixels = None if study is None else study.pictures.image
     if image is not None:
         pixels = _on_grid(image, solution)
@@ -99,7 +99,7 @@ def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArr
 def _on_grid(path: Path, solution: Solution) -> npt.NDArray[Any]:
     """Return the pixels of a file; those of a volume in the order of the solution's axes."""
     unknown = Frame.of_solution(solution).unit == "pixel"
-    image, place = load_image(path), None if unknown else place_of(solution)
+    image, place = read_image(path), None if unknown else place_of(solution)
     if solution.tissue.ndim == 3:
         image = image.laid_as(place)
     sizes, shape = image.pixels.shape[: image.ndim], solution.tissue.shape

@@ -22,11 +22,11 @@ from typing import Any
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.io.csv_files import read_cells, text_of, unknown_column
-from napari_hmrf.io.material_tables import FORMAT, load_materials
+from napari_hmrf.io.material_tables import FORMAT, read_preset
 from napari_hmrf.io.tables import MATERIAL_COLUMNS, read_materials
-from napari_hmrf.io.tissue_names import NamedMaterials, materials_by_name
 from napari_hmrf.regular_file import read_at_most
 from napari_hmrf.tissue.material_presets import Preset
+from napari_hmrf.tissue.tissue_names import NamedMaterials, materials_by_name
 
 #: Largest size of a table, in bytes; also the longest header of an image.
 _LARGEST = 2**22
@@ -108,7 +108,7 @@ def tissue_table(path: str | os.PathLike[str]) -> NamedMaterials | Preset:
     Parameters
     ----------
     path : str or path-like
-        A file of `save_materials` or a .csv with a column `stiffness`; otherwise a file for
+        A file of `write_preset` or a .csv with a column `stiffness`; otherwise a file for
         `read_label_names`. A .csv is a list of names only if all of its columns are labels, names,
         or colours and terms that other tools write beside them.
 
@@ -120,7 +120,7 @@ def tissue_table(path: str | os.PathLike[str]) -> NamedMaterials | Preset:
     Raises
     ------
     FileFormatError, OSError
-        As for `read_materials`, `load_materials` and `read_label_names`; or if none of the names
+        As for `read_materials`, `read_preset` and `read_label_names`; or if none of the names
         has a known stiffness.
     """
     source = Path(checked_path(path))
@@ -128,7 +128,7 @@ def tissue_table(path: str | os.PathLike[str]) -> NamedMaterials | Preset:
     if ending == ".csv" and not _is_of_names(source):
         return Preset(source.stem, "", f"the file {source.name}", read_materials(source))
     if ending == ".json" and (source.stat().st_size > _LARGEST or _is_ours(source)):
-        return load_materials(source)
+        return read_preset(source)
     found = materials_by_name(read_label_names(source), name=source.stem)
     if not any(row.stiffness for row in found.materials):
         names = list(dict.fromkeys(found.unknown.values()))

@@ -27,7 +27,7 @@ from napari_hmrf.solver.parameters import optimizer_from_dict, prior_from_dict
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.solution import SOLUTION_FORMAT, Solution
 from napari_hmrf.solver.solve import Progress
-from napari_hmrf.study.ground import solve_study, statement_of
+from napari_hmrf.study.ground import build_problem, solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
@@ -50,7 +50,7 @@ _SHAPE = TypeAdapter(tuple[int, ...])
 _LENGTHS = TypeAdapter(tuple[float, ...])
 
 
-class Saved(NamedTuple):
+class StudyFile(NamedTuple):
     """Content of the file of a study.
 
     Attributes
@@ -64,14 +64,14 @@ class Saved(NamedTuple):
     solution: Solution | None = None
 
 
-def save_study(
+def write_study(
     path: str | os.PathLike[str],
     study: Study,
     solution: Solution | None = None,
     *,
     image: bool = True,
 ) -> Path:
-    """Save a study, and its field if there is one, to one file, atomically.
+    """Write a study, and its field if there is one, to one file, atomically.
 
     The display settings of layers, such as colormaps, are not saved.
 
@@ -84,7 +84,7 @@ def save_study(
     solution : Solution, optional
     image : bool
         Whether to save the image itself. Otherwise its name and digest are saved, and the image
-        must be given to `load_study`.
+        must be given to `read_study`.
 
     Returns
     -------
@@ -109,14 +109,19 @@ def save_study(
     return array_file.write(target, STUDY_FORMAT, _Content(study, solution, image))
 
 
-def load_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> Saved:
-    """Read a study back, in this or an earlier version of the format.
+def read_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> StudyFile:
+    """Read the file of a study, in this or an earlier version of the format.
 
     Parameters
     ----------
     path : str or path-like
     image : ndarray, optional
         The image, if the file only refers to it.
+
+    Returns
+    -------
+    StudyFile
+        A named tuple of the `study` and its `solution`, which is None if the file has no field.
 
     Raises
     ------
@@ -135,10 +140,10 @@ def load_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None =
                 f"'{study.pictures.name}' as it was."
             )
         study = replace(study, pictures=replace(study.pictures, image=image))
-    return Saved(study, content.solution)
+    return StudyFile(study, content.solution)
 
 
-def load_solved(path: str | os.PathLike[str]) -> tuple[Study | None, Solution]:
+def read_solved(path: str | os.PathLike[str]) -> tuple[Study | None, Solution]:
     """Read a study with its field, or a saved result, for which the study is None.
 
     Raises
@@ -154,8 +159,8 @@ def load_solved(path: str | os.PathLike[str]) -> tuple[Study | None, Solution]:
             "a saved result (.npz)."
         )
     if not is_study_file(path):
-        return None, Solution.load(path)
-    study, solution = load_study(path)
+        return None, Solution.read(path)
+    study, solution = read_study(path)
     if solution is None:
         raise FileFormatError(
             f"{Path(path).name}: the study was saved without its field. Solve it first."
@@ -164,7 +169,16 @@ def load_solved(path: str | os.PathLike[str]) -> tuple[Study | None, Solution]:
 
 
 def is_study_file(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file is marked as a study; reads only its beginning."""
+    """Return whether a file is marked as a study; reads only its beginning.
+
+    Parameters
+    ----------
+    path : str or path-like
+
+    Returns
+    -------
+    bool
+    """
     return array_file.claims_to_be(path, STUDY_FORMAT)
 
 
@@ -190,17 +204,21 @@ def replay(
     Parameters
     ----------
     path, image
-        As for `load_study`.
+        As for `read_study`.
     progress : callable, optional
         As for `solve`.
+
+    Returns
+    -------
+    Solution
 
     Raises
     ------
     HmrfError
-        As for `load_study` and `solve_study`; or if the file only refers to its image, from which
+        As for `read_study` and `solve_study`; or if the file only refers to its image, from which
         the tissue is derived, and the image is not given.
     """
-    study, solution = load_study(path, image=image)
+    study, solution = read_study(path, image=image)
     tissue = study.tissue
     if (
         study.pictures.image is None
@@ -212,7 +230,7 @@ def replay(
             "in the file. Give the image."
         )
     backend = "auto" if solution is None else solution.provenance.backend
-    return solve_study(study, stated=statement_of(study), backend=backend, progress=progress)
+    return solve_study(study, stated=build_problem(study), backend=backend, progress=progress)
 
 
 class _Content(NamedTuple):
@@ -385,7 +403,7 @@ def materials_of(rows: Any) -> tuple[Material, ...]:
     return _MATERIALS.validate_python([asdict(Material.of_row(**row)) for row in rows])
 
 
-#: The file that `save_study` writes.
+#: The file that `write_study` writes.
 STUDY_FORMAT: array_file.Format[_Content] = array_file.Format(
     name="napari-hmrf study",
     schema=1,

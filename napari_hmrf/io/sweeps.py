@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.io.tissue_names import known_tissue
 from napari_hmrf.solver.priors import Elastic
 from napari_hmrf.study.models import chosen
 from napari_hmrf.study.study import Study, Tissue
@@ -18,6 +17,7 @@ from napari_hmrf.tissue.boundary_rules import (
     default_material,
     unlisted,
 )
+from napari_hmrf.tissue.tissue_names import lookup_tissue
 
 #: Properties of a tissue, and of a boundary, that can be changed.
 OF_TISSUES = "growth", "stiffness", "poisson"
@@ -111,7 +111,7 @@ def _meant(rows: Sequence[Any], of: str) -> list[Any]:
 
 
 def _tissue_name(row: Material) -> str:
-    tissue = known_tissue(row.name)
+    tissue = lookup_tissue(row.name)
     return tissue.name if tissue is not None else ""
 
 

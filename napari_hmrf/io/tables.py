@@ -23,8 +23,7 @@ from napari_hmrf.field.elastic_strain import StrainKind
 from napari_hmrf.field.held_forces import HeldForce
 from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.field.units import as_seen
-from napari_hmrf.io.csv_files import read_csv, save_csv, unknown_column
-from napari_hmrf.io.tissue_names import KnownTissue, NamedMaterials
+from napari_hmrf.io.csv_files import read_csv, unknown_column, write_csv
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.tissue.boundary_rules import (
     LARGEST_STIFFNESS,
@@ -36,13 +35,15 @@ from napari_hmrf.tissue.boundary_rules import (
     read_stiffness,
     stiffness_in_words,
 )
+from napari_hmrf.tissue.tissue_names import KnownTissue, NamedMaterials
 
 #: Largest size of a table, in bytes; a larger file is not read.
 _LARGEST = 2**20
-#: Measurements of a volume whose names differ from those of a slice.
-_OF_VOLUMES = {"pixels": "voxels", "area": "volume", "area_change": "volume_change"}
+#: Columns of measurements that are named by what an image or a volume has.
+_OF_IMAGES = {"size": "area", "size_change": "area_change"}
+_OF_VOLUMES = {"pixels": "voxels", "size": "volume", "size_change": "volume_change"}
 #: Measurements in per cent, which the titles of their columns state.
-_PER_CENT = ("area_change", "mean_strain", "largest_strain")
+_PER_CENT = ("size_change", "mean_strain", "largest_strain")
 #: Components below this share of a force are shown as 0.
 _NOISE = 1e-3
 
@@ -169,7 +170,7 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
     return tuple(Material(**{"name": f"tissue {row['label']}", **row}) for _, row in rows)
 
 
-def save_named_materials(path: str | os.PathLike[str], found: NamedMaterials) -> Path:
+def write_named_materials(path: str | os.PathLike[str], found: NamedMaterials) -> Path:
     """Write the materials of a segmentation to a .csv that `read_materials` reads.
 
     Unknown labels get a row without a stiffness, to be filled in or removed.
@@ -197,7 +198,7 @@ def save_named_materials(path: str | os.PathLike[str], found: NamedMaterials) ->
     names = {**{row.label: row.name for row in found.materials}, **found.unknown}
     titles = ["label", "name", "stiffness", "poisson", "source"]
     rows = ([label, names[label], *known.get(label, ("", "", ""))] for label in sorted(names))
-    return save_csv(path, titles, rows, what="materials")
+    return write_csv(path, titles, rows, what="materials")
 
 
 def read_rules(path: str | os.PathLike[str]) -> tuple[BoundaryRule, ...]:
@@ -280,7 +281,7 @@ def measurement_table(
     """
     kind = _strain_of(rows).replace("-", "_")
     words = {name: name.replace("strain", f"{kind}_strain") for name in Measurement._fields}
-    words |= _OF_VOLUMES if volume else {}
+    words |= _OF_VOLUMES if volume else _OF_IMAGES
     names = [name for name in Measurement._fields if name != "strain"]
     titles = [f"{words[name]}{'_percent' * (name in _PER_CENT)}" for name in names]
     return titles, [tuple(getattr(row, name) for name in names) for row in rows]
@@ -316,8 +317,8 @@ def measurements_in_words(
     columns = {
         "tissue": "name",
         "label": "label",
-        f"{size} ({unit}{content})": "area",
-        f"{size} change (%)": "area_change",
+        f"{size} ({unit}{content})": "size",
+        f"{size} change (%)": "size_change",
         f"moved, mean ({unit})": "mean_displacement",
         f"moved, most ({unit})": "largest_displacement",
         f"{kind} strain, mean (%)": "mean_strain",
@@ -368,13 +369,13 @@ def _in_words(row: Measurement, name: str, axes: int) -> str:
     value = getattr(row, name)
     if not isinstance(value, float):
         return str(value)
-    if name != "area":
-        pixel = (row.area / row.pixels) ** (1 / axes)
+    if name != "size":
+        pixel = (row.size / row.pixels) ** (1 / axes)
         value = as_seen(value, [pixel if name.endswith("displacement") else 1.0])
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
 
 
-def save_measurements(
+def write_measurements(
     path: str | os.PathLike[str],
     rows: Sequence[Measurement],
     unit: str = "",
@@ -402,7 +403,7 @@ def save_measurements(
     more = {"unit": unit} if unit else {}
     titles, cells = measurement_table(rows, volume=volume)
     lines = ([*row, *more.values()] for row in cells)
-    return save_csv(path, [*titles, *more], lines, what="measurements")
+    return write_csv(path, [*titles, *more], lines, what="measurements")
 
 
 def _read(

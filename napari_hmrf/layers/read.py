@@ -11,7 +11,7 @@ import numpy.typing as npt
 from napari.layers import Labels, Layer, Vectors
 
 from napari_hmrf.errors import LayerError, naming
-from napari_hmrf.field.brightness import at_edges
+from napari_hmrf.field.brightness import edge_confidence
 from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import arrow_observation
@@ -39,7 +39,7 @@ from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
-#: What is observed is sure where the image has edges.
+#: Choice of confidence: complete where the image has edges.
 EDGES = "edges"
 #: Pixels sheared by less than this many degrees pass for rectangles.
 _RIGHT_ANGLE = 0.1
@@ -51,7 +51,7 @@ _MANY = 2000
 
 @dataclass(frozen=True)
 class Request:
-    """What somebody chose: layers, tables, what is drawn, and the slice that is shown.
+    """Selection of the user: layers, tables, the drawing and the visible slice.
 
     Attributes
     ----------
@@ -68,14 +68,14 @@ class Request:
     rules : tuple of BoundaryRule, optional
         Lengths in the unit of the image; by default those that the boundary layer carries.
     confidence : napari.layers.Image, napari.layers.Labels or "edges", optional
-        Of what is observed: how sure it is, 0 to 1; labels are a mask. "edges": it is sure where
-        the image has its steepest edges. By default it is sure everywhere.
+        Confidence of the observed displacements, 0 to 1; labels are a mask. "edges": complete
+        where the image has its steepest edges. By default it is complete everywhere.
     view : View, optional
-        Which slice; by default the first, of the last two axes.
+        The visible slice; by default the first, of the last two axes.
     hold_edge : bool
         Whether the outer edge of the tissue stays where it is.
     drawing : Drawing, optional
-        What is drawn with a pointer, on top of everything; None where nobody draws.
+        Marks drawn with a pointer, which take precedence; None if there is no drawing.
     preset : Preset, optional
         The tissues that can be painted where the layer has no table of its own.
     without_border : bool
@@ -140,8 +140,8 @@ class Request:
         return tuple(layer for layer in chosen if isinstance(layer, Layer))
 
 
-def read_study(request: Request, copies: LayerCopies | None = None) -> Study:
-    """Read the slice that is shown out of every layer; quick, for the window waits for it.
+def study_from_layers(request: Request, copies: LayerCopies | None = None) -> Study:
+    """Read the visible slice of every layer into a study; quick, as the window waits for it.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def read_study(request: Request, copies: LayerCopies | None = None) -> Study:
 
 
 class _Reader:
-    """What is known while layers are read."""
+    """State while layers are read."""
 
     def __init__(self, request: Request, copies: LayerCopies) -> None:
         self._request = request
@@ -267,7 +267,7 @@ class _Reader:
         return Motion(request.hold_edge, labels, rules, drawing=drawing)
 
     def _observed(self, layer: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """What arrows or a field observe, and how sure that is."""
+        """Return the displacements that arrows or a field observe, and their confidence."""
         request, frame, shape = self._request, self._frame, self._shape
         data, sure, field = self._copies.of(layer), self._sure(), field_of(layer)
         own = frame if field else frame_of(layer, request.view)
@@ -299,7 +299,7 @@ class _Reader:
         return y, c
 
     def _sure(self) -> npt.NDArray[Any] | None:
-        """How sure what is observed is."""
+        """Return the confidence of the observed displacements."""
         chosen, image = self._request.confidence, self._request.image
         if chosen is None:
             return None
@@ -313,11 +313,13 @@ class _Reader:
         if image is None:
             raise LayerError(self._reference, "has no edges: choose an image.")
         pixels = self._slice(image)
-        return self._copies.made(image, (pixels,), lambda: at_edges(pixels, axes=len(self._shape)))
+        return self._copies.made(
+            image, (pixels,), lambda: edge_confidence(pixels, axes=len(self._shape))
+        )
 
 
 def look_of(layer: Any) -> dict[str, Any]:
-    """How an Image or Labels layer is drawn, as a new layer takes it."""
+    """Return the display settings of an Image or Labels layer, as arguments of a new layer."""
     if layer is None or getattr(layer, "rgb", False):
         return {}
     if isinstance(layer, Labels):
@@ -380,7 +382,7 @@ def study_layers(study: Study) -> dict[str, Any]:
             arrows = np.stack([starts, steps[tuple(starts.T)]], axis=1)
             add("boundary", "Observed", arrows, {}, "vectors", role=BOUNDARY)
         look = {"contrast_limits": (0, 1), "opacity": 0.3}
-        add("confidence", "How sure", counts, look)
+        add("confidence", "Confidence", counts, look)
     for part, layer in made.items():  # paint would tint the picture that has moved
         layer.visible = not study.moves or part == ("image" if "image" in made else "tissue")
     return made

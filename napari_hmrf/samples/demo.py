@@ -156,12 +156,12 @@ def demonstrate(
 
 def write_results(demonstration: Demonstration, folder: Path) -> list[Path]:
     """Write the solution and its pictures to an existing folder, and return the written files."""
-    from napari_hmrf.io.figures import save_pictures
+    from napari_hmrf.io.figures import write_pictures
 
     path = folder / "solution.npz"
-    demonstration.solution.save(path)
+    demonstration.solution.write(path)
     subject = demonstration.phantom
-    pictures = save_pictures(folder, subject.image, subject.problem, demonstration.solution)
+    pictures = write_pictures(folder, subject.image, subject.problem, demonstration.solution)
     return [path, *pictures]
 
 

@@ -16,7 +16,7 @@ import scipy
 
 from napari_hmrf.arguments import is_whole, real, refuse_unless
 from napari_hmrf.field.frame import PATIENT_AXES, Frame
-from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.problem import Problem, grid_in_words
 from napari_hmrf.tissue.boundary_rules import (
     BoundaryRule,
     Material,
@@ -29,12 +29,12 @@ FloatArray = npt.NDArray[np.float64]
 
 #: The smallest size at which the head still has an inside.
 SMALLEST = 24
-#: That of the sample in napari: voxels are 2 mm wide.
+#: Size of the sample in napari, whose voxels are 2 mm wide.
 SAMPLE_SIZE = 95
 #: From the front of the head to its back, in millimetres; of the brain half as much along (up,
 #: back, left), and how thick the skull is around it.
 _LONG, _BRAIN, _SKULL = 190.0, (62.0, 84.0, 66.0), 7.0
-#: Where the tumour is from the middle of the brain, and its radius.
+#: Place of the tumour from the middle of the brain, and its radius.
 _TUMOUR_AT, _RADIUS = (10.0, 28.0, 30.0), 20.0
 #: Halves of a ventricle's horns, and where they are: up, back, beside the middle.
 _HORNS = (((8.0, 30.0, 8.0), (10.0, -6.0, 11.0)), ((16.0, 9.0, 7.0), (0.0, 24.0, 17.0)))
@@ -52,7 +52,7 @@ MATERIALS = (
 
 @dataclass(frozen=True, eq=False)
 class HeadPhantom:
-    """A head as a scanner might see it, what its tissue is, and what is known of its motion.
+    """A synthetic head with its tissue and the known motion of its boundaries.
 
     Attributes
     ----------
@@ -83,16 +83,20 @@ class HeadPhantom:
 
     title = "Head with a growing tumour"
 
+    def __repr__(self) -> str:
+        sizes = f"{grid_in_words(self.image.shape)} voxels of {self.spacing[0]:.3g} mm"
+        return f"HeadPhantom({sizes}, tumour grown by {self.growth:g} mm)"
+
     @cached_property
     def problem(self) -> Problem:
-        """What the labels and tables say, as the solver takes it."""
+        """Problem that the labels and tables state."""
         y, c = boundary_images(self.boundary_labels, self.boundary, spacing=self.spacing)
         m = stiffness_image(self.tissue_labels, self.materials)
         return Problem(y, c, m, spacing=self.spacing)
 
     @property
     def frame(self) -> Frame:
-        """Where it lies: its middle is where the axes of the patient meet."""
+        """Place of the head: its middle is at the origin of the patient's axes."""
         affine = np.eye(4)
         affine[:3, 3] = -(np.array(self.image.shape) - 1) / 2 * self.spacing
         units = ("millimeter",) * 3
@@ -163,7 +167,7 @@ def _from(
     spacing: tuple[float, ...],
     middle: tuple[float, ...] = (0.0, 0.0, 0.0),
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """How far each voxel is from a place, which is given from the middle of all; in millimetres."""
+    """Return the offset of each voxel from a place relative to the middle, in millimetres."""
     lines = [
         (np.arange(count) - (count - 1) / 2) * step - at
         for count, step, at in zip(shape, spacing, middle, strict=True)

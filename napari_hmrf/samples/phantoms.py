@@ -18,7 +18,7 @@ import scipy
 from napari_hmrf.arguments import is_one_of, refuse_unless, shown
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.resources import resource_folder
-from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.problem import Problem, grid_in_words
 from napari_hmrf.tissue.boundary_rules import (
     BoundaryRule,
     Material,
@@ -60,7 +60,7 @@ class Phantom:
     name : str
         "expansion", "mass-effect" or "bar".
     title : str
-        What it is, for people.
+        Description.
     image : ndarray, shape (H, W), uint8
         What a scanner might have seen.
     tissue_labels : ndarray, shape (H, W), uint8
@@ -81,6 +81,9 @@ class Phantom:
     materials: tuple[Material, ...]
     boundary_labels: Uint8Array
     boundary: tuple[BoundaryRule, ...]
+
+    def __repr__(self) -> str:
+        return f"Phantom({self.name!r}, {grid_in_words(self.image.shape)} pixels)"
 
     @cached_property
     def problem(self) -> Problem:
@@ -145,7 +148,15 @@ def phantom(name: str, size: int = 300) -> Phantom:
 
 
 def sample(name: str) -> Phantom:
-    """Open a phantom of size 300 as stored in `sample_data`; the same as ``phantom(name)``.
+    """Return the phantom of size 300 as stored in `sample_data`; the same as ``phantom(name)``.
+
+    Parameters
+    ----------
+    name : {"expansion", "mass-effect", "bar"}
+
+    Returns
+    -------
+    Phantom
 
     Raises
     ------
@@ -159,9 +170,13 @@ def sample(name: str) -> Phantom:
 
 
 def reference_displacement(name: str) -> npt.NDArray[np.float32]:
-    """Open the finite-element displacement of ``phantom(name)`` as stored in `sample_data`.
+    """Return the finite-element displacement of ``phantom(name)`` as stored in `sample_data`.
 
     Bilinear quads on the pixel grid, plane stress, Poisson's ratio 0.3, stored to 0.001 pixel.
+
+    Parameters
+    ----------
+    name : {"expansion", "mass-effect", "bar"}
 
     Returns
     -------

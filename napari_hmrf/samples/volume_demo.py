@@ -63,8 +63,8 @@ class VolumeDemonstration:
         """Return the name and value of each measurement."""
         solution, run = self.solution, self.solution.provenance
         size = f"{grid_in_words(solution.tissue.shape)} voxels of {solution.spacing[0]:.3g} mm"
-        before = self.tumour.area / _MILLILITRE
-        after = before * (1 + self.tumour.area_change / 100)
+        before = self.tumour.size / _MILLILITRE
+        after = before * (1 + self.tumour.size_change / 100)
         near = solution.convergence
         return (
             ("sample", f"{self.head.title}, {size}"),
@@ -140,10 +140,10 @@ def write_volume_results(demonstration: VolumeDemonstration, folder: Path) -> li
 
     The folder must exist. Returns the written files.
     """
-    from napari_hmrf.io.figures import save_volume_pictures
-    from napari_hmrf.io.study_file import save_study
+    from napari_hmrf.io.figures import write_volume_pictures
+    from napari_hmrf.io.study_file import write_study
 
     head, solution = demonstration.head, demonstration.solution
-    path = save_study(folder / "head.study", demonstration.study, solution)
+    path = write_study(folder / "head.study", demonstration.study, solution)
     middle = np.argwhere(head.tissue_labels == TUMOUR).mean(axis=0).round().astype(int).tolist()
-    return [path, *save_volume_pictures(folder, head.image, solution, middle, unit="mm")]
+    return [path, *write_volume_pictures(folder, head.image, solution, middle, unit="mm")]

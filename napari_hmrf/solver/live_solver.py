@@ -1,7 +1,7 @@
-"""The tissue while it is being edited: always the newest problem, from where the last one ended.
+"""Solver for a problem that is being edited: the latest edit wins, with a warm start.
 
-Edits come faster than solves end. So only the newest waits, and each solve begins with what the
-last ones found. Everything is computed on the compute thread; there is no other.
+Edits come faster than solves end, so only the latest waits, and each solve starts from the last
+solutions. All work runs on the compute thread.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, run_here
 
-#: How close to the converged field a live solution is, in pixels: less than can be seen.
+#: Tolerance of a live solution, in pixels: less than is visible.
 TOLERANCE = 0.01
-#: How close a first glance is, in pixels.
+#: Tolerance of a preview, in pixels.
 GLANCE = 0.3
-#: Where the first solution takes longer than so many seconds, a glance is shown before it.
+#: A preview is shown if the first solution is expected to take longer than this, in seconds.
 PATIENCE = 0.1
-# What a site takes from nothing, on two cores.
+# Time of a cold start per site on two cores, in seconds.
 _SITE_SECONDS = 2e-7
 
-# Of its area, at some corner of a pixel.
+# Solutions with a smaller Jacobian determinant are no warm start for large motion.
 _CRUSHED = 0.01
 
 _log = logging.getLogger("napari_hmrf")
@@ -42,23 +42,23 @@ _log = logging.getLogger("napari_hmrf")
 
 @dataclass(frozen=True, eq=False)
 class Update:
-    """What became of an edit.
+    """Result of an edit.
 
     Attributes
     ----------
     number : int
-        Which: what `LiveSolver.submit` returned.
+        Number of the edit, as returned by `LiveSolver.submit`.
     problem : Problem or None
-        What was solved; None if it could not be made.
+        The solved problem; None if it could not be built.
     solution : Solution or None
-        How the tissue moves now; None if there is an error.
+        None if there is an error.
     error : Exception or None
-        A `ProblemError`, say, if what is painted cannot be solved yet.
+        Such as a `ProblemError`, if the problem cannot be solved yet.
     final : bool
-        False of a first glance: within `GLANCE` pixels, and followed by better unless there is a
-        newer edit.
+        False for a preview, which is within `GLANCE` pixels and is followed by the final solution
+        unless there is a newer edit.
     seconds : float
-        Since it was submitted.
+        Time since the edit was submitted.
     """
 
     number: int
@@ -69,40 +69,40 @@ class Update:
     seconds: float
 
 
-#: What can be solved: a problem, alone or with a prior of its own.
+#: Input of an edit: a problem, alone or with a prior of its own.
 Input = Problem | tuple[Problem, Prior]
 
 
 class LiveSolver:
-    """Solves the newest of what is submitted, and says what came of it.
+    """Solver for a problem that is being edited: the latest edit wins, with a warm start.
 
-    Of several edits submitted while one is solved, only the last is looked at. The one being solved
-    is shown when it is done, so that the tissue follows a drag that never pauses; what is left of
-    it after a first glance, or after its time is up, is given up for a newer one. Whatever the
-    timing, the last thing delivered is the answer to the last edit. All methods may be called from
-    any thread, and return at once.
+    Of several edits submitted during a solve, only the last is solved. The running solve is
+    delivered when it is done, so that tissue follows a drag that never pauses; after its preview,
+    or after its `patience`, it is cancelled for a newer edit. Whatever the timing, the last update
+    belongs to the last edit. All methods may be called from any thread, and all but `wait` return
+    at once.
 
     Parameters
     ----------
     deliver : callable
-        Called with an `Update`, on the compute thread: the place to warp an image, too. It should
-        hand over and return; while it runs nothing is solved.
+        Called with an `Update` on the compute thread, where an image can be warped, too. It should
+        return soon: nothing is solved while it runs.
     prior : Prior, optional
-        By default elastic tissue. `prior` may be set at any time, for the edits to come.
+        By default elastic tissue. `prior` may be set at any time, for later edits.
     optimizer : Optimizer, optional
-        By default multigrid, to `TOLERANCE`. The paper's schedule works, but starts from nothing
-        each time. `optimizer` may be set at any time, for the edits to come.
+        By default multigrid, to `TOLERANCE`. The paper's schedule works, but with a cold start
+        each time. `optimizer` may be set at any time, for later edits.
     backend : str
-        As for `solve`. `backend` may be set at any time, for the edits to come.
+        As for `solve`. `backend` may be set at any time, for later edits.
     progress : callable, optional
-        Called with a `Monitor` on the compute thread: the first solve on a machine compiles for
-        half a minute, and somebody is waiting.
+        Called with a `Monitor` on the compute thread. The first solve on a machine compiles for
+        half a minute.
     doing : str
-        What others who wait for it are told: what it is, and how to stop it, as a clause.
+        Clause for messages to other users of the compute thread: the job, and how to stop it.
 
     Examples
     --------
-    >>> from napari_hmrf import phantom
+    >>> from napari_hmrf.data import phantom
     >>> updates = []
     >>> with LiveSolver(updates.append) as live:
     ...     number = live.submit(phantom("expansion", size=32).problem)
@@ -139,14 +139,14 @@ class LiveSolver:
         self._changed = threading.Condition()
         self._number = 0
         self._waiting: _Request | None = None
-        # Whether a job of ours is queued or runs; there is never more than one.
+        # True while a job of this solver is queued or runs; there is at most one.
         self._busy = False
-        # Whether what was submitted last is not answered yet, nor dropped.
+        # True until the last edit is answered or dropped.
         self._owed = False
         self._closed = False
-        # Set when nothing of what was submitted so far is wanted any more.
+        # Set when all edits so far are dropped.
         self._dropped = threading.Event()
-        # Only the compute thread looks at what was found.
+        # Used on the compute thread only.
         self._earlier = Earlier()
 
     def submit(
@@ -156,20 +156,20 @@ class LiveSolver:
         glance: bool = True,
         patience: float | None = None,
     ) -> int:
-        """Have this solved instead of whatever waits.
+        """Submit an edit, which replaces the one that waits.
 
         Parameters
         ----------
         problem : Problem, tuple of Problem and Prior, or callable
-            A callable is called on the compute thread, if its turn comes, and makes the problem;
-            what it raises is delivered. Reading what is painted takes as long as a solve, and an
-            edit that is replaced should not cost that.
+            A callable is called on the compute thread, unless the edit is replaced before, and
+            returns the problem; an error that it raises is delivered. Building a problem may take
+            as long as a solve, which an edit that is replaced does not cost.
         glance : bool
-            Whether a first glance may be shown where the solution takes long. Without, what is
-            submitted after `forget` is solved bit by bit as `solve` does.
+            Whether a preview may be delivered if the solution takes long. Without a preview, the
+            first edit after `forget` has the same bits as `solve` has.
         patience : float, optional
-            For how many seconds it is solved on though something newer waits; by default to its
-            end.
+            Time, in seconds, for which the edit is solved on although a newer one waits; by
+            default to its end.
 
         Returns
         -------
@@ -230,13 +230,13 @@ class LiveSolver:
 
     @property
     def busy(self) -> bool:
-        """Whether an answer is still to come."""
+        """True until the last edit is answered or dropped."""
         with self._changed:
             return self._owed
 
     @property
     def delay(self) -> str:
-        """What an edit waits for before it is looked at, and how to stop that; "" if nothing."""
+        """Job that an edit waits for, and how to stop it, as a clause; "" if none."""
         with self._changed:
             return "" if self._job is None else compute_thread.delays(self._job)
 
@@ -302,9 +302,8 @@ class LiveSolver:
             self._say(request, problem, error=error)
 
     def _takes_long(self, problem: Problem) -> bool:
-        """Whether this is the first look at some tissue, and a large one."""
-        # With something to begin with, a glance costs nearly as much as the solution, and what
-        # comes after it has less to begin with.
+        """Return whether the solve is a cold start of large tissue."""
+        # With a warm start a preview costs nearly as much as the solution.
         return not self._earlier.solutions and problem.stiffness.size * _SITE_SECONDS > PATIENCE
 
     def _solve(
@@ -315,7 +314,7 @@ class LiveSolver:
         optimizer: Optimizer,
         stop: CancelFlag,
     ) -> Solution:
-        """Solve from what is known, and know it."""
+        """Solve with a warm start, and keep the solution for the next one."""
         known = self._earlier.solutions if isinstance(optimizer, Multigrid) else ()
         initial = [each for each in known if not _is_crushed(each)] or None
         solution = run_here(problem, prior, optimizer, backend, self._progress, stop, initial)
@@ -330,7 +329,7 @@ class LiveSolver:
         error: Exception | None = None,
         final: bool = True,
     ) -> None:
-        # What was wrong with an edit that has been replaced is put right by now, or said again.
+        # The error of an edit that was replaced is corrected by now, or occurs again.
         if request.dropped.is_set() or (error is not None and self._waits()):
             return
         seconds = time.perf_counter() - request.submitted
@@ -346,7 +345,7 @@ class LiveSolver:
 
 
 def _is_crushed(solution: Solution) -> bool:
-    """Whether it is no beginning for large motion: the way back takes longer than from nothing."""
+    """Return whether a solution is no warm start for large motion: a cold start is faster."""
     return solution.reach is not None and solution.reach.least_jacobian < _CRUSHED
 
 
@@ -365,7 +364,7 @@ class _Request(NamedTuple):
 
 
 class _Overtaken:
-    """Set when an edit is dropped, or when it has had its time and there is a newer one."""
+    """Flag that is set if an edit is dropped, or has used its patience while a newer one waits."""
 
     def __init__(self, live: LiveSolver, request: _Request, patience: float | None) -> None:
         self._live = live

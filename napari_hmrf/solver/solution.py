@@ -65,6 +65,9 @@ class Provenance:
     def __post_init__(self) -> None:
         object.__setattr__(self, "model", self.model or model_name(self.parameters))
 
+    def __repr__(self) -> str:
+        return f"Provenance({self.model or 'no model'}, {self.backend}, {self.seconds:.3g} s)"
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -318,19 +321,36 @@ class Solution:
 
         Parameters
         ----------
-        path, forward, grid, placed
-            As for `export_field`.
+        path : str or path-like
+            As for `napari_hmrf.fields.write_field`, which lists the formats.
+        forward : bool
+            Whether the file maps the tissue's old position to its new one, as transforms of points
+            do, instead of the reverse, which moves images.
+        grid : Grid, optional
+            Grid of the image, as returned by `Grid.from_image`; needed if the solution has no
+            place, because it comes from a `Problem`, or from a study whose grid has none.
+        placed : bool
+            If False, a solution without a place is written at the origin, along the axes, with a
+            unit of its spacing as 1 mm: the place of a picture (.png, .tif) in other tools.
 
         Returns
         -------
         float
-            As for `export_field`: largest deviation of the file from an inverse of the motion, in
-            pixels.
+            Largest deviation, in pixels, of the written inverse from an exact inverse; 0 if
+            `forward`.
 
         Raises
         ------
-        HmrfError, OSError
-            As for `export_field`.
+        ArgumentError
+            If `grid` is not a Grid.
+        ProblemError
+            If the place is unknown, or the file's format cannot hold it.
+        FileFormatError
+            If the name has no ending of a field file.
+        HmrfError
+            If SimpleITK is not installed.
+        OSError
+            If the file cannot be written.
         """
         from napari_hmrf.io.fields import export_field
 
@@ -340,8 +360,8 @@ class Solution:
     def _on_grid(self) -> dict[str, Any]:
         return {"spacing": self.spacing, "tissue": self.tissue}
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Save to one .npz file, atomically.
+    def write(self, path: str | os.PathLike[str]) -> Path:
+        """Write to one .npz file, atomically.
 
         Parameters
         ----------
@@ -364,8 +384,8 @@ class Solution:
         return array_file.write(path, SOLUTION_FORMAT, self)
 
     @staticmethod
-    def load(path: str | os.PathLike[str]) -> Solution:
-        """Read a file of `save`, in this or an earlier version.
+    def read(path: str | os.PathLike[str]) -> Solution:
+        """Read a file of `write`, in this or an earlier version.
 
         Returns
         -------
@@ -384,7 +404,16 @@ class Solution:
 
 
 def is_solution_file(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file is marked as a saved solution; reads only its beginning."""
+    """Return whether a file is marked as a saved solution; reads only its beginning.
+
+    Parameters
+    ----------
+    path : str or path-like
+
+    Returns
+    -------
+    bool
+    """
     return array_file.claims_to_be(path, SOLUTION_FORMAT)
 
 
@@ -476,7 +505,7 @@ def _reach(given: Mapping[str, Any] | None) -> Reach | None:
     )
 
 
-#: The file that `Solution.save` writes.
+#: The file that `Solution.write` writes.
 SOLUTION_FORMAT: array_file.Format[Solution] = array_file.Format(
     name="napari-hmrf solution",
     schema=1,

@@ -114,7 +114,8 @@ def solve(
 
     Examples
     --------
-    >>> from napari_hmrf import phantom, solve
+    >>> from napari_hmrf import solve
+    >>> from napari_hmrf.data import phantom
     >>> solution = solve(phantom("expansion", size=64).problem)
     >>> solution.displacement.shape
     (64, 64, 2)

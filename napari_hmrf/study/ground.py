@@ -83,6 +83,9 @@ class Statement:
     at_rest: npt.NDArray[np.bool_]
     labels: npt.NDArray[np.int32] | None = None
 
+    def __repr__(self) -> str:
+        return f"Statement({self.problem!r}, {self.prior!r}, {self.optimizer!r})"
+
 
 @dataclass(frozen=True, eq=False)
 class Ground:
@@ -280,12 +283,17 @@ def refuse_unknown(study: Study) -> None:
         )
 
 
-def statement_of(study: Study) -> Statement:
+def build_problem(study: Study) -> Statement:
     """Return the problem of a study, with its prior and optimizer.
 
     Parameters
     ----------
     study : Study
+
+    Returns
+    -------
+    Statement
+        With the attributes `problem`, `prior` and `optimizer`, the arguments of `solve`.
 
     Raises
     ------
@@ -309,7 +317,7 @@ def solve_study(
     ----------
     study : Study
     stated : Statement, optional
-        Result of `statement_of` for the study, if already known.
+        Result of `build_problem` for the study, if already known.
     backend, progress, cancel
         As for `solve`.
 
@@ -336,7 +344,7 @@ def solve_study(
         stated = ground.statement()
         ground.refuse_motionless(stated)
         notes = (*ground.unused(stated), *ground.notes_on(stated))
-    require_kind(Statement, "stated", stated, "statement_of(study)")
+    require_kind(Statement, "stated", stated, "build_problem(study)")
     with study.naming():
         solution = solve(
             stated.problem,

@@ -29,6 +29,7 @@ from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.tissue.tissue_maps import materials_of_maps, most_likely
+from napari_hmrf.tissue.tissue_names import materials_by_name
 
 Array = npt.NDArray[Any]
 #: Distance from the middle of a slice, in slices, up to which a point is in it.
@@ -122,7 +123,7 @@ class Grid:
         Parameters
         ----------
         points : array_like, shape (N, 3) or (N, 2)
-            In mm, as `load_points` returns them: z, y, x for a volume or a slice of one, towards
+            In mm, as `read_points` returns them: z, y, x for a volume or a slice of one, towards
             superior, posterior and left; y, x for an image of 2 axes.
 
         Returns
@@ -276,9 +277,6 @@ class Tissue:
         labels = most_likely(maps, scale)
         if materials is not None:
             return cls(labels=labels, materials=materials_of_maps([*maps], materials), unit=unit)
-        # Imported here because `io`, which has the published values, is built on studies.
-        from napari_hmrf.io.tissue_names import materials_by_name
-
         found = materials_by_name(dict(enumerate(maps, 1)))
         if found.unknown:
             names = ", ".join(f"'{name}'" for name in found.unknown.values())

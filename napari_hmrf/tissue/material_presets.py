@@ -27,16 +27,27 @@ _VOID = Material(0, "no tissue", 0.0)
 
 @dataclass(frozen=True)
 class Preset:
-    """Materials that belong together, and where their values come from.
+    """Published materials that belong together, with their source.
 
     The stiffnesses of one preset share a unit and must not be mixed with those of another.
     Poisson's ratios are those of the source, if it has any.
+
+    Attributes
+    ----------
+    name : str
+    unit : str
+        Unit of stiffness; "" for ratios.
+    source : str
+    materials : tuple of Material
     """
 
     name: str
     unit: str
     source: str
     materials: tuple[Material, ...]
+
+    def __repr__(self) -> str:
+        return f"Preset({self.name!r}, {len(self.materials)} materials)"
 
     def take_over(self, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:
         """Put these materials in place of those of a table.
@@ -120,7 +131,7 @@ class Palette:
 
     @classmethod
     def of_preset(cls, preset: Preset | None = None, relative: bool = True) -> Palette:
-        """The tissues of a preset, the void, and what is rigid.
+        """Return the tissues of a preset, the void, and what is rigid.
 
         Parameters
         ----------
@@ -144,7 +155,7 @@ class Palette:
     def painted(
         self, labels: npt.NDArray[Any], before: npt.NDArray[Any], m: FloatArray, prior: Prior
     ) -> tuple[FloatArray, Prior]:
-        """Stiffness and energy where some tissue has become another.
+        """Return stiffness and energy where some tissue has become another.
 
         Parameters
         ----------

@@ -1,8 +1,7 @@
-"""Stiffness from the intensity of an image, by a curve that a person draws.
+"""Stiffness from the intensity of an image, by a curve that the user draws.
 
-Where tissues differ in brightness, nobody has to paint them: a curve through a few points says how
-stiff what is so bright is, and below a threshold there is no tissue. A curve is a value that does
-not change, so that it can be kept, compared and come back to. Nothing here needs napari.
+Tissues that differ in brightness need not be painted: a curve through a few points gives the
+stiffness of each intensity, and below a threshold there is no tissue. A curve is immutable.
 """
 
 from __future__ import annotations
@@ -26,8 +25,8 @@ from napari_hmrf.tissue.surroundings import void_threshold
 Between = Literal["straight", "smooth"]
 Point = tuple[float, float]
 
-#: Where a first curve bends, in percent of the pixels, and the stiffness there: the paper's soft
-#: tissue, normal tissue and tumour.
+#: Points of a first curve, in percent of the pixels, and their stiffness: the paper's soft tissue,
+#: normal tissue and tumour.
 PERCENTILES = (5.0, 50.0, 95.0)
 STIFFNESSES = (10.0, 20.0, 40.0)
 #: Nodes between two points, by which a smooth curve is followed: to about 1e-5 of its height.
@@ -36,11 +35,11 @@ _NODES = 64
 
 @dataclass(frozen=True)
 class StiffnessCurve:
-    """How stiff tissue of an intensity is; called with intensities, it gives stiffnesses.
+    """Curve of stiffness over intensity; a callable that turns intensities into stiffnesses.
 
     Between its points the curve is straight or smooth; smooth, it is a monotone cubic (PCHIP), so
-    that it never leaves the range of two neighbouring points. Beyond the outer points it goes on
-    level. What is no number is no tissue.
+    that it never leaves the range of two neighbouring points. Beyond the outer points it is
+    constant. NaN is no tissue.
 
     Attributes
     ----------
@@ -48,13 +47,13 @@ class StiffnessCurve:
         Intensity, in the image's own unit, and stiffness (Young's modulus), above 0; intensities
         in rising order, two points or more.
     void_below : float, optional
-        What is darker than this is no tissue: stiffness 0.
+        Threshold below which there is no tissue, with stiffness 0.
     between : {"straight", "smooth"}
     logarithmic : bool
-        Whether the logarithm of the stiffness is what is straight or smooth between the points;
-        stiffnesses of tissues differ by factors, not by amounts.
+        Whether to interpolate the logarithm of the stiffness: stiffnesses of tissues differ by
+        factors, not by amounts.
     unit : str
-        Of stiffness; shown only, for ratios are what matters.
+        Unit of stiffness, for display only: only ratios matter.
 
     Raises
     ------
@@ -151,17 +150,17 @@ class StiffnessCurve:
 
     @property
     def range(self) -> tuple[float, float]:
-        """The smallest and the largest stiffness of its points."""
+        """Smallest and largest stiffness of the points."""
         stiffnesses = [stiffness for _, stiffness in self.points]
         return min(stiffnesses), max(stiffnesses)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain JSON types, for a layer's metadata."""
+        """Return the curve in JSON types, for the metadata of a layer."""
         return {**asdict(self), "points": [list(point) for point in self.points]}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> StiffnessCurve:
-        """The inverse of `as_dict`.
+        """Return the curve of a dictionary of `as_dict`.
 
         Raises
         ------
@@ -179,7 +178,7 @@ class StiffnessCurve:
         intensities: npt.ArrayLike,
         void_below: float | None = None,
     ) -> StiffnessCurve:
-        """Make a first curve for an image, to be changed: the brighter, the stiffer.
+        """Make a first curve for an image, to be changed: brighter is stiffer.
 
         Parameters
         ----------
@@ -220,7 +219,7 @@ def first_curve(picture: npt.NDArray[Any]) -> StiffnessCurve:
 
 
 def with_point(curve: StiffnessCurve, at: int | None, point: Point | None) -> StiffnessCurve:
-    """Have a curve with one point added (`at` is None), moved, or removed (`point` is None).
+    """Return a curve with one point added (`at` is None), moved, or removed (`point` is None).
 
     Raises
     ------

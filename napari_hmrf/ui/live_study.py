@@ -16,7 +16,7 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.pixel_copy import LayerCopies
-from napari_hmrf.layers.read import Request, read_study
+from napari_hmrf.layers.read import Request, study_from_layers
 from napari_hmrf.layers.screen_directions import ways_of
 from napari_hmrf.layers.slice_view import plane_shown
 from napari_hmrf.layers.viewer_layers import shared
@@ -178,7 +178,7 @@ class LiveStudy:
     def read(self, request: Request) -> Study:
         """Read the study of a request, with the chosen model and solver settings."""
         model = self._model.model
-        study = read_study(request, self._copies)
+        study = study_from_layers(request, self._copies)
         return replace(study, prior=model.prior, optimizer=model.optimizer)
 
     def first_curve(self) -> StiffnessCurve:

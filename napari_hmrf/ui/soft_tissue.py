@@ -73,7 +73,7 @@ class SoftTissue(DockValues):
         Play back and forth between 0 and 100 %, and pause at the displayed state.
     save_study, save_materials : callable
         Given a path, save all of `study`, and its field if that is up to date, as
-        `napari_hmrf.save_study`; and the table of tissues, as `material_tables.save_materials`.
+        `napari_hmrf.write_study`; and the table of tissues, as `material_tables.write_preset`.
         Both return the `Path` of the file.
     take_materials : callable
         Fill the table of the Labels layer chosen as tissue, as `MaterialMenu.take`: given a
@@ -204,7 +204,7 @@ class SoftTissue(DockValues):
         attempt(partial(self.more.save_pictures, folder), self.say)
 
     def open_study(self, path: str | Path) -> None:
-        """Add the layers of a saved study, and restore its settings; errors as in `load_study`."""
+        """Add the layers of a saved study, and restore its settings; errors as in `read_study`."""
         self._unsaved.open(path)
         if self.drawing.marks:
             self._unused = self.start()  # makes the marks visible

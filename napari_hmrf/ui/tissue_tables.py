@@ -19,9 +19,8 @@ from qtpy.QtWidgets import QFileDialog, QMenu, QPushButton
 
 from napari_hmrf.errors import LayerError
 from napari_hmrf.field.directions import Directions
-from napari_hmrf.io.material_tables import ENDING, save_materials
+from napari_hmrf.io.material_tables import ENDING, write_preset
 from napari_hmrf.io.segmentation_tables import ENDINGS, tissue_table
-from napari_hmrf.io.tissue_names import NamedMaterials
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, table_of, tissue_recorded
 from napari_hmrf.solver.model_advice import ABOUT_POISSON
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
@@ -40,10 +39,11 @@ from napari_hmrf.tissue.boundary_rules import (
 )
 from napari_hmrf.tissue.material_presets import PRESETS, Preset
 from napari_hmrf.tissue.row_table import RowTable
+from napari_hmrf.tissue.tissue_names import NamedMaterials
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu, number_of
 from napari_hmrf.ui.label_table import Column, LabelTable
 
-#: How the table calls what a boundary does.
+#: Words of the table for the actions of a boundary.
 _ACTIONS: dict[Action, str] = {
     "fixed": "fixed",
     "move": "moves",
@@ -83,7 +83,7 @@ class MaterialTable(LabelTable):
             ),
             Column(
                 "grows\n%",
-                "How much longer it would be if it were free, below 0 shorter: 26 % is twice the "
+                "Growth in length if the tissue were free, below 0 shorter: 26 % is twice the "
                 "volume.\nTwo numbers, such as 20 / 0: along rows and columns apart.\nNot in the "
                 "paper's model.",
                 lambda row: _joined(100 * np.atleast_1d(row.growth)) if row.is_deformable else "",
@@ -92,7 +92,7 @@ class MaterialTable(LabelTable):
         ]
 
     def default(self, label: int) -> Material:
-        """Tissue like the first."""
+        """Return a tissue like the first."""
         return default_material(label, self.rows)
 
 
@@ -147,10 +147,10 @@ class BoundaryTable(LabelTable):
                 tuple(_BY_WORD),
             ),
             *(_along(axis, unit, ways, "move") for axis in (0, 1)),
-            _amount("out", "How far outward; negative: inward", unit, "expand"),
+            _amount("out", "Distance outward; negative: inward", unit, "expand"),
             Column(
                 "confi-\ndence",
-                "How sure: 0 to 1.\nTwo numbers, such as 1 / 0.5: for rows and columns apart",
+                "Confidence, 0 to 1.\nTwo numbers, such as 1 / 0.5: for rows and columns apart",
                 lambda row: _joined(() if row.action in FORCES else dict.fromkeys(row.confidence)),
                 _sure,
             ),
@@ -165,7 +165,7 @@ class BoundaryTable(LabelTable):
             self._fill()
 
     def default(self, label: int) -> BoundaryRule:
-        """What stays where it is."""
+        """Return a rule that holds its boundary in place."""
         return default_rule(label)
 
 
@@ -177,7 +177,7 @@ def _act(rule: BoundaryRule, text: str) -> BoundaryRule:
 
 
 def _along(axis: int, unit: str, ways: Directions, action: Action) -> Column:
-    """How far what moves does, or how strongly it is pulled, along the rows or the columns."""
+    """Return the column of a motion or a pull along the rows or the columns."""
 
     def typed(rule: BoundaryRule, amount: float) -> BoundaryRule:
         *deep, down, along = ways.seen(rule.vector)
@@ -230,7 +230,7 @@ def _sure(rule: BoundaryRule, text: str) -> BoundaryRule:
 
 
 def materials_of(layer: Any) -> Preset | None:
-    """The table of a layer of tissue labels, or of a result, as a preset; None if it has none."""
+    """Return the table of a layer of tissue labels or a result as a preset; None without one."""
     table = table_of(layer, TISSUE)
     rows, unit = table[:2] if table.rows else tissue_recorded(layer)
     if not rows or not any(row.stiffness > 0 for row in rows):
@@ -302,9 +302,9 @@ class MaterialMenu(QPushButton):
         self.said.emit(f"Materials: {preset.name}. {words}".rstrip())
 
     def save(self, path: str | Path) -> Path:
-        """Save the table to a file; as `save_materials`."""
+        """Save the table to a file; as `write_preset`."""
         table = self._table.contents
-        file = save_materials(path, Preset(table.preset, table.unit, table.whose, table.rows))
+        file = write_preset(path, Preset(table.preset, table.unit, table.whose, table.rows))
         self.said.emit(f"Saved {file.name}.")
         return file
 

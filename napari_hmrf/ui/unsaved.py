@@ -20,7 +20,7 @@ from qtpy.QtWidgets import QApplication, QFileDialog, QMessageBox
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.frame import SlicePlace
 from napari_hmrf.io import recovery
-from napari_hmrf.io.study_file import SUFFIX, image_named_in, load_study, save_study
+from napari_hmrf.io.study_file import SUFFIX, image_named_in, read_study, write_study
 from napari_hmrf.layers.compat import is_quitting, stop_quitting
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.read import study_layers
@@ -88,7 +88,7 @@ class Unsaved(QObject):
     def save(self, path: str | Path) -> Path:
         """Save the current study, and its field if that is up to date."""
         solution, study = self._dock.solution if self._live.fresh else None, self._dock.study
-        written = save_study(path, study, solution)
+        written = write_study(path, study, solution)
         apart = self._landmarks_apart(study)
         self._dock.say(messages.saved_study(written.name, solution is not None, apart))
         self._settle(self._model.slice, written)
@@ -125,7 +125,7 @@ class Unsaved(QObject):
 
     def _add(self, path: str | Path) -> None:
         """Add the content of a file to the viewer; undo would not remove its layers."""
-        study, dock = load_study(path).study, self._dock
+        study, dock = read_study(path).study, self._dock
         layers = study_layers(study)
         with self._binding.automatically():
             for layer in layers.values():
@@ -312,6 +312,6 @@ def _name(part: Part) -> str:
 
 def _write(file: Path, study: Study) -> None:
     try:
-        save_study(file, study)
+        write_study(file, study)
     except (OSError, TypeError, ValueError):
         _log.exception("unsaved work could not be kept against a crash")

@@ -27,9 +27,9 @@ _MOST = 1000
 
 @dataclass(frozen=True)
 class ICM:
-    """Top-down through the quadtree, all sites moving at once (Alg. 3.7).
+    """Schedule of the paper: top-down through the quadtree, all sites at once (Alg. 3.7).
 
-    Of a volume the tree is an octree, and the algorithm is the same.
+    The tree of a volume is an octree; the algorithm is the same.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class ICM:
         energy, in closed form.
     energy_change : float, optional
         Leave a level when its mean energy has changed by at most this fraction of itself over the
-        last ten sweeps; by default that is not looked at.
+        last ten sweeps; by default all sweeps run.
     """
 
     iterations: int = 70
@@ -136,7 +136,7 @@ class ICM:
         stiffness, observation = images.stiffness, images.observation
         before: list[float] = []
         while len(before) < self.iterations and not self._stable(before):
-            # A small level is over before anybody could look.
+            # A small level ends before a user could see it.
             block = (
                 self.iterations if level.sites < _SMALL and self.energy_change is None else BLOCK
             )

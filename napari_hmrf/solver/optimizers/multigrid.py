@@ -40,7 +40,7 @@ _MILD_GRIP = 0.05
 
 @dataclass(frozen=True)
 class Multigrid:
-    """A Krylov iteration with a V-cycle, Chebyshev-Jacobi smoothing, and refinement.
+    """Schedule of a Krylov iteration with a V-cycle, Chebyshev-Jacobi smoothing, and refinement.
 
     The iteration runs in single precision; the residual that decides is computed in double.
     Conjugate gradients solve priors with an energy: `ElasticPrior`, and `SeilerPrior` in its

@@ -35,7 +35,7 @@ from napari_hmrf.solver.priors.elements import (
 )
 from napari_hmrf.solver.priors.growth import Load, growth_load, slabs
 from napari_hmrf.solver.priors.hexahedra import BrickShape, brick_shape
-from napari_hmrf.solver.problem import Problem, as_numbers
+from napari_hmrf.solver.problem import Problem, as_numbers, grid_in_words
 from napari_hmrf.solver.rigid_modes import check_held
 
 Plane = Literal["stress", "strain"]
@@ -103,6 +103,9 @@ class ElasticPrior:
             "plane": self.plane,
             "penalty": penalty,
         }
+
+    def __repr__(self) -> str:
+        return prior_in_words(self)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, ElasticPrior) and self.parameters == other.parameters
@@ -294,3 +297,11 @@ def _check_poisson_map(poisson: npt.NDArray[np.float32], problem: Problem) -> No
             f"has {int(wrong.sum())} values outside {POISSON_RANGE[0]} to {POISSON_RANGE[1]} in "
             f"tissue, the first at {first}. Soft tissue is 0.45 to 0.499.",
         )
+
+
+def prior_in_words(prior: Any) -> str:
+    """Return an elastic prior on one line, with a map of Poisson's ratios by its size."""
+    nu = prior.poisson
+    ratio = f"map of {grid_in_words(nu.shape)}" if isinstance(nu, np.ndarray) else f"{nu}"
+    name = type(prior).__name__
+    return f"{name}(poisson={ratio}, plane={prior.plane!r}, penalty={prior.penalty})"

@@ -32,7 +32,7 @@ HELD_STAND_IN, CYCLE_STAND_IN, FACTOR_STAND_IN = 1.0, 40.0, 1e6
 MILD_CONTRAST = 5.0
 MILD_ASPECT, MILD_VOXEL_ASPECT = 1.5, 2.0
 #: Largest Poisson's ratio in plane strain for which it certainly does.
-MILD_POISSON = 0.45
+MILD_POISSON = 0.4
 #: Least number of elements for each site: thin strips bend in ways that coarse levels do not.
 MILD_COMPACTNESS = 0.85
 #: Contrast from which cycles do not see all motions of such strips.

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.priors.elastic import ElasticPrior, Plane
+from napari_hmrf.solver.priors.elastic import ElasticPrior, Plane, prior_in_words
 from napari_hmrf.solver.priors.elements import ElementShape, Float64Array
 from napari_hmrf.solver.priors.finite_strain import (
     FiniteElements,
@@ -52,6 +52,9 @@ class NeoHookeanPrior:
         same = ElasticPrior(self.poisson, plane=self.plane, penalty=self.penalty)
         object.__setattr__(self, "poisson", same.poisson)
         object.__setattr__(self, "penalty", same.penalty)
+
+    def __repr__(self) -> str:
+        return prior_in_words(self)
 
     @property
     def at_rest(self) -> ElasticPrior:

@@ -16,10 +16,10 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.elastic_strain import strain_note
 from napari_hmrf.field.held_forces import HeldForce
 from napari_hmrf.field.measurement import Measurement
-from napari_hmrf.io.apply import FieldFile, save_field
-from napari_hmrf.io.figures import save_result_pictures
-from napari_hmrf.io.moving_pictures import save_moving_picture
-from napari_hmrf.io.tables import forces_in_words, measurements_in_words, save_measurements
+from napari_hmrf.io.apply import FieldFile, write_field_file
+from napari_hmrf.io.figures import write_result_pictures
+from napari_hmrf.io.moving_pictures import write_movie
+from napari_hmrf.io.tables import forces_in_words, measurements_in_words, write_measurements
 from napari_hmrf.layers.field_layer import MOVED, can_move, mover, picture_of, tissue_labels
 from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_recorded
 from napari_hmrf.layers.result_layers import LayerData, stiffness_unit
@@ -112,19 +112,21 @@ class ResultMenu:
         made = f"{answer.pictures.name or 'result'} pictures" if own_folder else ""
         what = Path(folder), answer.solution, shown.image, answer.unit, made
         self._say(SAVING)
-        self._errands.send(f"{folder}", partial(save_result_pictures, *what), self._on_saved)
+        self._errands.send(f"{folder}", partial(write_result_pictures, *what), self._on_saved)
 
     def save_field(self, path: str | Path, *, forward: bool = False) -> None:
         """Write the field for other tools; a message gives the accuracy of its inverse."""
         field = FieldFile.of(self._shown.answer.solution)
-        self._errands.send(f"{path}", partial(save_field, path, field, forward=forward), self._say)
+        self._errands.send(
+            f"{path}", partial(write_field_file, path, field, forward=forward), self._say
+        )
 
     def save_film(self, path: str | Path) -> None:
-        """Write a film of the image as it moves, there and back; as `save_moving_picture`."""
+        """Write a film of the image as it moves, there and back; as `write_movie`."""
         shown = self._shown
         if shown.image is None:
             raise HmrfError(NO_IMAGE)
-        work = partial(save_moving_picture, path, shown.answer.solution, shown.image)
+        work = partial(write_movie, path, shown.answer.solution, shown.image)
         self._say("Saving the film ...")
         self._errands.send(f"{path}", work, lambda file: self._say(f"Saved {file.name}."))
 
@@ -211,7 +213,7 @@ class ResultMenu:
         note = strain_note(answer.solution)
         below = [QtWidgets.QLabel(f"Note: {note}.", wordWrap=True)] if note else []
         self._show_table("Measurements of each tissue", words, *below, button)
-        save = partial(save_measurements, rows=rows, unit=unit, volume=volume)
+        save = partial(write_measurements, rows=rows, unit=unit, volume=volume)
         ask = partial(self._ask, save, "Save measurements", "measurements.csv", "Tables (*.csv)")
         button.clicked.connect(lambda _: ask())
 

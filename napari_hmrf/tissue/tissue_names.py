@@ -44,6 +44,11 @@ class KnownTissue:
     poisson: float
     source: str
 
+    def __repr__(self) -> str:
+        return (
+            f"KnownTissue({self.name!r}, {self.stiffness:g} kPa, Poisson's ratio {self.poisson:g})"
+        )
+
 
 @dataclass(frozen=True)
 class NamedMaterials:
@@ -68,6 +73,9 @@ class NamedMaterials:
     tissues: Mapping[int, KnownTissue]
     unit: str
     name: str = ""
+
+    def __repr__(self) -> str:
+        return f"NamedMaterials({len(self.materials)} known, {len(self.unknown)} unknown)"
 
     def published(self, labels: Iterable[int]) -> str:
         """Return a clause that says for which labels published stiffness is used, or "".
@@ -136,13 +144,17 @@ class _Rules(NamedTuple):
     tissues: dict[_Words, KnownTissue]
 
 
-def known_tissue(name: str) -> KnownTissue | None:
+def lookup_tissue(name: str) -> KnownTissue | None:
     """Return the tissue that a name refers to; None if no tissue matches, or more than one.
 
     Parameters
     ----------
     name : str
         As in segmentations: "Left-Cerebral-White-Matter", "lung_upper_lobe_left".
+
+    Returns
+    -------
+    KnownTissue or None
 
     Raises
     ------
@@ -184,7 +196,7 @@ def materials_by_name(names: Mapping[int, str], *, name: str = "") -> NamedMater
 
     Examples
     --------
-    >>> from napari_hmrf import materials_by_name
+    >>> from napari_hmrf.tissue import materials_by_name
     >>> found = materials_by_name({5: "liver", 20: "colon", 91: "skull"})
     >>> [(row.name, row.stiffness) for row in found.materials], found.unknown
     ([('liver', 5.4), ('skull', inf)], {20: 'colon'})
@@ -192,7 +204,7 @@ def materials_by_name(names: Mapping[int, str], *, name: str = "") -> NamedMater
     right = isinstance(names, Mapping) and all(map(is_whole, names))
     what = 'a mapping of labels to names, such as {1: "liver", 2: "bone"}'
     refuse_unless(right, "names", names, what)
-    tissues = {label: known_tissue(names[label]) for label in sorted(names)}
+    tissues = {label: lookup_tissue(names[label]) for label in sorted(names)}
     known = {label: tissue for label, tissue in tissues.items() if tissue is not None}
     materials = tuple(
         Material(label, names[label], tissue.stiffness, tissue.poisson)

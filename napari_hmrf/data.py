@@ -1,0 +1,28 @@
+"""Sample data: phantoms of any size, and reference solutions.
+
+::
+
+    from napari_hmrf import solve
+    from napari_hmrf.data import phantom
+
+    solution = solve(phantom("mass-effect", size=100).problem)
+"""
+
+from napari_hmrf.samples.head import HeadPhantom, head_phantom
+from napari_hmrf.samples.phantoms import (
+    PHANTOM_NAMES,
+    Phantom,
+    phantom,
+    reference_displacement,
+    sample,
+)
+
+__all__ = [
+    "PHANTOM_NAMES",
+    "HeadPhantom",
+    "Phantom",
+    "head_phantom",
+    "phantom",
+    "reference_displacement",
+    "sample",
+]

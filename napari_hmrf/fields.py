@@ -1,0 +1,64 @@
+"""Displacement fields: moved images, strain, folds, inverses and files.
+
+The functions take the displacement of any method, such as that of a registration, with the
+`spacing` of its pixels. A `Solution` has its spacing, tissue and place; use its methods `warp`,
+`jacobian`, `strain`, `at`, `measure` and `export` where you have one::
+
+    from napari_hmrf.fields import jacobian_determinant, read_field
+
+    field = read_field("registration.nii.gz")
+    change = jacobian_determinant(field.displacement, spacing=field.spacing)
+"""
+
+from napari_hmrf.field.deformation import (
+    arrows,
+    count_folds,
+    deformation_grid,
+    jacobian_determinant,
+    magnitude,
+)
+from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.live_warp import Picture, Warper
+from napari_hmrf.field.measurement import Measurement
+from napari_hmrf.field.resample import resample
+from napari_hmrf.field.strain import (
+    deformation_gradient,
+    equivalent_strain,
+    fold_mask,
+    green_lagrange_strain,
+    principal_strains,
+    small_strain,
+    strain_through_slice,
+)
+from napari_hmrf.field.warp import inverse_map
+from napari_hmrf.io.fields import Field, read_field, write_field
+from napari_hmrf.io.moving_pictures import write_movie
+from napari_hmrf.io.study_file import is_study_file
+from napari_hmrf.solver.solution import is_solution_file
+
+__all__ = [
+    "Field",
+    "Frame",
+    "Measurement",
+    "Picture",
+    "Warper",
+    "arrows",
+    "count_folds",
+    "deformation_gradient",
+    "deformation_grid",
+    "equivalent_strain",
+    "fold_mask",
+    "green_lagrange_strain",
+    "inverse_map",
+    "is_solution_file",
+    "is_study_file",
+    "jacobian_determinant",
+    "magnitude",
+    "principal_strains",
+    "read_field",
+    "resample",
+    "small_strain",
+    "strain_through_slice",
+    "write_field",
+    "write_movie",
+]

@@ -1,0 +1,17 @@
+"""Loads on tissue: growth, weight, pressure and traction, and the reactions to them.
+
+They are the `loads` of a `Problem`, and add up with ``+``::
+
+    from napari_hmrf import Problem, solve
+    from napari_hmrf.loads import growth
+
+    solution = solve(Problem(observed, confidence, stiffness, loads=growth(0.2 * tumour)))
+
+A `Study` makes its loads itself, from `Material`, `BoundaryRule` and `Motion`.
+"""
+
+from napari_hmrf.solver.body_forces import pressure, traction, weight
+from napari_hmrf.solver.loads import Loads, growth
+from napari_hmrf.solver.reactions import reactions
+
+__all__ = ["Loads", "growth", "pressure", "reactions", "traction", "weight"]

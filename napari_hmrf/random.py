@@ -1,0 +1,27 @@
+"""Random deformations of one case, to augment training data and to validate registrations.
+
+::
+
+    from napari_hmrf.random import RandomDeformation
+
+    deformation = RandomDeformation(labels, materials, spacing=(1, 1))
+    sample = deformation.sample(seed=0)
+    moved = sample.image(image)
+
+`RandPhysicalDeformationd` is the same as a transform of MONAI; importing it needs MONAI.
+"""
+
+from typing import Any
+
+from napari_hmrf.augmentation.ground_truth import Truth, write_truth
+from napari_hmrf.augmentation.random_deformation import RandomDeformation, RandomSample
+
+__all__ = ["RandomDeformation", "RandomSample", "Truth", "write_truth"]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "RandPhysicalDeformationd":
+        from napari_hmrf.augmentation.monai_transforms import RandPhysicalDeformationd
+
+        return RandPhysicalDeformationd
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,29 @@
+"""Names of the public interface, for tests that say something of each."""
+
+from importlib import import_module
+from typing import Any
+
+#: The packages that people import from.
+PACKAGES = {
+    name: import_module(name)
+    for name in (
+        "napari_hmrf",
+        "napari_hmrf.cases",
+        "napari_hmrf.data",
+        "napari_hmrf.fields",
+        "napari_hmrf.landmarks",
+        "napari_hmrf.loads",
+        "napari_hmrf.random",
+        "napari_hmrf.tissue",
+    )
+}
+
+
+def public_names() -> dict[str, Any]:
+    """Every public name, such as "solve" and "fields.read_field", with what it is."""
+    found = {}
+    for package, module in PACKAGES.items():
+        within = package.removeprefix("napari_hmrf").lstrip(".")
+        for name in module.__all__:
+            found[f"{within}.{name}" if within else name] = getattr(module, name)
+    return found
