@@ -17,7 +17,7 @@ from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.patient_sides import PatientSides
 from napari_hmrf.ui.result.result_view import ResultView
-from napari_hmrf.ui.unsaved import Unsaved
+from napari_hmrf.ui.unsaved import Ask, Unsaved
 from napari_hmrf.ui.viewer_dock import Dock
 
 
@@ -252,6 +252,18 @@ class DockValues(Dock):
     @live.setter
     def live(self, value: bool) -> None:
         self._form.footer.live.value = value
+
+    @property
+    def ask(self) -> Ask:
+        """Function that asks what to do with unsaved work before its window closes.
+
+        It is given a question, and returns "save", "discard" or "cancel"; by default a dialog.
+        """
+        return self._unsaved.ask
+
+    @ask.setter
+    def ask(self, value: Ask) -> None:
+        self._unsaved.ask = value
 
     # What the dock shows
 

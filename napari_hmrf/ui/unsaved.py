@@ -36,6 +36,7 @@ from napari_hmrf.ui.forms import Prose, row
 from napari_hmrf.ui.remembered_settings import settings
 
 Answer = Literal["save", "discard", "cancel"]
+Ask = Callable[[str], Answer]
 Attempt = Callable[[Callable[[], object]], None]
 _log = logging.getLogger("napari_hmrf")
 #: Characters that not every system allows in file names.
@@ -67,7 +68,7 @@ class Unsaved(QObject):
 
     def __init__(self, dock: Any, viewer: Any, live: Any, attempt: Attempt) -> None:
         super().__init__(dock.native)
-        self.ask: Callable[[str], Answer] = self._ask_person
+        self.ask: Ask = self._ask_person
         self._try = attempt
         self._dock, self._viewer, self._live = dock, viewer, live
         self._binding, self._undo = live.binding, undo_of(viewer)
