@@ -17,7 +17,7 @@ from napari_hmrf.io import figures
 from napari_hmrf.io.study_file import read_study
 from napari_hmrf.samples import selftest
 from napari_hmrf.samples.demo import demonstrate
-from napari_hmrf.solver.backends.kept import VOLUMES
+from napari_hmrf.solver.backends.compile_cache.kept import VOLUMES
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.preparation import EVERYTHING
 

@@ -29,7 +29,8 @@ from napari_hmrf import (
     warp,
 )
 from napari_hmrf.data import phantom
-from napari_hmrf.solver.backends import COMPILING, compiler, kept, loader, loops, open_backend
+from napari_hmrf.solver.backends import COMPILING, open_backend
+from napari_hmrf.solver.backends.compile_cache import compiler, kept, loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.preparation import job_of
 
@@ -346,7 +347,7 @@ def test_an_edit_of_any_file_of_loops_has_another_mark(module, forgotten, monkey
 
 
 def test_optimised_python_has_marks_of_its_own_as_its_loops_are_others():
-    ask = "from napari_hmrf.solver.backends import kept; print(kept.mark())"
+    ask = "from napari_hmrf.solver.backends.compile_cache import kept; print(kept.mark())"
     done = subprocess.run(
         [sys.executable, "-OO", "-c", ask], capture_output=True, check=True, text=True
     )
@@ -358,7 +359,7 @@ def test_optimised_python_has_marks_of_its_own_as_its_loops_are_others():
 KEEPING = """
 import sys, tempfile
 from pathlib import Path
-from napari_hmrf.solver.backends import kept, loader
+from napari_hmrf.solver.backends.compile_cache import kept, loader
 tempfile.tempdir = sys.argv[1]
 there = kept._writable
 kept._writable = lambda folder: str(folder).startswith(sys.argv[1]) and there(folder)

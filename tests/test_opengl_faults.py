@@ -45,7 +45,7 @@ for name, variables in json.loads(sys.argv[1]).items():
 _SOLVE = """
 import numpy as np
 from napari_hmrf import ICM, BackendError, ElasticPrior, Problem, SeilerPrior, solve
-from napari_hmrf.solver.backends.opengl import relaxing
+from napari_hmrf.solver.backends.opengl.images import relaxing
 
 relaxing.WORTH_AGAIN = 0  # shaders visit small levels as often as loops do
 random = np.random.default_rng(0)

@@ -15,9 +15,9 @@ from test_cold import cold  # noqa: F401 - a fixture
 from test_live import pulled
 
 from napari_hmrf import Cancelled, ElasticPrior, LiveSolver, solve
-from napari_hmrf.solver.backends import kept, loader
+from napari_hmrf.solver.backends.compile_cache import kept, loader
+from napari_hmrf.solver.backends.compile_cache.watch import LOOPS, watched
 from napari_hmrf.solver.backends.opengl import is_software_renderer
-from napari_hmrf.solver.backends.watch import LOOPS, watched
 
 
 class Hand:
@@ -106,7 +106,7 @@ def test_the_newest_of_many_pulls_wins_whoever_solves_it(hand):
 
 
 LOADING = """
-from napari_hmrf.solver.backends import loader
+from napari_hmrf.solver.backends.compile_cache import loader
 assert not loader.begun()
 loader.loaded(600)
 loops = loader.loops_there()
@@ -127,7 +127,7 @@ def test_what_is_kept_is_loaded_and_nothing_is_compiled_for_it():
 
 COUNTING = """
 from napari_hmrf import compiling
-from napari_hmrf.solver.backends import watch
+from napari_hmrf.solver.backends.compile_cache import watch
 from napari_hmrf.solver.backends.thread import compute_thread
 for job in compiling.jobs():
     compute_thread.submit(lambda: compiling.run(job, lambda stage: None)).result()

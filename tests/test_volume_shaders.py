@@ -21,12 +21,14 @@ from linear_levels import (
 from opengl_here import left, on_compute_thread, require_opengl
 
 from napari_hmrf import BackendError, Cancelled, ElasticPrior, Multigrid, Problem, solve
-from napari_hmrf.solver.backends import COMPILING, compiler, host, loops, open_backend
+from napari_hmrf.solver.backends import COMPILING, host, open_backend
+from napari_hmrf.solver.backends.compile_cache import compiler, loops
 from napari_hmrf.solver.backends.cpu import CpuBackend
-from napari_hmrf.solver.backends.opengl import OpenGLBackend, volume_level
+from napari_hmrf.solver.backends.opengl import OpenGLBackend
 from napari_hmrf.solver.backends.opengl import backend as opengl_backend
-from napari_hmrf.solver.backends.opengl.device import the_device
-from napari_hmrf.solver.backends.opengl.volume_programs import Groups, groups_of
+from napari_hmrf.solver.backends.opengl.context.device import the_device
+from napari_hmrf.solver.backends.opengl.programs.volume_programs import Groups, groups_of
+from napari_hmrf.solver.backends.opengl.volumes import volume_level
 from napari_hmrf.solver.optimizers.cycle import NEARLY_INCOMPRESSIBLE_VOLUME, chebyshev
 
 OBLONG = (1.0, 1.7, 0.6)

@@ -12,12 +12,12 @@ import psutil
 import scipy
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.normals import outer_rim
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.study.ground import solve_study
 from napari_hmrf.study.study import Grid, Motion, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material, stiffness_image
+from napari_hmrf.tissue.normals import outer_rim
 
 Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

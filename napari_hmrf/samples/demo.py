@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.samples.phantoms import Phantom, phantom, reference_displacement, sample
-from napari_hmrf.solver.backends.kept import VOLUMES
+from napari_hmrf.solver.backends.compile_cache.kept import VOLUMES
 from napari_hmrf.solver.model_names import in_words
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.preparation import EVERYTHING, provide_loops

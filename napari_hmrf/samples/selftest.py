@@ -20,7 +20,8 @@ import numpy as np
 
 from napari_hmrf.errors import BackendError, HmrfError
 from napari_hmrf.samples.phantoms import phantom
-from napari_hmrf.solver.backends import compute_thread, loops, open_backend
+from napari_hmrf.solver.backends import compute_thread, open_backend
+from napari_hmrf.solver.backends.compile_cache import loops
 from napari_hmrf.solver.optimizers import ICM, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem

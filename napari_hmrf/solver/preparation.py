@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from napari_hmrf.solver.backends import Backend, compiler, host, loops
-from napari_hmrf.solver.backends.compiler import Stage
+from napari_hmrf.solver.backends import Backend, host
+from napari_hmrf.solver.backends.compile_cache import compiler, loops
+from napari_hmrf.solver.backends.compile_cache.compiler import Stage
+from napari_hmrf.solver.backends.compile_cache.watch import USUAL_LOOPS, watched
 from napari_hmrf.solver.backends.found import Beginning
-from napari_hmrf.solver.backends.watch import USUAL_LOOPS, watched
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem

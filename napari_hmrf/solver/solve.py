@@ -27,8 +27,8 @@ from napari_hmrf.solver.backends import (
     host,
     open_backend,
 )
+from napari_hmrf.solver.backends.compile_cache.watch import HARDER
 from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
-from napari_hmrf.solver.backends.watch import HARDER
 from napari_hmrf.solver.caveats import rigid_caveat
 from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Any, Literal, get_args
 
 from napari_hmrf.errors import BackendError
-from napari_hmrf.solver.backends import compiler, kept, loops
 from napari_hmrf.solver.backends.base import BATCH_SECONDS, Backend, Checkpoint, SiteRule
+from napari_hmrf.solver.backends.compile_cache import compiler, kept, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 
 #: What can be asked for by name. "opengl" takes compute shaders where the driver has them.

@@ -8,9 +8,9 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.bodies import BodySites
 from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, Planes
-from napari_hmrf.solver.backends.poses import Poses
+from napari_hmrf.solver.backends.rigid.bodies import BodySites
+from napari_hmrf.solver.backends.rigid.poses import Poses
 from napari_hmrf.solver.priors.finite_strain import FiniteMaterial
 
 

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends import kept_volumes, loops
+from napari_hmrf.solver.backends import kept_volumes
 from napari_hmrf.solver.backends.base import FloatArray
+from napari_hmrf.solver.backends.compile_cache import loops
 from napari_hmrf.solver.backends.found import Beginning
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
 from napari_hmrf.solver.backends.thread import compute_thread, in_child_of_fork

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.bodies import Bodies
-from napari_hmrf.solver.backends.entrained import Entrained
 from napari_hmrf.solver.backends.found import Found
 from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, Planes, Steps
+from napari_hmrf.solver.backends.rigid.bodies import Bodies
+from napari_hmrf.solver.backends.rigid.entrained import Entrained
 from napari_hmrf.solver.backends.thread import compute_thread
 
 # Squares of values between these are far from the ends of single precision.

@@ -17,11 +17,11 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.bodies import Bodies
-from napari_hmrf.solver.backends.entrained import Entrained
 from napari_hmrf.solver.backends.found import Found
 from napari_hmrf.solver.backends.planes import HeldPlanes as HeldPlanes
 from napari_hmrf.solver.backends.planes import Planes as Planes
+from napari_hmrf.solver.backends.rigid.bodies import Bodies
+from napari_hmrf.solver.backends.rigid.entrained import Entrained
 
 #: (scale, momentum) of each Chebyshev step of a smoother.
 Steps = tuple[tuple[float, float], ...]

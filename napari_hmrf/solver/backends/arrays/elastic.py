@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.backends.arrays.level import ArrayLevel, Vector
 from napari_hmrf.solver.backends.arrays.model import ArrayModel
-from napari_hmrf.solver.backends.bodies import Bodies, bodies_of
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
+from napari_hmrf.solver.backends.rigid.bodies import Bodies, bodies_of
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import (

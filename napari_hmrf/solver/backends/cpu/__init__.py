@@ -10,7 +10,6 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends import loader
 from napari_hmrf.solver.backends.base import (
     BATCH_SECONDS,
     Checkpoint,
@@ -18,6 +17,7 @@ from napari_hmrf.solver.backends.base import (
     FloatArray,
     SiteRule,
 )
+from napari_hmrf.solver.backends.compile_cache import loader
 from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.linear import LinearModel
 from napari_hmrf.solver.priors import line_weights

@@ -16,7 +16,7 @@ from typing import Any
 import numba
 from numba.core import event
 
-from napari_hmrf.solver.backends.kept import sources
+from napari_hmrf.solver.backends.compile_cache.kept import sources
 
 # Contraction (one rounding for x * y + z) is allowed; reordering is not, as differences must stay.
 _ARITHMETIC = {"contract", "nsz"}

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.bodies import Bodies, BodySites, bodies_of, few
 from napari_hmrf.solver.backends.cpu import assembly, elastic, elastic_exact, forces, small, vectors
 from napari_hmrf.solver.backends.cpu.entraining import entrain
 from napari_hmrf.solver.backends.cpu.level import Vector, paces_of
 from napari_hmrf.solver.backends.cpu.small_levels import SmallLevel, SmallLevels, divided
-from napari_hmrf.solver.backends.entrained import Entrained
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.solver.backends.rigid.bodies import Bodies, BodySites, bodies_of, few
+from napari_hmrf.solver.backends.rigid.entrained import Entrained
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import (

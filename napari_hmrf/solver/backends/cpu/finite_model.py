@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.bodies import Bodies, BodySites, bodies_of, rigid_elements
 from napari_hmrf.solver.backends.cpu import finite_strain, finite_tangents, tangents, vectors
 from napari_hmrf.solver.backends.cpu.forces import parts
 from napari_hmrf.solver.backends.cpu.level import Vector, paces_of
 from napari_hmrf.solver.backends.cpu.small_levels import SmallLevel, SmallLevels, divided
 from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, Planes, Steps
-from napari_hmrf.solver.backends.poses import Poses
+from napari_hmrf.solver.backends.rigid.bodies import Bodies, BodySites, bodies_of, rigid_elements
+from napari_hmrf.solver.backends.rigid.poses import Poses
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import CYCLE_STAND_IN, lame_parameters

@@ -12,10 +12,10 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.bodies import Bodies
 from napari_hmrf.solver.backends.cpu import vectors
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.linear import Steps
+from napari_hmrf.solver.backends.rigid.bodies import Bodies
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.coarse_levels import MOST_PINS, SPRING
 

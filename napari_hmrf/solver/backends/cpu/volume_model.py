@@ -10,13 +10,13 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.backends import kept_volumes
 from napari_hmrf.solver.backends.base import BATCH_SECONDS, Checkpoint
-from napari_hmrf.solver.backends.bodies import Bodies, BodySites, bodies_of
 from napari_hmrf.solver.backends.cpu import hexahedra, vectors, volume
 from napari_hmrf.solver.backends.cpu.double_level import DoubleLevel
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, paces_of, rows
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.solver.backends.rigid.bodies import Bodies, BodySites, bodies_of
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import (

@@ -17,8 +17,9 @@ from napari_hmrf.solver.backends.base import (
 )
 from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.linear import LinearModel
-from napari_hmrf.solver.backends.opengl.device import the_device
-from napari_hmrf.solver.backends.opengl.fields import (
+from napari_hmrf.solver.backends.opengl.context.device import the_device
+from napari_hmrf.solver.backends.opengl.context.pace import MAX_PASS_SECONDS, Pace
+from napari_hmrf.solver.backends.opengl.images.fields import (
     GLField,
     Pool,
     as_given,
@@ -27,18 +28,17 @@ from napari_hmrf.solver.backends.opengl.fields import (
     pairs_with_tissue,
     singles,
 )
-from napari_hmrf.solver.backends.opengl.pace import MAX_PASS_SECONDS, Pace
-from napari_hmrf.solver.backends.opengl.passes import Passes
-from napari_hmrf.solver.backends.opengl.regions import Tissue
-from napari_hmrf.solver.backends.opengl.source import STAGES, Stage
-from napari_hmrf.solver.backends.opengl.totals import (
+from napari_hmrf.solver.backends.opengl.images.passes import Passes
+from napari_hmrf.solver.backends.opengl.images.totals import (
     BLOCK,
     KEPT_SHARES,
     BlockTotals,
     PairTotals,
     Totals,
 )
-from napari_hmrf.solver.backends.opengl.volume_passes import VolumePasses, check_volume
+from napari_hmrf.solver.backends.opengl.programs.regions import Tissue
+from napari_hmrf.solver.backends.opengl.programs.source import STAGES, Stage
+from napari_hmrf.solver.backends.opengl.volumes.volume_passes import VolumePasses, check_volume
 from napari_hmrf.solver.priors import line_weights
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 from napari_hmrf.solver.priors.elements import ElasticMaterial
@@ -181,13 +181,13 @@ class OpenGLBackend:
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
         """Bring elastic tissue to the device; an image's levels come from the compiled loops."""
         if material.m.ndim == 3:
-            from napari_hmrf.solver.backends.opengl.volume_model import GLVolumeModel
+            from napari_hmrf.solver.backends.opengl.volumes.volume_model import GLVolumeModel
 
             self.check_volume(material.m.shape)
             passes = VolumePasses(self._device, self._pace)
             self._of_models.append(passes)
             return GLVolumeModel(passes, material)
-        from napari_hmrf.solver.backends.opengl.elastic import GLElasticModel
+        from napari_hmrf.solver.backends.opengl.images.elastic import GLElasticModel
 
         return GLElasticModel(self._passes_for(material.m), material)
 
@@ -204,7 +204,7 @@ class OpenGLBackend:
 
     def seiler_model(self, material: SeilerMaterial) -> LinearModel:
         """Bring the paper's cliques to the device; their levels come from the compiled loops."""
-        from napari_hmrf.solver.backends.opengl.seiler import GLSeilerModel
+        from napari_hmrf.solver.backends.opengl.images.seiler import GLSeilerModel
 
         return GLSeilerModel(self._passes_for(material.m), material)
 

@@ -1,0 +1,112 @@
+"""The loops for the processor: whether this process computes with them.
+
+To compile them all takes a minute or more, and beside a window it competes for the interpreter's
+lock. So another process does it (`backends.compiler`), numba keeps on disk what it has made
+(`backends.kept`), and until then shaders solve, and `backends.arrays` does the host's
+part. A process that has begun so has the loops loaded beside its work (`backends.loader`), and goes
+over to them between two solves.
+
+With ``NAPARI_HMRF_COMPILE=here`` in the environment no other process is started: whoever needs a
+loop compiles it, and waits. That is for batches, and for tests.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import numpy.typing as npt
+
+from napari_hmrf.solver.backends.compile_cache import kept, loader
+
+__all__ = [
+    "HERE",
+    "compile_here",
+    "in_use",
+    "only_read",
+    "ready",
+    "ready_for_pictures",
+    "ready_for_volumes",
+    "use",
+]
+
+#: What tells each process to compile for itself, if it is "here".
+HERE = "NAPARI_HMRF_COMPILE"
+#: The job of `napari_hmrf.compiling` that brings what moves pictures.
+PICTURES = "pictures"
+
+
+@dataclass
+class _Part:
+    """Some loops, and what this process has done where they are needed."""
+
+    #: Whether it computes with them.
+    in_use: bool = False
+    #: Whether it has computed anything without them.
+    begun_without: bool = False
+
+
+class _State:
+    """What this process knows."""
+
+    solver = _Part()
+    pictures = _Part()
+    #: Whether it compiles what it needs, as no other process can.
+    alone = False
+
+
+def compile_here() -> bool:
+    """Whether this process compiles for itself."""
+    return _State.alone or os.environ.get(HERE) == "here"
+
+
+def compile_alone() -> None:
+    """Have this process compile for itself from now on."""
+    _State.alone = True
+
+
+def in_use() -> bool:
+    """Whether this process solves with loops, or would compile them itself."""
+    return _State.solver.in_use or compile_here()
+
+
+def use() -> None:
+    """Solve with loops from now on, compiled or not."""
+    _State.solver.in_use = True
+
+
+def ready() -> bool:
+    """Whether one can solve with loops at once; if so, it is done from now on."""
+    return _ready(_State.solver)
+
+
+def ready_for_pictures() -> bool:
+    """Whether pictures can be moved by loops at once; if so, they are from now on."""
+    return _ready(_State.pictures, PICTURES)
+
+
+def ready_for_volumes() -> bool:
+    """Whether volumes can be solved with loops at once."""
+    return compile_here() or kept.compiled(kept.VOLUMES)
+
+
+def _ready(part: _Part, job: str = "") -> bool:
+    """Whether some loops can be computed with."""
+    # To load them takes as long as a few pictures. A process that has not computed yet does it when
+    # it needs them; any other shall not stop for it in the middle of a drag.
+    if part.in_use or compile_here():
+        return True
+    if part.begun_without:
+        part.in_use = kept.mark().exists() and loader.loaded()
+    else:
+        part.in_use = kept.compiled(job)
+        part.begun_without = not part.in_use
+    return part.in_use
+
+
+def only_read(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """A view that nobody writes to, as some arrays are: one type to the loops."""
+    view = values.view()
+    view.setflags(write=False)
+    return view
