@@ -9,12 +9,12 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.cpu import kernels, seiler, vectors
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Spans, Vector, all_sites, rows
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.solver.backends.planes import inside
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
@@ -205,7 +205,7 @@ class CpuSeilerModel(HostModel):
             self.levels.append(self.level(grid, lines, square, material.blanket, number == 0))
         finest = self.levels[0]
         self._stiffness = np.zeros(finest.stiffness.shape)
-        host.inside(self._stiffness)[...] = m, inverse
+        inside(self._stiffness)[...] = m, inverse
         finest.stiffness[...] = self._stiffness
         self._pull = np.zeros(finest.inverse.shape)
         self._rest = finest.vector()

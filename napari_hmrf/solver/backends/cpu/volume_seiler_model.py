@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.cpu import seiler_model, vectors, volume, volume_seiler
 from napari_hmrf.solver.backends.cpu.level import (
     Spans,
@@ -17,6 +16,7 @@ from napari_hmrf.solver.backends.cpu.level import (
 from napari_hmrf.solver.backends.cpu.seiler_model import CpuSeilerLevel, CpuSeilerModel, Lines
 from napari_hmrf.solver.backends.cpu.volume_cliques import offsets
 from napari_hmrf.solver.backends.linear import Planes, Steps
+from napari_hmrf.solver.backends.planes import inside
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 
 
@@ -33,12 +33,12 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
         tissue = finer.vector()
         tissue[0], tissue[1] = finer.stiffness[0], finer.stiffness[0] > 0
         volume.restrict(tissue, self.load)
-        total, share, _ = host.inside(self.load)
-        m, inverse = host.inside(self.stiffness)
+        total, share, _ = inside(self.load)
+        m, inverse = inside(self.stiffness)
         np.divide(total, share, out=m, where=total > 0)
         np.divide(share, total, out=inverse, where=total > 0)
         # Where less than a quarter of what is around a site is tissue, it counts as a quarter.
-        host.inside(self.even[None])[0] = 4 / np.maximum(share, 2)
+        inside(self.even[None])[0] = 4 / np.maximum(share, 2)
         self.load.fill(0)
 
     def curvature(self, stiffness: Planes, lines: Lines) -> Planes:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.backends import planes
 from napari_hmrf.solver.backends.found import Found
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
@@ -137,7 +137,7 @@ class GLVolumeModel(HostModel):
         lame = Lame(share * stored[-1], stored[0])
         exactly: Planes = (d if low is None else d + low)[(slice(None), *_INSIDE)]
         pulls: Planes = -self.material.shape.forces(lame, np.moveaxis(exactly, 0, -1))
-        return host.planes(pulls)
+        return planes.planes(pulls)
 
     @property
     def steepness(self) -> Planes:
