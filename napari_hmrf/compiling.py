@@ -43,7 +43,7 @@ class Job(NamedTuple):
     Attributes
     ----------
     name : str
-        Name that `preparation.job_of` gives the set.
+        Name that `SolveJob.loops` gives the set.
     run : callable
     """
 

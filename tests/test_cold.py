@@ -29,10 +29,9 @@ from napari_hmrf import (
     warp,
 )
 from napari_hmrf.data import phantom
-from napari_hmrf.solver.backends import COMPILING, open_backend
+from napari_hmrf.solver.backends import COMPILING, SolveJob, open_backend
 from napari_hmrf.solver.backends.compile_cache import compiler, kept, loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.solver.preparation import job_of
 
 solving = sys.modules["napari_hmrf.solver.solve"]
 
@@ -44,6 +43,7 @@ MODELS = {
     "slipping": (ElasticPrior(0.45, penalty=100.0), Multigrid()),
 }
 PROBLEM = phantom("expansion", 40).problem
+IMAGE = SolveJob.of(PROBLEM, *MODELS["elastic"])
 
 
 @pytest.fixture
@@ -127,7 +127,7 @@ def opened(name):
     """Which backend is taken, and why."""
 
     def job():
-        backend, reason = open_backend(name, lambda: None)
+        backend, reason, _ = open_backend(IMAGE, name, lambda: None)
         backend.close()
         return backend.name.partition(":")[0], reason
 
@@ -181,7 +181,7 @@ def test_who_asks_for_loops_waits_for_the_ones_it_needs_and_is_told_how_far_they
     somebody.is_told("starting to compile")
     assert cold == [[sys.executable, "-m", compiler.COMPILER]]
     job = compiler.wanted()
-    assert job == job_of(prior.resolved(PROBLEM), optimizer, PROBLEM.spacing)
+    assert job == SolveJob.of(PROBLEM, prior.resolved(PROBLEM), optimizer).loops
     assert job in [each.name for each in compiling.jobs()]
     compiler.tell(compiler.Stage(job, 3, 10, 2.5))
     report = somebody.is_told("compiling")

@@ -10,7 +10,7 @@ from opengl_here import on_compute_thread, require_opengl
 from patience import LONG
 
 from napari_hmrf import ICM, BackendError, Cancelled, Problem, SeilerPrior, solve
-from napari_hmrf.solver.backends import compute_thread, open_backend
+from napari_hmrf.solver.backends import SolveJob, compute_thread, open_backend
 from napari_hmrf.solver.backends.opengl import OpenGLBackend, describe, is_software_renderer
 from napari_hmrf.solver.backends.opengl.context.device import the_device
 from napari_hmrf.solver.backends.opengl.context.pace import Pace
@@ -19,6 +19,7 @@ from napari_hmrf.solver.backends.opengl.programs.programs import compile_program
 from napari_hmrf.solver.quadtree import levels
 
 CLOSED_FORM = ICM(iterations=30, steps=None)
+IMAGE = SolveJob((9, 9), (1.0, 1.0), SeilerPrior(), CLOSED_FORM)
 
 
 @pytest.fixture(params=["fragment", "compute"])
@@ -124,7 +125,7 @@ def test_the_default_stage_is_compute_where_there_is_one(opengl):
 
 def test_auto_takes_the_shaders_only_on_a_gpu(opengl):
     def choice() -> tuple[str, str]:
-        backend, reason = open_backend("auto", lambda: None)
+        backend, reason, _ = open_backend(IMAGE, "auto", lambda: None)
         backend.close()
         return backend.name, reason
 

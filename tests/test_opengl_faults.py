@@ -19,15 +19,17 @@ import sys
 
 import numba  # which all children would import
 
-from napari_hmrf import BackendError
-from napari_hmrf.solver.backends import compute_thread, open_backend
+from napari_hmrf import BackendError, ElasticPrior, Multigrid
+from napari_hmrf.solver.backends import SolveJob, compute_thread, open_backend
+
+image = SolveJob((9, 9), (1.0, 1.0), ElasticPrior(), Multigrid())
 
 def job():
-    backend, reason = open_backend("auto", lambda: None)
+    backend, reason, _ = open_backend(image, "auto", lambda: None)
     print("auto:", backend.name, reason)
     backend.close()
     try:
-        open_backend("opengl", lambda: None)[0].close()
+        open_backend(image, "opengl", lambda: None).backend.close()
     except BackendError as error:
         print("opengl:", error)
 

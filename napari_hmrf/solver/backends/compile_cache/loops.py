@@ -6,8 +6,8 @@ lock. So another process does it (`backends.compiler`), numba keeps on disk what
 part. A process that has begun so has the loops loaded beside its work (`backends.loader`), and goes
 over to them between two solves.
 
-With ``NAPARI_HMRF_COMPILE=here`` in the environment no other process is started: whoever needs a
-loop compiles it, and waits. That is for batches, and for tests.
+With ``NAPARI_HMRF_COMPILE=here`` in the environment no other process is started: a solve compiles
+the loops that it needs. This mode is for batches and for tests.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ __all__ = [
     "use",
 ]
 
-#: What tells each process to compile for itself, if it is "here".
+#: Environment variable that makes each process compile for itself, if it is "here".
 HERE = "NAPARI_HMRF_COMPILE"
 #: The job of `napari_hmrf.compiling` that brings what moves pictures.
 PICTURES = "pictures"
@@ -41,33 +41,33 @@ PICTURES = "pictures"
 class _Part:
     """Some loops, and what this process has done where they are needed."""
 
-    #: Whether it computes with them.
+    #: True if this process computes with them.
     in_use: bool = False
-    #: Whether it has computed anything without them.
+    #: True if this process has computed anything without them.
     begun_without: bool = False
 
 
 class _State:
-    """What this process knows."""
+    """State of this process."""
 
     solver = _Part()
     pictures = _Part()
-    #: Whether it compiles what it needs, as no other process can.
+    #: True if this process compiles for itself, as no other process can.
     alone = False
 
 
 def compile_here() -> bool:
-    """Whether this process compiles for itself."""
+    """Return whether this process compiles for itself."""
     return _State.alone or os.environ.get(HERE) == "here"
 
 
 def compile_alone() -> None:
-    """Have this process compile for itself from now on."""
+    """Let this process compile for itself from now on."""
     _State.alone = True
 
 
 def in_use() -> bool:
-    """Whether this process solves with loops, or would compile them itself."""
+    """Return whether this process solves with loops, or would compile them itself."""
     return _State.solver.in_use or compile_here()
 
 
@@ -77,22 +77,22 @@ def use() -> None:
 
 
 def ready() -> bool:
-    """Whether one can solve with loops at once; if so, it is done from now on."""
+    """Return whether loops can solve at once; if so, they do from now on."""
     return _ready(_State.solver)
 
 
 def ready_for_pictures() -> bool:
-    """Whether pictures can be moved by loops at once; if so, they are from now on."""
+    """Return whether loops can move pictures at once; if so, they do from now on."""
     return _ready(_State.pictures, PICTURES)
 
 
 def ready_for_volumes() -> bool:
-    """Whether volumes can be solved with loops at once."""
+    """Return whether loops can solve volumes at once."""
     return compile_here() or kept.compiled(kept.VOLUMES)
 
 
 def _ready(part: _Part, job: str = "") -> bool:
-    """Whether some loops can be computed with."""
+    """Return whether a part of the loops can be used."""
     # To load them takes as long as a few pictures. A process that has not computed yet does it when
     # it needs them; any other shall not stop for it in the middle of a drag.
     if part.in_use or compile_here():
@@ -106,7 +106,7 @@ def _ready(part: _Part, job: str = "") -> bool:
 
 
 def only_read(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """A view that nobody writes to, as some arrays are: one type to the loops."""
+    """Return a read-only view, so that the loops see one type of array."""
     view = values.view()
     view.setflags(write=False)
     return view

@@ -1,4 +1,4 @@
-"""How tissue follows bodies: what deflation asks for, found on a small level and carried up."""
+"""Motion of tissue that follows bodies, for deflation: found on a small level and carried up."""
 
 from __future__ import annotations
 

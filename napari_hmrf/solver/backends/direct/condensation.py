@@ -1,4 +1,4 @@
-"""What a box of a dissection keeps once its own sites are condensed to its ring.
+"""Static condensation of a box onto its ring.
 
 See `napari_hmrf.solver.backends.direct.dissection` for the matrices.
 """
@@ -28,7 +28,7 @@ class Step(NamedTuple):
     left: Float64Array
 
     def forward(self, load: Float64Array) -> None:
-        """Hand the load of own components on to the ring, in place."""
+        """Pass the load of own components to the ring, in place."""
         passed = (self.left @ load[self.own][..., None])[..., 0]
         np.subtract.at(load, self.ring, passed)
 
@@ -50,7 +50,7 @@ class SymmetricStep(NamedTuple):
     right: Float64Array
 
     def forward(self, load: Float64Array) -> None:
-        """As for `Step`; the load of own components becomes U^-T times it."""
+        """Apply as `Step` does; the load of own components becomes U^-T times it."""
         if self.factor.ndim == 2:
             load[self.own] = _triangular(self.factor, load[self.own], transposed=True)
             load[self.ring] -= load[self.own] @ self.right
@@ -60,7 +60,7 @@ class SymmetricStep(NamedTuple):
         np.subtract.at(load, self.ring, (self.right.swapaxes(-1, -2) @ own)[..., 0])
 
     def back(self, load: Float64Array, d: Float64Array) -> None:
-        """As for `Step`."""
+        """Apply as `Step` does."""
         if self.factor.ndim == 2:
             rest = load[self.own] - self.right @ d[self.ring]
             d[self.own] = _triangular(self.factor, rest)

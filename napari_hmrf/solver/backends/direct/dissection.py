@@ -38,13 +38,13 @@ Mask = npt.NDArray[np.bool_]
 
 #: Gives the matrices (h, w, n, n) of elements between these rows and columns; n is patch^2 C.
 Elements = Callable[[slice, slice], Float64Array]
-#: Is told, on any thread, which part of the work is done; may raise to stop it.
+#: Callback, on any thread, with the completed part of the work; may raise to stop it.
 Progress = Callable[[float], None]
 
 # Tiles condensed at once: what a processor's cache holds.
 _AT_ONCE = 16
 _THREADS = os.cpu_count() or 1
-#: What holds a component must be more than this part of what its neighbours could.
+#: Least support of a component, as a part of the support by all its neighbours.
 HELD = 1e-13
 
 
@@ -53,7 +53,7 @@ class Singular(ArithmeticError):
 
 
 _Steps = list[Step | SymmetricStep]
-#: Of tiles: first row, last row, first column, last column; the last ones are outside.
+#: Bounds of tiles: first row, last row, first column, last column; the last ones are outside.
 _Range = tuple[int, int, int, int]
 
 
@@ -78,7 +78,7 @@ class Dissection:
     symmetric : bool
         Whether the matrix is symmetric, and so positive definite.
     progress : callable
-        Is told which part of the work is done.
+        Callback with the completed part of the work.
     springs : ndarray, shape (H, W, C), optional
         What is added to the diagonal.
 
@@ -129,7 +129,7 @@ class Dissection:
 
     @property
     def memory(self) -> int:
-        """What the factors take, in bytes."""
+        """Memory of the factors, in bytes."""
         return sum(part.nbytes for step in self._steps for part in step if part is not None)
 
     def _place(self) -> None:
@@ -193,7 +193,7 @@ class Dissection:
         return step, _Share(order[own:], matrix)
 
     def _shared(self, components: Index, tiles: _Range) -> Mask:
-        """Which components lie on a site that elements outside a box of tiles touch, too."""
+        """Return the components on sites that elements outside a box of tiles touch, too."""
         top, bottom, left, right = tiles
         row, col = np.divmod(components // self._moves.shape[2], self._moves.shape[1])
         over = self._patch - 1
@@ -319,7 +319,7 @@ class Dissection:
 
 
 def work(shape: tuple[int, ...]) -> float:
-    """Roughly how many multiplications a dissection of (H, W, C) takes."""
+    """Estimate the number of multiplications of a dissection of (H, W, C)."""
     height, width, fields = shape
     sites = height * width
     boxes, tiles = 16.0 * sites * math.sqrt(sites), _TILE_WORK * sites / TILE**2
@@ -337,5 +337,5 @@ def _pools() -> ThreadpoolController:
 
 
 def _one_thread() -> Any:
-    """Have each call computed by its own thread, within this context."""
+    """Let each call compute on its own thread, within this context."""
     return _pools().limit(limits=1, user_api="blas")

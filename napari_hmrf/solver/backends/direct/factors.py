@@ -38,17 +38,17 @@ class Assembled(Protocol):
 
     @property
     def margin(self) -> int:
-        """How far elements reach beyond the image, in sites: 0, 1 or 2."""
+        """Reach of elements beyond the image, in sites: 0, 1 or 2."""
         ...
 
     @property
     def symmetric(self) -> bool:
-        """Whether the matrix is."""
+        """True if the matrix is symmetric."""
         ...
 
     @property
     def parts(self) -> Sequence[Part]:
-        """What can be solved apart."""
+        """Parts that can be solved apart."""
         ...
 
 
@@ -61,7 +61,7 @@ class Factors:
     moves : ndarray of bool, planes
         Which components are unknown.
     progress : callable
-        Is told which part of the work is done; may raise to stop it.
+        Callback with the completed part of the work; may raise to stop it.
     springs : ndarray, planes, optional
         What is added to the diagonal.
 
@@ -107,7 +107,7 @@ class Factors:
 
     @staticmethod
     def needed(shape: tuple[int, ...]) -> float:
-        """Roughly how many bytes the factors of a grid (H, W) or (D, H, W) take."""
+        """Estimate the bytes of the factors of a grid (H, W) or (D, H, W)."""
         sites = float(math.prod(shape))
         if len(shape) == 3:
             return float(_VOLUME_BYTES * sites ** (4 / 3))
@@ -115,6 +115,6 @@ class Factors:
 
     @staticmethod
     def fit(shape: tuple[int, ...]) -> bool:
-        """Whether there is the memory for those of a grid, and of a volume the time."""
+        """Return whether memory, and in a volume time, suffice for the factors of a grid."""
         small = len(shape) == 2 or math.prod(shape) <= _MOST_VOXELS
         return small and bool(Factors.needed(shape) < _FREE * psutil.virtual_memory().available)

@@ -16,7 +16,7 @@ LEAF, TILE = 4, 16
 
 
 class Merge(NamedTuple):
-    """How two boxes of a shape become one.
+    """Merging of two boxes of a shape into one.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ def merged(boxes: Float64Array, at: Index, merge: Merge) -> tuple[Float64Array, 
 
 
 def ring(height: int, width: int, patch: int) -> Index:
-    """The sites of a box of elements that others may touch, in the order of rows."""
+    """Return the sites of a box of elements that others may touch, in the order of rows."""
     over = patch - 1
     inner = np.ones((height + over, width + over), dtype=bool)
     inner[over:height, over:width] = False
@@ -57,19 +57,19 @@ def ring(height: int, width: int, patch: int) -> Index:
 
 
 def own(height: int, width: int, patch: int) -> Index:
-    """The sites of a box of elements that no others touch, in the order of rows."""
+    """Return the sites of a box of elements that no others touch, in the order of rows."""
     over = patch - 1
     return np.setdiff1d(np.arange((height + over) * (width + over)), ring(height, width, patch))
 
 
 def components(sites: Index, fields: int) -> Index:
-    """The components of sites."""
+    """Return the components of sites."""
     return np.asarray((sites[:, None] * fields + np.arange(fields)).ravel())
 
 
 @lru_cache(maxsize=8)
 def merges(patch: int, fields: int) -> tuple[Merge, ...]:
-    """How the smallest boxes become a tile."""
+    """List the merges of the smallest boxes into a tile."""
     made, size, over = [], [LEAF, LEAF], patch - 1
     while size != [TILE, TILE]:
         axis = int(size[1] == size[0])

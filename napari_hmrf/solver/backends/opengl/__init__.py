@@ -3,5 +3,6 @@
 from napari_hmrf.solver.backends.opengl.backend import OpenGLBackend
 from napari_hmrf.solver.backends.opengl.context.context import is_software_renderer
 from napari_hmrf.solver.backends.opengl.context.report import describe
+from napari_hmrf.solver.backends.opengl.support import missing_shaders
 
-__all__ = ["OpenGLBackend", "describe", "is_software_renderer"]
+__all__ = ["OpenGLBackend", "describe", "is_software_renderer", "missing_shaders"]

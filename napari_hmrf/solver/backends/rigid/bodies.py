@@ -28,8 +28,8 @@ BodySites = tuple[npt.NDArray[np.intp], ...]
 # Bodies whose motions have fields of their own, at most, and values of all these fields together.
 _MOST_BODIES, _MOST_VALUES = 8, 4e7
 
-# What holds a motion less than this does not; and how far, in pixels and as a part of itself, what
-# was observed of a body may be from a motion of it.
+# Least support of a motion that counts; and the distance, in pixels and as a part of itself, that
+# the observations of a body may have from a motion of it.
 _NOTHING = 1e-9
 _OFF, _PART = 1e-3, 1e-5
 
@@ -62,7 +62,7 @@ class Motion(NamedTuple):
     turn: Float64Array
 
     def of(self, *sites: npt.NDArray[np.intp]) -> Float64Array:
-        """How far it moves, or would move, some points: (components, points)."""
+        """Return the displacement of some points, real or possible: (components, points)."""
         from_centre = np.stack(sites) - np.array(self.centre)[:, None]
         return np.asarray(self.step[:, None] + self.turn @ from_centre)
 
@@ -89,7 +89,7 @@ class Bodies:
     ) -> None:
         self._sites, grid = sites, held.shape[1:]
         self._sides = np.array(material.shape.sides)
-        #: Whether cycles hold them, and fields of their motions make up for it.
+        #: True if cycles hold the bodies, and fields of their motions make up for it.
         self.entrain = few(sites, material.m.shape)
         self._bodies = []
         for of_body in sites:
@@ -176,9 +176,9 @@ class Bodies:
             flat[body.at] = free @ (free.T @ flat[body.at])
 
     def carry(self, forces: Planes) -> None:
-        """Have what is held of each body carry all that the body needs, in place.
+        """Let the held components of each body carry its whole load, in place.
 
-        Within what is rigid nothing tells how it is shared out: as evenly as goes.
+        The shares within a rigid body are not determined: they are as even as possible.
         """
         flat = forces.reshape(-1)
         for body in self._bodies:
@@ -207,19 +207,19 @@ def bodies_of(m: npt.NDArray[np.float32]) -> list[BodySites]:
 
 
 def few(bodies: list[BodySites], shape: tuple[int, ...]) -> bool:
-    """Whether there are few enough for each of their motions to have a field of its own."""
+    """Return whether there are few enough bodies for a field of each of their motions."""
     # Three motions, of each the field and its forces, of two components. A volume's would be six.
     values = 3 * 2 * 2 * len(bodies) * math.prod(shape)
     return len(shape) == 2 and len(bodies) <= _MOST_BODIES and values <= _MOST_VALUES
 
 
 def rigid_sites(m: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
-    """Which sites are part of a rigid body: those of elements with an infinite corner."""
+    """Return the sites of rigid bodies: those of elements with an infinite corner."""
     return np.asarray(around_sites(_rigid(m), np.logical_or))
 
 
 def rigid_elements(m: npt.NDArray[np.float32], bodies: list[BodySites]) -> npt.NDArray[np.int32]:
-    """The number of the body that each element belongs to, from 1; 0 if to none."""
+    """Return the number of the body that each element belongs to, from 1; 0 if to none."""
     numbers = np.zeros(m.shape, dtype=np.int32)
     for number, sites in enumerate(bodies, 1):
         numbers[sites] = number
@@ -227,7 +227,7 @@ def rigid_elements(m: npt.NDArray[np.float32], bodies: list[BodySites]) -> npt.N
 
 
 def _rigid(m: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
-    """Which elements have an infinite corner."""
+    """Return the elements with an infinite corner."""
     return np.asarray(in_elements(m) & of_corners(np.isinf(m), np.logical_or))
 
 

@@ -1,4 +1,4 @@
-"""What cycles that hold rigid bodies do not see: how bodies move, and take tissue along."""
+"""Motions that cycles do not see if they hold rigid bodies: bodies that take tissue along."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Entrained(Protocol):
     close : bool
         Whether bodies are so close together that what lies between is not seen well.
     sure : bool
-        Whether single precision tells the motions apart.
+        True if single precision separates the motions.
     """
 
     close: bool
@@ -24,12 +24,12 @@ class Entrained(Protocol):
         ...
 
     def turn(self, steepest: Any, direction: Any, share: float) -> float:
-        """Direction = steepest + share direction, with bodies moved so that none resists.
+        """Compute direction = steepest + share direction, with bodies moved so that none resists.
 
         They move so far, which is returned, that the forces of `steepest` do no work on any field.
         """
         ...
 
     def astray(self, rest: Any) -> float:
-        """How far, at most, bodies and what they entrain are from where `rest` moves them."""
+        """Return the largest distance of bodies and entrained tissue from their goal in `rest`."""
         ...

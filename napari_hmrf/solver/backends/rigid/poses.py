@@ -1,4 +1,4 @@
-"""Where rigid bodies of tissue that moves far are: a step and a turn, which may be large."""
+"""Poses of rigid bodies in large motion: a step and a turn, which may be large."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _Index = tuple[slice, npt.NDArray[np.intp], npt.NDArray[np.intp]]
 
 # Steps to a pose, and when it is exact, in pixels.
 _STEPS, _EXACT = 30, 1e-12
-# How far a body turns at once.
+# Largest turn of a body in one step.
 _TURN = 0.25
-# How much less a motion is stopped than others that counts as free.
+# Relative support below which a motion counts as free.
 _NOTHING = 1e-9
-# How far what was observed of a body may be from a motion of it, in pixels and as a part of itself.
+# Distance that observations may have from a motion of a body, in pixels and as a part of it.
 _OFF, _PART = 1e-3, 1e-5
 
 
@@ -93,7 +93,7 @@ class Poses:
             d[body.at] = found - body.places
 
     def aim(self, d: Planes, y: Planes) -> Planes:
-        """Where to go next towards `y`: bodies turn along an arc, not straight through themselves.
+        """Return the next step towards `y`: bodies turn along an arc, not through themselves.
 
         It is `y` itself if no body has far to turn.
         """
@@ -112,7 +112,7 @@ class Poses:
         return made
 
     def extend(self, gap: Planes) -> Planes:
-        """A way of what is held as one that bodies can go, at least to begin with."""
+        """Return a way of held components that bodies can go, at least to begin with."""
         made = gap.copy()
         for body in self._bodies:
             if body.held.any() and not body.held.all():

@@ -32,7 +32,7 @@ _SOFTWARE = (
 
 
 def is_software_renderer(renderer: str) -> bool:
-    """Whether a renderer string names a program that computes on the processor, not a GPU."""
+    """Return whether a renderer string names a program on the processor, not a GPU."""
     return any(name in renderer.lower() for name in _SOFTWARE)
 
 
@@ -108,7 +108,7 @@ class _Way:
     name: str
     make: Callable[..., Any]
     settings: dict[str, Any]
-    #: Whether further devices could be better than this one.
+    #: True if further devices could be better than this one.
     others: bool = False
 
 
@@ -132,7 +132,7 @@ def _ways() -> Iterator[_Way]:
 
 
 def _device_count(egl: Callable[..., Any], libraries: dict[str, str]) -> int:
-    """How many EGL devices there are: the error for one that cannot exist tells."""
+    """Return the number of EGL devices, from the error for one that cannot exist."""
     try:
         egl(mode="standalone", glversion=REQUIRED_VERSION, device_index=1 << 16, **libraries)
     except Exception as error:  # noqa: BLE001 - glcontext raises plain exceptions
@@ -150,7 +150,7 @@ def _open(way: _Way) -> Opened:
     try:
         ctx = moderngl.create_context(require=100, standalone=True, context=loader)
     finally:
-        # moderngl keeps the newest context as everybody's default; ours is nobody else's.
+        # moderngl makes the newest context the default of the process; this one must stay private.
         if store is not None:
             store.default_context = default
     finish = _function(loader.load("glFinish"))
@@ -163,7 +163,7 @@ def _open(way: _Way) -> Opened:
 
 
 def _loader(way: _Way) -> Any:
-    """Make the bare context; some drivers give exactly the version that is asked for."""
+    """Make the bare context; some drivers give exactly the requested version."""
     if sys.platform != "darwin":
         try:
             return way.make(mode="standalone", glversion=COMPUTE_VERSION, **way.settings)
@@ -209,12 +209,12 @@ def _function(address: int, *kinds: Any) -> Callable[..., None]:
     return ctypes.CFUNCTYPE(None, *kinds)(address)
 
 
-# What to do about an answer, the most telling first.
+# Advice for each answer of a driver, the most specific first.
 _ADVICE = {
     r"found OpenGL|eglCreateContext failed|glXCreateContext|CreateContextAttribs": (
         "the driver offers no OpenGL 3.3 core profile, which the shaders need; update the graphics "
         "driver, and look whether a variable such as MESA_GL_VERSION_OVERRIDE or "
-        "GLCONTEXT_GLVERSION asks for less"
+        "GLCONTEXT_GLVERSION requests less"
     ),
     r"requested device index .* found [1-9]": (
         "GLCONTEXT_DEVICE_INDEX names an EGL device that does not exist; unset it or lower it"

@@ -50,7 +50,7 @@ class Device:
         Whether it is a program that plays a GPU.
     rows : int
         How many texels an invocation does in the compute stage (`source.compose`): on a GPU one,
-        as it wants many invocations.
+        as it needs many invocations.
     """
 
     def __init__(self) -> None:
@@ -76,7 +76,7 @@ class Device:
         # been released since. So one that stays is put to use before any other is released.
         self._home = self.ctx.simple_framebuffer((1, 1))
         self._home.use()
-        # What is drawn lies half-way into the picture: it shows where a mask is deeper, and
+        # The drawn plane lies half-way into the picture: it shows where a mask is deeper, and
         # everywhere in a framebuffer that has none.
         self.ctx.enable_only(self.ctx.DEPTH_TEST)
         self.ctx.depth_func = "<"
@@ -223,7 +223,7 @@ class Device:
         self._opened.release()
 
     def ensure(self, stage: Stage) -> None:
-        """Have a stage solve the canary once; refuse a device that computes nonsense."""
+        """Solve the canary once with a stage; refuse a device that computes nonsense."""
         if stage not in self.stages:
             raise BackendError(
                 f"compute shaders need OpenGL 4.3, but this is {self.renderer}. Take "
@@ -282,7 +282,7 @@ class Device:
 
 
 _device: Device | None = None
-# In the child of a fork: its parent's, which drivers do not share, and nobody releases here.
+# Devices of a fork's parent: drivers do not share them, and the child does not release them.
 _of_parent: list[Device] = []
 
 
@@ -297,7 +297,7 @@ in_child_of_fork(_disown)
 
 
 def the_device() -> Device:
-    """The process's device; the first call makes it. On the compute thread only.
+    """Return the process's device; the first call makes it. On the compute thread only.
 
     Raises
     ------

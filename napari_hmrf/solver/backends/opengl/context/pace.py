@@ -1,4 +1,4 @@
-"""How much is asked of the device before the next look at whether the work is still wanted."""
+"""Size of the batches of work on the device, between two checks for a cancellation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from napari_hmrf.solver.backends.base import BATCH_SECONDS, Checkpoint
 #: desktop that shares the GPU stutters much earlier. It is cut into strips of rows instead.
 MAX_PASS_SECONDS = 0.25
 
-# What starting a pass costs, in sites; and what a site is taken to cost before it was measured.
+# Cost of the start of a pass, in sites; and assumed cost of a site before it was measured.
 _PASS_SITES = 1000
 _FIRST_GUESS = 1e-7
 
@@ -48,7 +48,7 @@ class Pace:
     def strips(self, grid: tuple[int, ...]) -> Iterator[tuple[int, int] | None]:
         """Yield ranges of rows to run one after the other; None is all rows at once.
 
-        The pass counts as issued when the next range is asked for.
+        The pass counts as issued when the next range is requested.
         """
         height, width = grid
         seconds = height * width * self._seconds_per_site
@@ -85,6 +85,6 @@ class Pace:
 
     def _issued(self, sites: int) -> None:
         self._sites += sites + _PASS_SITES
-        # The first pass is waited for alone: until then nobody knows how fast the device is.
+        # The first pass is waited for alone: until then the speed of the device is unknown.
         if not self._measured or self._sites * self._seconds_per_site >= BATCH_SECONDS:
             self.wait()

@@ -1,4 +1,4 @@
-"""What this machine's OpenGL is, for a bug report."""
+"""Description of this machine's OpenGL, for a bug report."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def describe() -> dict[str, Any]:
 
 
 def _works(device: Device, components: int) -> bool:
-    """Whether a value written to a format is read from it unchanged."""
+    """Return whether a value written to a format is read from it unchanged."""
     value = (0.1, -2e-30, 3e30, 7.0)
     made: list[Any] = []
     try:

@@ -1,7 +1,7 @@
 """One level of a linear model on the device: its vectors, and what needs no model.
 
 A vector has two textures, of which a kernel reads the one and writes the other. A scalar is a
-texture of one texel. Both give their textures back when nobody has them any more, so that an
+texture of one texel. Both give their textures back with their last reference, so that an
 iteration allocates nothing.
 """
 
@@ -36,17 +36,17 @@ class Vector:
 
     def __init__(self, take: Callable[[], Any], spare: list[Any]) -> None:
         self._take, self._spare = take, spare
-        self._textures: list[Any] = []  # what gives back must be there even if there is nothing
+        self._textures: list[Any] = []  # `__del__` needs the list even if `take` fails
         self._textures.append(take())
 
     @property
     def texture(self) -> Any:
-        """What holds the values."""
+        """Texture that holds the values."""
         return self._textures[0]
 
     @property
     def other(self) -> Any:
-        """What the next values are written to; 0 wherever there is no tissue."""
+        """Texture for the next values; 0 wherever there is no tissue."""
         if len(self._textures) == 1:
             self._textures.append(self._take())
         return self._textures[1]
@@ -78,7 +78,7 @@ class Scalar:
 
 
 class Ratio:
-    """One number over another: whoever takes it divides (``scalars.glsl``)."""
+    """One number over another: the kernel that reads it divides (``scalars.glsl``)."""
 
     def __init__(self, above: Scalar, below: Scalar) -> None:
         self.above, self.below = above, below
@@ -127,7 +127,7 @@ class GLLevel:
         return self.vector()
 
     def free(self, *vectors: Vector) -> None:
-        """Nothing to do: textures come back with the last reference to a vector."""
+        """Ignore the call: textures come back with the last reference to a vector."""
 
     def planes(self, vector: Vector) -> FloatArray:
         """Bring a vector back; a device that has stopped computing is found out."""
@@ -142,36 +142,36 @@ class GLLevel:
         return planes
 
     def product(self, a: Vector, b: Vector) -> Scalar:
-        """The scalar product."""
+        """Return the scalar product."""
         return self._reduced("product", {}, [a.texture, b.texture], "sum", {})
 
     def largest(self, a: Vector) -> Scalar:
-        """The largest absolute value."""
+        """Return the largest absolute value."""
         return self._reduced("largest", {"PAIRS": 1}, [a.texture], "largest", {"PAIRS": 0})
 
     def weigh(self, a: Vector, b: Vector) -> tuple[Scalar, Scalar]:
-        """The largest absolute value of `a`, and the scalar product."""
+        """Return the largest absolute value of `a`, and the scalar product."""
         return self.largest(a), self.product(a, b)
 
     def ratio(self, a: Scalar, b: Scalar) -> Ratio:
-        """A over b; 0 unless both are positive."""
+        """Return a over b; 0 unless both are positive."""
         return Ratio(a, b)
 
     def quotient(self, a: Scalar | Product, b: Scalar | Product) -> Scalar:
-        """A over b, of either sign; 0 where b is 0."""
+        """Return a over b, of either sign; 0 where b is 0."""
         made = Scalar(self._one(), self._spare_scalars)
         inputs = [*self._factors(a), *self._factors(b)]
         self._passes.run(self._passes.program("quotient"), inputs, [made.texture], (1, 1))
         return made
 
     def times(self, a: Scalar, b: Scalar) -> Product:
-        """A times b, to be divided."""
+        """Return a times b, to be divided."""
         return Product(a, b)
 
     def advance(
         self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: Scalar | Ratio
     ) -> Scalar:
-        """D += length direction, rest -= length image; the square of the rest."""
+        """Add length direction to d, take length image from rest; return the square of the rest."""
         inputs = [d.texture, rest.texture, direction.texture, image.texture, *self._over(length)]
         signed = {"SIGNED": int(isinstance(length, Scalar))}
         self._run("advance", signed, inputs, [d.other, rest.other, self._shares()])
@@ -180,10 +180,10 @@ class GLLevel:
         return self._sum_of_shares()
 
     def project(self, vector: Vector) -> None:
-        """Nothing to do: of rigid tissue the factors are taken, on the host."""
+        """Ignore the call: rigid tissue is solved by factors, on the host."""
 
     def turn(self, steepest: Vector, direction: Vector, share: Scalar | Ratio) -> None:
-        """Direction = steepest + share direction."""
+        """Compute direction = steepest + share direction."""
         inputs = [steepest.texture, direction.texture, *self._over(share)]
         self._run("turn", {}, inputs, [direction.other])
         direction.turn()
@@ -191,7 +191,7 @@ class GLLevel:
     def lean(
         self, rest: Vector, direction: Vector, image: Vector, share: Scalar, stride: Scalar
     ) -> None:
-        """Direction = rest + share (direction - stride image)."""
+        """Compute direction = rest + share (direction - stride image)."""
         vectors = [each.texture for each in (rest, direction, image)]
         self._run("lean", {}, [*vectors, share.texture, stride.texture], [direction.other])
         direction.turn()
@@ -274,20 +274,20 @@ class GLLevel:
         return self._blocks[grid]
 
     def _over(self, number: Scalar | Ratio) -> list[Any]:
-        """What a kernel reads of a number: above and below."""
+        """Return the inputs of a kernel for a number: above and below."""
         if isinstance(number, Ratio):
             return [number.above.texture, number.below.texture]
         return [number.texture, self._passes.unit]
 
     def _factors(self, number: Scalar | Product) -> list[Any]:
-        """What a kernel reads of a number that may be a product."""
+        """Return the inputs of a kernel for a number that may be a product."""
         if isinstance(number, Product):
             return [number.first.texture, number.second.texture]
         return [number.texture, self._passes.unit]
 
 
 def stored_planes(planes: npt.NDArray[np.float32]) -> FloatArray:
-    """Planes (2, H + 4, W + 4) as they lie in a texture, (H, pairs, 4)."""
+    """Return planes (2, H + 4, W + 4) as they lie in a texture, (H, pairs, 4)."""
     inner = planes[:, _PAD:-_PAD, _PAD:-_PAD]
     rows, cols = pairs(inner.shape[1:])
     made = np.zeros((rows, 2 * cols, 2), "<f4")

@@ -38,17 +38,17 @@ class GLModel:
 
     @property
     def material(self) -> Any:
-        """What it is a model of."""
+        """Material of the model."""
         return self._host.material
 
     @property
     def mild(self) -> bool:
-        """Whether a cycle is known to see every motion of such tissue."""
+        """True if a cycle sees every motion of such tissue."""
         return self._host.mild
 
     @property
     def slow(self) -> bool:
-        """Whether factors are the shorter way."""
+        """True if factors are faster than cycles on this device."""
         return False
 
     @property
@@ -58,7 +58,7 @@ class GLModel:
 
     @property
     def moves(self) -> HeldPlanes:
-        """Which components of the finest level are unknown."""
+        """Mask of the unknown components of the finest level."""
         return self._host.moves
 
     @property
@@ -73,28 +73,28 @@ class GLModel:
 
     @property
     def iterates(self) -> bool:
-        """Whether cycles can be used: bodies are moved as one on the host only."""
+        """True if cycles can be used: bodies are moved as one on the host only."""
         return self.bodies is None
 
     @property
     def found(self) -> Found:
-        """What was found for the tissue with what is held now."""
+        """Earlier results for the tissue with the present held components."""
         return self._host.found
 
     def entrained(self, steps: Steps, coarsest: Steps) -> Entrained | None:
-        """None: see `iterates`."""
+        """Return None: see `iterates`."""
         return None
 
     def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:
-        """What a displacement leaves of a load."""
+        """Return the residual of a load for a displacement."""
         return self._host.balance(d, load, unit)
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """- A d everywhere, in double precision."""
+        """Return -A d everywhere, in double precision."""
         return self._host.pull(d, low)
 
     def work(self, d: Planes) -> tuple[float, float]:
-        """The model's energy, and the norm of its forces."""
+        """Return the model's energy, and the norm of its forces."""
         return self._host.work(d)
 
     @property
@@ -103,10 +103,10 @@ class GLModel:
         return self._host.steepness
 
     def clear(self) -> None:
-        """Nothing to do: images have no better cycles to go over to."""
+        """Ignore the call: images have no better cycles."""
 
     def forget(self) -> None:
-        """Nothing to do: no vector outlives a solve."""
+        """Ignore the call: no vector outlives a solve."""
 
     def close(self) -> None:
         """Free every texture."""

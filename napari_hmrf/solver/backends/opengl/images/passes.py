@@ -1,4 +1,4 @@
-"""What a solve does with the device: passes of kernels, at a pace that lets others live."""
+"""Passes of kernels over textures, at a pace that leaves the device to others in between."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Passes:
         first_row: int = 0,
         tissue: Tissue | None = None,
     ) -> None:
-        """Run a kernel over a grid of texels, in as many strips as its size asks for."""
+        """Run a kernel over a grid of texels, in as many strips as its size needs."""
         region = Window(0, 0, *grid) if tissue is None else tissue.region
         target = self._target(outputs, tissue) if self.stage == "fragment" else None
         for rows in self.pace.strips(region.size):

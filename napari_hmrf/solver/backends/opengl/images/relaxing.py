@@ -35,7 +35,7 @@ AS_IS, FROM_ZERO, FROM_COARSE = 0, 1, 2
 
 
 class Model(NamedTuple):
-    """How kernels see a prior.
+    """Kernels of a prior, and their constants.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class RelaxingLevel(GLLevel):
         self._inverse = passes.blank(self._pairs, 4)
         self._springs = None if host.weight is None else passes.blank(self._pairs, 4)
         self._defines = {"SPRINGS": int(self._springs is not None), **model.defines}
-        # What kernels read of the tissue, and of what is held.
+        # Textures of the tissue, and of the held components.
         self._tissue_textures: list[Any] = []
         self._held_textures = [self._inverse, self._springs or self._inverse]
         self.load, self.correction, self._last = self.vector(), self.vector(), self.vector()
@@ -84,7 +84,7 @@ class RelaxingLevel(GLLevel):
         raise NotImplementedError
 
     def _matrix(self) -> Float64Array:
-        """What pulls but springs, on a small level: a matrix for values in pairs, row by row."""
+        """Return the matrix of a small level without springs, for values in pairs, row by row."""
         raise NotImplementedError
 
     def hold(self) -> None:
@@ -128,7 +128,7 @@ class RelaxingLevel(GLLevel):
             self._smooth(AS_IS, *step)
 
     def apply(self, direction: Vector, image: Vector) -> Scalar:
-        """Image = A direction; their scalar product."""
+        """Compute image = A direction; return their scalar product."""
         model = self._model
         inputs = [direction.texture, *self._tissue_textures, self._inverse]
         outputs = [image.texture, self._shares()]
@@ -136,7 +136,7 @@ class RelaxingLevel(GLLevel):
         return self._sum_of_shares()
 
     def multiply(self, direction: Vector, image: Vector) -> None:
-        """Image = A direction."""
+        """Compute image = A direction."""
         self.apply(direction, image)
 
     def _smooth(
@@ -179,7 +179,7 @@ class RelaxingLevel(GLLevel):
         self.correction.turn()
 
     def _smoother(self, steps: Steps) -> Float64Array:
-        """What all steps from zero make of a load, as a matrix."""
+        """Return all steps from zero, applied to a load, as one matrix."""
         # By products of matrices: a decomposition would wake the threads of LAPACK, which then wait
         # for more on the cores that a software rasteriser renders with.
         host, matrix = self._host, self._matrix()

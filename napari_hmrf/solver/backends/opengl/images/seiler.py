@@ -112,7 +112,7 @@ class GLSeilerModel(GLModel):
 
     @property
     def slow(self) -> bool:
-        """Whether factors are the shorter way, as they are where a program plays the GPU.
+        """Return whether factors are faster than cycles, as on a software rasteriser.
 
         Blanket, cycles are many, rehearsal included, and their kernels read much: such a program
         takes twice as long for them, at any size, and must compile them first.

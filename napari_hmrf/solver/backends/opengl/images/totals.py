@@ -20,7 +20,7 @@ BLOCK = 8
 #: costs at least 30 microseconds and reading a small image one.
 KEPT_SHARES = 2**16
 
-# How many sweeps are kept before they are read.
+# Number of sweeps that are kept before they are read.
 _KEPT_SWEEPS = 16
 
 #: Runs a program: inputs, outputs, grid, first row.
@@ -28,7 +28,7 @@ Run = Callable[[Program, list[Any], list[Any], tuple[int, ...], int], None]
 
 
 class Textures(Protocol):
-    """Where textures come from and go back to; (rows, cols) of texels and components."""
+    """Pool of textures, by (rows, cols) of texels and components."""
 
     def take(self, grid: tuple[int, ...], components: int, use: str = "pairs") -> Any:
         """Return a texture; of ``pairs`` it holds 0 where the level has no tissue."""
@@ -45,7 +45,7 @@ class Totals(Protocol):
     """U_total of one sweep after the other."""
 
     def share(self) -> Any:
-        """The texture that the next sweep writes the shares of its pairs of sites to."""
+        """Return the texture that the next sweep writes the shares of its pairs of sites to."""
         ...
 
     def add(self) -> None:

@@ -61,7 +61,7 @@ class Program(Protocol):
 
 # So many times it is run so that other threads go on.
 _FIRST_RUNS = 3
-#: How long they have after each compiling.
+#: Pause for other threads after each compilation, in seconds.
 BREATH = 0.005
 
 
@@ -104,7 +104,7 @@ def compile_program(
 
 
 class Compiled:
-    """What both stages share: uniforms that are written only when they change."""
+    """Common part of both stages: uniforms that are written only when they change."""
 
     def __init__(self, ctx: Any, program: Any) -> None:
         self._ctx = ctx

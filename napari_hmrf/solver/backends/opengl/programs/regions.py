@@ -1,4 +1,4 @@
-"""Which texels of a grid a pass runs on: a rectangle, or the work groups that hold tissue."""
+"""Texels of a grid that a pass runs on: a rectangle, or the work groups that hold tissue."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Window(NamedTuple):
 
     @property
     def size(self) -> tuple[int, int]:
-        """How many rows and columns it has."""
+        """Number of rows and columns."""
         return self.bottom - self.top, self.right - self.left
 
     def strip(self, begin: int, end: int) -> Window:
@@ -53,7 +53,7 @@ class Groups(NamedTuple):
 
     @property
     def size(self) -> tuple[int, int]:
-        """How many rows it has, and texels in each."""
+        """Number of rows, and of texels in each."""
         return self.bottom - self.top, self.places.width * GROUP[0] * GROUP[1]
 
     def strip(self, begin: int, end: int) -> Groups:
@@ -63,7 +63,7 @@ class Groups(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Tissue:
-    """Where a level has tissue, for passes that need not run anywhere else.
+    """Region of a level with tissue, for passes that need not run anywhere else.
 
     Attributes
     ----------
@@ -94,5 +94,5 @@ def groups_with(shown: npt.NDArray[np.bool_]) -> FloatArray:
     places = np.argwhere(used)[:, ::-1].astype(np.float32)
     lines = max(1, -(-len(places) // _ACROSS))
     across = max(1, -(-len(places) // lines))
-    # What is lacking in the last line is there twice, which does no harm.
+    # The last line is filled up with groups that are there already, which does no harm.
     return np.resize(places, (lines, across, 2))

@@ -25,10 +25,10 @@ Define = int
 #: Texels that a compute work group does, (rows, cols).
 GROUP = (8, 8)
 
-#: Of GLSL, by stage.
+#: Versions of GLSL, by stage.
 VERSIONS = {"vertex": 330, "fragment": 330, "compute": 430}
 _TYPES = {1: "float", 2: "vec2", 4: "vec4"}
-# Lines of the second file count from 2001, and so on: not every compiler tells the file.
+# Lines of the second file count from 2001, and so on: not every compiler names the file.
 _FILE_LINES = 1000
 # A place in the text: "0:2014(3): error", "2(2014) : error" or "ERROR: 2:2014: ...".
 _PLACE = re.compile(r"\b\d+([:(])(\d+)\b")
@@ -36,7 +36,7 @@ _PLACE = re.compile(r"\b\d+([:(])(\d+)\b")
 
 @dataclass(frozen=True)
 class Kernel:
-    """What a kernel reads and writes.
+    """Inputs and outputs of a kernel.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ _READING = ("BLANKET", "SQUARE")
 
 
 def _around(*shared: str) -> dict[str, Any]:
-    """What sets a kernel apart that looks at the tissue around a site."""
+    """Properties of a kernel that reads the tissue around a site."""
     return {"shared": shared, "tissue": True, "carries": True}
 
 
@@ -203,7 +203,7 @@ class Source:
     files: tuple[str, ...]
 
     def numbered(self) -> str:
-        """The text with the file and line number of each line, as a compiler counts them."""
+        """Return the text with the file and line number of each line, as a compiler counts them."""
         lines = []
         number = 0
         for line in self.text.splitlines():
@@ -214,7 +214,7 @@ class Source:
         return "\n".join(lines)
 
     def explain(self, log: str) -> str:
-        """A compiler's log with file names for their numbers, and the numbered text below it."""
+        """Return a compiler's log with file names for numbers, and the numbered text below it."""
 
         def named(match: re.Match[str]) -> str:
             name, line = self._place(int(match[2]))
@@ -272,7 +272,7 @@ def compose(
 
 
 def vertices() -> Source:
-    """The vertex shader that every fragment shader is drawn with."""
+    """Return the vertex shader that every fragment shader is drawn with."""
     return joined(VERSIONS["vertex"], [], ["triangle"])
 
 

@@ -47,14 +47,14 @@ class Groups:
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of groups."""
         depth, height, width = self.grid
         cols, rows = GROUP
         return -(-depth // self.planes) * -(-height // rows) * -(-width // cols)
 
     @property
     def sites(self) -> int:
-        """How many sites a group has."""
+        """Number of sites of a group."""
         return math.prod(GROUP) * self.planes
 
 
@@ -65,7 +65,7 @@ def groups_of(grid: tuple[int, ...], software: bool) -> Groups:
 
 
 class Places(NamedTuple):
-    """Where a kernel runs: the groups in a list, or all there are.
+    """Groups that a kernel runs on: those in a list, or all.
 
     Attributes
     ----------

@@ -27,7 +27,7 @@ MOST_BUFFERS = 16
 
 @dataclass(frozen=True)
 class Field:
-    """What a kernel knows under one name.
+    """Buffers that a kernel has under one name.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Field:
 
 @dataclass(frozen=True)
 class VolumeKernel:
-    """What a kernel for volumes reads and writes.
+    """Inputs and outputs of a kernel for volumes.
 
     Attributes
     ----------
@@ -198,7 +198,7 @@ VOLUME_KERNELS: Mapping[str, VolumeKernel] = {
 
 
 def bindings(kernel: VolumeKernel, defines: Mapping[str, int]) -> list[tuple[Field, int]]:
-    """A kernel's fields as it is compiled, and of each how many buffers it has."""
+    """Return a kernel's fields as it is compiled, and the number of buffers of each."""
     found = []
     for field in kernel.all_fields:
         if not field.where or defines[field.where]:

@@ -1,4 +1,4 @@
-"""One level of an elastic volume on the device: what multigrid asks of it, as compute shaders.
+"""Level of an elastic volume on the device: the operations of multigrid, as compute shaders.
 
 Buffers hold what the arrays of the compiled loops do (`backends.cpu.volume`), one component
 each: padded by two sites of void on every side.
@@ -42,7 +42,7 @@ class Vector:
 
 
 class Ratio(NamedTuple):
-    """One number over another: whoever takes it divides (``volume_scalars.glsl``)."""
+    """One number over another: the kernel that reads it divides (``volume_scalars.glsl``)."""
 
     above: Scalar
     below: Scalar
@@ -93,7 +93,7 @@ class GLVolumeLevel:
         self.correction, self._other = self.vector(), self.vector()
         self.shape: Uniforms = {}
 
-    # What it knows of tissue
+    # Parameters of the tissue
 
     def know(self, shape: Sequence[float], share: float) -> None:
         """Take what the size of a voxel makes of derivatives, and how lambda is stored."""
@@ -240,7 +240,7 @@ class GLVolumeLevel:
         return self._other
 
     def free(self, *vectors: Vector) -> None:
-        """Nothing to do: buffers come back with the last reference to a vector."""
+        """Ignore the call: buffers come back with the last reference to a vector."""
 
     def planes(self, vector: Vector) -> FloatArray:
         """Bring a vector back; a device that has stopped computing is found out."""
@@ -260,26 +260,26 @@ class GLVolumeLevel:
     # Conjugate gradients
 
     def product(self, a: Vector, b: Vector) -> Scalar:
-        """The scalar product."""
+        """Return the scalar product."""
         return self.weigh(a, b)[1]
 
     def largest(self, a: Vector) -> Scalar:
-        """The largest absolute value."""
+        """Return the largest absolute value."""
         return self.weigh(a, a)[0]
 
     def weigh(self, a: Vector, b: Vector) -> tuple[Scalar, Scalar]:
-        """The largest absolute value of `a`, and the scalar product."""
+        """Return the largest absolute value of `a`, and the scalar product."""
         buffers = {"one": a.buffers, "other": b.buffers, "shares": [self._shares]}
         self._run("volume_weigh", buffers, {})
         product, most = self._passes.total(self._shares, self._region.number)
         return most, product
 
     def ratio(self, a: Scalar, b: Scalar) -> Ratio:
-        """A over b; 0 unless both are positive."""
+        """Return a over b; 0 unless both are positive."""
         return Ratio(a, b)
 
     def apply(self, direction: Vector, image: Vector) -> Scalar:
-        """Image = A direction; their scalar product."""
+        """Compute image = A direction; return their scalar product."""
         buffers = {
             "displacement": direction.buffers,
             "inverse": self.inverse,
@@ -294,19 +294,19 @@ class GLVolumeLevel:
     def advance(
         self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: Scalar | Ratio
     ) -> Scalar:
-        """D += length direction, rest -= length image; the square of the rest."""
+        """Add length direction to d, take length image from rest; return the square of the rest."""
         vectors = {"found": d, "rest": rest, "direction": direction, "image": image}
         buffers = {name: vector.buffers for name, vector in vectors.items()}
         self._run("volume_advance", {**buffers, "shares": [self._shares]}, self._over(length))
         return self._passes.total(self._shares, self._region.number)[0]
 
     def turn(self, steepest: Vector, direction: Vector, share: Scalar | Ratio) -> None:
-        """Direction = steepest + share direction."""
+        """Compute direction = steepest + share direction."""
         buffers = {"steepest": steepest.buffers, "direction": direction.buffers}
         self._run("volume_turn", buffers, self._over(share))
 
     def project(self, vector: Vector) -> None:
-        """Nothing to do: there is no rigid tissue in volumes."""
+        """Ignore the call: there is no rigid tissue in volumes."""
 
     def read(self, *scalars: Scalar | Ratio) -> tuple[float, ...]:
         """Wait for scalars."""
@@ -342,7 +342,7 @@ class GLVolumeLevel:
             self._passes.device.clear_buffer(buffer)
 
     def _over(self, number: Scalar | Ratio) -> Uniforms:
-        """What a kernel reads of a number: above and below."""
+        """Return the inputs of a kernel for a number: above and below."""
         above, below = number if isinstance(number, Ratio) else (number, self._passes.unit)
         return _integers(above=above.slot, below=below.slot)
 
@@ -356,5 +356,5 @@ def _numbers(**values: float) -> Uniforms:
 
 
 def exact(**values: float | Sequence[float]) -> dict[str, npt.NDArray[np.float64]]:
-    """Uniforms in double precision."""
+    """Return uniforms in double precision."""
     return {name: np.atleast_1d(np.array(value, np.float64)) for name, value in values.items()}

@@ -28,7 +28,7 @@ _ELEMENTS = (slice(None), *(slice(2, -3),) * 3)
 
 
 class _System(NamedTuple):
-    """What outlives a solve: what was found for its system."""
+    """Results for a system, which outlive a solve."""
 
     material: ElasticMaterial
     held: HeldPlanes
@@ -67,7 +67,7 @@ class GLVolumeModel(HostModel):
             coarse.coarsen(fine)
         finest = self.levels[0]
         self._residual = finest.vector()
-        # It stays on the device, where who asks for it takes it.
+        # It stays on the device, where the iteration reads it.
         self._rest = cast(Any, self._residual)
         self._exactly = [passes.buffer(finest.values, np.float64) for _ in range(3)]
         self._shares = passes.buffer(2 * finest.everywhere.number, np.float64)
@@ -105,7 +105,7 @@ class GLVolumeModel(HostModel):
 
     @property
     def moves(self) -> HeldPlanes:
-        """Which components of the finest level are unknown."""
+        """Mask of the unknown components of the finest level."""
         if self._moves is None:
             finest = self.levels[0]
             self._moves = finest.fetch(finest.inverse) > 0
@@ -120,7 +120,7 @@ class GLVolumeModel(HostModel):
         return float(shares[:, 1].max(initial=0.0)), math.sqrt(shares[:, 0].sum())
 
     def work(self, d: Planes) -> tuple[float, float]:
-        """The elastic energy, and the norm of the forces."""
+        """Return the elastic energy, and the norm of the forces."""
         self._send(d)
         work, square = (
             float(
@@ -131,7 +131,7 @@ class GLVolumeModel(HostModel):
         return work / 2, math.sqrt(square)
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """- A d everywhere, in double precision: the host's work, which no cycle asks for."""
+        """Return -A d everywhere, in double precision, computed on the host: no cycle needs it."""
         finest, share = self.levels[0], float(self._shape["share"][0])
         stored = finest.fetch(finest.lame)[_ELEMENTS].astype(np.float64)
         lame = Lame(share * stored[-1], stored[0])
@@ -141,7 +141,7 @@ class GLVolumeModel(HostModel):
 
     @property
     def steepness(self) -> Planes:
-        """The diagonal of the stiffness matrix."""
+        """Compute the diagonal of the stiffness matrix."""
         finest = self.levels[0]
         out = finest.vector()
         finest.diagonal(out.buffers)

@@ -1,15 +1,13 @@
-"""What a solve of a volume does with the device: passes of kernels over storage buffers."""
+"""Passes of kernels over storage buffers, for volumes."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.errors import BackendError
 from napari_hmrf.solver.backends.opengl.context.device import Device
 from napari_hmrf.solver.backends.opengl.context.pace import Pace
 from napari_hmrf.solver.backends.opengl.programs.programs import Uniforms
@@ -18,7 +16,6 @@ from napari_hmrf.solver.backends.opengl.programs.volume_programs import (
     Places,
     VolumeProgram,
 )
-from napari_hmrf.solver.backends.opengl.programs.volume_source import MOST_BUFFERS
 
 #: Bytes that a solve holds for each voxel, about: of float32 its parameters, the inverse diagonal
 #: and five vectors, a displacement in double precision, and a tenth more for the coarser levels.
@@ -44,7 +41,7 @@ class Scalar:
 
 
 class _Pair:
-    """Two numbers' place, which goes back to the others with the last that knows it."""
+    """Place of two numbers, which is free again after its last reference."""
 
     def __init__(self, slot: int, spare: list[int]) -> None:
         self.slot, self._spare = slot, spare
@@ -86,7 +83,7 @@ class VolumePasses:
         uniforms: Uniforms,
         defines: Mapping[str, int] | None = None,
     ) -> None:
-        """Run a kernel for some sites of a level, in as many strips as their number asks for."""
+        """Run a kernel for some sites of a level, in as many strips as their number needs."""
         listed = self._scalars if places.buffer is None else places.buffer
         bound = {**buffers, "scalars": [self._scalars], "places": [listed]}
         program = self._program(name, bound, places, uniforms, defines)
@@ -152,38 +149,3 @@ class VolumePasses:
         """Free what was made here."""
         self.device.free(reversed(self._own))
         self._own.clear()
-
-
-def check_volume(device: Device, stage: str, grid: tuple[int, ...]) -> None:
-    """Refuse a volume that the shaders cannot solve, before anything is allocated for it.
-
-    Raises
-    ------
-    BackendError
-        What is lacking, and what to take.
-    """
-    renderer, most = device.renderer, device.largest_buffer
-    if "compute" not in device.stages:
-        raise BackendError(
-            f"volumes take compute shaders, which need OpenGL 4.3, but this is {renderer}. Take "
-            'backend="cpu".'
-        )
-    if stage != "compute":
-        raise BackendError(
-            'fragment shaders solve images only. Take backend="opengl:compute" or backend="cpu" '
-            "for a volume."
-        )
-    if device.most_buffers < MOST_BUFFERS:
-        raise BackendError(
-            f"{renderer} gives a compute shader {device.most_buffers} storage buffers, and volumes "
-            f'take {MOST_BUFFERS}. Take backend="cpu".'
-        )
-    values = math.prod(size + 4 for size in grid)
-    if 8 * values > most:
-        size = " x ".join(map(str, grid))
-        whole = values * BYTES_PER_VOXEL / 2**30
-        raise BackendError(
-            f"the volume has {size} voxels, of which a component takes {8 * values / 2**20:.0f} "
-            f"MiB, but {renderer} has buffers of {most / 2**20:.0f} MiB at most (and a solve would "
-            f'take {whole:.1f} GiB altogether). Downsample it, crop it, or take backend="cpu".'
-        )
