@@ -195,6 +195,29 @@ def test_no_file_name_occurs_twice():
     assert {name for name in names if names.count(name) > 1} == {"__init__.py"}
 
 
+def test_the_walk_through_the_shaders_names_files_that_exist():
+    text = (ROOT / "shaders" / "README.md").read_text(encoding="utf-8")
+    places = ROOT, ROOT / "shaders", PACKAGE / "solver" / "backends"
+    named = set(re.findall(r"[\w/]+\.(?:glsl|py)\b", text))
+    assert len(named) > 20
+    assert not {name for name in named if not any((place / name).is_file() for place in places)}
+
+
+@pytest.mark.parametrize("package", ["solver", "solver/backends"])
+def test_the_walk_through_a_package_names_modules_of_it(package):
+    folder = PACKAGE / package
+    text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8")))
+    modules = {
+        ".".join(each.relative_to(folder).with_suffix("").parts)
+        for each in MODULES
+        if each.is_relative_to(folder)
+    }
+    modules |= {name.removesuffix(".__init__") for name in modules}
+    names = set(re.findall(r"`([a-z_.]+)`", text))
+    assert len(names & modules) > 9
+    assert names - modules <= {"material", "open_backend"}
+
+
 def test_no_imports_go_round_in_a_circle_not_even_those_for_types():
     named = {
         ".".join(module.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): module

@@ -1,4 +1,22 @@
-"""Devices that run the kernels, and the choice between them."""
+"""Devices that run the kernels, and the choice between them.
+
+Data passes through a backend in five steps:
+
+1. *Choice.* `job` says what a solve needs, and `open_backend` picks the device that supports it.
+   `compile_cache` compiles the loops of the processor and keeps them on disk.
+2. *Model.* A backend (protocol: `base`) takes the tissue to its device: `cpu` as arrays, `opengl`
+   as textures or buffers, and `arrays` in NumPy for shaders that run before there are loops. The
+   result is a `linear` model, or a `finite` one for large motion.
+3. *Levels.* The model builds its coarser levels. Vectors and scalars stay on the device; fields on
+   the host are `planes`, and `host` keeps the displacement there in double precision.
+4. *Kernels.* An optimizer calls the methods of a level, and each of them runs one or two kernels:
+   compiled loops in `cpu`, shaders from the folder `shaders/` in `opengl`. `rigid` moves rigid
+   bodies as one, and `direct` factorizes the system where cycles cannot be trusted.
+5. *Result.* The optimizer reads the displacement back as planes. `found` remembers what a solve has
+   learnt of its system for the next solve of it.
+
+All of this runs on one thread (`thread`), because OpenGL and numba both require it.
+"""
 
 from __future__ import annotations
 
