@@ -8,16 +8,19 @@ iteration allocates nothing.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.solver.backends.base import FloatArray
+from napari_hmrf.solver.backends.opengl.cycle import CycleLevel
 from napari_hmrf.solver.backends.opengl.images.fields import pairs
 from napari_hmrf.solver.backends.opengl.images.passes import Passes
 from napari_hmrf.solver.backends.opengl.images.totals import BLOCK
 from napari_hmrf.solver.backends.opengl.programs.programs import Uniforms
+from napari_hmrf.solver.backends.opengl.scalars import Ratio, values_of
 
 # Width of the ring of zeros around planes.
 _PAD = 2
@@ -77,11 +80,7 @@ class Scalar:
         self._spare.append(self.texture)
 
 
-class Ratio:
-    """One number over another: the kernel that reads it divides (``scalars.glsl``)."""
-
-    def __init__(self, above: Scalar, below: Scalar) -> None:
-        self.above, self.below = above, below
+Number = Scalar | Ratio[Scalar]
 
 
 class Product:
@@ -91,7 +90,7 @@ class Product:
         self.first, self.second = first, second
 
 
-class GLLevel:
+class GLLevel(CycleLevel[Scalar]):
     """The part of a level that all models share; `LinearLevel` says what each method does.
 
     Parameters
@@ -126,9 +125,6 @@ class GLLevel:
         """Return a new vector."""
         return self.vector()
 
-    def free(self, *vectors: Vector) -> None:
-        """Ignore the call: textures come back with the last reference to a vector."""
-
     def planes(self, vector: Vector) -> FloatArray:
         """Bring a vector back; a device that has stopped computing is found out."""
         self._passes.wait()
@@ -153,10 +149,6 @@ class GLLevel:
         """Return the largest absolute value of `a`, and the scalar product."""
         return self.largest(a), self.product(a, b)
 
-    def ratio(self, a: Scalar, b: Scalar) -> Ratio:
-        """Return a over b; 0 unless both are positive."""
-        return Ratio(a, b)
-
     def quotient(self, a: Scalar | Product, b: Scalar | Product) -> Scalar:
         """Return a over b, of either sign; 0 where b is 0."""
         made = Scalar(self._one(), self._spare_scalars)
@@ -169,7 +161,7 @@ class GLLevel:
         return Product(a, b)
 
     def advance(
-        self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: Scalar | Ratio
+        self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: Number
     ) -> Scalar:
         """Add length direction to d, take length image from rest; return the square of the rest."""
         inputs = [d.texture, rest.texture, direction.texture, image.texture, *self._over(length)]
@@ -179,10 +171,7 @@ class GLLevel:
         rest.turn()
         return self._sum_of_shares()
 
-    def project(self, vector: Vector) -> None:
-        """Ignore the call: rigid tissue is solved by factors, on the host."""
-
-    def turn(self, steepest: Vector, direction: Vector, share: Scalar | Ratio) -> None:
+    def turn(self, steepest: Vector, direction: Vector, share: Number) -> None:
         """Compute direction = steepest + share direction."""
         inputs = [steepest.texture, direction.texture, *self._over(share)]
         self._run("turn", {}, inputs, [direction.other])
@@ -196,23 +185,17 @@ class GLLevel:
         self._run("lean", {}, [*vectors, share.texture, stride.texture], [direction.other])
         direction.turn()
 
-    def read(self, *scalars: Scalar | Ratio) -> tuple[float, ...]:
+    def read(self, *scalars: Number) -> tuple[float, ...]:
         """Wait for scalars."""
         self._passes.wait()
-        found = {}
-        for each in scalars:
-            for one in (each.above, each.below) if isinstance(each, Ratio) else (each,):
-                if one not in found:
-                    found[one] = float(np.frombuffer(one.texture.read(), "<f4")[0])
+
+        @cache
+        def value(scalar: Scalar) -> float:
+            return float(np.frombuffer(scalar.texture.read(), "<f4")[0])
+
+        values = values_of(scalars, value)
         self._passes.device.check("reading scalars")
-        values = []
-        for each in scalars:
-            if isinstance(each, Ratio):
-                below = found[each.below]
-                values.append(found[each.above] / below if found[each.above] > 0 < below else 0.0)
-            else:
-                values.append(found[each])
-        return tuple(values)
+        return values
 
     def _run(
         self,
@@ -273,7 +256,7 @@ class GLLevel:
             self._blocks[grid] = self._passes.empty(grid, 1)
         return self._blocks[grid]
 
-    def _over(self, number: Scalar | Ratio) -> list[Any]:
+    def _over(self, number: Number) -> list[Any]:
         """Return the inputs of a kernel for a number: above and below."""
         if isinstance(number, Ratio):
             return [number.above.texture, number.below.texture]

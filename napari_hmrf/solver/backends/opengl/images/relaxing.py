@@ -79,10 +79,6 @@ class RelaxingLevel(GLLevel):
         self.load, self.correction, self._last = self.vector(), self.vector(), self.vector()
         self._matrices: dict[Any, Any] = {}
 
-    def _hand_down(self, coarse: Self) -> None:
-        """Make what the correction leaves of the load the coarser level's load."""
-        raise NotImplementedError
-
     def _matrix(self) -> Float64Array:
         """Return the matrix of a small level without springs, for values in pairs, row by row."""
         raise NotImplementedError
@@ -94,37 +90,26 @@ class RelaxingLevel(GLLevel):
             self._springs.write(stored_planes(np.asarray(self._host.weight)))
         self._matrices.clear()
 
-    #: Each level is visited by itself.
-    takes_rest = False
-
     @property
     def worth_again(self) -> bool:
         """Starting the passes of all coarser levels takes its time, however small they are."""
         return math.prod(self.grid) >= WORTH_AGAIN
 
-    def finish(self, steps: Steps, coarsest: Steps) -> None:
-        """Relax from zero as the coarsest level."""
-        self.descend(coarsest, None)
-
-    def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
-        """Relax from zero, or on, and hand what is left of the load down."""
-        (first, _), (scale, momentum), *others = (*steps, _NO_STEP)[: max(2, len(steps))]
-        if again:
-            for step in steps:
-                self._smooth(AS_IS, *step)
-        elif len(steps) > _FEW_STEPS and 4 * math.prod(self._pairs) <= _FEW_VALUES:
-            self._relax_at_once(steps)
-        else:
-            self._smooth(FROM_ZERO, scale, momentum, first=first)
-            for step in others:
-                self._smooth(AS_IS, *step)
-        if coarse is not None:
-            self._hand_down(coarse)
-
     def ascend(self, steps: Steps, coarse: Self) -> None:
         """Add the coarse correction, and relax."""
         self._smooth(FROM_COARSE, *steps[0], coarse=coarse)
-        for step in steps[1:]:
+        self._relax(steps[1:], from_zero=False)
+
+    def _relax(self, steps: Steps, from_zero: bool) -> None:
+        """Smooth the correction for the load; from zero two steps are one pass, or all are."""
+        if from_zero:
+            if len(steps) > _FEW_STEPS and 4 * math.prod(self._pairs) <= _FEW_VALUES:
+                self._relax_at_once(steps)
+                return
+            (first, _), (scale, momentum), *_ = (*steps, _NO_STEP)
+            self._smooth(FROM_ZERO, scale, momentum, first=first)
+            steps = steps[2:]
+        for step in steps:
             self._smooth(AS_IS, *step)
 
     def apply(self, direction: Vector, image: Vector) -> Scalar:

@@ -8,20 +8,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.solver.backends.base import FloatArray
 from napari_hmrf.solver.backends.linear import HeldPlanes, Steps
+from napari_hmrf.solver.backends.opengl.cycle import CycleLevel
 from napari_hmrf.solver.backends.opengl.programs.programs import Uniforms
 from napari_hmrf.solver.backends.opengl.programs.volume_programs import Buffers, Places, groups_of
 from napari_hmrf.solver.backends.opengl.programs.volume_source import MOST_STEPS, SITES
+from napari_hmrf.solver.backends.opengl.scalars import Ratio, values_of
 from napari_hmrf.solver.backends.opengl.volumes.volume_passes import Scalar, VolumePasses
 from napari_hmrf.solver.coarse_levels import MOST_PINS, SPRING
 
 _AXES = 3
+
+
+Number = Scalar | Ratio[Scalar]
 
 
 class Vector:
@@ -41,14 +46,7 @@ class Vector:
         self._spare.append(self.buffers)
 
 
-class Ratio(NamedTuple):
-    """One number over another: the kernel that reads it divides (``volume_scalars.glsl``)."""
-
-    above: Scalar
-    below: Scalar
-
-
-class GLVolumeLevel:
+class GLVolumeLevel(CycleLevel[Scalar]):
     """One level's elements and springs; `LinearLevel` says what each method does.
 
     Parameters
@@ -68,8 +66,7 @@ class GLVolumeLevel:
         Of the diagonal; 0 where a component does not move.
     """
 
-    #: Each level is visited by itself, and each visit gains more than it costs.
-    takes_rest = False
+    #: Each visit gains more than it costs.
     worth_again = True
 
     def __init__(
@@ -145,7 +142,7 @@ class GLVolumeLevel:
     def finish(self, steps: Steps, coarsest: Steps) -> None:
         """Relax from zero as the coarsest level: all steps at once where one work group can."""
         if math.prod(self.grid) > SITES or len(coarsest) > MOST_STEPS:
-            self.descend(coarsest, None)
+            super().finish(steps, coarsest)
             return
         paces = np.zeros((MOST_STEPS, 2), np.float32)
         paces[: len(coarsest)] = coarsest
@@ -159,24 +156,18 @@ class GLVolumeLevel:
         uniforms = {**self.shape, "paces": paces, **_integers(count=len(coarsest))}
         self._passes.run_alone("volume_finish", buffers, self._region, uniforms, self._defines)
 
-    def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
-        """Relax from zero, or on, and hand what is left of the load down."""
-        self._relax(steps, from_zero=not again)
-        if coarse is not None:
-            self._run(
-                "volume_residual",
-                {
-                    "displacement": self.correction.buffers,
-                    "load": self.load.buffers,
-                    "inverse": self.inverse,
-                    "lame": self.lame,
-                    "springs": self._springs,
-                    "rest": self._other.buffers,
-                },
-                self.shape,
-                self._defines,
-            )
-            coarse._restrict(self, self._other, coarse.load, coarse._region)
+    def _hand_down(self, coarse: Self) -> None:
+        """Make what the correction leaves of the load the coarser level's load."""
+        buffers = {
+            "displacement": self.correction.buffers,
+            "load": self.load.buffers,
+            "inverse": self.inverse,
+            "lame": self.lame,
+            "springs": self._springs,
+            "rest": self._other.buffers,
+        }
+        self._run("volume_residual", buffers, self.shape, self._defines)
+        coarse._restrict(self, self._other, coarse.load, coarse._region)
 
     def ascend(self, steps: Steps, coarse: Self) -> None:
         """Add the coarse correction, and relax."""
@@ -239,9 +230,6 @@ class GLVolumeLevel:
         """Return what only cycles need: memory is what limits volumes."""
         return self._other
 
-    def free(self, *vectors: Vector) -> None:
-        """Ignore the call: buffers come back with the last reference to a vector."""
-
     def planes(self, vector: Vector) -> FloatArray:
         """Bring a vector back; a device that has stopped computing is found out."""
         made = self.fetch(vector.buffers)
@@ -274,10 +262,6 @@ class GLVolumeLevel:
         product, most = self._passes.total(self._shares, self._region.number)
         return most, product
 
-    def ratio(self, a: Scalar, b: Scalar) -> Ratio:
-        """Return a over b; 0 unless both are positive."""
-        return Ratio(a, b)
-
     def apply(self, direction: Vector, image: Vector) -> Scalar:
         """Compute image = A direction; return their scalar product."""
         buffers = {
@@ -292,7 +276,7 @@ class GLVolumeLevel:
         return self._passes.total(self._shares, self._region.number)[0]
 
     def advance(
-        self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: Scalar | Ratio
+        self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: Number
     ) -> Scalar:
         """Add length direction to d, take length image from rest; return the square of the rest."""
         vectors = {"found": d, "rest": rest, "direction": direction, "image": image}
@@ -300,25 +284,15 @@ class GLVolumeLevel:
         self._run("volume_advance", {**buffers, "shares": [self._shares]}, self._over(length))
         return self._passes.total(self._shares, self._region.number)[0]
 
-    def turn(self, steepest: Vector, direction: Vector, share: Scalar | Ratio) -> None:
+    def turn(self, steepest: Vector, direction: Vector, share: Number) -> None:
         """Compute direction = steepest + share direction."""
         buffers = {"steepest": steepest.buffers, "direction": direction.buffers}
         self._run("volume_turn", buffers, self._over(share))
 
-    def project(self, vector: Vector) -> None:
-        """Ignore the call: there is no rigid tissue in volumes."""
-
-    def read(self, *scalars: Scalar | Ratio) -> tuple[float, ...]:
+    def read(self, *scalars: Number) -> tuple[float, ...]:
         """Wait for scalars."""
         numbers = self._passes.read_scalars()
-        values = []
-        for each in scalars:
-            if isinstance(each, Ratio):
-                above, below = (float(numbers[one.slot]) for one in each)
-                values.append(above / below if above > 0 and below > 0 else 0.0)
-            else:
-                values.append(float(numbers[each.slot]))
-        return tuple(values)
+        return values_of(scalars, lambda scalar: float(numbers[scalar.slot]))
 
     # Passes
 
@@ -341,7 +315,7 @@ class GLVolumeLevel:
         for buffer in buffers:
             self._passes.device.clear_buffer(buffer)
 
-    def _over(self, number: Scalar | Ratio) -> Uniforms:
+    def _over(self, number: Number) -> Uniforms:
         """Return the inputs of a kernel for a number: above and below."""
         above, below = number if isinstance(number, Ratio) else (number, self._passes.unit)
         return _integers(above=above.slot, below=below.slot)
