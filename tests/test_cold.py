@@ -2,6 +2,7 @@
 
 import errno
 import importlib.util
+import json
 import os
 import queue
 import subprocess
@@ -310,18 +311,18 @@ def test_one_process_compiles_at_a_time(cold, tmp_path):
     compiler.end(compiled=False)
     assert not kept.mark().exists()
     parent = os.getppid()
-    compiler._compiler_file().write_text(f"{parent} {compiler._begun(parent)}")
+    compiler._status_file().write_text(json.dumps([parent, compiler._begun(parent)]))
     assert not compiler.begin()
     compiler.compile_meanwhile()
     assert cold == []
     # Another process has its number by now.
-    compiler._compiler_file().write_text(f"{parent} 12345")
+    compiler._status_file().write_text(json.dumps([parent, "12345"]))
     assert compiler.begin()
-    compiler._compiler_file().write_text("no number")
+    compiler._status_file().write_text("no list")
     assert compiler.begin()
     compiler.end(compiled=True)
     assert kept.mark().exists()
-    assert not compiler._compiler_file().exists()
+    assert not compiler._status_file().exists()
     assert loops.ready()
 
 
@@ -387,7 +388,7 @@ def test_where_no_folder_can_be_written_to_loops_are_kept_in_a_temporary_one(tmp
 
 
 @pytest.mark.parametrize(
-    ("place", "redirected"), [("told", []), ("package", [""]), ("caches", ["", "here"])]
+    ("place", "redirected"), [("told", []), ("package", [""]), ("caches", ["here"])]
 )
 def test_a_full_disk_is_no_place_for_loops(place, redirected, tmp_path, monkeypatch):
     def usage(folder):

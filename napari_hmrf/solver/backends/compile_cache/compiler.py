@@ -1,7 +1,7 @@
 """Process that compiles the loops for all other processes: its start, and the wait for it.
 
-At most one such process runs on a machine. It writes its progress to a file, and compiles requested
-loops next.
+At most one such process runs on a machine. One file holds its number and progress, another the
+requested loops, which it compiles next.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import psutil
 
@@ -69,6 +69,7 @@ class Stage(NamedTuple):
 
 
 Report = Callable[[Stage], None]
+_NO_STAGE = Stage("", 0, 0, 0.0)
 
 
 # Processes that need loops
@@ -145,9 +146,9 @@ def _at_work() -> bool:
 def stage() -> Stage:
     """Return the progress of the compiler."""
     try:
-        return Stage(*json.loads(_stage_file().read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
-        return Stage("", 0, 0, 0.0)
+        return Stage(*_status()[2:])
+    except TypeError:
+        return _NO_STAGE
 
 
 # The compiler itself
@@ -159,9 +160,7 @@ def begin() -> bool:
         return False
     try:
         kept.folder().mkdir(parents=True, exist_ok=True)
-        number = os.getpid()
-        _compiler_file().write_text(f"{number} {_begun(number)}", encoding="utf-8")
-        _stage_file().unlink(missing_ok=True)
+        _publish(_NO_STAGE)
     except OSError:
         return False
     return True
@@ -183,10 +182,8 @@ def wanted() -> str:
 
 def tell(reached: Stage) -> None:
     """Publish the progress of this process."""
-    new = _stage_file().with_suffix(".new")
     with suppress(OSError):
-        new.write_text(json.dumps(reached), encoding="utf-8")
-        new.replace(_stage_file())
+        _publish(reached)
 
 
 def end(compiled: bool) -> None:
@@ -194,16 +191,16 @@ def end(compiled: bool) -> None:
     with suppress(OSError):
         if compiled:
             kept.mark().touch()
-        for each in (_compiler_file(), _stage_file(), _wanted_file()):
+        for each in (_status_file(), _wanted_file()):
             each.unlink(missing_ok=True)
 
 
 def _someone_compiles() -> bool:
     """Return whether the last compiling process still runs, under its number and start time."""
     try:
-        number, begun = _compiler_file().read_text(encoding="utf-8").split()
-        return number != str(os.getpid()) and _begun(int(number)) == begun
-    except (OSError, ValueError, psutil.Error):
+        number, begun, *_ = _status()
+        return bool(number != os.getpid() and _begun(number) == begun)
+    except (ValueError, psutil.Error):
         return False
 
 
@@ -212,12 +209,23 @@ def _begun(number: int) -> str:
     return f"{psutil.Process(number).create_time():.0f}"
 
 
-def _compiler_file() -> Path:
+def _status() -> list[Any]:
+    """Return the number and start time of the last compiling process, and its stage; or []."""
+    with suppress(OSError, ValueError):
+        found: list[Any] = json.loads(_status_file().read_text(encoding="utf-8"))
+        return found
+    return []
+
+
+def _publish(reached: Stage) -> None:
+    """Write the status of this process, in one step."""
+    number, new = os.getpid(), _status_file().with_suffix(".new")
+    new.write_text(json.dumps([number, _begun(number), *reached]), encoding="utf-8")
+    new.replace(_status_file())
+
+
+def _status_file() -> Path:
     return kept.mark().with_suffix(".compiler")
-
-
-def _stage_file() -> Path:
-    return kept.mark().with_suffix(".stage")
 
 
 def _wanted_file() -> Path:

@@ -74,20 +74,13 @@ def compiled(job: str) -> bool:
 @cache
 def folder() -> Path:
     """Return numba's cache folder; redirect numba if it would choose a place without room."""
-    told, beside = os.environ.get(_TOLD), _LOOPS / "__pycache__"
+    told, beside = os.environ.get(_TOLD, ""), _LOOPS / "__pycache__"
     caches = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    if told and _writable(Path(told)):
-        return Path(told)
-    if told:
-        _redirect_numba("")
-    if _writable(beside):
-        return beside
-    if _writable(caches / _PACKAGE):  # numba makes a subfolder there
-        if beside.is_dir():  # numba would choose this folder, though its disk is full
-            _redirect_numba(str(caches / _PACKAGE))
-        return caches / _PACKAGE
-    found = _temporary()
-    _redirect_numba(str(found))
+    places = [*([Path(told)] if told else []), beside, caches / _PACKAGE]
+    found = next(filter(_writable, places), None) or _temporary()
+    chosen = "" if found == beside else str(found)  # numba's own first choice is beside the source
+    if chosen != told:
+        _redirect_numba(chosen)
     return found
 
 
