@@ -195,6 +195,33 @@ def test_no_file_name_occurs_twice():
     assert {name for name in names if names.count(name) > 1} == {"__init__.py"}
 
 
+#: Folders of the backends, each with the modules and folders above it.
+ABOVE = {
+    "opengl/programs": ("opengl.context", "opengl.images", "opengl.volumes", "opengl.backend"),
+    "opengl/context": ("opengl.images", "opengl.volumes", "opengl.backend"),
+    "opengl/images": ("opengl.volumes", "opengl.backend"),
+    "opengl/volumes": ("opengl.images", "opengl.backend"),
+    "cpu": ("host", "opengl", "arrays"),
+    "arrays": ("host", "opengl", "cpu"),
+    "compile_cache": ("cpu", "arrays", "opengl", "host"),
+    "direct": ("rigid", "cpu", "arrays", "opengl", "host"),
+    "rigid": ("direct", "cpu", "arrays", "opengl", "host"),
+}
+
+
+@pytest.mark.parametrize("folder", ABOVE)
+def test_a_folder_of_the_backends_imports_none_above_it(folder):
+    backends = "napari_hmrf.solver.backends."
+    found = {
+        name.removeprefix(backends)
+        for module in (PACKAGE / "solver" / "backends" / folder).glob("*.py")
+        for name in imports(module)
+        if name.startswith(backends)
+    }
+    above = tuple(f"{each}." for each in ABOVE[folder])
+    assert not [name for name in found if f"{name}.".startswith(above)]
+
+
 def test_the_walk_through_the_shaders_names_files_that_exist():
     text = (ROOT / "shaders" / "README.md").read_text(encoding="utf-8")
     places = ROOT, ROOT / "shaders", PACKAGE / "solver" / "backends"

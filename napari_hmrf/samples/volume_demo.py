@@ -11,9 +11,10 @@ import numpy as np
 from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.samples.head import TUMOUR, HeadPhantom, head_phantom
 from napari_hmrf.solver.backends import SolveJob
+from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING
 from napari_hmrf.solver.model_names import in_words
 from napari_hmrf.solver.optimizers import Monitor
-from napari_hmrf.solver.preparation import EVERYTHING, provide_loops
+from napari_hmrf.solver.preparation import provide_loops
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.ground import solve_study

@@ -10,15 +10,13 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.solver.backends import Backend, SolveJob, host
-from napari_hmrf.solver.backends.compile_cache import compiler, loops
+from napari_hmrf.solver.backends.compile_cache import compiler, loops, sets
 from napari_hmrf.solver.backends.compile_cache.compiler import Stage
-from napari_hmrf.solver.backends.compile_cache.watch import USUAL_LOOPS, watched
+from napari_hmrf.solver.backends.compile_cache.watch import watched
 from napari_hmrf.solver.backends.found import Beginning
 from napari_hmrf.solver.optimizers import Monitor, Multigrid, Optimizer
 from napari_hmrf.solver.problem import Problem
 
-#: Job that compiles all loops but those for volumes.
-EVERYTHING = ""
 # Size of a small problem, by its number of axes.
 _SIZES = {2: 40, 3: 12}
 _prepared: set[tuple[str | bool, ...]] = set()
@@ -30,14 +28,14 @@ def provide_loops(job: str, report: Callable[[Monitor], None]) -> None:
     Parameters
     ----------
     job : str
-        Set of loops, as named by `SolveJob.loops`, or `EVERYTHING`.
+        Set of loops, as named by `SolveJob.loops`, or `sets.EVERYTHING`.
     report : callable
         Called several times a second; raises to stop waiting.
     """
 
     def tell(stage: Stage) -> None:
-        if stage.of and job == EVERYTHING:
-            stage = stage._replace(of=USUAL_LOOPS)
+        if stage.of and job == sets.EVERYTHING:
+            stage = stage._replace(of=sets.USUAL_COUNT)
         report(Monitor(stage.words, stage.fraction))
 
     compiler.provide(job, tell)

@@ -25,7 +25,7 @@ from napari_hmrf.solver.backends import (
     host,
     open_backend,
 )
-from napari_hmrf.solver.backends.compile_cache.watch import HARDER
+from napari_hmrf.solver.backends.compile_cache import sets
 from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
 from napari_hmrf.solver.caveats import rigid_caveat
 from napari_hmrf.solver.elasticity import Elasticity
@@ -268,7 +268,7 @@ def _solution_of(
         _announce(choice)
         prepare(device, job, optimizer, report)
         ready = time.perf_counter()
-        with loop_watch(HARDER, report):
+        with loop_watch(sets.HARDER, report):
             outcome = optimizer.run(problem, prior, device, report, begin)
         name, renderer = device.name, device.renderer
     finally:

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import psutil
 
-from napari_hmrf.solver.backends.compile_cache import kept, loops
+from napari_hmrf.solver.backends.compile_cache import kept, loops, sets
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 
 #: Module that the compiling process runs.
@@ -84,7 +84,7 @@ def compile_meanwhile(job: str = "") -> None:
         Job that compiles the needed loops; by default all usual ones.
     """
     ours = _State.compiler
-    started = ours is not None and (job not in kept.APART or ours.poll() is None)
+    started = ours is not None and (job not in sets.ON_REQUEST or ours.poll() is None)
     if started or loops.compile_here() or kept.compiled(job) or _someone_compiles():
         return
     folder = kept.folder()  # before the environment is copied

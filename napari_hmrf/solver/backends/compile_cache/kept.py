@@ -13,16 +13,14 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from napari_hmrf.solver.backends.compile_cache import sets
+
 _PACKAGE = "napari_hmrf"
 #: Package of the loops of the solver, and its folder.
 _SOLVER = f"{_PACKAGE}.solver.backends.cpu"
 _LOOPS = Path(__file__).parents[1] / "cpu"
 #: Modules of loops that move pictures.
 PICTURES = (f"{_PACKAGE}.field.interpolation", f"{_PACKAGE}.field.triangle_raster")
-#: Job of `napari_hmrf.compiling` that compiles the loops for volumes.
-VOLUMES = "volume"
-#: Jobs that run only on request.
-APART = (VOLUMES, "volume-schedule", "volume-converged")
 #: Environment variable with numba's cache folder.
 _TOLD = "NUMBA_CACHE_DIR"
 #: Free bytes that are enough for all loops, and bytes that are written to test a folder.
@@ -68,7 +66,7 @@ def mark(job: str = "") -> Path:
 
 def compiled(job: str) -> bool:
     """Return whether the loops of a job are compiled, by the job itself or by a full run."""
-    return (job not in APART and mark().exists()) or mark(job).exists()
+    return (job not in sets.ON_REQUEST and mark().exists()) or mark(job).exists()
 
 
 @cache

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.compile_cache import kept, loader
+from napari_hmrf.solver.backends.compile_cache import kept, loader, sets
 
 __all__ = [
     "HERE",
@@ -33,8 +33,6 @@ __all__ = [
 
 #: Environment variable that makes each process compile for itself, if it is "here".
 HERE = "NAPARI_HMRF_COMPILE"
-#: The job of `napari_hmrf.compiling` that brings what moves pictures.
-PICTURES = "pictures"
 
 
 @dataclass
@@ -83,12 +81,12 @@ def ready() -> bool:
 
 def ready_for_pictures() -> bool:
     """Return whether loops can move pictures at once; if so, they do from now on."""
-    return _ready(_State.pictures, PICTURES)
+    return _ready(_State.pictures, sets.PICTURES)
 
 
 def ready_for_volumes() -> bool:
     """Return whether loops can solve volumes at once."""
-    return compile_here() or kept.compiled(kept.VOLUMES)
+    return compile_here() or kept.compiled(sets.VOLUMES)
 
 
 def _ready(part: _Part, job: str = "") -> bool:

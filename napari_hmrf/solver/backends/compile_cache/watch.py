@@ -8,33 +8,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from napari_hmrf.solver.backends.compile_cache import sets
 from napari_hmrf.solver.backends.compile_cache.compiler import Stage
 from napari_hmrf.solver.backends.compile_cache.loader import before_numba, loops_there
-
-#: Loops that hard tissue takes in the middle of a solve, which are no job of the compiler.
-HARDER = "harder"
-#: About how many loops each job of `napari_hmrf.compiling` takes by itself, and all together.
-LOOPS = {
-    "elastic": 22,
-    "pictures": 5,
-    "schedule": 3,
-    "converged": 22,
-    "slipping": 23,
-    "rigid": 26,
-    "schedule-oblong": 3,
-    "converged-oblong": 22,
-    "blanket-schedule": 3,
-    "blanket-converged": 19,
-    "exact-steps": 3,
-    "large-motion": 24,
-    "volume": 22,
-    "volume-schedule": 2,
-    "volume-converged": 15,
-    "": 89,
-}
-#: About how many loops all jobs but those for volumes take together.
-USUAL_LOOPS = 64
-_HARDER_LOOPS = 8
 
 
 class _State:
@@ -54,7 +30,7 @@ def watched(job: str, tell: Callable[[Stage], object]) -> Iterator[None]:
     Parameters
     ----------
     job : str
-        A key of `LOOPS`, or `HARDER`.
+        A key of `sets.COUNTS`.
     tell : callable
         Given a `Stage`; raises to have nothing more compiled.
     """
@@ -64,7 +40,7 @@ def watched(job: str, tell: Callable[[Stage], object]) -> Iterator[None]:
     before_numba()
     from numba.core import event
 
-    of = min(_there() + LOOPS.get(job, _HARDER_LOOPS), LOOPS[""])
+    of = min(_there() + sets.COUNTS[job], sets.FULL_COUNT)
     here, begun = threading.get_ident(), time.perf_counter()
     before, depth = _State.compiled, 0
 
