@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.backends.opengl.context.device import Device
 from napari_hmrf.solver.backends.opengl.context.pace import Pace
+from napari_hmrf.solver.backends.opengl.context.resources import DeviceResources
 from napari_hmrf.solver.backends.opengl.programs.programs import Program
 from napari_hmrf.solver.backends.opengl.programs.regions import (
     Groups,
@@ -21,7 +22,7 @@ from napari_hmrf.solver.backends.opengl.programs.regions import (
 from napari_hmrf.solver.backends.opengl.programs.source import Stage
 
 
-class Passes:
+class Passes(DeviceResources):
     """A solve's way to the device, and the textures that are its own.
 
     Parameters
@@ -33,9 +34,9 @@ class Passes:
     """
 
     def __init__(self, device: Device, stage: Stage, pace: Pace) -> None:
-        self.device, self.stage, self.pace = device, stage, pace
+        super().__init__(device, pace)
+        self.stage = stage
         self._targets: dict[tuple[Any, ...], Any] = {}
-        self._own: list[Any] = []
         self._unit: Any = None
 
     def program(self, name: str, defines: Mapping[str, int] | None = None) -> Program:
@@ -57,11 +58,6 @@ class Passes:
         for rows in self.pace.strips(region.size):
             part = region if rows is None else region.strip(*rows)
             program.run(inputs, outputs, target, part, first_row)
-
-    def wait(self) -> None:
-        """Wait for the device; look whether it is well and the work still wanted."""
-        self.pace.wait()
-        self.device.check("computing")
 
     def tissue(self, shown: npt.NDArray[np.bool_]) -> Tissue:
         """Describe the texels, (rows, cols), that passes for tissue run on."""
@@ -109,10 +105,10 @@ class Passes:
 
     def close(self) -> None:
         """Free what was made here."""
-        self.device.free((*self._targets.values(), *reversed(self._own)))
+        self.device.free(self._targets.values())
         self._targets.clear()
-        self._own.clear()
         self._unit = None
+        super().close()
 
     def _target(self, outputs: Sequence[Any], tissue: Tissue | None) -> Any:
         """Make the framebuffer that draws into these textures, or return it."""

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.backends.opengl.context.device import Device
 from napari_hmrf.solver.backends.opengl.context.pace import Pace
+from napari_hmrf.solver.backends.opengl.context.resources import DeviceResources
 from napari_hmrf.solver.backends.opengl.programs.programs import Uniforms
 from napari_hmrf.solver.backends.opengl.programs.volume_programs import (
     Buffers,
@@ -50,7 +51,7 @@ class _Pair:
         self._spare.append(self.slot)
 
 
-class VolumePasses:
+class VolumePasses(DeviceResources):
     """A solve's way to the device, and the buffers that are its own.
 
     Parameters
@@ -61,8 +62,7 @@ class VolumePasses:
     """
 
     def __init__(self, device: Device, pace: Pace) -> None:
-        self.device, self._pace = device, pace
-        self._own: list[Any] = []
+        super().__init__(device, pace)
         self._scalars = self.buffer(2 * _PAIRS)
         self._spare_slots = list(range(2, 2 * _PAIRS, 2))
         self._scalars.write(np.ones(1, np.float32).tobytes())
@@ -87,7 +87,7 @@ class VolumePasses:
         listed = self._scalars if places.buffer is None else places.buffer
         bound = {**buffers, "scalars": [self._scalars], "places": [listed]}
         program = self._program(name, bound, places, uniforms, defines)
-        for strip in self._pace.strips((places.number, places.groups.sites)):
+        for strip in self.pace.strips((places.number, places.groups.sites)):
             first, past = (0, places.number) if strip is None else strip
             if past > first:
                 program.run(first, past)
@@ -102,7 +102,7 @@ class VolumePasses:
     ) -> None:
         """Run a kernel that is one work group, for a level."""
         program = self._program(name, buffers, places, uniforms, defines)
-        for _ in self._pace.strips((1, places.groups.sites)):
+        for _ in self.pace.strips((1, places.groups.sites)):
             program.run(0, 1)
 
     def _program(
@@ -139,13 +139,3 @@ class VolumePasses:
         found = np.frombuffer(buffer.read(size=count * np.dtype(kind).itemsize), kind)
         self.device.check("reading numbers")
         return found
-
-    def wait(self) -> None:
-        """Wait for the device; look whether it is well and the work still wanted."""
-        self._pace.wait()
-        self.device.check("computing")
-
-    def close(self) -> None:
-        """Free what was made here."""
-        self.device.free(reversed(self._own))
-        self._own.clear()
