@@ -17,7 +17,7 @@ from volume_oracle import direct_solution
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, solve
 from napari_hmrf.errors import ConvergenceError, ProblemError
-from napari_hmrf.solver.backends.factors import Factors
+from napari_hmrf.solver.backends.direct.factors import Factors
 
 TOLERANCE = 0.01
 #: What became of a volume, if it must not.

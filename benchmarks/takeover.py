@@ -16,7 +16,7 @@ import numpy.typing as npt
 from live import Drag
 
 from napari_hmrf import ElasticPrior, Multigrid, Solution, solve
-from napari_hmrf.solver.backends import compiler, kept, loader
+from napari_hmrf.solver.backends.compile_cache import compiler, kept, loader
 from napari_hmrf.solver.live_solver import TOLERANCE, Update
 
 #: Movements of the mouse a second; and for how long a drag goes on before and after.

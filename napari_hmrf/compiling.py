@@ -1,8 +1,8 @@
 """Compiler of all CPU loops, which numba caches on disk: ``python -m napari_hmrf.compiling``.
 
 Numba compiles only the loops that are called, so the program solves a small problem with each
-solver. The loops that a solve is waiting for are compiled next; rarely used loops (`kept.APART`)
-are compiled only when a solve waits for them. Prints its progress.
+solver. The loops that a solve is waiting for are compiled next; rarely used loops
+(`sets.ON_REQUEST`) are compiled only when a solve waits for them. Prints its progress.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from napari_hmrf.field.deformation import smallest_determinant
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.strain import small_strain
 from napari_hmrf.field.warp import warp
-from napari_hmrf.solver.backends import compiler, kept, loader, loops
-from napari_hmrf.solver.backends.compiler import Stage
+from napari_hmrf.solver.backends.compile_cache import compiler, kept, loader, loops, sets
+from napari_hmrf.solver.backends.compile_cache.compiler import Stage
+from napari_hmrf.solver.backends.compile_cache.watch import watched
 from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.solver.backends.watch import watched
 from napari_hmrf.solver.optimizers import ICM, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
@@ -43,7 +43,7 @@ class Job(NamedTuple):
     Attributes
     ----------
     name : str
-        Name that `preparation.job_of` gives the set.
+        Name that `SolveJob.loops` gives the set.
     run : callable
     """
 
@@ -63,7 +63,7 @@ def jobs() -> list[Job]:
     schedule = ICM(iterations=2)
     return [
         solving("elastic", ElasticPrior(0.3), Multigrid(), square),
-        Job(loops.PICTURES, _pictures),
+        Job(sets.PICTURES, _pictures),
         solving("schedule", SeilerPrior(), schedule, square),
         solving("converged", SeilerPrior(), Multigrid(), square),
         solving("slipping", ElasticPrior(mapped, penalty=1.0), Multigrid(), square),
@@ -129,7 +129,7 @@ def run(job: Job, tell: Callable[[Stage], object]) -> None:
 def _wanted(todo: list[Job]) -> list[Job]:
     """Return the jobs to run: all except rarely used ones that no solve waits for."""
     wanted = compiler.wanted()
-    return [job for job in todo if job.name not in kept.APART or job.name == wanted]
+    return [job for job in todo if job.name not in sets.ON_REQUEST or job.name == wanted]
 
 
 def _next(todo: list[Job]) -> None:
@@ -161,7 +161,7 @@ def main() -> int:
     os.environ[loops.HERE] = "here"  # this process must not wait for itself
     compiled = False
     try:
-        todo = [job for job in jobs() if job.name in kept.APART or not kept.mark().exists()]
+        todo = [job for job in jobs() if job.name in sets.ON_REQUEST or not kept.mark().exists()]
         number = 0
         while rest := _wanted(todo):
             _next(todo)
@@ -169,7 +169,7 @@ def main() -> int:
                 break
             number += 1
             print(f"{number} of {number + len(rest) - 1}", flush=True)
-        compiled = all(job.name in kept.APART for job in todo)
+        compiled = all(job.name in sets.ON_REQUEST for job in todo)
     finally:
         compiler.end(compiled)
     return 0 if compiled else 1

@@ -25,7 +25,7 @@ from once import (
 from patience import LONG, LONG_MS
 from screen import Screen
 
-from napari_hmrf.solver.backends import loader
+from napari_hmrf.solver.backends.compile_cache import loader
 from napari_hmrf.solver.backends.thread import compute_thread
 
 # However slow a machine is, what is claimed of tissue is so.
@@ -232,7 +232,7 @@ def at_rest(qtbot):
 @pytest.fixture
 def every_pass_a_batch(monkeypatch):
     """How often shaders look whether to go on does not depend on how busy the machine is."""
-    from napari_hmrf.solver.backends.opengl import pace
+    from napari_hmrf.solver.backends.opengl.context import pace
 
     monkeypatch.setattr(pace, "BATCH_SECONDS", 0.0)
 
@@ -243,7 +243,7 @@ def made(monkeypatch):
     import moderngl
     from opengl_here import on_compute_thread, require_opengl
 
-    from napari_hmrf.solver.backends.opengl.device import the_device
+    from napari_hmrf.solver.backends.opengl.context.device import the_device
 
     require_opengl()
     on_compute_thread(the_device)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from napari_hmrf import ElasticPrior, Problem, solve
-from napari_hmrf.solver.backends import brick_factors
-from napari_hmrf.solver.backends.brick_factors import BrickFactors
+from napari_hmrf.solver.backends.direct import brick_factors
+from napari_hmrf.solver.backends.direct.brick_factors import BrickFactors
 
 
 def springs(*ranges):

@@ -17,9 +17,8 @@ from napari_hmrf.io import figures
 from napari_hmrf.io.study_file import read_study
 from napari_hmrf.samples import selftest
 from napari_hmrf.samples.demo import demonstrate
-from napari_hmrf.solver.backends.kept import VOLUMES
+from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING, VOLUMES
 from napari_hmrf.solver.optimizers import Monitor
-from napari_hmrf.solver.preparation import EVERYTHING
 
 #: The finite elements that there are for the samples.
 FEM, OTHER = "RMSD to FEM of nu 0.3", "as another material"

@@ -2,6 +2,7 @@
 
 import errno
 import importlib.util
+import json
 import os
 import queue
 import subprocess
@@ -29,9 +30,9 @@ from napari_hmrf import (
     warp,
 )
 from napari_hmrf.data import phantom
-from napari_hmrf.solver.backends import COMPILING, compiler, kept, loader, loops, open_backend
+from napari_hmrf.solver.backends import COMPILING, SolveJob, open_backend
+from napari_hmrf.solver.backends.compile_cache import compiler, kept, loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.solver.preparation import job_of
 
 solving = sys.modules["napari_hmrf.solver.solve"]
 
@@ -43,6 +44,7 @@ MODELS = {
     "slipping": (ElasticPrior(0.45, penalty=100.0), Multigrid()),
 }
 PROBLEM = phantom("expansion", 40).problem
+IMAGE = SolveJob.of(PROBLEM, *MODELS["elastic"])
 
 
 @pytest.fixture
@@ -126,7 +128,7 @@ def opened(name):
     """Which backend is taken, and why."""
 
     def job():
-        backend, reason = open_backend(name, lambda: None)
+        backend, reason, _ = open_backend(IMAGE, name, lambda: None)
         backend.close()
         return backend.name.partition(":")[0], reason
 
@@ -180,7 +182,7 @@ def test_who_asks_for_loops_waits_for_the_ones_it_needs_and_is_told_how_far_they
     somebody.is_told("starting to compile")
     assert cold == [[sys.executable, "-m", compiler.COMPILER]]
     job = compiler.wanted()
-    assert job == job_of(prior.resolved(PROBLEM), optimizer, PROBLEM.spacing)
+    assert job == SolveJob.of(PROBLEM, prior.resolved(PROBLEM), optimizer).loops
     assert job in [each.name for each in compiling.jobs()]
     compiler.tell(compiler.Stage(job, 3, 10, 2.5))
     report = somebody.is_told("compiling")
@@ -309,18 +311,18 @@ def test_one_process_compiles_at_a_time(cold, tmp_path):
     compiler.end(compiled=False)
     assert not kept.mark().exists()
     parent = os.getppid()
-    compiler._compiler_file().write_text(f"{parent} {compiler._begun(parent)}")
+    compiler._status_file().write_text(json.dumps([parent, compiler._begun(parent)]))
     assert not compiler.begin()
     compiler.compile_meanwhile()
     assert cold == []
     # Another process has its number by now.
-    compiler._compiler_file().write_text(f"{parent} 12345")
+    compiler._status_file().write_text(json.dumps([parent, "12345"]))
     assert compiler.begin()
-    compiler._compiler_file().write_text("no number")
+    compiler._status_file().write_text("no list")
     assert compiler.begin()
     compiler.end(compiled=True)
     assert kept.mark().exists()
-    assert not compiler._compiler_file().exists()
+    assert not compiler._status_file().exists()
     assert loops.ready()
 
 
@@ -346,7 +348,7 @@ def test_an_edit_of_any_file_of_loops_has_another_mark(module, forgotten, monkey
 
 
 def test_optimised_python_has_marks_of_its_own_as_its_loops_are_others():
-    ask = "from napari_hmrf.solver.backends import kept; print(kept.mark())"
+    ask = "from napari_hmrf.solver.backends.compile_cache import kept; print(kept.mark())"
     done = subprocess.run(
         [sys.executable, "-OO", "-c", ask], capture_output=True, check=True, text=True
     )
@@ -358,7 +360,7 @@ def test_optimised_python_has_marks_of_its_own_as_its_loops_are_others():
 KEEPING = """
 import sys, tempfile
 from pathlib import Path
-from napari_hmrf.solver.backends import kept, loader
+from napari_hmrf.solver.backends.compile_cache import kept, loader
 tempfile.tempdir = sys.argv[1]
 there = kept._writable
 kept._writable = lambda folder: str(folder).startswith(sys.argv[1]) and there(folder)
@@ -386,7 +388,7 @@ def test_where_no_folder_can_be_written_to_loops_are_kept_in_a_temporary_one(tmp
 
 
 @pytest.mark.parametrize(
-    ("place", "redirected"), [("told", []), ("package", [""]), ("caches", ["", "here"])]
+    ("place", "redirected"), [("told", []), ("package", [""]), ("caches", ["here"])]
 )
 def test_a_full_disk_is_no_place_for_loops(place, redirected, tmp_path, monkeypatch):
     def usage(folder):

@@ -7,8 +7,8 @@ from scipy.ndimage import gaussian_filter
 from napari_hmrf import ElasticPrior, Problem, SeilerPrior
 from napari_hmrf.solver.backends.cpu.elastic_model import CpuElasticModel
 from napari_hmrf.solver.backends.cpu.seiler_model import CpuSeilerModel
-from napari_hmrf.solver.backends.dissection import Singular
-from napari_hmrf.solver.backends.factors import Factors
+from napari_hmrf.solver.backends.direct.dissection import Singular
+from napari_hmrf.solver.backends.direct.factors import Factors
 
 PRIORS = {
     "stress": ElasticPrior(0.4),

@@ -22,7 +22,7 @@ from opengl_here import left, on_compute_thread, require_opengl
 from napari_hmrf import BackendError, Cancelled, ElasticPrior, Multigrid, Problem, solve
 from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends.opengl import OpenGLBackend
-from napari_hmrf.solver.backends.opengl.device import the_device
+from napari_hmrf.solver.backends.opengl.context.device import the_device
 from napari_hmrf.solver.optimizers.cycle import STRETCHING, Cycle, chebyshev
 
 #: Odd, even, prime, two sites wide, small enough to be the only level.
@@ -51,7 +51,7 @@ def stage(request) -> str:
 @pytest.fixture
 def visited_alike(monkeypatch):
     """Levels too small to be worth a second visit by shaders get it all the same."""
-    from napari_hmrf.solver.backends.opengl import relaxing
+    from napari_hmrf.solver.backends.opengl.images import relaxing
 
     monkeypatch.setattr(relaxing, "WORTH_AGAIN", 0)
 
@@ -299,7 +299,8 @@ def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(
 
 
 def test_a_pass_cut_into_strips_changes_nothing(stage, monkeypatch):
-    from napari_hmrf.solver.backends.opengl import backend, regions
+    from napari_hmrf.solver.backends.opengl import backend
+    from napari_hmrf.solver.backends.opengl.programs import regions
 
     whole = solve(torn(4.0), ElasticPrior(), backend=f"opengl:{stage}").displacement
     monkeypatch.setattr(backend, "MAX_PASS_SECONDS", 1e-4)
@@ -359,7 +360,7 @@ def test_an_image_beyond_the_limit_is_refused_before_anything_is_made(made, monk
     ],
 )
 def test_a_wrong_sign_or_border_would_be_noticed(monkeypatch, file, right, wrong):
-    from napari_hmrf.solver.backends.opengl import source
+    from napari_hmrf.solver.backends.opengl.programs import source
 
     require_opengl("compute")
     text = source._text

@@ -14,9 +14,10 @@ from opengl_here import on_compute_thread, require_opengl
 from napari_hmrf import ICM, Problem, SeilerPrior, solve
 from napari_hmrf.solver.backends import SiteRule
 from napari_hmrf.solver.backends.cpu import CpuBackend
-from napari_hmrf.solver.backends.opengl import OpenGLBackend, regions
-from napari_hmrf.solver.backends.opengl.device import the_device
-from napari_hmrf.solver.backends.opengl.fields import as_given, as_stored, pairs, singles
+from napari_hmrf.solver.backends.opengl import OpenGLBackend
+from napari_hmrf.solver.backends.opengl.context.device import the_device
+from napari_hmrf.solver.backends.opengl.images.fields import as_given, as_stored, pairs, singles
+from napari_hmrf.solver.backends.opengl.programs import regions
 from napari_hmrf.solver.priors import line_weights
 from napari_hmrf.solver.quadtree import levels, nearest_pixels
 

@@ -10,14 +10,16 @@ from opengl_here import on_compute_thread, require_opengl
 from patience import LONG
 
 from napari_hmrf import ICM, BackendError, Cancelled, Problem, SeilerPrior, solve
-from napari_hmrf.solver.backends import compute_thread, open_backend
-from napari_hmrf.solver.backends.opengl import OpenGLBackend, describe, is_software_renderer, source
-from napari_hmrf.solver.backends.opengl.device import the_device
-from napari_hmrf.solver.backends.opengl.pace import Pace
-from napari_hmrf.solver.backends.opengl.programs import compile_program
+from napari_hmrf.solver.backends import SolveJob, compute_thread, open_backend
+from napari_hmrf.solver.backends.opengl import OpenGLBackend, describe, is_software_renderer
+from napari_hmrf.solver.backends.opengl.context.device import the_device
+from napari_hmrf.solver.backends.opengl.context.pace import Pace
+from napari_hmrf.solver.backends.opengl.programs import source
+from napari_hmrf.solver.backends.opengl.programs.programs import compile_program
 from napari_hmrf.solver.quadtree import levels
 
 CLOSED_FORM = ICM(iterations=30, steps=None)
+IMAGE = SolveJob((9, 9), (1.0, 1.0), SeilerPrior(), CLOSED_FORM)
 
 
 @pytest.fixture(params=["fragment", "compute"])
@@ -123,7 +125,7 @@ def test_the_default_stage_is_compute_where_there_is_one(opengl):
 
 def test_auto_takes_the_shaders_only_on_a_gpu(opengl):
     def choice() -> tuple[str, str]:
-        backend, reason = open_backend("auto", lambda: None)
+        backend, reason, _ = open_backend(IMAGE, "auto", lambda: None)
         backend.close()
         return backend.name, reason
 
@@ -262,7 +264,7 @@ class FakeContext:
     ],
 )
 def test_a_gpu_is_taken_before_a_program_that_plays_one(monkeypatch, devices, taken, released):
-    from napari_hmrf.solver.backends.opengl import context
+    from napari_hmrf.solver.backends.opengl.context import context
 
     opened = []
 
@@ -454,7 +456,7 @@ def _pace(seconds_per_site: float, looks: list[float], monkeypatch) -> Pace:
         clock[0] += queued[0] * seconds_per_site
         queued[0] = 0
 
-    from napari_hmrf.solver.backends.opengl import pace as module
+    from napari_hmrf.solver.backends.opengl.context import pace as module
 
     monkeypatch.setattr(module.time, "perf_counter", lambda: clock[0])
     pace = Pace(finish, lambda: looks.append(clock[0]))

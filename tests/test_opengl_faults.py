@@ -19,15 +19,17 @@ import sys
 
 import numba  # which all children would import
 
-from napari_hmrf import BackendError
-from napari_hmrf.solver.backends import compute_thread, open_backend
+from napari_hmrf import BackendError, ElasticPrior, Multigrid
+from napari_hmrf.solver.backends import SolveJob, compute_thread, open_backend
+
+image = SolveJob((9, 9), (1.0, 1.0), ElasticPrior(), Multigrid())
 
 def job():
-    backend, reason = open_backend("auto", lambda: None)
+    backend, reason, _ = open_backend(image, "auto", lambda: None)
     print("auto:", backend.name, reason)
     backend.close()
     try:
-        open_backend("opengl", lambda: None)[0].close()
+        open_backend(image, "opengl", lambda: None).backend.close()
     except BackendError as error:
         print("opengl:", error)
 
@@ -45,7 +47,7 @@ for name, variables in json.loads(sys.argv[1]).items():
 _SOLVE = """
 import numpy as np
 from napari_hmrf import ICM, BackendError, ElasticPrior, Problem, SeilerPrior, solve
-from napari_hmrf.solver.backends.opengl import relaxing
+from napari_hmrf.solver.backends.opengl.images import relaxing
 
 relaxing.WORTH_AGAIN = 0  # shaders visit small levels as often as loops do
 random = np.random.default_rng(0)

@@ -1,6 +1,7 @@
 """What a user gets: the wheel, installed in another environment, works from another folder."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -106,7 +107,8 @@ def test_the_wheel_has_the_package_its_data_and_nothing_else(wheel):
         packed = {Path(name).name for name in names if name.startswith(f"napari_hmrf/{folder}/")}
         assert own
         assert own <= packed
-    assert not [name for name in names if "test_" in name or "tests/" in name or "cache" in name]
+    built = re.compile(r"test_|tests/|__pycache__|\.\w+_cache|\.nb[ic]$")
+    assert not [name for name in names if built.search(name)]
 
 
 def test_an_installed_wheel_solves_from_another_folder(elsewhere, tmp_path):

@@ -26,8 +26,8 @@ from napari_hmrf.field.deformation import smallest_determinant
 from napari_hmrf.field.measurement import measure
 from napari_hmrf.fields import Picture, deformation_gradient, fold_mask
 from napari_hmrf.random import RandomDeformation
-from napari_hmrf.solver.normals import outer_rim
 from napari_hmrf.tissue import RIGID
+from napari_hmrf.tissue.normals import outer_rim
 
 AIR, MUSCLE, TUMOUR, BONE = range(4)
 MATERIALS = (

@@ -195,6 +195,56 @@ def test_no_file_name_occurs_twice():
     assert {name for name in names if names.count(name) > 1} == {"__init__.py"}
 
 
+#: Folders of the backends, each with the modules and folders above it.
+ABOVE = {
+    "opengl/programs": ("opengl.context", "opengl.images", "opengl.volumes", "opengl.backend"),
+    "opengl/context": ("opengl.images", "opengl.volumes", "opengl.backend"),
+    "opengl/images": ("opengl.volumes", "opengl.backend"),
+    "opengl/volumes": ("opengl.images", "opengl.backend"),
+    "cpu": ("host", "opengl", "arrays"),
+    "arrays": ("host", "opengl", "cpu"),
+    "compile_cache": ("cpu", "arrays", "opengl", "host"),
+    "direct": ("rigid", "cpu", "arrays", "opengl", "host"),
+    "rigid": ("direct", "cpu", "arrays", "opengl", "host"),
+}
+
+
+@pytest.mark.parametrize("folder", ABOVE)
+def test_a_folder_of_the_backends_imports_none_above_it(folder):
+    backends = "napari_hmrf.solver.backends."
+    found = {
+        name.removeprefix(backends)
+        for module in (PACKAGE / "solver" / "backends" / folder).glob("*.py")
+        for name in imports(module)
+        if name.startswith(backends)
+    }
+    above = tuple(f"{each}." for each in ABOVE[folder])
+    assert not [name for name in found if f"{name}.".startswith(above)]
+
+
+def test_the_walk_through_the_shaders_names_files_that_exist():
+    text = (ROOT / "shaders" / "README.md").read_text(encoding="utf-8")
+    places = ROOT, ROOT / "shaders", PACKAGE / "solver" / "backends"
+    named = set(re.findall(r"[\w/]+\.(?:glsl|py)\b", text))
+    assert len(named) > 20
+    assert not {name for name in named if not any((place / name).is_file() for place in places)}
+
+
+@pytest.mark.parametrize("package", ["solver", "solver/backends"])
+def test_the_walk_through_a_package_names_modules_of_it(package):
+    folder = PACKAGE / package
+    text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8")))
+    modules = {
+        ".".join(each.relative_to(folder).with_suffix("").parts)
+        for each in MODULES
+        if each.is_relative_to(folder)
+    }
+    modules |= {name.removesuffix(".__init__") for name in modules}
+    names = set(re.findall(r"`([a-z_.]+)`", text))
+    assert len(names & modules) > 9
+    assert names - modules <= {"material", "open_backend"}
+
+
 def test_no_imports_go_round_in_a_circle_not_even_those_for_types():
     named = {
         ".".join(module.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): module

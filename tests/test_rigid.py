@@ -8,7 +8,7 @@ from elastic_oracle import stiffness_matrix
 from opengl_here import require_opengl
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, ProblemError, SeilerPrior, solve
-from napari_hmrf.solver.backends.bodies import rigid_sites
+from napari_hmrf.solver.backends.rigid.bodies import rigid_sites
 
 N = 49
 PRIOR = ElasticPrior(0.3)

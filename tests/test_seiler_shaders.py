@@ -23,8 +23,8 @@ from opengl_here import left, on_compute_thread, require_opengl
 from napari_hmrf import Cancelled, Multigrid, Problem, SeilerPrior, solve
 from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends.opengl import OpenGLBackend, is_software_renderer
-from napari_hmrf.solver.backends.opengl.device import the_device
-from napari_hmrf.solver.backends.opengl.seiler import GLSeilerModel
+from napari_hmrf.solver.backends.opengl.context.device import the_device
+from napari_hmrf.solver.backends.opengl.images.seiler import GLSeilerModel
 from napari_hmrf.solver.optimizers import refinement
 from napari_hmrf.solver.optimizers.cycle import AVERAGING, BENDING, Cycle, chebyshev
 
@@ -327,7 +327,8 @@ def test_a_cancel_at_any_batch_leaves_nothing_and_the_same_solve_gives_the_same_
 
 
 def test_a_pass_cut_into_strips_changes_nothing(stage, monkeypatch):
-    from napari_hmrf.solver.backends.opengl import backend, regions
+    from napari_hmrf.solver.backends.opengl import backend
+    from napari_hmrf.solver.backends.opengl.programs import regions
 
     whole = solve(
         torn(20.0), CENTRED, optimizer=Multigrid(), backend=f"opengl:{stage}"
@@ -381,7 +382,7 @@ def test_a_pass_cut_into_strips_changes_nothing(stage, monkeypatch):
     ],
 )
 def test_a_wrong_sign_or_border_would_be_noticed(monkeypatch, file, right, wrong):
-    from napari_hmrf.solver.backends.opengl import source
+    from napari_hmrf.solver.backends.opengl.programs import source
 
     require_opengl("compute")
     text = source._text

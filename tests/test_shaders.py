@@ -9,9 +9,9 @@ import pytest
 
 from napari_hmrf import BackendError
 from napari_hmrf.resources import resource_folder
-from napari_hmrf.solver.backends.opengl import source
-from napari_hmrf.solver.backends.opengl.source import KERNELS, STAGES, compose, vertices
-from napari_hmrf.solver.backends.opengl.volume_source import (
+from napari_hmrf.solver.backends.opengl.programs import source
+from napari_hmrf.solver.backends.opengl.programs.source import KERNELS, STAGES, compose, vertices
+from napari_hmrf.solver.backends.opengl.programs.volume_source import (
     GROUP,
     MOST_BUFFERS,
     VOLUME_KERNELS,

@@ -220,7 +220,7 @@ import numpy as np
 import napari_hmrf.solver.solve
 from napari_hmrf import *
 from napari_hmrf.solver.backends import cpu
-from napari_hmrf.solver.backends import BATCH_SECONDS
+from napari_hmrf.solver.backends import SolveJob
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.preparation import prepare
 
@@ -240,9 +240,8 @@ for spacing in ((1.0, 1.0), (1.0, 2.0)):
         compute_thread.submit(
             lambda: prepare(
                 cpu.CpuBackend(lambda: None),
-                prior.resolved(problem),
+                SolveJob.of(problem, prior.resolved(problem), optimizer),
                 optimizer,
-                spacing,
                 lambda _: None,
             )
         ).result()

@@ -12,10 +12,10 @@ from volume_oracle import assembled, calculix_solution, direct_solution
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, Solution, solve
 from napari_hmrf.errors import Cancelled, ConvergenceError, ProblemError
 from napari_hmrf.solver.backends import host
-from napari_hmrf.solver.backends.brick_factors import elimination_order
 from napari_hmrf.solver.backends.cpu import volume
 from napari_hmrf.solver.backends.cpu.volume_model import CpuVolumeModel
-from napari_hmrf.solver.backends.factors import Factors
+from napari_hmrf.solver.backends.direct.brick_factors import elimination_order
+from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.model_names import in_words
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.solver.optimizers.cycle import chebyshev

@@ -33,7 +33,7 @@ from napari_hmrf.io.images import ImageFile, read_image, write_image
 from napari_hmrf.io.results import measured
 from napari_hmrf.io.tables import write_measurements
 from napari_hmrf.landmarks import read_points, write_points
-from napari_hmrf.solver.backends import loader
+from napari_hmrf.solver.backends.compile_cache import loader
 from napari_hmrf.solver.solution import Solution
 
 SHAPE = (16, 20, 18)

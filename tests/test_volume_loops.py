@@ -21,7 +21,7 @@ from napari_hmrf.field.strain import (
     small_strain,
 )
 from napari_hmrf.field.warp import inverse_raster, moved_sites
-from napari_hmrf.solver.backends import loops
+from napari_hmrf.solver.backends.compile_cache import loops
 
 SIZE = (1.5, 1.0, 0.7)
 #: From the first corner of a cell to its last along edges, as `tetrahedron_raster` takes them.

@@ -518,7 +518,7 @@ def test_the_papers_schedule_is_the_default_on_an_octree():
     assert any(each.message.startswith("level 0 (9 x 6 x 12), sweep 70") for each in heard)
     assert heard[-1].fraction == pytest.approx(1)
     assert found.provenance.backend == "cpu"
-    assert found.provenance.reason == "only the compiled loops solve such volumes"
+    assert found.provenance.reason == "only the compiled loops solve volumes with the paper's prior"
 
 
 @pytest.mark.parametrize(("optimizer", "stage"), [(ICM(), "level 0"), (WITHIN, "cycle 2")])

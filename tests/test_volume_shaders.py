@@ -20,19 +20,35 @@ from linear_levels import (
 )
 from opengl_here import left, on_compute_thread, require_opengl
 
-from napari_hmrf import BackendError, Cancelled, ElasticPrior, Multigrid, Problem, solve
-from napari_hmrf.solver.backends import COMPILING, compiler, host, loops, open_backend
+from napari_hmrf import (
+    BackendError,
+    Cancelled,
+    ElasticPrior,
+    Multigrid,
+    NeoHookeanPrior,
+    Problem,
+    SeilerPrior,
+    solve,
+)
+from napari_hmrf.solver.backends import COMPILING, SolveJob, host, open_backend
+from napari_hmrf.solver.backends.compile_cache import compiler, loops
 from napari_hmrf.solver.backends.cpu import CpuBackend
-from napari_hmrf.solver.backends.opengl import OpenGLBackend, volume_level
+from napari_hmrf.solver.backends.opengl import OpenGLBackend
 from napari_hmrf.solver.backends.opengl import backend as opengl_backend
-from napari_hmrf.solver.backends.opengl.device import the_device
-from napari_hmrf.solver.backends.opengl.volume_programs import Groups, groups_of
+from napari_hmrf.solver.backends.opengl.context.device import the_device
+from napari_hmrf.solver.backends.opengl.programs.volume_programs import Groups, groups_of
+from napari_hmrf.solver.backends.opengl.volumes import volume_level
 from napari_hmrf.solver.optimizers.cycle import NEARLY_INCOMPRESSIBLE_VOLUME, chebyshev
 
 OBLONG = (1.0, 1.7, 0.6)
+ELASTIC = ElasticPrior(penalty=np.inf)
 STEPS = chebyshev(0.5, 2.0, 3)
 #: Wider than a work group, deeper than one, and with one level only.
 SHAPES = [(5, 6, 40), (19, 7, 9), (4, 5, 3)]
+
+
+def volume(shape=(9, 9, 9), prior=ELASTIC, **has):
+    return SolveJob(shape, (1.0, 1.0, 1.0), prior, Multigrid(), **has)
 
 
 @pytest.fixture(autouse=True)
@@ -351,11 +367,31 @@ def test_fragment_shaders_refuse_volumes():
         solve(pressed(12, True), backend="opengl:fragment")
 
 
-def test_the_papers_prior_has_no_shaders_for_volumes():
-    with pytest.raises(BackendError, match='Take backend="cpu"'):
-        on_compute_thread(
-            lambda: open_backend("opengl", lambda: None, volume=(9, 9, 9), plain=False)
-        )
+UNSUPPORTED = {
+    "large motion": SolveJob((9, 9), (1.0, 1.0), NeoHookeanPrior(), Multigrid()),
+    "volumes with the paper's prior": volume(prior=SeilerPrior()),
+    "volumes with loads": volume(has_loads=True),
+    "volumes with rigid tissue": volume(has_rigid_tissue=True),
+    "volumes in which tissue may slip": volume(prior=ElasticPrior(penalty=1.0)),
+}
+
+
+@pytest.mark.parametrize("kind", UNSUPPORTED)
+def test_shaders_name_what_they_leave_to_the_loops(kind):
+    job = UNSUPPORTED[kind]
+
+    def answers():
+        shaders, loops = OpenGLBackend(lambda: None), CpuBackend(lambda: None)
+        said = shaders.supports(job), loops.supports(job)
+        shaders.close()
+        return said, open_backend(job, "auto", lambda: None)[1:]
+
+    (refusal, none), choice = on_compute_thread(answers)
+    assert refusal == f'only the compiled loops solve {kind}. Take backend="cpu", or "auto".'
+    assert none is None
+    assert choice == (f"only the compiled loops solve {kind}", False)
+    with pytest.raises(BackendError, match=f"solve {kind}, not opengl. Take"):
+        on_compute_thread(lambda: open_backend(job, "opengl", lambda: None))
 
 
 def test_a_gpu_takes_a_volume_unless_it_is_too_large(monkeypatch):
@@ -363,8 +399,8 @@ def test_a_gpu_takes_a_volume_unless_it_is_too_large(monkeypatch):
         "napari_hmrf.solver.backends.opengl.is_software_renderer", lambda renderer: False
     )
 
-    def choice(plain=True):
-        backend, reason = open_backend("auto", lambda: None, volume=(9, 9, 9), plain=plain)
+    def choice(**has):
+        backend, reason, _ = open_backend(volume(**has), "auto", lambda: None)
         backend.close()
         return backend.name, reason
 
@@ -373,7 +409,17 @@ def test_a_gpu_takes_a_volume_unless_it_is_too_large(monkeypatch):
     name, reason = on_compute_thread(choice)
     assert name == "cpu"
     assert "refuse this volume" in reason
-    assert on_compute_thread(lambda: choice(plain=False))[0] == "cpu"
+    assert on_compute_thread(lambda: choice(has_loads=True))[0] == "cpu"
+
+
+def test_an_image_beyond_the_limit_of_a_gpu_goes_to_the_loops(monkeypatch):
+    monkeypatch.setattr(on_compute_thread(the_device), "largest", 8)
+    image = SolveJob((9, 4), (1.0, 1.0), ELASTIC, Multigrid())
+    backend, reason, is_fallback = on_compute_thread(
+        lambda: open_backend(image, "auto", lambda: None)
+    )
+    assert (backend.name, is_fallback) == ("cpu", True)
+    assert reason.startswith("the shaders refuse this image (the image has 9 x 4 pixels")
 
 
 def test_a_rasteriser_stands_in_until_the_loops_for_volumes_are_compiled(monkeypatch):
@@ -384,7 +430,7 @@ def test_a_rasteriser_stands_in_until_the_loops_for_volumes_are_compiled(monkeyp
 
     def choice(voxels=(9, 9, 9)):
         provide_loops = partial(waited.append, 1)
-        backend, reason = open_backend("auto", lambda: None, provide_loops, volume=voxels)
+        backend, reason, _ = open_backend(volume(voxels), "auto", lambda: None, provide_loops)
         backend.close()
         return backend.name, reason
 
@@ -418,6 +464,7 @@ def test_what_is_rigid_or_slips_goes_to_the_loops(kind):
     if kind == "rigid":
         problem = Problem(problem.observed, problem.confidence, m, spacing=OBLONG)
     prior = ElasticPrior(0.3, penalty=np.inf if kind == "rigid" else 0.5)
-    with pytest.raises(BackendError, match="nothing is rigid or may slip"):
+    kind = "rigid tissue" if kind == "rigid" else "may slip"
+    with pytest.raises(BackendError, match=f"compiled loops solve volumes .*{kind}, not opengl"):
         solve(problem, prior, backend="opengl")
     assert solve(problem, prior, backend="auto").provenance.backend == "cpu"

@@ -10,8 +10,9 @@ import numpy as np
 
 from napari_hmrf import Problem
 from napari_hmrf.data import phantom
-from napari_hmrf.solver.backends import compute_thread, open_backend
+from napari_hmrf.solver.backends import SolveJob, compute_thread, open_backend
 from napari_hmrf.solver.backends import host as on_host
+from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.solver.optimizers.cycle import chebyshev
 from report.contenders import PHANTOM, PRIOR, Measured
 from report.page import Section, duration
@@ -71,7 +72,9 @@ def bound(problem: Problem) -> Bound:
     system_sites = int((((problem.confidence == 0).any(axis=-1)) & problem.tissue).sum())
 
     def job() -> float:
-        backend, _ = open_backend("cpu", lambda: None)
+        backend = open_backend(
+            SolveJob.of(problem, PRIOR, Multigrid()), "cpu", lambda: None
+        ).backend
         try:
             model = backend.elastic_model(PRIOR.material(problem))
             d, held = on_host.prescribed(problem)

@@ -12,7 +12,7 @@ from readings import solve_exactly
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem
 from napari_hmrf.data import phantom
-from napari_hmrf.solver.backends import compute_thread, open_backend
+from napari_hmrf.solver.backends import SolveJob, compute_thread, open_backend
 from napari_hmrf.solver.quadtree import levels, nearest_pixels
 from report.page import Section, Settings
 from report.pictures import COLOURS, new_figure, save
@@ -64,8 +64,10 @@ def multigrid_cycles(problem: Problem, count: int | None = None) -> tuple[int, i
 
     def job() -> int:
         nonlocal deepest
-        backend, _ = open_backend("cpu", lambda: None)
         prior = ElasticPrior()
+        backend = open_backend(
+            SolveJob.of(problem, prior, Multigrid()), "cpu", lambda: None
+        ).backend
         try:
             deepest = len(backend.elastic_model(prior.material(problem)).levels)
             some: Any = _Shallow(backend, count or deepest)

@@ -12,17 +12,17 @@ import psutil
 import scipy
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.normals import outer_rim
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.study.ground import solve_study
 from napari_hmrf.study.study import Grid, Motion, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material, stiffness_image
+from napari_hmrf.tissue.normals import outer_rim
 
 Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
-#: How far a sum may be from the converged field, in pixels, by what its parts are wrong by.
+#: Largest error of a sum, in pixels, from the errors of its parts.
 WRONG = 5e-3
 # Values that are summed at once: they stay in the cache.
 _BLOCK = 1 << 16
@@ -31,7 +31,7 @@ _GIB = 2.0**30
 
 @dataclass(frozen=True, eq=False)
 class Causes:
-    """What moves tissue, each in its own measure: what a sample draws, and a study says.
+    """Causes of motion, each in its own measure, as a sample draws them.
 
     Attributes
     ----------
@@ -75,11 +75,11 @@ class MovableTissue:
     amplitude : (float, float)
         How far that patch is pulled that is pulled farthest, at least and at most.
     smoothness : float
-        Over which length the pulls of patches are alike.
+        Length over which the pulls of patches are alike.
     weight : float
-        The largest weight that is asked for.
+        Largest weight of a sample.
     least_jacobian : float
-        To which part of its area, or its volume, tissue is squeezed at most.
+        Smallest part of its area, or its volume, that tissue is squeezed to.
     """
 
     grid: Grid
@@ -112,7 +112,7 @@ class MovableTissue:
         return alone
 
     def study(self, causes: Causes, tolerance: float = 1e-3) -> Study:
-        """The study that says what moves this tissue so, to be solved in full."""
+        """Return the study of this tissue with these causes, to be solved in full."""
         shares = {row.label: share for row, share in zip(self.growing, causes.growth, strict=True)}
         rules = tuple(
             BoundaryRule(number, "move", vector=tuple(pull), name=f"patch {number}")
@@ -176,7 +176,7 @@ def control_patches(
     soft = (m > 0) & np.isfinite(m)
     if hold_edge:
         soft &= ~outer_rim(m > 0)
-    # What is at the edge of the image ends there.
+    # Tissue at the edge of the image ends there.
     inner = tuple(slice(1, -1) for _ in m.shape)
     depth = scipy.ndimage.distance_transform_edt(np.pad(soft, 1), sampling=spacing)[inner]
     sites = np.argwhere(depth > radius)
@@ -205,7 +205,7 @@ def control_patches(
 
 @dataclass(frozen=True, eq=False)
 class UnitSolutions:
-    """How tissue moves by one unit of each cause, and so by any number of them.
+    """Motion of tissue by one unit of each cause, and so by any combination.
 
     Attributes
     ----------
@@ -226,11 +226,11 @@ class UnitSolutions:
 
     @cached_property
     def _places(self) -> npt.NDArray[np.intp]:
-        """Of each component at each site, in a row of all."""
+        """Index of each component of tissue, in a flat field."""
         return np.flatnonzero(np.repeat(self.tissue.ravel(), self.tissue.ndim))
 
     def field(self, causes: Causes) -> npt.NDArray[np.float32]:
-        """The displacement that these causes make together, ([D,] H, W, n).
+        """Return the displacement by all causes together, ([D,] H, W, n).
 
         Its bits are the same on every machine: each product is rounded before it is added.
         """

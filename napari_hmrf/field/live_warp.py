@@ -27,7 +27,7 @@ from napari_hmrf.field.resample import (
 )
 from napari_hmrf.field.volume_slice import SliceOrigins, slice_origins
 from napari_hmrf.field.warp import checked_sizes, inverse_raster, moved_sites
-from napari_hmrf.solver.backends import compiler, loader, loops
+from napari_hmrf.solver.backends.compile_cache import compiler, loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import as_numbers
 

@@ -13,7 +13,7 @@ import scipy
 from napari_hmrf.arguments import real, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.slabs import slabs
-from napari_hmrf.solver.backends import loader, loops
+from napari_hmrf.solver.backends.compile_cache import loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import as_numbers
 from napari_hmrf.solver.solution import Solution

@@ -39,7 +39,7 @@ from napari_hmrf.field.warp import (
     checked_sizes,
     moved_sites,
 )
-from napari_hmrf.solver.backends import loader, loops
+from napari_hmrf.solver.backends.compile_cache import loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import as_numbers
 

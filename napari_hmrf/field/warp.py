@@ -22,7 +22,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.field import triangle_arrays
 from napari_hmrf.field.resample import as_image, resample
 from napari_hmrf.field.slabs import slabs
-from napari_hmrf.solver.backends import compiler, loader, loops
+from napari_hmrf.solver.backends.compile_cache import compiler, loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import as_numbers
 

@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.samples.phantoms import Phantom, phantom, reference_displacement, sample
-from napari_hmrf.solver.backends.kept import VOLUMES
+from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING, VOLUMES
 from napari_hmrf.solver.model_names import in_words
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
-from napari_hmrf.solver.preparation import EVERYTHING, provide_loops
+from napari_hmrf.solver.preparation import provide_loops
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import solve

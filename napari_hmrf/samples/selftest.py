@@ -20,13 +20,14 @@ import numpy as np
 
 from napari_hmrf.errors import BackendError, HmrfError
 from napari_hmrf.samples.phantoms import phantom
-from napari_hmrf.solver.backends import compute_thread, loops, open_backend
+from napari_hmrf.solver.backends import SolveJob, compute_thread, open_backend
+from napari_hmrf.solver.backends.compile_cache import loops
 from napari_hmrf.solver.optimizers import ICM, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solve import solve
 
-#: What a backend may be off by, in pixels, from the affine field it has to find.
+#: Largest error of a backend, in pixels, from the affine field that it has to find.
 CLOSED_FORM_BOUND = 0.001
 CANDIDATES_BOUND = 0.02
 ELASTIC_BOUND = 0.001
@@ -76,15 +77,15 @@ def selftest(write: Callable[[str], None] = print) -> bool:
 
 
 def affine_example(shape: tuple[int, ...] = (16, 23)) -> tuple[Problem, np.ndarray[Any, Any]]:
-    """A uniform tissue whose whole border moves by an affine field, and that field.
+    """Return uniform tissue whose whole border moves by an affine field, and that field.
 
-    What stretches, shears and shifts evenly at its border does so inside: no clique resists, so
-    the affine field is the answer, exactly, of any prior that knows mechanics.
+    Tissue that stretches, shears and shifts evenly at its border does so inside: no clique
+    resists, so the affine field is the exact answer of any mechanical prior.
 
     Parameters
     ----------
     shape : tuple of int
-        Of an image, or of a volume.
+        Grid of an image or of a volume.
 
     Returns
     -------
@@ -143,20 +144,21 @@ def _report_opengl(say: Callable[[str], None]) -> None:
 def _check_backend(name: str, say: Callable[[str], None]) -> bool | None:
     """Solve on one backend; whether that was right, or None if it is not there."""
     say(f"  {name}")
-    refusal = _refusal(name)
+    image, volume = affine_example(), affine_example(_VOLUME)
+    refusal = _refusal(name, image[0])
     if refusal is not None:
         say(f"    not there: {refusal}")
         return None
-    image, elastic = affine_example(), (ElasticPrior(), Multigrid(tolerance=1e-4), ELASTIC_BOUND)
+    elastic = (ElasticPrior(), Multigrid(tolerance=1e-4), ELASTIC_BOUND)
     checks: list[tuple[Any, ...]] = [
         ("closed form", image, SeilerPrior(), ICM(iterations=1000, steps=None), CLOSED_FORM_BOUND),
         ("candidate set", image, SeilerPrior(), ICM(iterations=300), CANDIDATES_BOUND),
         ("elastic", image, *elastic),
     ]
-    if name != "cpu" and (refusal := _refusal(name, _VOLUME)) is not None:
+    if name != "cpu" and (refusal := _refusal(name, volume[0])) is not None:
         say(f"    no volumes: {refusal}")
-    elif name != "cpu" or loops.ready_for_volumes():  # few need them: nobody shall wait for these
-        checks.append(("elastic volume", affine_example(_VOLUME), *elastic))
+    elif name != "cpu" or loops.ready_for_volumes():  # no report waits for them
+        checks.append(("elastic volume", volume, *elastic))
     passed = True
     try:
         for title, (problem, field), prior, schedule, bound in checks:
@@ -176,18 +178,19 @@ def _check_backend(name: str, say: Callable[[str], None]) -> bool | None:
     return passed
 
 
-def _refusal(name: str, volume: tuple[int, ...] = ()) -> BackendError | None:
-    """Why a backend is not there, or not for volumes."""
+def _refusal(name: str, problem: Problem) -> BackendError | None:
+    """Return why a backend is missing or does not support a problem; None if it does."""
     try:
-        job = partial(open_backend, name, lambda: None, volume=volume)
-        compute_thread.submit(lambda: job()[0].close()).result()
+        job = SolveJob.of(problem, ElasticPrior().resolved(problem), Multigrid())
+        opened = partial(open_backend, job, name, lambda: None)
+        compute_thread.submit(lambda: opened().backend.close()).result()
     except BackendError as error:
         return error
     return None
 
 
 def _timings(name: str) -> Iterator[str]:
-    """How long solves of the paper's size of image take."""
+    """Yield the times of solves of an image of the paper's size."""
     problem = phantom("expansion").problem
     started = time.perf_counter()
     solution = solve(problem, SeilerPrior(), backend=name)

@@ -10,9 +10,11 @@ import numpy as np
 
 from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.samples.head import TUMOUR, HeadPhantom, head_phantom
+from napari_hmrf.solver.backends import SolveJob
+from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING
 from napari_hmrf.solver.model_names import in_words
 from napari_hmrf.solver.optimizers import Monitor
-from napari_hmrf.solver.preparation import EVERYTHING, job_of, provide_loops
+from napari_hmrf.solver.preparation import provide_loops
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.ground import solve_study
@@ -123,7 +125,8 @@ def demonstrate_volume(
         # Compile all loops now, so that napari finds them ready.
         provide_loops(EVERYTHING, progress)
         # Loops for volumes are compiled only on request.
-        provide_loops(job_of(study.prior, study.optimizer, study.grid.spacing), progress)
+        job = SolveJob(study.grid.shape, study.grid.spacing, study.prior, study.optimizer)
+        provide_loops(job.loops, progress)
     solution = solve_study(study, backend=backend, progress=progress)
     measured = solution.measure(head.tissue_labels)
     return VolumeDemonstration(

@@ -9,47 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from napari_hmrf.solver.backends import Backend, compiler, host, loops
-from napari_hmrf.solver.backends.compiler import Stage
+from napari_hmrf.solver.backends import Backend, SolveJob, host
+from napari_hmrf.solver.backends.compile_cache import compiler, loops, sets
+from napari_hmrf.solver.backends.compile_cache.compiler import Stage
+from napari_hmrf.solver.backends.compile_cache.watch import watched
 from napari_hmrf.solver.backends.found import Beginning
-from napari_hmrf.solver.backends.watch import USUAL_LOOPS, watched
-from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
-from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
+from napari_hmrf.solver.optimizers import Monitor, Multigrid, Optimizer
 from napari_hmrf.solver.problem import Problem
 
-#: Job that compiles all loops but those for volumes.
-EVERYTHING = ""
 # Size of a small problem, by its number of axes.
 _SIZES = {2: 40, 3: 12}
 _prepared: set[tuple[str | bool, ...]] = set()
-
-
-def job_of(prior: Prior, optimizer: Optimizer, spacing: tuple[float, ...]) -> str:
-    """Return the job of `napari_hmrf.compiling` that compiles most loops of a solve.
-
-    Parameters
-    ----------
-    prior : Prior
-        As returned by `resolved`.
-    optimizer : Optimizer
-    spacing : tuple of float
-    """
-    volume = len(spacing) == 3
-    if isinstance(prior, NeoHookeanPrior):
-        return "large-motion"
-    if isinstance(prior, ElasticPrior):
-        if volume:
-            return "volume"
-        exact = ElasticPrior(penalty=math.inf).kernels
-        return "elastic" if prior.kernels == exact else "slipping"
-    name = "schedule" if isinstance(optimizer, ICM) else "converged"
-    if volume:
-        return f"volume-{name}"
-    if isinstance(prior, SeilerPrior) and prior.conditional == "blanket":
-        return f"blanket-{name}"
-    if len(set(spacing)) > 1:
-        return f"{name}-oblong"
-    return "exact-steps" if isinstance(optimizer, ICM) and optimizer.steps is None else name
 
 
 def provide_loops(job: str, report: Callable[[Monitor], None]) -> None:
@@ -58,14 +28,14 @@ def provide_loops(job: str, report: Callable[[Monitor], None]) -> None:
     Parameters
     ----------
     job : str
-        As for `job_of`, or `EVERYTHING`.
+        Set of loops, as named by `SolveJob.loops`, or `sets.EVERYTHING`.
     report : callable
         Called several times a second; raises to stop waiting.
     """
 
     def tell(stage: Stage) -> None:
-        if stage.of and job == EVERYTHING:
-            stage = stage._replace(of=USUAL_LOOPS)
+        if stage.of and job == sets.EVERYTHING:
+            stage = stage._replace(of=sets.USUAL_COUNT)
         report(Monitor(stage.words, stage.fraction))
 
     compiler.provide(job, tell)
@@ -73,9 +43,8 @@ def provide_loops(job: str, report: Callable[[Monitor], None]) -> None:
 
 def prepare(
     device: Backend[Any],
-    prior: Prior,
+    job: SolveJob,
     optimizer: Optimizer,
-    spacing: tuple[float, ...],
     report: Callable[[Monitor], None],
 ) -> None:
     """Compile the kernels of a schedule by running it on a small problem, once per process.
@@ -83,8 +52,8 @@ def prepare(
     The problem is small, but has intermediate levels, a solution other than 0, and more sites than
     would be solved without a cycle. Square pixels have kernels of their own, as have volumes.
     """
-    rehearsal, axes = optimizer.rehearsal(), len(spacing)
-    square = len(set(spacing)) == 1
+    rehearsal, axes, prior = optimizer.rehearsal(), len(job.shape), job.prior
+    square = len(set(job.spacing)) == 1
     name = f"{axes} axes", device.name, device.renderer
     key = (*name, loops.in_use(), prior.kernels, repr(rehearsal), square)
     if key in _prepared:
@@ -99,7 +68,7 @@ def prepare(
     def go_on(_: Monitor) -> None:
         report(Monitor("preparing", 0.0))
 
-    with loop_watch(job_of(prior, optimizer, spacing), report):
+    with loop_watch(job.loops, report):
         found = rehearsal.run(small, tissue, device, go_on).displacement
         host.settle(found, small.tissue, small.unit)
         if isinstance(rehearsal, Multigrid):

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from napari_hmrf.arguments import require_kind
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.solver.backends import host
-from napari_hmrf.solver.backends.bodies import Bodies, bodies_of
+from napari_hmrf.solver.backends.rigid.bodies import Bodies, bodies_of
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution

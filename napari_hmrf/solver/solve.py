@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import platform
 import queue
 import threading
@@ -21,18 +20,17 @@ from napari_hmrf.arguments import shown
 from napari_hmrf.errors import ArgumentError, BackendError, Cancelled
 from napari_hmrf.solver.backends import (
     BACKEND_NAMES,
-    COMPILING,
-    FOR_LARGE_MOTION,
-    FOR_VOLUMES,
+    Choice,
+    SolveJob,
     host,
     open_backend,
 )
+from napari_hmrf.solver.backends.compile_cache import sets
 from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
-from napari_hmrf.solver.backends.watch import HARDER
 from napari_hmrf.solver.caveats import rigid_caveat
 from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
-from napari_hmrf.solver.preparation import job_of, loop_watch, prepare, provide_loops
+from napari_hmrf.solver.preparation import loop_watch, prepare, provide_loops
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Provenance, Solution
@@ -261,20 +259,16 @@ def _solution_of(
 
     report(Monitor("preparing", 0.0))
     started = time.perf_counter()
-    job = job_of(prior, optimizer, problem.spacing)
-    device, reason = open_backend(
-        backend,
-        compute_thread.look,
-        lambda: provide_loops(job, report),
-        volume=problem.shape if problem.is_volume else (),
-        plain=_is_plain(problem, prior),
-        large_motion=isinstance(prior, NeoHookeanPrior),
+    job = SolveJob.of(problem, prior, optimizer)
+    choice = open_backend(
+        job, backend, compute_thread.look, lambda: provide_loops(job.loops, report)
     )
+    device = choice.backend
     try:
-        _announce(device.renderer, reason)
-        prepare(device, prior, optimizer, problem.spacing, report)
+        _announce(choice)
+        prepare(device, job, optimizer, report)
         ready = time.perf_counter()
-        with loop_watch(HARDER, report):
+        with loop_watch(sets.HARDER, report):
             outcome = optimizer.run(problem, prior, device, report, begin)
         name, renderer = device.name, device.renderer
     finally:
@@ -302,7 +296,7 @@ def _solution_of(
         provenance=Provenance(
             backend=name,
             renderer=renderer,
-            reason=reason,
+            reason=choice.reason,
             seconds=resolving + done - ready,
             preparation_seconds=ready - started,
             parameters={
@@ -330,15 +324,14 @@ class _Either:
         return any(flag.is_set() for flag in self._flags)
 
 
-def _announce(renderer: str, reason: str) -> None:
+def _announce(choice: Choice) -> None:
     """Log once per device which backend runs the kernels, and why."""
-    message = f"{renderer} ({reason})"
+    message = f"{choice.backend.renderer} ({choice.reason})"
     if message not in _announced:
         _announced.add(message)
         # A fallback is a warning, which Python shows even if logging is not configured.
-        usual = "asked for", "a GPU is there", COMPILING, FOR_VOLUMES, FOR_LARGE_MOTION
-        fallback = reason not in usual
-        _log.log(logging.WARNING if fallback else logging.INFO, "solving on %s", message)
+        level = logging.WARNING if choice.is_fallback else logging.INFO
+        _log.log(level, "solving on %s", message)
 
 
 @cache
@@ -350,10 +343,3 @@ def _versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
-
-
-def _is_plain(problem: Problem, prior: Prior) -> bool:
-    """Return whether tissue is elastic, without loads, and none of it rigid or able to slip."""
-    firm = isinstance(prior, ElasticPrior) and prior.penalty == math.inf
-    plain = firm and problem.loads is None
-    return plain and not bool(np.isinf(problem.stiffness).any())

@@ -18,7 +18,6 @@ from napari_hmrf.field.resample import unknown_values
 from napari_hmrf.solver.body_forces import weight
 from napari_hmrf.solver.caveats import caveats, lack
 from napari_hmrf.solver.loads import Loads
-from napari_hmrf.solver.normals import outer_rim
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.problem import FloatArray, Problem, as_stiffness, check_reach
@@ -43,6 +42,7 @@ from napari_hmrf.tissue.boundary_rules import (
 )
 from napari_hmrf.tissue.drawing import Canvas
 from napari_hmrf.tissue.material_presets import OTHER, Palette
+from napari_hmrf.tissue.normals import outer_rim
 from napari_hmrf.tissue.painted_loads import boundary_loads, growth_loads
 from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
 

@@ -17,9 +17,9 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import is_one_of, is_whole, real, reals, refuse_unless, shown
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.normals import outward_normals
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.solver.problem import FloatArray, as_numbers, checked_spacing
+from napari_hmrf.tissue.normals import outward_normals
 
 Action = Literal["fixed", "move", "expand", "press", "pull"]
 #: Actions that are forces rather than observed displacements.

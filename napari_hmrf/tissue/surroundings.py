@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.normals import outside_of
+from napari_hmrf.tissue.normals import outside_of
 
 # Dark surroundings are of two kinds if their means differ by this fraction of the contrast between
 # the bright pixels and air.

@@ -1,144 +1,180 @@
-"""The devices that can run the kernels, and the choice between them."""
+"""Devices that run the kernels, and the choice between them.
+
+Data passes through a backend in five steps:
+
+1. *Choice.* `job` says what a solve needs, and `open_backend` picks the device that supports it.
+   `compile_cache` compiles the loops of the processor and keeps them on disk.
+2. *Model.* A backend (protocol: `base`) takes the tissue to its device: `cpu` as arrays, `opengl`
+   as textures or buffers, and `arrays` in NumPy for shaders that run before there are loops. The
+   result is a `linear` model, or a `finite` one for large motion.
+3. *Levels.* The model builds its coarser levels. Vectors and scalars stay on the device; fields on
+   the host are `planes`, and `host` keeps the displacement there in double precision.
+4. *Kernels.* An optimizer calls the methods of a level, and each of them runs one or two kernels:
+   compiled loops in `cpu`, shaders from the folder `shaders/` in `opengl`. `rigid` moves rigid
+   bodies as one, and `direct` factorizes the system where cycles cannot be trusted.
+5. *Result.* The optimizer reads the displacement back as planes. `found` remembers what a solve has
+   learnt of its system for the next solve of it.
+
+All of this runs on one thread (`thread`), because OpenGL and numba both require it.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 from napari_hmrf.errors import BackendError
-from napari_hmrf.solver.backends import compiler, kept, loops
 from napari_hmrf.solver.backends.base import BATCH_SECONDS, Backend, Checkpoint, SiteRule
+from napari_hmrf.solver.backends.compile_cache import compiler, loops
+from napari_hmrf.solver.backends.job import SolveJob
 from napari_hmrf.solver.backends.thread import compute_thread
 
-#: What can be asked for by name. "opengl" takes compute shaders where the driver has them.
+#: Names of the backends. "opengl" is compute shaders where the driver has them, else fragment.
 BackendName = Literal["auto", "opengl", "opengl:fragment", "opengl:compute", "cpu"]
 BACKEND_NAMES: tuple[str, ...] = get_args(BackendName)
 
-#: Why a software rasteriser is taken where nobody asked for it.
+#: Reason for the choice of a software rasteriser by "auto".
 COMPILING = "until the loops for the processor are compiled"
-#: Why the compiled loops are taken for a volume that there are no shaders for.
-FOR_VOLUMES = "only the compiled loops solve such volumes"
-#: Of a volume of more voxels to wait for its loops takes less than to do without, on a rasteriser.
+#: Voxels above which waiting for the loops takes less time than a solve on a software rasteriser.
 LARGE_VOLUME = 1_000_000
-
-#: Why the compiled loops are taken for large motion.
-FOR_LARGE_MOTION = "only the compiled loops solve large motion"
 
 __all__ = [
     "BACKEND_NAMES",
     "BATCH_SECONDS",
     "COMPILING",
-    "FOR_LARGE_MOTION",
-    "FOR_VOLUMES",
     "Backend",
     "BackendName",
     "Checkpoint",
+    "Choice",
     "SiteRule",
+    "SolveJob",
     "compute_thread",
     "open_backend",
 ]
 
 
+class Choice(NamedTuple):
+    """Backend that runs a solve.
+
+    Attributes
+    ----------
+    backend : Backend
+    reason : str
+        Reason for the choice, in words.
+    is_fallback : bool
+        True if a faster device would run the solve if it were there, or were larger.
+    """
+
+    backend: Backend[Any]
+    reason: str
+    is_fallback: bool = False
+
+
 def open_backend(
+    job: SolveJob,
     name: str,
     checkpoint: Checkpoint,
     provide_loops: Callable[[], None] = loops.use,
-    volume: tuple[int, ...] = (),
-    plain: bool = True,
-    large_motion: bool = False,
-) -> tuple[Backend[Any], str]:
-    """Make a backend ready; on the compute thread only.
+) -> Choice:
+    """Choose a backend and make it ready; on the compute thread only.
 
     Parameters
     ----------
+    job : SolveJob
     name : str
         One of `BACKEND_NAMES`. "auto" takes the shaders on a real GPU, and the compiled loops
-        where there is only a software rasteriser (ten times slower than they) or no OpenGL. Until
-        the loops are compiled, which it has another process do, it takes the rasteriser; for a
-        volume of more than `LARGE_VOLUME` voxels it waits for them.
+        where there is only a software rasteriser (ten times slower than the loops) or no OpenGL,
+        or where the shaders do not support the job. Until another process has compiled the loops,
+        it takes the rasteriser; for a volume of more than `LARGE_VOLUME` voxels it waits for them.
     checkpoint : callable
         Called by the backend at least every `BATCH_SECONDS`; raises to stop the work.
     provide_loops : callable
-        Called before the loops are taken where they may not be compiled yet: has that done, and
-        waits for it. By default they are compiled as they are called.
-    volume : (int, int, int), optional
-        The voxels (D, H, W) that it is for, if it is a volume. Shaders take it if there are compute
-        shaders, and buffers that are large enough.
-    plain : bool
-        Whether it is for the elastic prior, of tissue without loads of which nothing is rigid and
-        nothing may slip: of volumes there are shaders for no other.
-    large_motion : bool
-        Whether it is for large motion, for which there are no shaders.
-
-    Returns
-    -------
-    Backend
-    str
-        Why it was taken, in words.
+        Called before loops are taken that may not be compiled yet; returns once they are. By
+        default the loops are compiled when they are first called.
 
     Raises
     ------
     BackendError
-        What is missing, and how to get it.
+        If the requested backend is missing or does not support the job.
     """
-    if name == "cpu":
-        provide_loops()
-        return _compiled(checkpoint), "asked for"
     if name not in BACKEND_NAMES:
         raise BackendError(f"there is no backend {name!r}; take one of {', '.join(BACKEND_NAMES)}")
-    if large_motion:
-        if name != "auto":
-            raise BackendError(
-                f"large motion is solved by the compiled loops only, not by {name}. Take "
-                'backend="cpu", or "auto"'
-            )
+    if name == "cpu":
         provide_loops()
-        return _compiled(checkpoint), FOR_LARGE_MOTION
-    if volume and not plain:
-        if name != "auto":
-            raise BackendError(
-                f"{name} solves volumes of elastic tissue without loads only, of which nothing is "
-                'rigid or may slip; the compiled loops solve all. Take backend="cpu", or "auto"'
-            )
+        return Choice(_compiled_loops(checkpoint), "asked for")
+    from napari_hmrf.solver.backends.opengl import missing_shaders
+
+    missing = missing_shaders(job)
+    if name != "auto":
+        if missing is not None:
+            raise BackendError(f'{missing}, not {name}. Take backend="cpu", or "auto".')
+        return Choice(_requested_shaders(job, name, checkpoint), "asked for")
+    if missing is not None:
         provide_loops()
-        return _compiled(checkpoint), FOR_VOLUMES
+        return Choice(_compiled_loops(checkpoint), missing)
+    return _fastest(job, checkpoint, provide_loops)
+
+
+def _fastest(job: SolveJob, checkpoint: Checkpoint, provide_loops: Callable[[], None]) -> Choice:
+    """Choose between shaders and loops that both support the job, apart from its size."""
     from napari_hmrf.solver.backends.opengl import OpenGLBackend, is_software_renderer
 
-    compiled = loops.ready_for_volumes() if volume else loops.ready()
-    if name != "auto":
-        if not volume:
-            compiler.compile_meanwhile()
-        asked = OpenGLBackend(checkpoint, stage=name.partition(":")[2] or None)
-        asked.check_volume(volume)
-        return asked, "asked for"
+    compiled = _loops_are_ready(job)
     try:
-        backend = OpenGLBackend(checkpoint)
+        shaders = OpenGLBackend(checkpoint)
     except BackendError as error:
         provide_loops()
-        return _compiled(checkpoint), f"no usable OpenGL ({error})"
-    if not volume:
+        return Choice(_compiled_loops(checkpoint), f"no usable OpenGL ({error})", True)
+    _compile_meanwhile(job)
+    refusal = shaders.supports(job)
+    if refusal is not None:
+        shaders.close()
+        provide_loops()
+        kind = "volume" if job.is_volume else "image"
+        reason = f"the shaders refuse this {kind} ({refusal})"
+        return Choice(_compiled_loops(checkpoint), reason, True)
+    if not is_software_renderer(shaders.renderer):
+        return Choice(shaders, "a GPU is there")
+    is_large = job.is_volume and math.prod(job.shape) > LARGE_VOLUME
+    if not (compiled or is_large):
+        if job.is_volume:
+            compiler.request(job.loops)
+        return Choice(shaders, COMPILING)
+    shaders.close()
+    if job.is_volume:
+        provide_loops()
+    reason = f"OpenGL here is software only ({shaders.renderer})"
+    return Choice(_compiled_loops(checkpoint), reason, True)
+
+
+def _requested_shaders(job: SolveJob, name: str, checkpoint: Checkpoint) -> Backend[Any]:
+    """Return the backend of shaders of a name, or refuse the job."""
+    from napari_hmrf.solver.backends.opengl import OpenGLBackend
+
+    _loops_are_ready(job)  # a later solve may take them
+    _compile_meanwhile(job)
+    shaders = OpenGLBackend(checkpoint, stage=name.partition(":")[2] or None)
+    refusal = shaders.supports(job)
+    if refusal is not None:
+        shaders.close()
+        raise BackendError(refusal)
+    return shaders
+
+
+def _loops_are_ready(job: SolveJob) -> bool:
+    """Return whether the loops can solve at once."""
+    return loops.ready_for_volumes() if job.is_volume else loops.ready()
+
+
+def _compile_meanwhile(job: SolveJob) -> None:
+    """Let another process compile the usual loops; those for volumes only on request."""
+    if not job.is_volume:
         compiler.compile_meanwhile()
-    try:
-        backend.check_volume(volume)
-    except BackendError as error:
-        backend.close()
-        provide_loops()
-        return _compiled(checkpoint), f"the shaders refuse this volume ({error})"
-    if not is_software_renderer(backend.renderer):
-        return backend, "a GPU is there"
-    if not (compiled or math.prod(volume) > LARGE_VOLUME):
-        if volume:
-            compiler.request(kept.VOLUMES)
-        return backend, COMPILING
-    backend.close()
-    if volume:
-        provide_loops()
-    return _compiled(checkpoint), f"OpenGL here is software only ({backend.renderer})"
 
 
-def _compiled(checkpoint: Checkpoint) -> Backend[Any]:
-    """Return the backend of loops."""
+def _compiled_loops(checkpoint: Checkpoint) -> Backend[Any]:
+    """Return the backend of compiled loops."""
     from napari_hmrf.solver.backends.cpu import CpuBackend
 
     return CpuBackend(checkpoint)

@@ -1,4 +1,4 @@
-"""What a schedule may ask of a backend: fields on its device, and the kernels that run on them.
+"""Protocol of a backend: the fields on its device, and the kernels that run on them.
 
 The kernels are pure functions from a site to its new value, of the same name and meaning on every
 backend; `solver.priors` defines them. All lengths are in pixels (``Problem.unit``), all values are
@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.solver.backends.finite import FiniteModel
+from napari_hmrf.solver.backends.job import SolveJob
 from napari_hmrf.solver.backends.linear import LinearModel
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 from napari_hmrf.solver.priors.elements import ElasticMaterial
@@ -28,7 +29,7 @@ EnergyArray = npt.NDArray[np.float64]
 #: Called by a backend at least every `BATCH_SECONDS`; raises to stop the work.
 Checkpoint = Callable[[], None]
 
-#: How long a backend may compute before it looks whether it has been cancelled.
+#: Longest time, in seconds, that a backend computes between two checks for a cancellation.
 BATCH_SECONDS = 0.05
 
 
@@ -46,7 +47,7 @@ FieldType = TypeVar("FieldType", bound=Field)
 
 @dataclass(frozen=True)
 class SiteRule:
-    """How a site moves to its new displacement, given its neighbours.
+    """Rule by which a site moves, given its neighbours.
 
     Attributes
     ----------
@@ -59,7 +60,7 @@ class SiteRule:
         The candidate set Gamma: ``{0} and {-e, 0, e} x {-e, 0, e}`` for each step e, in pixels;
         in volumes of three components. Empty: the exact minimiser in closed form.
     weights : ndarray, shape (4, 2) or (13, 3)
-        Of each line of cliques for each component: `priors.line_weights`.
+        Weight of each line of cliques, for each component: `priors.line_weights`.
     """
 
     blanket: bool
@@ -73,8 +74,12 @@ class Backend(Protocol[FieldType]):
 
     #: "cpu", "opengl:fragment" or "opengl:compute".
     name: str
-    #: What does the work, in words: the processor and its loops, or OpenGL's renderer string.
+    #: Device in words: the processor with its loops, or the renderer string of OpenGL.
     renderer: str
+
+    def supports(self, job: SolveJob) -> str | None:
+        """Return None if the backend can solve a job, else the reason as a sentence."""
+        ...
 
     def upload(self, values: FloatArray) -> FieldType:
         """Bring values to the device.
@@ -133,7 +138,7 @@ class Backend(Protocol[FieldType]):
     def energy(
         self, displacement: FieldType, stiffness: FieldType, observation: FieldType, rule: SiteRule
     ) -> float:
-        """U_total of a displacement, in pixels squared."""
+        """Return U_total of a displacement, in pixels squared."""
         ...
 
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:

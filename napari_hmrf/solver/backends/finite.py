@@ -1,4 +1,4 @@
-"""What large motion may ask of a backend: an energy, and the linear model of where tissue is."""
+"""Protocol of a model of large motion: an energy, and a linear model of the present state."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.bodies import BodySites
 from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, Planes
-from napari_hmrf.solver.backends.poses import Poses
+from napari_hmrf.solver.backends.rigid.bodies import BodySites
+from napari_hmrf.solver.backends.rigid.poses import Poses
 from napari_hmrf.solver.priors.finite_strain import FiniteMaterial
 
 
@@ -27,7 +27,7 @@ class FiniteModel(Protocol):
         """As of a `LinearModel`."""
         ...
 
-    #: What is held, and how much less cycles reported of it than was true; None if not known.
+    #: Held components, and the factor by which cycles underestimate the error; None if unknown.
     rehearsed: tuple[HeldPlanes, float] | None
 
     def assemble(self, material: FiniteMaterial) -> None:
@@ -41,7 +41,7 @@ class FiniteModel(Protocol):
 
     @property
     def moves(self) -> HeldPlanes:
-        """Which components are unknown in the linear model."""
+        """Mask of the unknown components of the linear model."""
         ...
 
     @property
@@ -50,11 +50,11 @@ class FiniteModel(Protocol):
         ...
 
     def energy(self, d: Planes) -> tuple[float, float]:
-        """The energy of a displacement, and the least Jacobian of any corner."""
+        """Return the energy of a displacement, and the least Jacobian of any corner."""
         ...
 
     def forces(self, d: Planes) -> Planes:
-        """The derivative of the energy by all components; valid until the next call.
+        """Return the derivative of the energy by all components; valid until the next call.
 
         Forces from outside are no business of the model's.
         """
@@ -94,7 +94,7 @@ class FiniteModel(Protocol):
         ...
 
     def poses(self, held: HeldPlanes) -> Poses:
-        """The poses of bodies, with what is held of them."""
+        """Return the poses of bodies, with their held components."""
         ...
 
     def project(self, values: Planes) -> None:
@@ -102,17 +102,17 @@ class FiniteModel(Protocol):
         ...
 
     def balance(self, load: Planes) -> Balance:
-        """A load, as iterations take it: 0 where nothing moves, and of bodies as one."""
+        """Return a load as iterations take it: 0 where nothing moves, and of bodies as one."""
         ...
 
     def image(self, way: Planes) -> Planes:
-        """What the linear model pulls with along a way, where components move."""
+        """Return the force of the linear model along a way, where components move."""
         ...
 
     def length(
         self, d: Planes, way: Planes, part: float, floor: float, each: bool = False
     ) -> tuple[float, npt.NDArray[np.float64]]:
-        """How far along a way all corners keep a part of their Jacobian, and stay above a floor.
+        """Return how far along a way all corners keep a part of their Jacobian, above a floor.
 
         If `each`, also that of each element, (H - 1, W - 1).
         """

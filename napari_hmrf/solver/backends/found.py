@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from napari_hmrf.solver.backends.entrained import Entrained
-    from napari_hmrf.solver.backends.factors import Factors
+    from napari_hmrf.solver.backends.direct.factors import Factors
+    from napari_hmrf.solver.backends.rigid.entrained import Entrained
 
 FloatArray = npt.NDArray[np.float32]
 

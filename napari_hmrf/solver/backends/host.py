@@ -12,10 +12,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends import kept_volumes, loops
+from napari_hmrf.solver.backends import kept_volumes
 from napari_hmrf.solver.backends.base import FloatArray
+from napari_hmrf.solver.backends.compile_cache import loops
 from napari_hmrf.solver.backends.found import Beginning
-from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
+from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
+from napari_hmrf.solver.backends.planes import field as field
+from napari_hmrf.solver.backends.planes import inside as inside
+from napari_hmrf.solver.backends.planes import planes as planes
 from napari_hmrf.solver.backends.thread import compute_thread, in_child_of_fork
 
 if TYPE_CHECKING:
@@ -129,23 +133,6 @@ def settle(displacement: FloatArray, tissue: npt.NDArray[np.bool_], unit: float)
 def combined(start: Beginning) -> Planes:
     """Return the sum that a solve begins with, as planes, in pixels."""
     return planes(np.sum([weight * each for each, weight in start.weighted], axis=0))
-
-
-def planes(values: npt.NDArray[Any]) -> Planes:
-    """Return values (H, W, 2) or (D, H, W, 3) as planes."""
-    made = np.zeros((values.shape[-1], *(size + 4 for size in values.shape[:-1])))
-    inside(made)[...] = np.moveaxis(values, -1, 0)
-    return made
-
-
-def inside(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return a view of planes without their ring."""
-    return planes[(slice(None), *[slice(2, -2)] * (planes.ndim - 1))]
-
-
-def field(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return planes as values (H, W, 2) or (D, H, W, 3), a view."""
-    return np.moveaxis(inside(planes), 0, -1)
 
 
 def add(d: Planes, correction: npt.NDArray[np.float32], scale: float) -> None:

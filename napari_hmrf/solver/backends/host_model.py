@@ -1,4 +1,4 @@
-"""What the linear models of all priors have in common on the host."""
+"""Common part of the linear models of all priors, on the host."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.bodies import Bodies
-from napari_hmrf.solver.backends.entrained import Entrained
 from napari_hmrf.solver.backends.found import Found
 from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, Planes, Steps
+from napari_hmrf.solver.backends.rigid.bodies import Bodies
+from napari_hmrf.solver.backends.rigid.entrained import Entrained
 from napari_hmrf.solver.backends.thread import compute_thread
 
 # Squares of values between these are far from the ends of single precision.
@@ -44,17 +44,17 @@ class HostModel:
     #: Loops go through a cycle in a hundredth of the time that factors take.
     slow = False
     _held: HeldPlanes | None
-    #: What is left of a load: 0 where held.
+    #: Residual of a load: 0 where held.
     _rest: npt.NDArray[np.float32]
 
     @property
     def mild(self) -> bool:
-        """Whether a cycle is known to see every motion of such tissue."""
+        """True if a cycle sees every motion of such tissue."""
         return bool(self.material.mild)
 
     @property
     def moves(self) -> HeldPlanes:
-        """Which components of the finest level are unknown."""
+        """Mask of the unknown components of the finest level."""
         moves: HeldPlanes = self.levels[0].inverse > 0
         return moves
 
@@ -76,13 +76,13 @@ class HostModel:
             compute_thread.look()
             coarse.hold_as(fine)
         self._begin()
-        self._held = held.copy() if len(held) == 2 else held  # of a volume nobody changes it
+        self._held = held.copy() if len(held) == 2 else held  # nothing changes that of a volume
 
     def _begin(self) -> None:
         """Other components are held: forget what was found before, if it is kept."""
 
     def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:
-        """What a displacement leaves of a load."""
+        """Return the residual of a load for a displacement."""
         compute_thread.look()
         most, norm = self._balance(d, load, unit)
         if most > 0 and not _SMALL < most < _GREAT:
@@ -97,7 +97,7 @@ class HostModel:
         return Balance(self._rest, unit, unit * most, unit * norm)
 
     def entrained(self, steps: Steps, coarsest: Steps) -> Entrained | None:
-        """None: there is nothing rigid."""
+        """Return None: there is nothing rigid."""
         return None
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
@@ -110,4 +110,4 @@ class HostModel:
             level.clear()
 
     def close(self) -> None:
-        """Nothing to do: memory goes with the last reference."""
+        """Ignore the call: memory goes with the last reference."""

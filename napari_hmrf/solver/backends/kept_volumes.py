@@ -1,4 +1,4 @@
-"""What is kept of the last volume for the next one, which is let go where memory is short."""
+"""Registry of caches that survive a volume's solve, and are cleared where memory is short."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _forget: list[Callable[[], None]] = []
 
 
 def forgotten_by(forget: Callable[[], None]) -> None:
-    """Have something called that lets go of what a module keeps."""
+    """Register a callback that clears the cache of a module."""
     _forget.append(forget)
 
 

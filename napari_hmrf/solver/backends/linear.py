@@ -1,4 +1,4 @@
-"""What multigrid may ask of a backend: a linear model A d = load on ever coarser levels.
+"""Protocol of a linear model, A d = load, on ever coarser levels.
 
 A *vector* is a displacement or a force on the sites of one level, kept on the device. A *scalar* is
 a number kept there too: it goes from kernel to kernel without the host, which waits for the device
@@ -17,23 +17,23 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.bodies import Bodies
-from napari_hmrf.solver.backends.entrained import Entrained
 from napari_hmrf.solver.backends.found import Found
 from napari_hmrf.solver.backends.planes import HeldPlanes as HeldPlanes
 from napari_hmrf.solver.backends.planes import Planes as Planes
+from napari_hmrf.solver.backends.rigid.bodies import Bodies
+from napari_hmrf.solver.backends.rigid.entrained import Entrained
 
 #: (scale, momentum) of each Chebyshev step of a smoother.
 Steps = tuple[tuple[float, float], ...]
 
 
 class Balance(NamedTuple):
-    """What a displacement leaves of a load, load - A d: computed in double precision, 0 where held.
+    """Residual of a load, load - A d: computed in double precision, 0 where held.
 
     Attributes
     ----------
     rest : ndarray of float32, planes
-        In units of `unit`. For whoever asked to change, until the next one is asked for.
+        In units of `unit`. The caller may change it; valid until the next call.
     unit : float
     most, norm : float
         The largest absolute value, and the norm; in the model's units.
@@ -48,14 +48,14 @@ class Balance(NamedTuple):
 class LinearLevel(Protocol):
     """One level of the model."""
 
-    #: What the level is to be relaxed for: assign a vector on the finest level.
+    #: Load that the level is relaxed for: assign a vector on the finest level.
     load: Any
-    #: What `descend` and `ascend` change.
+    #: Correction that `descend` and `ascend` change.
     correction: Any
 
     @property
     def worth_again(self) -> bool:
-        """Whether another visit within a cycle gains more than its passes cost."""
+        """True if another visit within a cycle gains more than its passes cost."""
         ...
 
     def descend(self, steps: Steps, coarse: Any | None, again: bool = False) -> None:
@@ -66,7 +66,7 @@ class LinearLevel(Protocol):
         """
         ...
 
-    #: Whether `finish` visits all coarser levels, too.
+    #: True if `finish` visits all coarser levels, too.
     takes_rest: bool
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
@@ -86,7 +86,7 @@ class LinearLevel(Protocol):
         ...
 
     def free(self, *vectors: Any) -> None:
-        """Take vectors back that nobody changes or asks for any more."""
+        """Take vectors back that are no longer used."""
         ...
 
     def planes(self, vector: Any) -> npt.NDArray[np.float32]:
@@ -94,31 +94,31 @@ class LinearLevel(Protocol):
         ...
 
     def product(self, a: Any, b: Any) -> Any:
-        """The scalar product."""
+        """Return the scalar product."""
         ...
 
     def largest(self, a: Any) -> Any:
-        """The largest absolute value."""
+        """Return the largest absolute value."""
         ...
 
     def weigh(self, a: Any, b: Any) -> tuple[Any, Any]:
-        """The largest absolute value of `a`, and the scalar product of both."""
+        """Return the largest absolute value of `a`, and the scalar product of both."""
         ...
 
     def ratio(self, a: Any, b: Any) -> Any:
-        """A scalar over another; 0 unless both are positive."""
+        """Return a scalar over another; 0 unless both are positive."""
         ...
 
     def apply(self, direction: Any, image: Any) -> Any:
-        """Image = A direction; returns their scalar product."""
+        """Compute image = A direction; return their scalar product."""
         ...
 
     def advance(self, d: Any, rest: Any, direction: Any, image: Any, length: Any) -> Any:
-        """D += length direction, rest -= length image; returns the square of the rest."""
+        """Add length direction to d, take length image from rest; return the square of the rest."""
         ...
 
     def turn(self, steepest: Any, direction: Any, share: Any) -> None:
-        """Direction = steepest + share direction."""
+        """Compute direction = steepest + share direction."""
         ...
 
     def project(self, vector: Any) -> None:
@@ -134,24 +134,24 @@ class UnsymmetricLevel(LinearLevel, Protocol):
     """One level of a model that is not symmetric: it takes another iteration, with more steps."""
 
     def multiply(self, direction: Any, image: Any) -> None:
-        """Image = A direction, whose product with it means nothing here."""
+        """Compute image = A direction, whose product with it means nothing here."""
         ...
 
     def quotient(self, a: Any, b: Any) -> Any:
-        """A scalar over another of either sign; 0 where that is 0."""
+        """Return a scalar over another of either sign; 0 where that is 0."""
         ...
 
     def times(self, a: Any, b: Any) -> Any:
-        """A scalar times another."""
+        """Return a scalar times another."""
         ...
 
     def lean(self, rest: Any, direction: Any, image: Any, share: Any, stride: Any) -> None:
-        """Direction = rest + share (direction - stride image)."""
+        """Compute direction = rest + share (direction - stride image)."""
         ...
 
 
 class Hierarchy(Protocol):
-    """What a cycle needs to know of a model."""
+    """Levels of a model, and the bounds of its spectrum."""
 
     @property
     def levels(self) -> Sequence[Any]:
@@ -160,7 +160,7 @@ class Hierarchy(Protocol):
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Of the spectrum of D^-1 A, from above: the usual one, and one for any material."""
+        """Upper bounds of the spectrum of D^-1 A: the usual one, and one for any material."""
         ...
 
 
@@ -174,17 +174,17 @@ class LinearModel(Protocol):
 
     @property
     def material(self) -> Any:
-        """What it is a model of: an `Assembled` material."""
+        """Material of the model: an `Assembled` material."""
         ...
 
     @property
     def mild(self) -> bool:
-        """Whether a cycle is known to see every motion of such tissue."""
+        """True if a cycle sees every motion of such tissue."""
         ...
 
     @property
     def slow(self) -> bool:
-        """Whether cycles take so long where they run that factors are the shorter way."""
+        """True if factors are faster than cycles on this device."""
         ...
 
     @property
@@ -194,7 +194,7 @@ class LinearModel(Protocol):
 
     @property
     def moves(self) -> HeldPlanes:
-        """Which components of the finest level are unknown, with what is held now."""
+        """Mask of the unknown components of the finest level, with the present held ones."""
         ...
 
     @property
@@ -209,17 +209,17 @@ class LinearModel(Protocol):
 
     @property
     def iterates(self) -> bool:
-        """Whether cycles can be used with such tissue."""
+        """True if cycles can be used with such tissue."""
         ...
 
     @property
     def found(self) -> Found:
-        """What was found for the tissue with what is held now."""
+        """Earlier results for the tissue with the present held components."""
         ...
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Of the spectrum of D^-1 A, from above: the usual one, and one for any material."""
+        """Upper bounds of the spectrum of D^-1 A: the usual one, and one for any material."""
         ...
 
     def hold(self, held: HeldPlanes) -> None:
@@ -238,14 +238,14 @@ class LinearModel(Protocol):
         ...
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """What the tissue pulls with everywhere, held or not: - A d, in double precision.
+        """Return the pull of the tissue everywhere, held or not: -A d, in double precision.
 
         `low` is what rounding took from `d`. Valid until the next call.
         """
         ...
 
     def work(self, d: Planes) -> tuple[float, float]:
-        """The model's energy of a displacement, and the norm of all its forces."""
+        """Return the model's energy of a displacement, and the norm of all its forces."""
         ...
 
     @property

@@ -2,10 +2,29 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
-#: A displacement or forces, (2, H + 4, W + 4): the component first.
+#: A displacement or forces, (2, H + 4, W + 4) or (3, D + 4, H + 4, W + 4).
 Planes = npt.NDArray[np.float64]
-#: Of each component, whether something is so.
+#: One truth value per component, in the same shape.
 HeldPlanes = npt.NDArray[np.bool_]
+
+
+def planes(values: npt.NDArray[Any]) -> Planes:
+    """Return values (H, W, 2) or (D, H, W, 3) as planes."""
+    made = np.zeros((values.shape[-1], *(size + 4 for size in values.shape[:-1])))
+    inside(made)[...] = np.moveaxis(values, -1, 0)
+    return made
+
+
+def inside(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return a view of planes without their ring."""
+    return values[(slice(None), *[slice(2, -2)] * (values.ndim - 1))]
+
+
+def field(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return planes as values (H, W, 2) or (D, H, W, 3), a view."""
+    return np.moveaxis(inside(values), 0, -1)

@@ -23,13 +23,13 @@ from napari_hmrf.errors import BackendError, Cancelled
 
 T = TypeVar("T")
 _log = logging.getLogger("napari_hmrf")
-#: What is going on, in words, and how to stop it; as it is when asked.
+#: Present work in words, and how to stop it; a callable is read when it is needed.
 Doing = str | Callable[[], str]
 _Job = tuple[Callable[[], Any], "Future[Any]", Doing]
 
-#: What those who wait are told of what was cancelled.
+#: Description of cancelled work, for callers that wait.
 STOPPED = "what was cancelled to come to its end, which happens by itself"
-# How long Ctrl-C may go unseen by who waits for a job, in seconds.
+# Longest time until a caller that waits for a job sees Ctrl-C, in seconds.
 _TICK = 0.1
 _SOMETHING = "a computation that a script or another plugin asked for, which only that can stop"
 
@@ -48,7 +48,7 @@ class ComputeThread:
         self._at_end: list[Callable[[], None]] = []
         self._working = False
         self._doing: Doing = ""
-        #: How far the job that runs is, in words, if it says so.
+        #: Progress of the running job, in words, if it reports any.
         self.stage = ""
         # Each says whether the job that runs is to stop.
         self._stops: list[Callable[[], bool]] = []
@@ -60,7 +60,7 @@ class ComputeThread:
         ----------
         job : callable
         doing : str or callable
-            What those who wait for it are told: what it is, and how to stop it. A clause that goes
+            Description for callers that wait: the work, and how to stop it. A clause that goes
             on from "waiting for".
 
         Raises
@@ -85,9 +85,9 @@ class ComputeThread:
         return future
 
     def result_of(self, job: Callable[[], T], doing: Doing = _SOMETHING) -> T:
-        """Do a job, as of `submit`, and wait for it; at once if this is the thread itself.
+        """Run a job, as `submit` does, and wait for it; at once if this is the thread itself.
 
-        Whoever waits no more, as after Ctrl-C, has the job stop at its next `look`.
+        A caller that stops waiting, as after Ctrl-C, stops the job at its next `look`.
         """
         if self.is_current():
             return job()
@@ -109,7 +109,7 @@ class ComputeThread:
 
     @contextmanager
     def unless(self, stop: Callable[[], bool]) -> Iterator[None]:
-        """Have the job that runs stop at its next `look`, too, once this says so.
+        """Stop the running job at its next `look`, too, once `stop` returns True.
 
         Parameters
         ----------
@@ -136,20 +136,20 @@ class ComputeThread:
             raise Cancelled
 
     def delays(self, future: Future[Any]) -> str:
-        """What a job waits for, and how to stop that, in words; "" once it runs."""
+        """Return the work that a job waits for, and how to stop it, in words; "" once it runs."""
         if future.running() or future.done():
             return ""
         doing = self._doing() if callable(self._doing) else self._doing
-        # How far a solve is means nothing to others; a compiler takes long, but only once.
+        # The progress of a solve means nothing to others; a compiler takes long, but only once.
         stage = f" ({self.stage})" if self.stage.startswith("compiling") else ""
         return f"waiting for {doing}{stage}" if doing else "starting"
 
     def is_current(self) -> bool:
-        """Whether the caller is on the compute thread itself."""
+        """Return whether the caller is on the compute thread itself."""
         return threading.current_thread() is self._thread
 
     def at_end(self, release: Callable[[], None]) -> None:
-        """Have something released on the compute thread before it ends."""
+        """Register a callback that releases something on the compute thread before it ends."""
         self._at_end.append(release)
 
     def stop(self, timeout: float = 2.0) -> bool:
@@ -170,7 +170,7 @@ class ComputeThread:
         return not thread.is_alive()
 
     def after_fork(self) -> None:
-        """Begin anew in the child of a fork; what is registered is the parent's to release."""
+        """Start a new thread in the child of a fork; the parent releases what is registered."""
         self._forked = True
         self._torn |= self._working and not self.is_current()
         self._begin()
@@ -193,7 +193,7 @@ class ComputeThread:
                     self._working = False
                     future.set_exception(error)
                 else:
-                    # Before the result is there: whoever gets it may fork at once.
+                    # Before the result is there: the caller that gets it may fork at once.
                     self._working = False
                     future.set_result(result)
                     del result
@@ -216,13 +216,13 @@ class ComputeThread:
 
 
 def in_child_of_fork(forget: Callable[[], object]) -> None:
-    """Have something called in every child of a fork, where only the caller's thread goes on."""
+    """Register a callback for every child of a fork, where only the caller's thread goes on."""
     if hasattr(os, "register_at_fork"):
         os.register_at_fork(after_in_child=forget)
 
 
 def _launch_numbas_threads() -> None:
-    """Have numba note that it computes in this process, on whose new thread it starts others."""
+    """Let numba start its threads from the new compute thread of this process."""
     # GNU OpenMP keeps a pool for each thread that uses it, so that a new thread can in a child of a
     # fork. As others cannot, numba ends a process whose parent is the one it was launched in.
     numba = sys.modules.get("numba.np.ufunc.parallel")

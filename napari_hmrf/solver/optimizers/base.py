@@ -156,6 +156,11 @@ class Optimizer(Protocol):
         ...
 
     @property
+    def kernels(self) -> str:
+        """Kernels of the schedule: "sweeps", "exact sweeps" or "cycles"."""
+        ...
+
+    @property
     def parameters(self) -> dict[str, Any]:
         """Parameters of the schedule, for the record (JSON types only)."""
         ...

@@ -72,6 +72,11 @@ class ICM:
         steps = None if self.steps is None else list(self.steps)
         return {"name": "ICM", **asdict(self), "steps": steps}
 
+    @property
+    def kernels(self) -> str:
+        """Kernels of the sweeps, as a key."""
+        return "exact sweeps" if self.steps is None else "sweeps"
+
     def rehearsal(self) -> ICM:
         """Return one sweep on each level, with the same kernels."""
         return replace(self, iterations=1, energy_change=None)

@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ConvergenceError
-from napari_hmrf.solver.backends.dissection import Singular
-from napari_hmrf.solver.backends.factors import Factors
+from napari_hmrf.solver.backends.direct.dissection import Singular
+from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.solver.optimizers.base import Monitor, Report
 from napari_hmrf.solver.optimizers.refinement import add

@@ -12,8 +12,8 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.solver.backends import host
-from napari_hmrf.solver.backends.entrained import Entrained
 from napari_hmrf.solver.backends.linear import Balance, Planes, Steps, UnsymmetricLevel
+from napari_hmrf.solver.backends.rigid.entrained import Entrained
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers.cycle import Cycle
 

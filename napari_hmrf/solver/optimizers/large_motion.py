@@ -18,7 +18,7 @@ from napari_hmrf.solver.backends.base import Backend
 from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.found import Beginning
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
-from napari_hmrf.solver.backends.poses import Poses
+from napari_hmrf.solver.backends.rigid.poses import Poses
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Reach, Report
 from napari_hmrf.solver.optimizers.cycle import smoothing_of

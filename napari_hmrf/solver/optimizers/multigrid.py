@@ -78,6 +78,11 @@ class Multigrid:
         """Parameters by name."""
         return {"name": "Multigrid", **asdict(self)}
 
+    @property
+    def kernels(self) -> str:
+        """Kernels of the iteration, as a key."""
+        return "cycles"
+
     def rehearsal(self) -> Multigrid:
         """Return an iteration with the same kernels that is sure to end."""
         return Multigrid()

@@ -18,11 +18,11 @@ import scipy
 
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
-from napari_hmrf.solver.backends.dissection import Singular
-from napari_hmrf.solver.backends.factors import Factors
+from napari_hmrf.solver.backends.direct.dissection import Singular
+from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
-from napari_hmrf.solver.backends.poses import Poses
+from napari_hmrf.solver.backends.rigid.poses import Poses
 from napari_hmrf.solver.neighbours import around_sites
 from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
@@ -30,38 +30,79 @@ from napari_hmrf.solver.optimizers.doubt import BELIEVABLE, Rehearsal
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
 from napari_hmrf.solver.optimizers.outside import Outside
 
-# Part of its Jacobian that every corner keeps in a step; part of a shortened pull that is taken;
-# and the Jacobian below which tissue is pulled no further.
-_KEPT, _SHARE, _FLOOR = 0.25, 0.85, 1e-5
-# Error left in a linear system, as a part of its first error and of the tolerance; and the
-# residual, relative to the load, at the limit of single precision.
-_INNER, _OF_TOLERANCE, _ROUNDED = 0.03, 0.3, 2e-5
-# Cycles after which a system with up to this many sites is factorised, and a larger one, whose
-# factorisation takes longer.
-_CYCLES, _FEW, _MORE_CYCLES = 40, 20_000, 200
-# Part of a step below which the step without buckling terms is tried.
-_HARDLY = 0.1
-# Part of the promised fall of energy that a step must reach; rounding of the energy, and for each
-# component; and largest number of halvings of a step.
-_ARMIJO, _ROUNDING, _OF_SITE, _HALVINGS = 1e-4, 1e-12, 1e-3, 12
-# Distance from balance, in pixels, at which tissue counts as relaxed, and largest number of steps
-# to get there; and the same before tissue counts as stuck.
-_RELAXED, _RELAXATIONS = 0.3, 6
-_AT_EASE, _MORE_RELAXATIONS = 0.02, 25
-# A pull that goes less than this part of its way, and less than this distance in pixels, so often
-# in a row, is stuck; elements obstruct it that limit the step to less than the last number.
-_STUCK, _STUCK_PIXELS, _PATIENCE, _IN_THE_WAY = 0.05, 0.1, 2, 0.3
-# Largest relative spread of the motions of sites that are pulled as one piece.
-_AS_ONE = 0.2
-# Steps after which pulling ends, and after which the run fails.
-_MOST_PULLS, _MOST_STEPS = 150, 400
-# Tissue creeps if so many steps lower its energy by this part only; closer to balance than this
-# distance, in pixels, that counts as balanced.
-_LONG, _LITTLE, _CREEPS = 30, 1e-7, 0.1
-# Least non-zero share of the buckling terms to leave out, and factor to the next share.
-_LEAST, _MORE = 0.05, 2.0
-# Length of a short step, in tolerances.
-_SHORT = 10.0
+# A step of the field
+
+#: Part of its Jacobian that every corner keeps in a step; more shortens all steps.
+_JACOBIAN_PART = 0.25
+#: Part of its possible length that a pull takes if a corner limits it; 1 would end at the limit.
+_PULL_PART = 0.85
+#: Jacobian below which tissue is pulled no further.
+_PULL_FLOOR = 1e-5
+#: Part of a step: one that falls in energy over less is tried without the buckling terms.
+_LEAST_STEP = 0.1
+#: Part of the fall in energy promised by the slope that a step must reach (Armijo's condition).
+_ARMIJO = 1e-4
+#: Rounding of the energy, relative to the energy: a rise up to this is accepted.
+_ENERGY_ROUNDING = 1e-12
+#: Energy of each component, in pixels squared, that counts as rounded beside the whole energy.
+_COMPONENT_ROUNDING = 1e-3
+#: Largest number of halvings of a step; after them the step is not taken.
+_HALVING_LIMIT = 12
+#: Largest number of pulls; then all gaps that are left stay open.
+_PULL_LIMIT = 150
+#: Largest number of steps; then a run fails.
+_STEP_LIMIT = 400
+
+# The linear system of a step
+
+#: Error left in a linear system, relative to its first error.
+_INNER_REDUCTION = 0.03
+#: Error left in a linear system, in tolerances; the larger of both is enough.
+_INNER_TOLERANCE = 0.3
+#: Residual, relative to the load, that single precision cannot reduce.
+_SINGLE_RESIDUAL = 2e-5
+#: Cycles after which a small system is factorised.
+_CYCLE_LIMIT = 40
+#: Sites up to which a system is small: its factorisation takes less time than many cycles.
+_SMALL_GRID = 20_000
+#: Cycles after which a larger system is factorised.
+_LARGE_CYCLE_LIMIT = 200
+#: Least share of the buckling terms to leave out, if any is left out.
+_FIRST_SHARE = 0.05
+#: Factor from one share to the next, until the linear model is positive.
+_SHARE_GROWTH = 2.0
+
+# Tissue between two pulls
+
+#: Distance from balance, in pixels, at which tissue is relaxed enough for the next pull.
+_RELAXED_DISTANCE = 0.3
+#: Largest number of steps to get there.
+_RELAXATION_LIMIT = 6
+#: Distance from balance, in pixels, that must be reached before a pull can count as stuck.
+_BALANCED_DISTANCE = 0.02
+#: Largest number of steps to get there.
+_BALANCE_LIMIT = 25
+#: Part of its way below which a pull is stuck, if it is also shorter than `_STUCK_DISTANCE`.
+_STUCK_PART = 0.05
+#: Length of a pull, in pixels, below which it is stuck.
+_STUCK_DISTANCE = 0.1
+#: Number of stuck pulls in a row after which the components in the way are let be.
+_STUCK_LIMIT = 2
+#: Part of a pull: an element that limits it to less is in the way.
+_OBSTRUCTION = 0.3
+#: Largest spread of the motions of sites that are pulled as one piece, relative to the motions.
+_PIECE_SPREAD = 0.2
+
+# The end of a run
+
+#: Number of steps over which tissue is tested for creep: slow motion of crushed tissue.
+_CREEP_STEPS = 30
+#: Fall in energy over these steps, relative to the energy, up to which tissue creeps.
+_CREEP_ENERGY = 1e-7
+#: Distance from balance, in pixels, at which tissue that creeps counts as balanced.
+_CREEP_DISTANCE = 0.1
+#: Length of the last step, in tolerances, of tissue whose motions cycles may miss.
+_FINAL_STEP = 10.0
 #: Least Jacobian of any corner of a field: far above rounding in double precision.
 LEAST_JACOBIAN = 1e-9
 
@@ -86,7 +127,7 @@ class Strategy(NamedTuple):
     doubtful: bool
     stiff: bool
     by_factors: bool
-    steps: int = _MOST_STEPS
+    steps: int = _STEP_LIMIT
 
 
 class Distance(NamedTuple):
@@ -190,10 +231,10 @@ class Newton:
         """
         self._tolerance, self._met = tolerance, True
         y = np.where(held, y, d)
-        relaxations, stuck, patience, near = 0, 0, _PATIENCE, _RELAXED
+        relaxations, stuck, patience, near = 0, 0, _STUCK_LIMIT, _RELAXED_DISTANCE
         self._first, self._pulled = float(np.abs(y - d).max()), len(self.energies)
         for number in range(self._strategy.steps):
-            if number == _MOST_PULLS and (held & (y != d)).any():
+            if number == _PULL_LIMIT and (held & (y != d)).any():
                 np.copyto(y, d)
                 self._met = False
             gap = np.where(held, y - d, 0.0)
@@ -212,10 +253,10 @@ class Newton:
             if pulls:
                 taken, self._pulled = self._pull(d, step.way, aim, held), len(self.energies) + 1
                 if taken < 1.0:
-                    stays = taken < _STUCK and taken * left < _STUCK_PIXELS
-                    stuck = stuck + 1 if stays and near == _AT_EASE else 0
-                    near = _AT_EASE if stays else _RELAXED
-                    relaxations = _MORE_RELAXATIONS if stays else _RELAXATIONS
+                    stays = taken < _STUCK_PART and taken * left < _STUCK_DISTANCE
+                    stuck = stuck + 1 if stays and near == _BALANCED_DISTANCE else 0
+                    near = _BALANCED_DISTANCE if stays else _RELAXED_DISTANCE
+                    relaxations = _BALANCE_LIMIT if stays else _RELAXATION_LIMIT
                     if stuck == patience:
                         stuck, patience = 0, 1
                         self._let_be(d, y, held, step.way)
@@ -239,7 +280,7 @@ class Newton:
                 break
         # Crushed tissue creeps: it goes no further.
         estimate = self.distance.estimate
-        if not math.isfinite(estimate) or (self._met and estimate > _CREEPS):
+        if not math.isfinite(estimate) or (self._met and estimate > _CREEP_DISTANCE):
             self._give_up()
 
     def _give_up(self) -> None:
@@ -290,7 +331,7 @@ class Newton:
             return False
         if step.factors is not None:
             return True
-        if step.far > _SHORT * self._tolerance:
+        if step.far > _FINAL_STEP * self._tolerance:
             return False
         # Such tissue was rehearsed at an earlier pull, or is rehearsed now.
         model, known = self._model, self._model.rehearsed
@@ -327,7 +368,7 @@ class Newton:
             if found is None and sure and Factors.fit(self._model.shape):
                 found = self._solve(rest)
             if found is not None:
-                self._positive = stiff / _MORE if stiff > _LEAST else 0.0
+                self._positive = stiff / _SHARE_GROWTH if stiff > _FIRST_SHARE else 0.0
                 way = found.way if gap is None else found.way + gap
                 return found._replace(way=way, positive=stiff)
         return None
@@ -340,7 +381,8 @@ class Newton:
             return _Linear(way, 0.0, 0.0)
         latest: Step | None = None
         first, count, done = 0.0, 0, False
-        patience = _CYCLES if math.prod(self._model.shape) <= _FEW else _MORE_CYCLES
+        is_small = math.prod(self._model.shape) <= _SMALL_GRID
+        patience = _CYCLE_LIMIT if is_small else _LARGE_CYCLE_LIMIT
 
         def enough(step: Step) -> bool:
             nonlocal latest, first, count, done
@@ -349,7 +391,7 @@ class Newton:
             first = first or error
             self.cycles += 1
             self._report(Monitor(f"cycle {self.cycles}, {error:.2g} px to go", 0.0))
-            done = error <= max(_INNER * first, _OF_TOLERANCE * self._tolerance)
+            done = error <= max(_INNER_REDUCTION * first, _INNER_TOLERANCE * self._tolerance)
             return done or count >= patience
 
         try:
@@ -359,7 +401,7 @@ class Newton:
             self._model.clear()
             return None
         # Otherwise cycles have met a direction in which the tissue buckles, or have stalled.
-        if latest is not None and latest.rest * balance.unit <= _ROUNDED * balance.norm:
+        if latest is not None and latest.rest * balance.unit <= _SINGLE_RESIDUAL * balance.norm:
             done = True
         self._buckles = not done and count < patience
         if latest is None or not done:
@@ -389,9 +431,9 @@ class Newton:
 
     def _creeps(self, far: float) -> bool:
         """Return whether steps have been short for long, and the energy hardly falls."""
-        late = self.energies[self._pulled :][-_LONG:]
-        short = len(late) == _LONG and far <= _CREEPS
-        return short and late[0] - late[-1] <= _LITTLE * abs(late[-1])
+        late = self.energies[self._pulled :][-_CREEP_STEPS:]
+        short = len(late) == _CREEP_STEPS and far <= _CREEP_DISTANCE
+        return short and late[0] - late[-1] <= _CREEP_ENERGY * abs(late[-1])
 
     def _energy(self, d: Planes) -> tuple[float, float]:
         """Return the total energy, and the least Jacobian of any corner."""
@@ -405,9 +447,9 @@ class Newton:
 
     def _pull(self, d: Planes, way: Planes, y: Planes, held: HeldPlanes) -> float:
         """Move along a step, in place, until a corner nearly folds; return the part moved."""
-        length, _ = self._model.length(d, way, _KEPT, _FLOOR)
-        taken, start = 1.0 if length >= 1 else _SHARE * length, d.copy()
-        for _ in range(_HALVINGS):
+        length, _ = self._model.length(d, way, _JACOBIAN_PART, _PULL_FLOOR)
+        taken, start = 1.0 if length >= 1 else _PULL_PART * length, d.copy()
+        for _ in range(_HALVING_LIMIT):
             np.copyto(d, start + taken * way)
             if taken == 1.0:
                 np.copyto(d, y, where=held)
@@ -423,7 +465,7 @@ class Newton:
     def _relax(self, d: Planes, held: HeldPlanes, step: _Linear) -> tuple[_Linear, float]:
         """Take a step downhill or, if it hardly moves, one without the buckling terms."""
         taken = self._descend(d, step.way)
-        if taken < _HARDLY and step.positive < 1:
+        if taken < _LEAST_STEP and step.positive < 1:
             again = self._step(d, None, held, positive=1.0)
             if again is not None:
                 return again, max(taken, self._descend(d, again.way))
@@ -441,13 +483,14 @@ class Newton:
         """Move along a step while the energy falls, in place; return the part moved."""
         before, _ = self._energy(d)
         slope = float((self.forces(d) * way).sum())
-        length, _ = self._model.length(d, way, _KEPT, LEAST_JACOBIAN)
+        length, _ = self._model.length(d, way, _JACOBIAN_PART, LEAST_JACOBIAN)
         taken, start = min(1.0, length), d.copy()
-        for _ in range(_HALVINGS):
+        for _ in range(_HALVING_LIMIT):
             d += taken * way
             self._poses.settle(d)
             energy, least = self._energy(d)
-            promise = _ARMIJO * taken * slope + _ROUNDING * (abs(before) + _OF_SITE * d.size)
+            rounding = _ENERGY_ROUNDING * (abs(before) + _COMPONENT_ROUNDING * d.size)
+            promise = _ARMIJO * taken * slope + rounding
             if least >= LEAST_JACOBIAN and energy <= before + promise:
                 return taken
             np.copyto(d, start)
@@ -457,8 +500,8 @@ class Newton:
     def _let_be(self, d: Planes, y: Planes, held: HeldPlanes, way: Planes) -> None:
         """Stop pulling held components that stand in the way of the rest."""
         self._met = False
-        _, lengths = self._model.length(d, way, _KEPT, _FLOOR, each=True)
-        sites = around_sites(lengths < _IN_THE_WAY, np.logical_or)
+        _, lengths = self._model.length(d, way, _JACOBIAN_PART, _PULL_FLOOR, each=True)
+        sites = around_sites(lengths < _OBSTRUCTION, np.logical_or)
         pulled = (held & (y != d)).any(axis=0)[2:-2, 2:-2]
         stops = sites & pulled
         if not stops.any():
@@ -472,7 +515,7 @@ class Newton:
             piece = pieces == number
             ways = gap[:, piece]
             mean = ways.mean(axis=1, keepdims=True)
-            if norm(ways - mean) <= _AS_ONE * norm(ways):
+            if norm(ways - mean) <= _PIECE_SPREAD * norm(ways):
                 stops |= piece
         for body in self._model.bodies:
             stops[body] |= stops[body].any()
@@ -491,7 +534,7 @@ def _shares(first: float) -> Iterator[float]:
     share = first
     while share < 1:
         yield share
-        share = max(_MORE * share, _LEAST)
+        share = max(_SHARE_GROWTH * share, _FIRST_SHARE)
     yield 1.0
 
 

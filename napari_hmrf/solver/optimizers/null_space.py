@@ -11,8 +11,8 @@ import scipy
 
 from napari_hmrf.errors import ConvergenceError, ProblemError
 from napari_hmrf.solver.backends import host
-from napari_hmrf.solver.backends.dissection import HELD, Singular
-from napari_hmrf.solver.backends.factors import Factors
+from napari_hmrf.solver.backends.direct.dissection import HELD, Singular
+from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.solver.optimizers.base import Report
 from napari_hmrf.solver.optimizers.refinement import HELD_BY_NOTHING, Refinement, factorise

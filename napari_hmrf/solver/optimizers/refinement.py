@@ -15,8 +15,8 @@ import numpy as np
 
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
-from napari_hmrf.solver.backends.dissection import Singular
-from napari_hmrf.solver.backends.factors import Factors
+from napari_hmrf.solver.backends.direct.dissection import Singular
+from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.backends.found import Met, Quality
 from napari_hmrf.solver.backends.linear import Balance, LinearModel, Planes
 from napari_hmrf.solver.backends.thread import compute_thread

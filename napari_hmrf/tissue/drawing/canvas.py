@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.normals import outward_normals
 from napari_hmrf.tissue.drawing.marks import (
     COMPONENTS,
     Action,
@@ -22,6 +21,7 @@ from napari_hmrf.tissue.drawing.marks import (
     Point,
     Stroke,
 )
+from napari_hmrf.tissue.normals import outward_normals
 
 FloatArray = npt.NDArray[np.float32]
 #: Box of an image, one slice per axis; an empty box has slices that end where they begin.

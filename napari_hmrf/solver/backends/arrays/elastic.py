@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.backends.arrays.level import ArrayLevel, Vector
 from napari_hmrf.solver.backends.arrays.model import ArrayModel
-from napari_hmrf.solver.backends.bodies import Bodies, bodies_of
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
+from napari_hmrf.solver.backends.rigid.bodies import Bodies, bodies_of
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import (
@@ -73,7 +73,7 @@ class ArrayElasticModel(ArrayModel):
         super().hold(held)
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """- A d everywhere, in double precision."""
+        """Return -A d everywhere, in double precision."""
         inner = np.moveaxis(d[:, 2:-2, 2:-2], 0, -1)
         made: Planes = np.zeros(d.shape)
         forces = element_forces(Lame(*self._elements), self.material.shape, inner)
@@ -81,24 +81,24 @@ class ArrayElasticModel(ArrayModel):
         return made if low is None else made + self.pull(low)
 
     def work(self, d: Planes) -> tuple[float, float]:
-        """The elastic energy, and the norm of the forces."""
+        """Return the elastic energy, and the norm of the forces."""
         pulls = self.pull(d)
         return -float((d * pulls).sum()) / 2, float(np.linalg.norm(pulls))
 
     @property
     def steepness(self) -> Planes:
-        """The diagonal of the stiffness matrix."""
+        """Compute the diagonal of the stiffness matrix."""
         lame = np.zeros((2, *(size + 4 for size in self.shape)))
         lame[:, 2:-3, 2:-3] = self._elements
         return diagonal(lame, self.material.shape)
 
     def forget(self) -> None:
-        """Be not the last model any more."""
+        """Clear the model cache."""
         _last[:] = ()
 
 
 def diagonal(lame: Float64Array, shape: ElementShape) -> Float64Array:
-    """The diagonal of the stiffness matrix, planes, from the elements' parameters."""
+    """Return the diagonal of the stiffness matrix, planes, from the elements' parameters."""
     total = np.zeros_like(lame)
     total[:, 1:, 1:] = lame[:, 1:, 1:] + lame[:, 1:, :-1] + lame[:, :-1, 1:] + lame[:, :-1, :-1]
     first, shear = total

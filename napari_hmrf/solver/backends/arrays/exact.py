@@ -43,23 +43,23 @@ def prescribe(
 
 
 def blend(values: Values, weight: float, held: HeldPlanes, d: Planes) -> None:
-    """D += weight * values, (H, W, 2), where it is not held."""
+    """Add weight * values, (H, W, 2), to `d` where it is not held."""
     _inside(d)[...] += np.where(_inside(held), 0.0, np.float64(weight) * values)
 
 
 def settle(
     values: Values, tissue: npt.NDArray[np.bool_], unit: float, row_finite: npt.NDArray[np.bool_]
 ) -> None:
-    """Values *= unit on tissue, 0 elsewhere; whether each row of (H, W, 2) had numbers only."""
+    """Scale values by `unit` on tissue, 0 elsewhere; mark the rows that are all finite."""
     row_finite[...] = np.isfinite(values).all(axis=(1, 2))
     values *= unit * tissue[..., None].astype(values.dtype)
 
 
 def add(d: Planes, correction: npt.NDArray[np.float32], scale: float) -> None:
-    """D += scale * correction."""
+    """Add scale * correction to `d`."""
     d += np.float64(scale) * correction
 
 
 def gather(d: Planes, out: npt.NDArray[np.float32]) -> None:
-    """Out, (H, W, 2) in single precision, from planes."""
+    """Copy planes to `out`, (H, W, 2) in single precision."""
     out[...] = _inside(d)

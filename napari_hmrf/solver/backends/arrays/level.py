@@ -48,10 +48,10 @@ class ArrayLevel:
         return np.zeros((len(self.grid), *(size + 4 for size in self.grid)), dtype=np.float32)
 
     def free(self, *vectors: Vector) -> None:
-        """Nothing to do: memory goes with the last reference."""
+        """Ignore the call: memory goes with the last reference."""
 
     def weigh(self, a: Vector, b: Vector) -> tuple[float, float]:
-        """The largest absolute value of `a`, and the scalar product."""
+        """Return the largest absolute value of `a`, and the scalar product."""
         return float(np.abs(a).max()), float(np.vdot(a.astype(np.float64), b.astype(np.float64)))
 
     def hold(self, held: HeldPlanes) -> None:
@@ -60,7 +60,7 @@ class ArrayLevel:
         self._invert(self.diagonal, (self.steep > 0) & ~held)
 
     def _pinned(self, held: HeldPlanes) -> HeldPlanes:
-        """What counts as held where a coarser level asks."""
+        """Held components, as seen by a coarser level."""
         return held
 
     def hold_as(self, finer: Self) -> None:
@@ -80,7 +80,7 @@ class ArrayLevel:
 
 
 def restricted(fine: Real, grid: tuple[int, ...]) -> Real:
-    """The transpose of linear interpolation: coarse site i lies on fine site 2 i."""
+    """Apply the transpose of linear interpolation: coarse site i lies on fine site 2 i."""
     fine = np.pad(fine, ((0, 0), *[(0, 2)] * len(grid)))
     for axis, count in enumerate(grid):
         fine = _along(fine, count, 1 + axis)

@@ -1,4 +1,4 @@
-"""What the models of all priors have in common as arrays."""
+"""Common part of the NumPy models of all priors."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class ArrayModel(HostModel):
         self.material, self._held, self.found = material, None, Found()
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """- A d everywhere, in double precision."""
+        """Return -A d everywhere, in double precision."""
         raise NotImplementedError
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:

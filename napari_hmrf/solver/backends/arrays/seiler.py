@@ -62,13 +62,13 @@ class ArraySeilerLevel(ArrayLevel):
         return np.asarray((self.stiffness[:1] > 0) & ((self.steep == 0) | held))
 
     def apply(self, direction: Vector, image: Vector) -> None:
-        """Image = A direction."""
+        """Compute image = A direction."""
         image[...] = -pull(direction, self.stiffness[0], self._lines, bool(self.blanket))
         image[self.inverse == 0] = 0
 
 
 def pull(d: Real, m: Real, lines: Float64Array, blanket: bool) -> Float64Array:
-    """- A d everywhere."""
+    """Return -A d everywhere."""
     curvature, slope, _ = cliques(d, m, lines, blanket)
     return slope if blanket else slope / np.maximum(curvature, 1e-30)
 
@@ -102,7 +102,7 @@ class ArraySeilerModel(ArrayModel):
         self._rest = self.levels[0].vector()
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """- A d everywhere, in double precision."""
+        """Return -A d everywhere, in double precision."""
         if low is not None:
             assert self.material.blanket
             pulls: Planes = self.material.pull(d, low)
@@ -110,7 +110,7 @@ class ArraySeilerModel(ArrayModel):
         return pull(d, self._m, self._lines, self.material.blanket)
 
     def work(self, d: Planes) -> tuple[float, float]:
-        """The cliques' share of U_total, and the norm of all pulls."""
+        """Return the cliques' share of U_total, and the norm of all pulls."""
         curvature, slope, energy = cliques(d, self._m, self._lines, self.material.blanket)
         pulls = slope if self.material.blanket else slope / np.maximum(curvature, 1e-30)
         return float(energy.sum()) / (2 if self.material.blanket else 1), float(
@@ -125,7 +125,7 @@ class ArraySeilerModel(ArrayModel):
         return found if self.material.blanket else 2 * found
 
     def forget(self) -> None:
-        """Be not the last model any more."""
+        """Clear the model cache."""
         _last[:] = ()
 
 
@@ -136,7 +136,7 @@ def _coarser(fine: Float64Array, grid: tuple[int, ...]) -> tuple[Float64Array, F
     inner = made[(slice(None), *[slice(2, -2)] * len(grid))]
     np.divide(total, share, out=inner[0], where=total > 0)
     np.divide(share, total, out=inner[1], where=total > 0)
-    # Where less than a quarter of what is around a site is tissue, it counts as a quarter.
+    # At least a quarter of the surroundings of a site counts as tissue.
     inner[2] = 4 / np.maximum(share, 2 ** len(grid) / 4)
     return made[:2], made[2]
 

@@ -10,7 +10,6 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends import loader
 from napari_hmrf.solver.backends.base import (
     BATCH_SECONDS,
     Checkpoint,
@@ -18,7 +17,9 @@ from napari_hmrf.solver.backends.base import (
     FloatArray,
     SiteRule,
 )
+from napari_hmrf.solver.backends.compile_cache import loader
 from napari_hmrf.solver.backends.finite import FiniteModel
+from napari_hmrf.solver.backends.job import SolveJob
 from napari_hmrf.solver.backends.linear import LinearModel
 from napari_hmrf.solver.priors import line_weights
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
@@ -56,7 +57,7 @@ class CpuField:
 
     @cached_property
     def spans(self) -> npt.NDArray[np.int64]:
-        """Of a stiffness: where the tissue of each of its `rows` begins and ends, shape (H, 2).
+        """Begin and end of the tissue in each of the `rows` of a stiffness, shape (H, 2).
 
         No site outside moves, so none is computed: a third of a head's image is air.
         """
@@ -89,9 +90,13 @@ class CpuBackend:
         self._checkpoint = checkpoint
         self._numba = numba
         self._threads = threads = numba.get_num_threads()
-        # What the last sweeps used beside their fields, for the next ones on the same level.
+        # Scratch arrays of the last sweeps, for the next sweeps on the same level.
         self._left_over: tuple[CpuField, FloatArray, FloatArray] | None = None
         self.renderer = f"compiled loops on {platform.machine()}, {threads} threads"
+
+    def supports(self, job: SolveJob) -> str | None:
+        """Return None: there are loops for every job."""
+        return None
 
     def upload(self, values: FloatArray) -> CpuField:
         """Pad values of shape (H, W, C) or (D, H, W, C) by void."""
@@ -154,7 +159,7 @@ class CpuBackend:
     def energy(
         self, displacement: CpuField, stiffness: CpuField, observation: CpuField, rule: SiteRule
     ) -> float:
-        """U_total: what a sweep, whose result nobody wants, begins with."""
+        """Return U_total, which a sweep computes before it moves anything."""
         totals, (odd, share) = np.empty((1, len(stiffness.spans))), self._scratch(stiffness)
         self._sweep(displacement.planes, odd, stiffness, observation, rule, share, totals)
         return float(totals.sum())
@@ -238,7 +243,7 @@ class CpuBackend:
         return the_model(material)
 
     def _scratch(self, stiffness: CpuField) -> tuple[FloatArray, FloatArray]:
-        """Find planes for displacement, 0 in void, and for energies; nobody else holds them."""
+        """Return unused planes for displacement, 0 in void, and for energies."""
         if self._left_over is not None and self._left_over[0] is stiffness:
             return self._left_over[1:]
         shape = stiffness.shape
@@ -246,7 +251,7 @@ class CpuBackend:
         return self._transfer.padded(len(shape), shape), np.empty(energies, dtype=np.float32)
 
     def release(self, *fields: CpuField) -> None:
-        """Nothing to do: memory goes with the last reference."""
+        """Ignore the call: memory goes with the last reference."""
 
     def close(self) -> None:
         """Let go of what is kept between sweeps."""

@@ -1,4 +1,4 @@
-"""What multigrid needs to know of elastic tissue, level by level, as compiled loops.
+"""Compiled loops that prepare elastic tissue for multigrid, level by level.
 
 Arrays are padded by two sites of void. An element has the number of its first site (least row and
 col), so that site (i, j) is a corner of the elements (i - 1, j - 1) to (i, j).
@@ -14,7 +14,7 @@ from napari_hmrf.solver.backends.cpu.compiled import parallel
 
 @parallel
 def elements(m, poisson, each, one, strain, scale, lame):
-    """Lame's parameters of each element: of the means of its sites; 0 if one of them is void.
+    """Compute Lame's parameters of each element, from the means of its sites; 0 beside void.
 
     Poisson's ratio is `poisson` everywhere if there is `one`, else each site's in `each`; lambda is
     that of plane stress or, if `strain`, of plane strain. In double precision: of 1 - 2 nu little
@@ -42,7 +42,7 @@ def elements(m, poisson, each, one, strain, scale, lame):
 
 @parallel
 def coarsen(fine, coarse):
-    """A coarse element's parameters: the mean of the four it covers, void counted as 0."""
+    """Compute a coarse element's parameters: the mean of four, void counted as 0."""
     for i in prange(coarse.shape[1] - 4):
         for k in range(2):
             for j in range(coarse.shape[2] - 4):
@@ -53,7 +53,7 @@ def coarsen(fine, coarse):
 
 @parallel
 def diagonal(lame, shape, out):
-    """The diagonal of the stiffness matrix."""
+    """Compute the diagonal of the stiffness matrix."""
     for n in prange(lame.shape[1] - 4):
         i = n + 2
         for k in range(lame.shape[2] - 4):

@@ -16,7 +16,7 @@ from typing import Any
 import numba
 from numba.core import event
 
-from napari_hmrf.solver.backends.kept import sources
+from napari_hmrf.solver.backends.compile_cache.kept import sources
 
 # Contraction (one rounding for x * y + z) is allowed; reordering is not, as differences must stay.
 _ARITHMETIC = {"contract", "nsz"}
@@ -31,7 +31,7 @@ class _Uncollected(event.Listener):  # type: ignore[misc]
     _paused = False
 
     def on_start(self, _: event.Event) -> None:
-        """Pause, unless someone else has."""
+        """Pause the collection, unless it is paused already."""
         if self._within == 0:
             self._paused = gc.isenabled()
             gc.disable()
@@ -66,7 +66,7 @@ def _callee(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     return made
 
 
-#: Become part of the source of whoever calls them.
+#: Functions that become part of their caller's source.
 inline = numba.njit(inline="always", error_model="numpy")
 #: Compiled once for all callers and inlined by LLVM: as fast, and ready in half the time.
 shared = _callee(fastmath=_ARITHMETIC, forceinline=True)
@@ -77,7 +77,7 @@ strict_callee = _callee()
 #: Sums that may be taken in any order.
 reduction = _callee(fastmath={"reassoc", "nsz"})
 contracted_reduction = _callee(fastmath=_ARITHMETIC | {"reassoc"})
-#: What Python calls: on one thread; on one or on all, with no liberties taken.
+#: Loops that Python calls: on one thread; on one or on all, with exact arithmetic.
 alone = _kept(fastmath=_ARITHMETIC)
 strict = _kept()
 strict_parallel = _kept(parallel=True)

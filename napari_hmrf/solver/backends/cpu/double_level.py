@@ -19,7 +19,7 @@ Float64Array = npt.NDArray[np.float64]
 
 
 class DoubleLevel(CpuLevel):
-    """What an iteration asks of a level, in double precision.
+    """Operations of an iteration on a level, in double precision.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class DoubleLevel(CpuLevel):
         The finest of all.
     share : float
     shape : ndarray
-        What the level knows of its elements, in double precision.
+        Parameters of the level's elements, in double precision.
     """
 
     def __init__(self, level: Any, share: np.float64, shape: Float64Array) -> None:
@@ -39,7 +39,7 @@ class DoubleLevel(CpuLevel):
         self.bodies, self.sums_up = level.bodies, level.sums_up
 
     def rounded(self, rest: Float64Array) -> Vector:
-        """What cycles are given for a vector; valid until the next call."""
+        """Return a vector as cycles take it; valid until the next call."""
         np.copyto(self.load, rest, casting="same_kind")
         return self.load
 
@@ -53,7 +53,7 @@ class DoubleLevel(CpuLevel):
         """Let them go: memory is what limits volumes."""
 
     def apply(self, direction: Any, image: Any) -> float:
-        """Image = A direction; their scalar product."""
+        """Compute image = A direction; return their scalar product."""
         about = *self._tissue, self.inverse, self.inverse, *self._about
         volume.rest(direction, direction, 0.0, *about, -1.0, image, self._level.parts)
         return self.product(direction, image)

@@ -1,11 +1,11 @@
-"""Elastic tissue as compiled loops: what multigrid asks of its levels, in single precision.
+"""Compiled loops for elastic tissue: the operations of multigrid, in single precision.
 
 Arrays are padded as those of the other kernels are, by two sites of void. A site that is
 prescribed, or in no element, has an inverse diagonal of 0: its correction stays 0. `weight`, the
 diagonal of a coarse level's springs W, counts `springs` times: 0 on the finest level, else 1.
 
 Each kernel divides the rows among threads, `count` of them. A thread begins with the row above its
-first, for the sake of what that leaves in `carry`; what comes out of it is nobody's. Kernels write
+first, for the sake of the values that it leaves in `carry`; its result is not used. Kernels write
 where something moves only (`spans`): beyond that there must be 0.
 """
 
@@ -27,7 +27,7 @@ from napari_hmrf.solver.backends.cpu.forces import (
 )
 from napari_hmrf.solver.backends.cpu.vectors import restrict_row, row_product
 
-# Loops over a row begin at max(0, ...): then the compiler knows that no index counts from the end.
+# Loops over a row begin at max(0, ...), so that the compiler can exclude negative indices.
 
 
 @callee
@@ -44,7 +44,7 @@ def _apply_row(d, lame, inverse, shape, i, span, carry, out_row, out_col):
 
 @alone
 def apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last):
-    """As `apply`, of the rows from the first to before the last."""
+    """Apply the matrix to the rows from the first to before the last, as `apply` does."""
     carry, nobody = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
     for i in range(max(first - 1, 0), last):
         row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (nobody[0], nobody[1])
@@ -55,7 +55,7 @@ def apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last):
 
 @parallel
 def apply(d, lame, inverse, shape, spans, out, row_totals, count):
-    """Out = A d where sites move, 0 elsewhere; `row_totals` gets the product of d and out."""
+    """Write A d to `out` where sites move, 0 elsewhere; `row_totals` gets the product with d."""
     for number in prange(count):
         first, last = part(number, count, len(spans))
         apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last)
@@ -91,7 +91,7 @@ def _smooth_part(d, tissue, weights, spans, out, pace, first, last):
 
 @parallel
 def smooth(d, load, lame, inverse, weight, springs, shape, spans, out, scale, ahead, back, count):
-    """A Chebyshev step: out = d + scale D^-1 (load - (A + W) d) + ahead d - back out.
+    """Compute a Chebyshev step: out = d + scale D^-1 (load - (A + W) d) + ahead d - back out.
 
     What `out` holds before is the displacement before the last step: d - out was that step.
     """
@@ -128,7 +128,7 @@ def _begin_part(tissue, weights, spans, out, start, pace, first, last):
 def begin(
     load, lame, inverse, weight, springs, shape, spans, out, start, scale, ahead, back, count
 ):
-    """The first two Chebyshev steps, from zero: as `smooth`, from d = start D^-1 load."""
+    """Compute the first two Chebyshev steps, from zero: as `smooth`, from d = start D^-1 load."""
     for number in prange(count):
         first, last = part(number, count, len(spans))
         tissue, pace = (load, lame, inverse, shape), (scale, ahead, back)
@@ -173,7 +173,7 @@ def _leave_part(d, tissue, weights, spans, coarse, first, last):
 
 @parallel
 def leave(d, load, lame, inverse, weight, springs, shape, spans, coarse, count):
-    """Coarse = what d leaves of the load, load - (A + W) d where sites move, restricted."""
+    """Restrict the residual load - (A + W) d, where sites move, to `coarse`."""
     for number in prange(count):
         first, last = part(number, count, coarse.shape[1] - 4)
         tissue = load, lame, inverse, shape

@@ -51,7 +51,7 @@ def _balance_part(d, load, given, tissue, spans, share, out, row_most, row_squar
 
 @parallel
 def balance(d, load, given, lame, inverse, shape, spans, share, out, row_most, row_squares, count):
-    """Out = share (given load - A d) in single precision, and 0 at sites that do not move.
+    """Write share (given load - A d) to `out`, in single precision; 0 at sites that do not move.
 
     Its largest absolute value and its square are returned row by row.
     """
@@ -86,7 +86,7 @@ def _work_part(d, lame, shape, row_products, row_squares, first, last):
 
 @parallel
 def work(d, lame, shape, row_products, row_squares, count):
-    """The product of a displacement and A times it, and the square of that, by rows."""
+    """Compute the products of d and A d, and of A d with itself, by rows."""
     for number in prange(count):
         first, last = part(number, count, len(row_products))
         _work_part(d, lame, shape, row_products, row_squares, first, last)
@@ -113,7 +113,7 @@ def _pull_part(d, lame, shape, out, first, last):
 
 @parallel
 def pull(d, lame, shape, out, count):
-    """Out = - A d everywhere."""
+    """Write -A d to `out`, everywhere."""
     for number in prange(count):
         first, last = part(number, count, d.shape[1] - 4)
         _pull_part(d, lame, shape, out, first, last)

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.bodies import Bodies, BodySites, bodies_of, few
 from napari_hmrf.solver.backends.cpu import assembly, elastic, elastic_exact, forces, small, vectors
 from napari_hmrf.solver.backends.cpu.entraining import entrain
 from napari_hmrf.solver.backends.cpu.level import Vector, paces_of
 from napari_hmrf.solver.backends.cpu.small_levels import SmallLevel, SmallLevels, divided
-from napari_hmrf.solver.backends.entrained import Entrained
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.solver.backends.rigid.bodies import Bodies, BodySites, bodies_of, few
+from napari_hmrf.solver.backends.rigid.entrained import Entrained
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import (
@@ -55,7 +55,7 @@ class CpuElasticLevel(SmallLevel):
         self.pins = self.vector()
         self.weight = None if finest else self.vector()
         if memory is not None:
-            next(memory)  # what a cycle leaves
+            next(memory)  # the residual of a cycle
         self.lame = self.vector()
         self.moving, self.reach = self.inverse, spans
         self._memory = None
@@ -73,7 +73,7 @@ class CpuElasticLevel(SmallLevel):
             held = self.bodies.hold(held)
         assembly.diagonal(self.lame, self.shape, self.inverse)
         vectors.hold(self.inverse, held, self.pins, self.spans)
-        # What moves bodies afterwards changes the correction there: the next cycle must clear it.
+        # A later motion of bodies changes the correction there: the next cycle must clear it.
         self.spans[:] = self.reach
         self._forget(before)
 
@@ -105,11 +105,11 @@ class CpuElasticLevel(SmallLevel):
         return made
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
-        """Chebyshev-Jacobi steps on `correction` for `load`."""
+        """Run Chebyshev-Jacobi steps on `correction` for `load`."""
         paces = paces_of(steps, from_zero)
         about = self._about
         if from_zero:
-            # What is between the first two is not kept; a third would ask for it.
+            # The field between the first two steps is not kept; a third step would need it.
             second = paces[1] if len(paces) == 2 else _NO_STEP
             elastic.begin(*about, self.correction, paces[0, 0], *second, self.parts)
             paces = paces[2 if len(paces) == 2 else 1 :]
@@ -122,11 +122,11 @@ class CpuElasticLevel(SmallLevel):
 
     @property
     def _about(self) -> tuple[Any, ...]:
-        """What smoothing goes by."""
+        """Arguments of the smoothing loops."""
         return self.load, self.lame, self.inverse, *self._springs, self.shape, self.spans
 
     def apply(self, direction: Vector, image: Vector) -> float:
-        """Image = A direction; their scalar product."""
+        """Compute image = A direction; return their scalar product."""
         about = direction, self.lame, self.moving, self.shape, self.reach, image, self._rows
         if self.together is None:
             elastic.apply(*about, self.parts)
@@ -211,12 +211,12 @@ class CpuElasticModel(HostModel):
 
     @property
     def moves(self) -> HeldPlanes:
-        """Which components of the finest level are unknown."""
+        """Mask of the unknown components of the finest level."""
         moves: HeldPlanes = self.levels[0].moving > 0
         return moves
 
     def entrained(self, steps: Steps, coarsest: Steps) -> Entrained | None:
-        """Fields of bodies that move and take the tissue around them along."""
+        """Return fields of bodies that move and take the tissue around them along."""
         if self.bodies is None or not self.bodies.entrain:
             return None
         number = next((k for k, level in enumerate(self.levels) if level.takes_rest), 0)
@@ -247,7 +247,7 @@ class CpuElasticModel(HostModel):
         return float(most.max()), math.sqrt(squares.sum())
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """- A d everywhere, in double precision; valid until the next call."""
+        """Return -A d everywhere, in double precision; valid until the next call."""
         elastic_exact.pull(d, self._exact_lame, self._exact_shape, self._pull, self.levels[0].parts)
         return self._pull if low is None else self._pull.copy() + self.pull(low)
 
@@ -257,25 +257,25 @@ class CpuElasticModel(HostModel):
         return np.zeros(self._rest.shape)
 
     def work(self, d: Planes) -> tuple[float, float]:
-        """The elastic energy, and the norm of the forces."""
+        """Return the elastic energy, and the norm of the forces."""
         finest, (products, squares) = self.levels[0], self._rows
         elastic_exact.work(d, self._exact_lame, self._exact_shape, products, squares, finest.parts)
         return float(products.sum()) / 2, math.sqrt(squares.sum())
 
     @property
     def steepness(self) -> Planes:
-        """The diagonal of the stiffness matrix."""
+        """Compute the diagonal of the stiffness matrix."""
         out = np.zeros(self._rest.shape)
         assembly.diagonal(self._exact_lame, self._exact_shape, out)
         return out
 
     def forget(self) -> None:
-        """Be not the last model any more: what is left in its vectors may be no number."""
+        """Clear the model cache: numbers in its vectors may have overflowed."""
         _last[:] = ()
 
 
 _last: list[CpuElasticModel] = []
-in_child_of_fork(_last.clear)  # who forks in the middle of a solve goes on with it
+in_child_of_fork(_last.clear)  # a child of a fork within a solve continues it
 
 
 def the_model(material: ElasticMaterial) -> CpuElasticModel:

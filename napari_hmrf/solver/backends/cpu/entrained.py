@@ -38,7 +38,7 @@ class CpuEntrained:
     ----------
     close : bool
     sure : bool
-        Whether single precision tells the motions apart.
+        True if single precision separates the motions.
     """
 
     def __init__(self, fields: Vector, forces: Vector, lengths: Vector, close: bool) -> None:
@@ -64,7 +64,7 @@ class CpuEntrained:
         return float(shares @ work) / 2
 
     def turn(self, steepest: Vector, direction: Vector, share: float) -> float:
-        """Direction = steepest + share direction, with bodies moved so that none resists.
+        """Compute direction = steepest + share direction, with bodies moved so that none resists.
 
         They move so far, which is returned, that the forces of `steepest` do no work on any field.
         """
@@ -73,7 +73,7 @@ class CpuEntrained:
         return float(np.abs(shares) @ self._lengths)
 
     def astray(self, rest: Vector) -> float:
-        """How far, at most, bodies and what they entrain are from where `rest` moves them."""
+        """Return the largest distance of bodies and entrained tissue from their goal in `rest`."""
         shares = self._compliance @ _products(self._fields, rest[None])[:, 0]
         return float(np.abs(shares) @ self._lengths)
 

@@ -1,4 +1,4 @@
-"""How tissue follows bodies: what deflation asks for, found on a small level and carried up."""
+"""Motion of tissue that follows bodies, for deflation: found on a small level and carried up."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.bodies import Bodies
 from napari_hmrf.solver.backends.cpu import vectors
 from napari_hmrf.solver.backends.cpu.entrained import CpuEntrained
 from napari_hmrf.solver.backends.cpu.level import Vector
 from napari_hmrf.solver.backends.linear import Steps
+from napari_hmrf.solver.backends.rigid.bodies import Bodies
 
 # Cycles on the small level. How tissue follows need not be known well: deflation is exact with any
 # field in which a body moves as one.

@@ -32,7 +32,7 @@ def prescribe(y, observed, share, first, one, second, two, d, held):
 
 @strict_parallel
 def blend(values, weight, held, d):
-    """D += weight * values, (H, W, 2), where it is not held."""
+    """Add weight * values, (H, W, 2), to `d` where it is not held."""
     for i in prange(values.shape[0]):
         for j in range(values.shape[1]):
             for k in range(2):
@@ -54,7 +54,7 @@ def _settle_row(values, tissue, unit):
 
 @strict_parallel
 def settle(values, tissue, unit, row_finite):
-    """Values *= unit on tissue, 0 elsewhere; whether each row of (H, W, 2) had numbers only."""
+    """Scale values by `unit` on tissue, 0 elsewhere; mark the rows that are all finite."""
     flat = values.reshape(values.shape[0], -1)
     for i in prange(values.shape[0]):
         row_finite[i] = _settle_row(flat[i], tissue[i], unit)
@@ -62,7 +62,7 @@ def settle(values, tissue, unit, row_finite):
 
 @strict_parallel
 def add(d, correction, scale):
-    """D += scale * correction."""
+    """Add scale * correction to `d`."""
     for i in prange(d.shape[1]):
         for k in range(2):
             for j in range(d.shape[2]):
@@ -71,7 +71,7 @@ def add(d, correction, scale):
 
 @strict_parallel
 def gather(d, out):
-    """Out, (H, W, 2) in single precision, from planes."""
+    """Copy planes to `out`, (H, W, 2) in single precision."""
     for i in prange(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j, 0] = np.float32(d[0, i + 2, j + 2])

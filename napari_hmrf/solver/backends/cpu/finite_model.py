@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.bodies import Bodies, BodySites, bodies_of, rigid_elements
 from napari_hmrf.solver.backends.cpu import finite_strain, finite_tangents, tangents, vectors
 from napari_hmrf.solver.backends.cpu.forces import parts
 from napari_hmrf.solver.backends.cpu.level import Vector, paces_of
 from napari_hmrf.solver.backends.cpu.small_levels import SmallLevel, SmallLevels, divided
 from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, Planes, Steps
-from napari_hmrf.solver.backends.poses import Poses
+from napari_hmrf.solver.backends.rigid.bodies import Bodies, BodySites, bodies_of, rigid_elements
+from napari_hmrf.solver.backends.rigid.poses import Poses
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import CYCLE_STAND_IN, lame_parameters
@@ -30,13 +30,13 @@ from napari_hmrf.solver.priors.finite_strain import (
     moduli_of,
 )
 
-# How far the spectrum of strained tissue exceeds that of tissue at rest: usually, and at most.
+# Factors by which the spectrum of strained tissue exceeds that at rest: usually, and at most.
 _STRAINED, _WORST = 1.3, 2.0
 # Numbers of an element: of its tangent for cycles, of all of it, and of what it resists with.
 _CYCLED, _ALL, _OF_SOLID = int(tangents.PLANES), 21, 7
-# How much of its spread counts, where an element shares its sites with others.
+# Part of its spread that counts, where an element shares its sites with others.
 _CALM = 0.75
-# How many times stiffer yet rigid tissue is for factors; what they get wrong the next step rights.
+# Factor by which rigid tissue is stiffer for factors; the next step corrects their error.
 _FIRMER = 20.0
 
 
@@ -93,7 +93,7 @@ class TangentLevel(SmallLevel):
         self._spring(finer)
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
-        """Chebyshev-Jacobi steps on `correction` for `load`."""
+        """Run Chebyshev-Jacobi steps on `correction` for `load`."""
         paces = paces_of(steps, from_zero)
         if from_zero:
             tangents.start(self.load, self.inverse, paces[0, 0], self.correction)
@@ -109,7 +109,7 @@ class TangentLevel(SmallLevel):
         self._restrict(self._left, coarse.load)
 
     def apply(self, direction: Vector, image: Vector) -> float:
-        """Image = A direction, of what is solved; their scalar product."""
+        """Compute image = A direction, of the solved system; return their scalar product."""
         about = direction, self.solved, self.inverse, True, *self._springs, image, self._rows
         tangents.apply(*about, self.parts)
         return float(self._rows.sum())
@@ -140,9 +140,9 @@ class CpuFiniteModel:
         self._none: Planes = np.zeros((0, 0))
         self._parts = parts(grid[0])
         self.material: FiniteMaterial | None = None
-        #: What components are on besides tissue, since the last `linearise`.
+        #: Springs on components besides tissue, since the last `linearise`.
         self.springs: Planes | None = None
-        #: How far cycles were found to be right, and with what held.
+        #: Factor by which cycles underestimate the error, and the held components that it is for.
         self.rehearsed: tuple[HeldPlanes, float] | None = None
         #: The sites of each rigid body.
         self.bodies: list[BodySites] = []
@@ -179,7 +179,7 @@ class CpuFiniteModel:
         return solved[:, 2:-3, 2:-3]
 
     def _spread(self, material: FiniteMaterial) -> float:
-        """How wide the spectrum of an element at rest is."""
+        """Return the width of the spectrum of an element at rest."""
         nu = material.largest_poisson
         one = lame_parameters(np.ones((2, 2)), nu, material.strain)
         solid = np.zeros((_OF_SOLID, 5, 5))
@@ -191,12 +191,12 @@ class CpuFiniteModel:
         return float(finite_tangents.spread(cycled[:13, 2, 2].astype(np.float64)))
 
     def energy(self, d: Planes) -> tuple[float, float]:
-        """The energy of a displacement, and the least Jacobian of any corner."""
+        """Return the energy of a displacement, and the least Jacobian of any corner."""
         self._work(finite_strain.energy, d, self._energies, self._least)
         return float(self._energies.sum()) + self._stored, float(self._least.min())
 
     def forces(self, d: Planes) -> Planes:
-        """The derivative of the energy by all components; valid until the next call."""
+        """Return the derivative of the energy by all components; valid until the next call."""
         self._work(finite_strain.forces, d, self._pull)
         return self._pull
 
@@ -223,9 +223,9 @@ class CpuFiniteModel:
             coarse.hold_as(fine)
 
     def _turn(self, d: Planes, forces: Planes, positive: float) -> None:
-        """Have bodies resist a turn by as much as what pulls at them changes with it."""
+        """Make bodies resist a turn by the change of the forces on them."""
         rigid = self._elements > 0
-        # What tangents have been given to be positive would hold bodies as they are.
+        # The terms that make tangents positive would hold bodies in their present pose.
         shear = self._solid[finite_strain.SHEAR, 2:-3, 2:-3]
         self._resist(rigid, -positive * finite_tangents.LEAST * shear[rigid])
         self._stiff = self._solved[:, rigid]
@@ -248,7 +248,7 @@ class CpuFiniteModel:
                 self._solved[number][elements] += share * more
 
     def poses(self, held: HeldPlanes) -> Poses:
-        """The poses of bodies, with what is held of them."""
+        """Return the poses of bodies, with their held components."""
         assert self.material is not None
         return Poses(self.bodies, self.material.shape.sides, held)
 
@@ -259,7 +259,7 @@ class CpuFiniteModel:
             bodies.project(values)
 
     def balance(self, rest: Planes) -> Balance:
-        """A load, as iterations take it: 0 where nothing moves, and of bodies as one."""
+        """Return a load as iterations take it: 0 where nothing moves, and of bodies as one."""
         rest = np.where(self.levels[0].inverse > 0, rest, 0.0)
         self.project(rest)
         most = float(np.abs(rest).max())
@@ -269,7 +269,7 @@ class CpuFiniteModel:
         return Balance(scaled, unit, most, unit * math.sqrt(square))
 
     def image(self, way: Planes) -> Planes:
-        """What the linear model pulls with along a way, where components move."""
+        """Return the force of the linear model along a way, where components move."""
         finest = self.levels[0]
         image = finest.vector()
         finest.apply(way.astype(np.float32), image)
@@ -280,7 +280,7 @@ class CpuFiniteModel:
     def length(
         self, d: Planes, way: Planes, part: float, floor: float, each: bool = False
     ) -> tuple[float, npt.NDArray[np.float64]]:
-        """How far along a way all corners keep a part of their Jacobian, and stay above a floor."""
+        """Return how far along a way all corners keep a part of their Jacobian, above a floor."""
         lengths = np.full(self._solid.shape[1:], np.inf) if each else self._none
         about = d, way, self._solid, self._about, part, floor
         finite_strain.length(*about, self._least, lengths, self._parts)
@@ -288,7 +288,7 @@ class CpuFiniteModel:
 
     @property
     def moves(self) -> HeldPlanes:
-        """Which components are unknown in the linear model."""
+        """Mask of the unknown components of the linear model."""
         moves: HeldPlanes = self.levels[0].inverse > 0
         return moves
 
@@ -336,7 +336,7 @@ class Tangents:
         return np.asarray(_DIFFERENCES.T @ tangent @ _DIFFERENCES)
 
 
-# Of the tangent's 21 numbers, which stands where among D_r, D_c and D_x, two components each.
+# Positions of the tangent's 21 numbers among D_r, D_c and D_x, two components each.
 _WHERE = np.array(
     [
         [0, 1, 6, 7, 13, 14],

@@ -28,7 +28,7 @@ from napari_hmrf.solver.backends.cpu.finite_strain import (
     volumes,
 )
 
-#: What a tangent that is made positive keeps of mu at least.
+#: Least part of mu that a tangent keeps when it is made positive.
 LEAST = 0.05
 # Elements all of whose corners keep this Jacobian, and that are not stretched, are as at rest.
 _CALM, _STRETCHED = 0.9, 2.3
@@ -37,7 +37,7 @@ _CALM, _STRETCHED = 0.9, 2.3
 @inline
 def _positive(a0, a1, b0, b1, shear, of_mean, bend):
     """The tangent of stretch and volume, with what is negative of it made small and positive."""
-    # Of a conformal part P and another one Q the Jacobian is (P^2 - Q^2) / 2: in their directions
+    # A conformal part P and another one Q have the Jacobian (P^2 - Q^2) / 2: in their directions
     # and across them the tangent is one block of two by two and two numbers.
     half = math.sqrt(0.5)
     p0, p1, q0, q1 = half * (a0 + b1), half * (a1 - b0), half * (a0 - b1), half * (a1 + b0)
@@ -51,7 +51,7 @@ def _positive(a0, a1, b0, b1, shear, of_mean, bend):
     low, high = middle - apart, middle + apart
     if low < least:
         kept_low, kept_high = max(low, least), max(high, least)
-        # What the eigenvalues become, by their projections.
+        # The eigenvalues change by their projections.
         share = (kept_high - kept_low) / (high - low) if high > low else 0.0
         one, two = kept_low + share * (one - low), kept_low + share * (two - low)
         both *= share
@@ -263,7 +263,7 @@ def _tangent_part(d, solid, about, positive, calm, out, cycled, first, last):
 
 @parallel
 def tangents(d, solid, about, positive, calm, out, cycled, count):
-    """The tangent of each element (21 numbers), and one without what is negative for cycles (13).
+    """Compute the tangent of each element (21 numbers), and its positive part for cycles (13).
 
     Of the first so much of what is negative is left out as `positive` says, 1 for all. A last plane
     of the second gets how much more its smoother must be damped than if it were at rest, where its
@@ -277,5 +277,5 @@ def tangents(d, solid, about, positive, calm, out, cycled, count):
 
 @alone
 def spread(tangent):
-    """The norm of one element's matrix (13 numbers), scaled to a diagonal of ones."""
+    """Return the norm of one element's matrix (13 numbers), scaled to a diagonal of ones."""
     return _spread(tangent)

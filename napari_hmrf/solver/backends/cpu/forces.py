@@ -19,8 +19,8 @@ _FEW_ROWS = 16
 
 @inline
 def _pulls(row, col, first, shear, shape):
-    """What the differences D_r, D_c, D_x of an element pull with, for either component."""
-    # Of each component, the element's sites: here, right, below, below right.
+    """Return the forces of the differences D_r, D_c, D_x of an element, for either component."""
+    # Sites of the element, for each component: here, right, below, below right.
     rows, cols, mixed = shape[0], shape[1], shape[2]
     twist_rows, twist_cols, twist_volume = shape[3], shape[4], shape[5]
     left, right = row[2] - row[0], row[3] - row[1]
@@ -55,7 +55,7 @@ def _element(d, lame, shape, i, j):
 
 @inline
 def force(d, lame, shape, i, j):
-    """What the four elements around site (i, j) pull at it: the stiffness matrix times d."""
+    """Return the pull of the four elements around site (i, j): the stiffness matrix times d."""
     rr, cr, xr, rc, cc, xc = _element(d, lame, shape, i, j)
     row, col = xr - rr - cr, xc - rc - cc
     rr, cr, xr, rc, cc, xc = _element(d, lame, shape, i, j - 1)
@@ -68,7 +68,7 @@ def force(d, lame, shape, i, j):
 
 @inline
 def left_over(row, col, d_row, d_col, load, weights, i, j):
-    """What a force leaves of the load at site (i, j), which is displaced by d."""
+    """Return the rest of the load at site (i, j), displaced by d, after a force."""
     weight, springs = weights
     row += springs * weight[0, i, j] * d_row
     col += springs * weight[1, i, j] * d_col
@@ -86,7 +86,7 @@ def rest(d, load, lame, weight, shape, i, j):
 
 @shared
 def left_of(rows, lame, shape, j):
-    """Of either component of what element j of a row pulls with: D_r, and D_x less and plus D_c.
+    """Return the pulls of element j of a row, per component: D_r, and D_x less and plus D_c.
 
     `row_force` takes the others from the site before, and this for the first.
     """
@@ -129,19 +129,19 @@ def row_force(rows, lame, shape, carry, left, j):
 
 @inline
 def rows_of(d, i):
-    """A row's sites and those below, of either component."""
+    """Return a row's sites and those below, of either component."""
     return d[0, i], d[0, i + 1], d[1, i], d[1, i + 1]
 
 
 @inline
 def moduli_of(lame, i):
-    """Lame's parameters of the elements between both."""
+    """Return Lame's parameters of the elements between both."""
     return lame[0, i], lame[1, i]
 
 
 @inline
 def reach(spans, i):
-    """Where the moving sites of rows i and i + 1 begin and end."""
+    """Return the begin and end of the moving sites of rows i and i + 1."""
     below = min(i + 1, len(spans) - 1)
     begin, past = spans[i, 0], spans[i, 1]
     if past == begin:
@@ -152,11 +152,11 @@ def reach(spans, i):
 
 
 def parts(height: int) -> int:
-    """Among how many threads a level's rows are divided."""
+    """Return the number of threads for a level's rows."""
     return max(1, min(get_num_threads(), height // _FEW_ROWS))
 
 
 @inline
 def part(number, count, height):
-    """The rows of one of them: where they begin and end."""
+    """Return the begin and end of the rows of one thread."""
     return int64(number) * height // count, (int64(number) + 1) * height // count

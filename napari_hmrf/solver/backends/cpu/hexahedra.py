@@ -34,7 +34,7 @@ _MODULI, _PULLS, _FORCES, _LINES = 12, 18, 44, 47
 
 
 def constants(shape: Any) -> npt.NDArray[np.float64]:
-    """What the kernels need to know of a voxel's shape.
+    """Return the parameters of the kernels for a voxel's shape.
 
     The factors of derivatives along the axes; of modes that vary along two axes, by component, a
     third of their stiffness; of those that vary along all a ninth; and a third.
@@ -182,7 +182,7 @@ def _gather(f, k, rows, planes, y, begin, count):
 
 @callee
 def block_forces(d, lame, share, c, z, y, begin, count, f, rows, planes):
-    """The stiffness matrix times d at `count` sites of a line, for `force_of`.
+    """Compute the stiffness matrix times d at `count` sites of a line, for `force_of`.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def block_forces(d, lame, share, c, z, y, begin, count, f, rows, planes):
         What those of the plane before pull with at this one.
     """
     if len(f) < _LINES * _LINE:
-        return  # never; but now the compiler knows that no line is cut short
+        return  # never true; it lets the compiler assume whole lines
     _faces(d, 0, z, y, begin - 1, count + 2, f)
     _faces(d, 1, z, y, begin - 1, count + 2, f)
     _faces(d, 2, z, y, begin - 1, count + 2, f)
@@ -216,13 +216,13 @@ def block_forces(d, lame, share, c, z, y, begin, count, f, rows, planes):
 
 @inline
 def force_of(f, k):
-    """A component's forces, from the first site of the block on."""
+    """Return a component's forces, from the first site of the block on."""
     return f[(_FORCES + k) * _LINE : (_FORCES + k + 1) * _LINE]
 
 
 @shared
 def scratch(d):
-    """Memory for one thread: lines, and what is carried to the next row and plane."""
+    """Return memory for one thread: lines, and values carried to the next row and plane."""
     lines = np.empty(_LINES * _LINE, dtype=d.dtype)
     rows = np.zeros((2, 3, d.shape[3]), dtype=d.dtype)
     planes = np.zeros((3, d.shape[2], d.shape[3]), dtype=d.dtype)

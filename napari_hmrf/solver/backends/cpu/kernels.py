@@ -1,13 +1,13 @@
 """The kernels as compiled loops.
 
-Every array is padded by a ring of void two sites wide, so that no loop asks whether it is at the
+Every array is padded by a ring of void two sites wide, so that no loop tests whether it is at the
 border: a clique that reaches out of the image touches void and does not exist. Components are
 separate planes, (C, H + 4, W + 4). What moves a site is built from differences of displacement,
 never from an assembled stencil: float32 cancellation would cost whole pixels in large images.
 
 The loops over a row vectorise because they branch nowhere, count from zero (an index that might be
 negative would be wrapped around, Python's way) and live inside the parallel loop (where the
-compiler knows that the arrays do not overlap). Check that when you change them: the generated code
+compiler can assume that the arrays do not overlap). Check that when you change them: generated code
 must be full of ``<16 x float>`` or ``<8 x float>``. The number of a row is signed, so that what is
 called with it is compiled once: the counter of a parallel loop is signed to some and not to others.
 """
@@ -28,7 +28,7 @@ _TINY = float32(1e-30)
 
 @inline
 def ratios(stiffness, si, sj, ti, tj, ui, uj):
-    """m_t/m_s, m_t/m_u, and 1 where the clique exists, else 0."""
+    """Return m_t/m_s, m_t/m_u, and 1 where the clique exists, else 0."""
     inverse_s = stiffness[1, si, sj]
     inverse_u = stiffness[1, ui, uj]
     m = stiffness[0, ti, tj]
@@ -38,7 +38,7 @@ def ratios(stiffness, si, sj, ti, tj, ui, uj):
 
 @inline
 def middle_curvature(ratio_s, ratio_u):
-    """Curvature of a clique's potential along its middle site's displacement."""
+    """Return the curvature of a clique's potential along its middle site's displacement."""
     steep_s = float32(1) + ratio_s
     steep_u = float32(1) + ratio_u
     return steep_s * steep_s + steep_u * steep_u
@@ -65,7 +65,7 @@ def _end(d, component, ratio_s, ratio_u, si, sj, ti, tj, ui, uj):
 
 @shared
 def square(d, stiffness, i, j):
-    """Curvature, slope and energy of the four cliques around (i + 2, j + 2), for square pixels.
+    """Return curvature, slope and energy of the four cliques around (i + 2, j + 2): square pixels.
 
     There the vertical line carries the row component only, the horizontal line the col component.
     """
@@ -109,7 +109,7 @@ def _middle_line(d, stiffness, weight_0, weight_1, si, sj, ti, tj, ui, uj):
 
 @shared
 def weighted(d, stiffness, weights, i, j):
-    """As `square`, for pixels of any shape."""
+    """Return the same as `square`, for pixels of any shape."""
     w = weights
     a0, a1, b0, b1, e = _middle_line(
         d, stiffness, w[0, 0], w[0, 1], i + 1, j + 2, i + 2, j + 2, i + 3, j + 2
@@ -149,7 +149,7 @@ def _both_ends(d, stiffness, weight_0, weight_1, i, j, ti, tj, ui, uj, vi, vj, x
 
 @shared
 def around(d, stiffness, weights, i, j):
-    """As `weighted`, with the eight cliques that (i + 2, j + 2) is an end of as well."""
+    """Return the same as `weighted`, with the eight cliques that end at (i + 2, j + 2) as well."""
     w, ti, tj = weights, i + 2, j + 2
     a0, a1, b0, b1, e = weighted(d, stiffness, w, i, j)
     p0, p1, q0, q1 = _both_ends(
@@ -180,7 +180,7 @@ def _observed(d, observation, i, j):
 
 @inline
 def downhill(slope, penalty, off):
-    """The direction, 1 or -1, in which a component's energy falls, if it falls in any."""
+    """Return the direction, 1 or -1, in which a component's energy falls, if it falls in any."""
     # `off` is y - d. The energy is convex, so the other direction need not be tried.
     pull = penalty if off > float32(0) else (-penalty if off < float32(0) else float32(0))
     return float32(-1) if float32(2) * slope + pull < float32(0) else float32(1)
@@ -188,7 +188,7 @@ def downhill(slope, penalty, off):
 
 @inline
 def change(step, curvature, twice_slope, penalty, off, now):
-    """How much a step downhill changes a component's energy; 0 if it would raise it."""
+    """Return the change of a component's energy by a step downhill; 0 if it would rise."""
     # `now` is p |y - d|; slope and `off` are taken along the direction of the step.
     prior = step * (curvature * step - twice_slope)
     return min(prior + (penalty * abs(off - step) - now), float32(0))
@@ -221,7 +221,7 @@ def _best_candidate(d, a0, a1, b0, b1, observation, steps, i, j):
 
 @inline
 def minimiser(d, curvature, slope, penalty, y, relaxation):
-    """The displacement of least local energy for one component: y + soft(q - y, p / 2A)."""
+    """Return the displacement of least local energy for one component: y + soft(q - y, p / 2A)."""
     share = relaxation / max(curvature, _TINY)
     distance = (d + share * slope) - y
     reach = float32(0.5) * share * penalty
@@ -288,7 +288,7 @@ def sweeps(
 
 @parallel
 def energy(source, stiffness, spans, weights, share, row_totals):
-    """The energy of the cliques, row by row; square pixels have weights here."""
+    """Compute the energy of the cliques, row by row; square pixels have weights here."""
     for number in prange(source.shape[1] - 4):
         i = int64(number)
         start = max(spans[i, 0], 0)

@@ -12,10 +12,10 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.bodies import Bodies
 from napari_hmrf.solver.backends.cpu import vectors
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.linear import Steps
+from napari_hmrf.solver.backends.rigid.bodies import Bodies
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.coarse_levels import MOST_PINS, SPRING
 
@@ -50,13 +50,13 @@ class CpuLevel:
     weight: Vector | None
     pins: Vector
     spans: Spans
-    #: Whether `finish` visits all coarser levels, too.
+    #: True if `finish` visits all coarser levels, too.
     takes_rest: bool = False
-    #: Whether another visit within a cycle gains more than it costs.
+    #: True if another visit within a cycle gains more than it costs.
     worth_again: bool = True
-    #: Whether an iteration moves the displacement itself: of a volume memory is what is short.
+    #: True if an iteration moves the displacement itself, which saves memory in volumes.
     sums_up: bool = False
-    #: What moves as one on the finest level.
+    #: Rigid bodies on the finest level.
     bodies: Bodies | None = None
 
     def __init__(self, grid: tuple[int, ...], memory: Iterator[Vector] | None = None) -> None:
@@ -78,14 +78,14 @@ class CpuLevel:
     @cached_property
     def _springs(self) -> tuple[Vector, np.float32]:
         """The springs for kernels, and how often they count."""
-        # Where there are none, 0 times, and they are numbers that a kernel reads anyway.
+        # A level without springs has numbers that a kernel reads anyway, times 0.
         if self.weight is None:
             return self.inverse, np.float32(0)
         return self.weight, np.float32(1)
 
     @cached_property
     def _rest(self) -> Vector:
-        """What is left of a load, for models whose kernels do not restrict it at once."""
+        """Residual of a load, for models whose kernels do not restrict it at once."""
         return self.vector()
 
     @cached_property
@@ -116,7 +116,7 @@ class CpuLevel:
         vectors.interpolate(coarse, self.correction, self.inverse)
 
     def apply(self, direction: Vector, image: Vector) -> float:
-        """Image = A direction; their scalar product."""
+        """Compute image = A direction; return their scalar product."""
         raise NotImplementedError
 
     def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
@@ -135,7 +135,7 @@ class CpuLevel:
         self.relax(steps, from_zero=False)
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
-        """Chebyshev-Jacobi steps on `correction` for `load`."""
+        """Run Chebyshev-Jacobi steps on `correction` for `load`."""
         for number, (scale, momentum) in enumerate(steps):
             if from_zero and number == 0:
                 vectors.smooth_first(
@@ -177,42 +177,42 @@ class CpuLevel:
         return vector
 
     def product(self, a: Vector, b: Vector) -> float:
-        """The scalar product."""
+        """Return the scalar product."""
         vectors.product(rows(a), rows(b), self._rows)
         return float(self._rows.sum())
 
     def largest(self, a: Vector) -> float:
-        """The largest absolute value."""
+        """Return the largest absolute value."""
         vectors.largest(rows(a), self._most)
         return float(self._most.max())
 
     def weigh(self, a: Vector, b: Vector) -> tuple[float, float]:
-        """The largest absolute value of `a`, and the scalar product."""
+        """Return the largest absolute value of `a`, and the scalar product."""
         vectors.weigh(rows(a), rows(b), self._most, self._rows)
         return float(self._most.max()), float(self._rows.sum())
 
     def ratio(self, a: float, b: float) -> float:
-        """A over b; 0 unless both are positive."""
+        """Return a over b; 0 unless both are positive."""
         return a / b if a > 0 and b > 0 else 0.0
 
     def quotient(self, a: float, b: float) -> float:
-        """A over b; 0 where b is 0."""
+        """Return a over b; 0 where b is 0."""
         return a / b if b != 0 else 0.0
 
     def times(self, a: float, b: float) -> float:
-        """A times b."""
+        """Return a times b."""
         return a * b
 
     def advance(
         self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: float
     ) -> float:
-        """D += length direction, rest -= length image; the square of the rest."""
+        """Add length direction to d, take length image from rest; return the square of the rest."""
         return self.advance_by(d, length, rest, direction, image, length)
 
     def advance_by(
         self, d: Any, share: float, rest: Vector, direction: Vector, image: Vector, length: float
     ) -> float:
-        """D += share direction, rest -= length image; the square of the rest."""
+        """Add share direction to d, take length image from rest; return the square of the rest."""
         of_d, *others = map(rows, (d, rest, direction, image))
         shares = d.dtype.type(share), rest.dtype.type(length)
         vectors.advance(of_d, shares[0], *others, shares[1], self._rows)
@@ -224,13 +224,13 @@ class CpuLevel:
             self.bodies.project(vector)
 
     def turn(self, steepest: Vector, direction: Vector, share: float) -> None:
-        """Direction = steepest + share direction."""
+        """Compute direction = steepest + share direction."""
         self.lean(steepest, direction, steepest, share, 0.0)
 
     def lean(
         self, rest: Vector, direction: Vector, image: Vector, share: float, stride: float
     ) -> None:
-        """Direction = rest + share (direction - stride image)."""
+        """Compute direction = rest + share (direction - stride image)."""
         arrays = [rows(each) for each in (rest, direction, image)]
         shares = direction.dtype.type(share), direction.dtype.type(stride)
         if len(self.grid) == 2:
@@ -246,7 +246,7 @@ class CpuLevel:
 
 
 def rows(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """A volume as an image of all its rows, for loops that look at each by itself."""
+    """Return a volume as an image of all its rows, for loops over single rows."""
     return planes.reshape(len(planes), -1, planes.shape[-1])
 
 
@@ -263,7 +263,7 @@ def paces_of(steps: Steps, from_zero: bool) -> Vector:
 
 
 def all_sites(grid: tuple[int, ...]) -> Spans:
-    """The spans of whole rows; those of a volume's ring are empty."""
+    """Return the spans of whole rows; those of a volume's ring are empty."""
     whole = np.zeros((*(size + 2 * PAD for size in grid[:-1]), 2), dtype=np.int64)
     whole[(slice(PAD, -PAD),) * (len(grid) - 1)] = 0, grid[-1]
     return whole.reshape(-1, 2)[PAD:-PAD]

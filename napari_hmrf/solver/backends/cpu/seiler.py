@@ -34,7 +34,7 @@ _ALONG = ((1, 0), (0, 1), (1, 1), (1, -1))
 
 @inline
 def _pull(d, stiffness, lines, blanket, i, j):
-    """What the tissue pulls with at (i + 2, j + 2): - A d."""
+    """Return the pull of the tissue at (i + 2, j + 2): -A d."""
     if blanket is not None:
         _, _, b0, b1, _ = around(d, stiffness, lines, i, j)
     else:
@@ -68,7 +68,7 @@ def residual(
     d, load, given, stiffness, inverse, weight, springs, lines, blanket, spans, share, out,
     row_totals,
 ):  # fmt: skip
-    """Out = share (given load - (A + W) d), and 0 at sites that do not move.
+    """Write share (given load - (A + W) d) to `out`; 0 at sites that do not move.
 
     `row_totals` gets the product of d and out; an empty one is left alone.
     """
@@ -87,7 +87,7 @@ def residual(
 
 @parallel
 def pull(d, stiffness, lines, blanket, spans, out):
-    """Out = - A d within these spans; square pixels have lines here."""
+    """Write -A d to `out` within these spans; square pixels have lines here."""
     for number in prange(d.shape[1] - 4):
         i = int64(number)
         start = max(spans[i, 0], 0)
@@ -100,7 +100,7 @@ def pull(d, stiffness, lines, blanket, spans, out):
 
 @parallel
 def balance(pulls, load, given, inverse, share, out, row_most, row_squares):
-    """Out = share (pulls + given load) in single precision, and 0 at sites that do not move.
+    """Write share (pulls + given load) to `out`, in single precision; 0 at sites that do not move.
 
     Its largest absolute value and its square are returned row by row.
     """
@@ -120,7 +120,7 @@ def balance(pulls, load, given, inverse, share, out, row_most, row_squares):
 def smooth(
     d, load, stiffness, inverse, weight, springs, lines, blanket, spans, step, out, scale, momentum
 ):
-    """A Chebyshev step: step = scale D^-1 (load - (A + W) d) + momentum step, out = d + step."""
+    """Compute step = scale D^-1 (load - (A + W) d) + momentum step (Chebyshev), out = d + step."""
     for number in prange(d.shape[1] - 4):
         i = int64(number)
         start = max(spans[i, 0], 0)
@@ -137,7 +137,7 @@ def smooth(
 
 @parallel
 def curvature(stiffness, lines, blanket, out):
-    """Each site's curvature: of the cliques that pull at it. Square pixels have lines here."""
+    """Compute each site's curvature, of the cliques there. Square pixels have lines here."""
     for number in prange(out.shape[1] - 4):
         i = int64(number) + 2
         for k in range(out.shape[2] - 4):
@@ -162,7 +162,7 @@ def curvature(stiffness, lines, blanket, out):
 
 @parallel
 def coarsen(fine, coarse, even):
-    """A coarse site's stiffness: the mean of the tissue around it, and void where there is none.
+    """Compute a coarse site's stiffness: the mean of the tissue around it; void without any.
 
     `even` gets what makes a sum over that tissue as large as one over tissue everywhere.
     """

@@ -9,19 +9,19 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.cpu import kernels, seiler, vectors
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Spans, Vector, all_sites, rows
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.solver.backends.planes import inside
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 
 Lines = npt.NDArray[np.float64]
 
-# Where nobody wants a product.
+# Totals for calls without a product.
 _NO_ROWS = np.zeros(0)
 # Levels of fewer sites are visited by one thread: waking the others costs more.
 _SMALL = 8000
@@ -64,17 +64,17 @@ class CpuSeilerLevel(CpuLevel):
         self._diagonal[...] = exactly if self.blanket else exactly > 0
 
     def curvature(self, stiffness: Planes, lines: Lines) -> Planes:
-        """Each site's, in double precision as all that is done with planes."""
+        """Return each site's curvature, in double precision."""
         out = np.zeros(self.inverse.shape)
         seiler.curvature(stiffness, lines, bool(self.blanket), out)
         return out
 
     def pull(self, d: Planes, stiffness: Planes, lines: Lines, spans: Spans, out: Planes) -> None:
-        """Out = - A d within these spans."""
+        """Write -A d to `out` within these spans."""
         seiler.pull(d, stiffness, lines, self.blanket, spans, out)
 
     def work(self, d: Planes, stiffness: Planes, lines: Lines, spans: Spans, out: Planes) -> float:
-        """As `pull`; returns the energy of the cliques."""
+        """Write -A d to `out`, as `pull` does; return the energy of the cliques."""
         share, totals = np.empty(self.grid), np.zeros(self.grid[0])
         kernels.energy(d, stiffness, spans, lines, share, totals)
         self.pull(d, stiffness, lines, spans, out)
@@ -83,7 +83,7 @@ class CpuSeilerLevel(CpuLevel):
     def hold(self, held: HeldPlanes) -> None:
         """Hold components on the finest level."""
         self.inverse[...] = self._diagonal
-        # What no clique pulls at does not move either.
+        # Sites without cliques do not move either.
         alone = (self.stiffness[0] > 0) & (self._diagonal == 0)
         vectors.hold(rows(self.inverse), rows(held | alone), rows(self.pins), self.spans)
         self._forget()
@@ -138,7 +138,7 @@ class CpuSeilerLevel(CpuLevel):
         self._residual(self.correction, (self.load, 1), self._springs, (1, self._rest), _NO_ROWS)
 
     def apply(self, direction: Vector, image: Vector) -> float:
-        """Image = A direction; their scalar product."""
+        """Compute image = A direction; return their scalar product."""
         self.multiply(direction, image, self._rows)
         with np.errstate(invalid="ignore"):  # the iteration sees to what is no number
             return float(self._rows.sum())
@@ -146,8 +146,8 @@ class CpuSeilerLevel(CpuLevel):
     def multiply(
         self, direction: Vector, image: Vector, totals: npt.NDArray[np.float64] = _NO_ROWS
     ) -> None:
-        """Image = A direction; their scalar product goes to the rows' totals, if there are any."""
-        # What counts 0 times are numbers that the kernel reads anyway.
+        """Compute image = A direction; the totals by row, if any, get their scalar product."""
+        # Terms that count 0 times are numbers that the kernel reads anyway.
         nothing, no_springs = (direction, 0), (self.inverse, np.float32(0))
         self._residual(direction, nothing, no_springs, (-1, image), totals)
 
@@ -184,7 +184,7 @@ class CpuSeilerModel(HostModel):
     material : SeilerMaterial
     """
 
-    #: What its levels are.
+    #: Class of the levels.
     level: ClassVar[type[CpuSeilerLevel]] = CpuSeilerLevel
 
     def __init__(self, material: SeilerMaterial) -> None:
@@ -205,7 +205,7 @@ class CpuSeilerModel(HostModel):
             self.levels.append(self.level(grid, lines, square, material.blanket, number == 0))
         finest = self.levels[0]
         self._stiffness = np.zeros(finest.stiffness.shape)
-        host.inside(self._stiffness)[...] = m, inverse
+        inside(self._stiffness)[...] = m, inverse
         finest.stiffness[...] = self._stiffness
         self._pull = np.zeros(finest.inverse.shape)
         self._rest = finest.vector()
@@ -235,7 +235,7 @@ class CpuSeilerModel(HostModel):
         return float(most.max()), math.sqrt(squares.sum())
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """- A d everywhere, in double precision; valid until anything else is asked."""
+        """Return -A d everywhere, in double precision; valid until the next call."""
         if low is not None and self._blanket:
             pulls: Planes = self.material.pull(d, low)
             return pulls
@@ -250,18 +250,18 @@ class CpuSeilerModel(HostModel):
         return curvature if self._blanket else 2 * curvature
 
     def work(self, d: Planes) -> tuple[float, float]:
-        """The cliques' share of U_total, and the norm of all pulls."""
+        """Return the cliques' share of U_total, and the norm of all pulls."""
         pulls = self._pull
         energy = self.levels[0].work(d, self._stiffness, self._lines, self._whole, pulls)
         return energy / (2 if self._blanket else 1), math.sqrt(np.vdot(pulls, pulls))
 
     def forget(self) -> None:
-        """Be not the last model any more: what is left in its vectors may be no number."""
+        """Clear the model cache: numbers in its vectors may have overflowed."""
         _last[:] = ()
 
 
 _last: list[CpuSeilerModel] = []
-in_child_of_fork(_last.clear)  # who forks in the middle of a solve goes on with it
+in_child_of_fork(_last.clear)  # a child of a fork within a solve continues it
 
 
 def the_model(

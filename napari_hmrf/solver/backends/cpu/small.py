@@ -16,7 +16,7 @@ from napari_hmrf.solver.backends.cpu.compiled import callee, strict
 
 #: Planes of a level's model: Lame's parameters.
 PLANES = np.int64(2)
-# Where the first site lies, and the only row there is.
+# Position of the first site, and of the only row.
 _FIRST = 2
 
 
@@ -55,5 +55,5 @@ _cycle = small_cycle.cycle_of(PLANES, _smooth, _residual)
 
 @strict
 def cycle(values, table, shape, down, up, coarsest):
-    """A V-cycle over levels, as `small_cycle.cycle_of` says."""
+    """Run a V-cycle over levels, as `small_cycle.cycle_of` says."""
     _cycle(values, table, shape, down, up, coarsest)

@@ -13,7 +13,7 @@ import numpy as np
 from napari_hmrf.solver.backends.cpu import vectors
 from napari_hmrf.solver.backends.cpu.compiled import callee
 
-# A level's arrays of two planes, in this order, and last what its model knows of it. They are no
+# A level's arrays of two planes, in this order, and last those of its model. They are no
 # numbers of Python's: each of those would have numba make functions of its own.
 INVERSE, LOAD, CORRECTION, OTHER, PINS, WEIGHT, REST, MODEL = np.arange(8)
 
@@ -51,7 +51,7 @@ def cycle_of(planes: Any, smooth: Any, rest: Any) -> Any:
     Parameters
     ----------
     planes : int
-        How many planes a level has of what its model knows of it.
+        Number of planes of a level that belong to its model.
     smooth : callable
         A Chebyshev step: ``smooth(d, load, own, inverse, weight, about, out, scale, ahead, back)``,
         with what is known of the level, and of all of them.

@@ -20,7 +20,7 @@ _SMALL, _LARGE = 8000, 2
 
 
 def divided(grids: Grids) -> tuple[Grids, Grids]:
-    """The grids of the levels that are visited one by one, and those of the small ones."""
+    """Split the grids into those that are visited one by one, and those of small levels."""
     few = next((k for k, (height, width) in enumerate(grids) if height * width < _SMALL), 0)
     large = max(few, _LARGE)
     return grids[:large], grids[large:]
@@ -39,7 +39,7 @@ class SmallLevel(CpuLevel):
 
     @property
     def spare_correction(self) -> Vector:
-        """Where `relax` writes, in turn with `correction`."""
+        """Output of `relax`, in turn with `correction`."""
         return self._other
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
@@ -57,7 +57,7 @@ class SmallLevels:
     ----------
     grids : sequence of tuple of int
     planes : int
-        Of what a level's model knows of it.
+        Arrays of a level that belong to its model.
     level : callable
         Makes a level of a grid, and of its arrays in the order that `small_cycle` has them in.
     cycle : callable
@@ -107,7 +107,7 @@ class SmallLevels:
 
 
 def _arrays(values: npt.NDArray[np.float32], shared: int) -> Iterator[Vector]:
-    """A level's arrays of two planes, and last what its model knows of it."""
+    """A level's arrays of two planes, and last those of its model."""
     for number in range(0, shared, 2):
         yield values[number : number + 2]
     yield values[shared:]

@@ -1,4 +1,4 @@
-"""Tissue that is bent already as compiled loops: what multigrid asks of its levels.
+"""Compiled loops for tissue that is bent already: the operations of multigrid on its levels.
 
 Arrays are as in `backends.cpu.elastic`; an element has a tangent of its own instead of Lame's
 parameters (see `backends.cpu.finite_tangents`): all 21 numbers of it for what is solved, the first
@@ -22,7 +22,7 @@ PLANES = np.int64(14)
 
 @callee
 def _element_row(d, tangent, i, out):
-    """What row i of elements pulls with: along the rows, and as its twist less and more columns."""
+    """Return the pulls of row i of elements: along rows, and as its twist less and more columns."""
     for j in range(d.shape[2] - 1):
         left_0, right_0 = d[0, i + 1, j] - d[0, i, j], d[0, i + 1, j + 1] - d[0, i, j + 1]
         left_1, right_1 = d[1, i + 1, j] - d[1, i, j], d[1, i + 1, j + 1] - d[1, i, j + 1]
@@ -79,7 +79,7 @@ def _add_coupled(d, tangent, i, out):
 
 @callee
 def _pull(above, here, component, j):
-    """What the elements around a site pull at it."""
+    """Return the pull of the elements around a site."""
     r, u = here[component], here[2 + component]
     up, w = above[component], above[4 + component]
     return ((u[j] - u[j - 1]) - (r[j] + r[j - 1])) + ((up[j] + up[j - 1]) + (w[j - 1] - w[j]))
@@ -109,7 +109,7 @@ def _apply_part(d, tangent, inverse, coupled, weight, springs, out, row_totals, 
 
 @parallel
 def apply(d, tangent, inverse, coupled, weight, springs, out, row_totals, count):
-    """Out = (A + W) d where sites move, 0 elsewhere; `row_totals` gets the product of d and out."""
+    """Write (A + W) d to `out` where sites move, 0 elsewhere; `row_totals` gets the product."""
     height = d.shape[1] - 4
     for number in prange(count):
         first, last = number * height // count, (number + 1) * height // count
@@ -137,7 +137,7 @@ def _smooth_part(d, load, tangent, inverse, weight, springs, out, pace, first, l
 
 @parallel
 def smooth(d, load, tangent, inverse, weight, springs, out, scale, ahead, back, count):
-    """A Chebyshev step: out = d + scale D^-1 (load - (A + W) d) + ahead d - back out."""
+    """Compute a Chebyshev step: out = d + scale D^-1 (load - (A + W) d) + ahead d - back out."""
     height = d.shape[1] - 4
     for number in prange(count):
         first, last = number * height // count, (number + 1) * height // count
@@ -165,7 +165,7 @@ def _rest_part(d, load, tangent, inverse, weight, springs, out, first, last):
 
 @parallel
 def rest(d, load, tangent, inverse, weight, springs, out, count):
-    """Out = load - (A + W) d where sites move, 0 elsewhere."""
+    """Write load - (A + W) d to `out` where sites move, 0 elsewhere."""
     height = d.shape[1] - 4
     for number in prange(count):
         first, last = number * height // count, (number + 1) * height // count
@@ -174,7 +174,7 @@ def rest(d, load, tangent, inverse, weight, springs, out, count):
 
 @parallel
 def start(load, inverse, scale, out):
-    """The first step from zero: out = scale D^-1 load."""
+    """Compute the first step from zero: out = scale D^-1 load."""
     for i in prange(load.shape[1] - 4):
         for component in range(2):
             for j in range(2, load.shape[2] - 2):
@@ -184,7 +184,7 @@ def start(load, inverse, scale, out):
 
 @parallel
 def coarsen(fine, coarse):
-    """A coarse element's tangent: the mean of the four it covers, void counted as 0."""
+    """Compute a coarse element's tangent: the mean of four, void counted as 0."""
     for i in prange(coarse.shape[1] - 4):
         for k in range(13):
             for j in range(coarse.shape[2] - 4):
@@ -199,7 +199,7 @@ def coarsen(fine, coarse):
 
 @parallel
 def diagonal(tangent, out):
-    """The diagonal of the matrix of cycles."""
+    """Compute the diagonal of the matrix of cycles."""
     for n in prange(tangent.shape[1] - 4):
         i = n + 2
         for component in range(2):
@@ -236,5 +236,5 @@ _cycle = small_cycle.cycle_of(PLANES, _smooth, _rest)
 
 @strict
 def cycle(values, table, down, up, coarsest):
-    """A V-cycle over levels, as `small_cycle.cycle_of` says."""
+    """Run a V-cycle over levels, as `small_cycle.cycle_of` says."""
     _cycle(values, table, float32(1), down, up, coarsest)

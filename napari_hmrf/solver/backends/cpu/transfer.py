@@ -15,13 +15,13 @@ PAD = 2
 
 
 def padded(components: int, shape: tuple[int, ...]) -> np.ndarray[Any, np.dtype[np.float32]]:
-    """Zeros for `components` planes of a grid, with the ring of void around them."""
+    """Return zeros for `components` planes of a grid, with the ring of void around them."""
     return np.zeros((components, *(size + 2 * PAD for size in shape)), dtype=np.float32)
 
 
 @strict_parallel
 def prolong(coarse, coarse_stiffness, target, stiffness):
-    """Displacement one level down: linear, void without weight, the border repeated."""
+    """Interpolate displacement one level down: linear, void without weight, the border repeated."""
     height, width = target.shape[1] - 2 * PAD, target.shape[2] - 2 * PAD
     coarse_height, coarse_width = coarse.shape[1] - 2 * PAD, coarse.shape[2] - 2 * PAD
     for i in prange(height):
@@ -60,7 +60,7 @@ def _nearest(i, size):
 
 @strict_parallel
 def prolong_volume(coarse, coarse_stiffness, target, stiffness):
-    """As `prolong`, of a volume."""
+    """Interpolate as `prolong` does, in a volume."""
     for n in prange(target.shape[1] - 2 * PAD):
         planes = _nearest(np.int64(n), coarse.shape[1] - 2 * PAD)
         for i in range(target.shape[2] - 2 * PAD):

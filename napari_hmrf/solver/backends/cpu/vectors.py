@@ -24,7 +24,7 @@ from napari_hmrf.solver.backends.cpu.compiled import (
 
 @reduction
 def row_product(a: Any, b: Any, row: int) -> float:
-    """The scalar product of one row."""
+    """Return the scalar product of one row."""
     total = float32(0)
     for component in range(len(a)):
         for j in range(a.shape[2]):
@@ -34,7 +34,7 @@ def row_product(a: Any, b: Any, row: int) -> float:
 
 @inline
 def span(inverse, spans, i):
-    """Where row i's moving sites begin and end."""
+    """Return the begin and end of row i's moving sites."""
     first, past = int64(0), int64(0)
     for j in range(inverse.shape[2] - 4):
         for k in range(len(inverse)):
@@ -78,7 +78,7 @@ def spring(inverse, pins, most, strength, weight, spans):
 
 @parallel
 def smooth_first(load, inverse, step, d, scale):
-    """The first Chebyshev step from d = 0: step = d = scale * D^-1 load."""
+    """Compute the first Chebyshev step from d = 0: step = d = scale * D^-1 load."""
     for i in prange(load.shape[1] - 4):
         for j in range(load.shape[2]):
             row = scale * inverse[0, i + 2, j] * load[0, i + 2, j]
@@ -102,7 +102,7 @@ def restrict_row(above, here, below, coarse):
 
 @parallel
 def restrict(fine, coarse):
-    """The transpose of `interpolate`: coarse site i lies on fine site 2 i."""
+    """Apply the transpose of `interpolate`: coarse site i lies on fine site 2 i."""
     for i in prange(coarse.shape[1] - 4):
         for component in range(2):
             restrict_row(
@@ -133,7 +133,7 @@ def interpolate(coarse, fine, inverse):
 
 @parallel
 def advance(d, share, rest, direction, image, length, row_totals):
-    """D += share * direction, rest -= length * image; `row_totals` gets the square of the rest."""
+    """Add share * direction to d, take length * image from rest; `row_totals` gets its square."""
     for i in prange(d.shape[1] - 4):
         for component in range(len(d)):
             for j in range(d.shape[2]):
@@ -144,7 +144,7 @@ def advance(d, share, rest, direction, image, length, row_totals):
 
 @parallel
 def lean(rest, direction, image, share, stride):
-    """Direction = rest + share * (direction - stride * image)."""
+    """Compute direction = rest + share * (direction - stride * image)."""
     for i in prange(direction.shape[1] - 4):
         for component in range(len(direction)):
             for j in range(direction.shape[2]):
@@ -155,14 +155,14 @@ def lean(rest, direction, image, share, stride):
 
 @parallel
 def product(a, b, row_totals):
-    """The scalar product, row by row."""
+    """Compute the scalar product, row by row."""
     for i in prange(a.shape[1] - 4):
         row_totals[i] = row_product(a, b, i + 2)
 
 
 @strict_callee
 def row_largest(a: Any, row: int) -> Any:
-    """The largest absolute value of one row, or no number if there is any.
+    """Return the largest absolute value of one row, or NaN if there is any.
 
     Without their sign, numbers are in the order of their bits, of which several are compared at
     once.
@@ -177,14 +177,14 @@ def row_largest(a: Any, row: int) -> Any:
 
 @parallel
 def largest(a, row_most):
-    """The largest absolute value of each row."""
+    """Compute the largest absolute value of each row."""
     for i in prange(a.shape[1] - 4):
         row_most[i] = row_largest(a, i + 2)
 
 
 @parallel
 def weigh(a, b, row_most, row_totals):
-    """Both of these, in one go."""
+    """Compute both of these in one pass."""
     for i in prange(a.shape[1] - 4):
         row_most[i] = row_largest(a, i + 2)
         row_totals[i] = row_product(a, b, i + 2)

@@ -1,4 +1,4 @@
-"""Elastic volumes as compiled loops: what multigrid asks of its levels.
+"""Compiled loops for elastic volumes: the operations of multigrid on its levels.
 
 Arrays are padded as those of the other kernels are, by two sites of void on every side. An element
 has the number of its first site, and parameters as `backends.cpu.hexahedra` takes them. A site that
@@ -6,7 +6,7 @@ is prescribed, or in no element, has an inverse diagonal of 0: its correction st
 diagonal of a coarse level's springs W, counts `springs` times: 0 on the finest level, else 1.
 
 Each kernel divides the planes among threads, `count` of them. A thread begins with the plane above
-its first, for the sake of what that leaves to the next; what comes out of it is nobody's. Kernels
+its first, for the sake of the values that it leaves to the next; its result is not used. Kernels
 write where something moves only (`spans`, of every padded row): beyond that there must be 0.
 """
 
@@ -32,7 +32,7 @@ _FEW_PLANES = 8
 
 
 def parts(depth: int) -> int:
-    """Among how many threads a level's planes are divided."""
+    """Return the number of threads for a level's planes."""
     return max(1, min(get_num_threads(), depth // _FEW_PLANES))
 
 
@@ -49,7 +49,7 @@ def _join(spans, z, y, begin, past):
 
 @shared
 def _reach(spans, z, y):
-    """Where what moves in a row, the next, and the same two of the next plane begins and ends."""
+    """Return the ends of the moving sites of a row, the next, and both in the next plane."""
     begin, past = spans[z, y, 0], spans[z, y, 1]
     begin, past = _join(spans, z, y + 1, begin, past)
     begin, past = _join(spans, z + 1, y, begin, past)
@@ -94,7 +94,7 @@ def _smooth_part(d, tissue, weights, load, inverse, spans, out, pace, first, las
 
 @parallel
 def smooth(d, other, load, lame, share, inverse, weight, springs, shape, spans, paces, count):
-    """Chebyshev steps: other = d + scale D^-1 (load - (A + W) d) + ahead d - back other; and back.
+    """Run Chebyshev steps: other = d + scale D^-1 (load - (A + W) d) + ahead d - back other.
 
     What `other` holds before is the displacement before the last step: d - other was that step.
     """
@@ -109,7 +109,7 @@ def smooth(d, other, load, lame, share, inverse, weight, springs, shape, spans, 
 
 @parallel
 def start(load, inverse, d, scale):
-    """The first step from zero, of all rows: d = scale D^-1 load."""
+    """Compute the first step from zero, of all rows: d = scale D^-1 load."""
     for i in prange(d.shape[1]):
         for k in range(len(d)):
             for j in range(d.shape[2]):
@@ -153,7 +153,7 @@ def _rest_part(d, tissue, weights, loads, inverse, spans, out, first, last):
 
 @parallel
 def rest(d, load, given, lame, share, inverse, weight, springs, shape, spans, scale, out, count):
-    """Out = scale (given load - (A + W) d) where sites move, 0 elsewhere."""
+    """Write scale (given load - (A + W) d) to `out` where sites move, 0 elsewhere."""
     for number in prange(count):
         first, last = part(number, count, d.shape[1] - 4)
         tissue, weights, loads = (lame, share, shape), (weight, springs), (load, given, scale)
@@ -178,7 +178,7 @@ def _pull_part(d, lame, share, shape, out, first, last):
 
 @parallel
 def pull(d, lame, share, shape, out, count):
-    """Out = - A d everywhere, held or not."""
+    """Write -A d to `out` everywhere, held or not."""
     for number in prange(count):
         first, last = part(number, count, d.shape[1] - 4)
         _pull_part(d, lame, share, shape, out, first, last)
@@ -222,7 +222,7 @@ def work(d, lame, share, shape, products, squares, count):
 
 @shared
 def _between(above, here, below, line):
-    """What three lines hand to the coarse plane that lies on the middle one."""
+    """Add the share of three lines to the coarse plane that lies on the middle one."""
     half = float32(0.5)
     for x in range(len(line)):
         line[x] = here[x] + half * (above[x] + below[x])
@@ -230,7 +230,7 @@ def _between(above, here, below, line):
 
 @parallel
 def restrict(fine, coarse):
-    """The transpose of `interpolate`: coarse site i lies on fine site 2 i."""
+    """Apply the transpose of `interpolate`: coarse site i lies on fine site 2 i."""
     for n in prange(coarse.shape[1] - 4):
         lines = np.empty((3, fine.shape[3]), dtype=fine.dtype)
         z = 2 * np.int64(n) + 2
@@ -270,12 +270,12 @@ def interpolate(coarse, fine, inverse):
                 _interpolate_row(one, other, third, last, inverse[k, z, y], line, fine[k, z, y])
 
 
-# What levels know of tissue
+# Parameters of the tissue on each level
 
 
 @shared
 def _sum_line(near, right, far, across, line):
-    """Of each element the sum of its corners; 0 if one of them is 0."""
+    """Return the sum of the corners of each element; 0 if one of them is 0."""
     for x in range(len(line)):
         one, other = float64(near[x]), float64(near[x + 1])
         low, total = min(one, other), one + other
@@ -290,7 +290,7 @@ def _sum_line(near, right, far, across, line):
 
 @parallel
 def elements(m, each, one, scale, lame):
-    """The parameters of each element: of the means of its sites; 0 if one of them is void.
+    """Compute the parameters of each element, from the means of its sites; 0 beside void.
 
     With `one` Poisson's ratio for all, mu is `scale` times the sum of its corners. Else ratios are
     those of `each` site, and `scale` is for Young's modulus.
@@ -313,7 +313,7 @@ def elements(m, each, one, scale, lame):
                     four += float64(each[n + 1, y, x + 1]) + float64(each[n + 1, y + 1, x + 1])
                     ratio[x] += 0.125 * four
                 for x in range(len(total)):
-                    nu = ratio[x] if total[x] > 0 else 0.0  # what void is said to be does not count
+                    nu = ratio[x] if total[x] > 0 else 0.0  # values in void do not count
                     mu = scale * total[x] / (2 + 2 * nu)
                     shear[x] = mu
                     first[x] = 2 * mu * nu / (1 - 2 * nu)
@@ -321,7 +321,7 @@ def elements(m, each, one, scale, lame):
 
 @parallel
 def coarsen(fine, coarse):
-    """A coarse element's parameters, in its own unit: the sum of its eight over four."""
+    """Compute a coarse element's parameters, in its own unit: the sum of its eight over four."""
     quarter = float32(0.25)
     for n in prange(coarse.shape[1] - 4):
         for k in range(len(coarse)):
@@ -340,7 +340,7 @@ def coarsen(fine, coarse):
 
 @parallel
 def diagonal(lame, share, shape, out):
-    """The diagonal of the stiffness matrix."""
+    """Compute the diagonal of the stiffness matrix."""
     for n in prange(lame.shape[1] - 4):
         z, last = n + 2, lame.shape[0] - 1
         for k in range(3):

@@ -36,14 +36,14 @@ _FLUSH = float32(1e-18)
 
 @lru_cache(maxsize=16)
 def offsets(grid: tuple[int, ...]) -> npt.NDArray[np.int64]:
-    """How many rows and sites further on the next site of each line is, on a grid (D, H, W)."""
+    """Return the offset, in rows and sites, of the next site of each line, on a grid (D, H, W)."""
     plane, row, col = np.array(line_steps(3), dtype=np.int64).T
     return np.stack([plane * (grid[1] + 4) + row, col], axis=1)
 
 
 @inline
 def scratch(d):
-    """Memory for one row."""
+    """Return memory for one row."""
     return np.empty(_LINES * _LINE, dtype=d.dtype)
 
 
@@ -55,13 +55,13 @@ def _line(f, number):
 
 @inline
 def curvature_of(f, k):
-    """A component's curvature at the sites of the block."""
+    """Return a component's curvature at the sites of the block."""
     return f[(_CURVATURE + k) * _LINE : (_CURVATURE + k + 1) * _LINE]
 
 
 @inline
 def slope_of(f, k):
-    """Its slope."""
+    """Return its slope."""
     return f[(_SLOPE + k) * _LINE : (_SLOPE + k + 1) * _LINE]
 
 
@@ -99,7 +99,7 @@ def _add(d, k, weight, row, x, down, right, count, f):
 
 @callee
 def look(d, stiffness, lines, offsets, row, x, count, f):
-    """Curvature, slope and energy of the cliques in whose middle the sites of a block are.
+    """Compute curvature, slope and energy of the cliques around the sites of a block.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def look(d, stiffness, lines, offsets, row, x, count, f):
         Scratch: see `curvature_of` and `slope_of`.
     """
     if len(f) < _LINES * _LINE:
-        return  # never; but now the compiler knows that no line is cut short
+        return  # never true; it lets the compiler assume whole lines
     f[_CURVATURE * _LINE : (_ENERGY + 1) * _LINE] = 0
     for line in range(len(lines)):
         down, right = offsets[line, 0], offsets[line, 1]
@@ -129,7 +129,7 @@ def look(d, stiffness, lines, offsets, row, x, count, f):
 
 @reduction
 def energy_of(f: Any, count: int) -> float:
-    """The energy of all sites of the block."""
+    """Return the energy of all sites of the block."""
     total, energy = f.dtype.type(0), f[_ENERGY * _LINE : (_ENERGY + 1) * _LINE]
     for j in range(count):
         total += energy[j]

@@ -10,13 +10,13 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.backends import kept_volumes
 from napari_hmrf.solver.backends.base import BATCH_SECONDS, Checkpoint
-from napari_hmrf.solver.backends.bodies import Bodies, BodySites, bodies_of
 from napari_hmrf.solver.backends.cpu import hexahedra, vectors, volume
 from napari_hmrf.solver.backends.cpu.double_level import DoubleLevel
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, paces_of, rows
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.solver.backends.rigid.bodies import Bodies, BodySites, bodies_of
 from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import (
@@ -26,7 +26,7 @@ from napari_hmrf.solver.priors.elements import (
     stiffest,
 )
 
-# What a step of smoothing takes, roughly: on one thread.
+# Approximate time of a step of smoothing, on one thread.
 _SITE_SECONDS = 20e-9
 
 
@@ -54,12 +54,12 @@ class CpuVolumeLevel(CpuLevel):
         self.lame = padded(parameters, grid)
         self.weight = None if finest else self.vector()
         depth, height = (size + 2 * PAD for size in grid[:2])
-        #: Where what moves in each padded row begins and ends.
+        #: Begin and end of the moving sites in each padded row.
         self.reach: npt.NDArray[np.int64] = np.zeros((depth, height, 2), dtype=np.int64)
         self.spans = self.reach.reshape(-1, 2)[PAD:-PAD]
         #: Among how many threads its planes are divided.
         self.parts = volume.parts(grid[0])
-        #: How many steps of smoothing leave time enough to look whether to stop.
+        #: Number of steps of smoothing between two checks for a cancellation.
         self._at_once = max(1, int(BATCH_SECONDS / (_SITE_SECONDS * math.prod(grid))))
         self.checkpoint: Checkpoint = _go_on
         self.share = np.float32(1)
@@ -67,7 +67,7 @@ class CpuVolumeLevel(CpuLevel):
 
     @property
     def pins(self) -> Vector:  # type: ignore[override]
-        """What the next level asks for, once; `clear` follows.
+        """Pins for the next level, which reads them once; `clear` follows.
 
         Kernels write within the spans only: beyond them there must be 0.
         """
@@ -90,7 +90,7 @@ class CpuVolumeLevel(CpuLevel):
         self._spring(finer)
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
-        """Chebyshev-Jacobi steps on `correction` for `load`."""
+        """Run Chebyshev-Jacobi steps on `correction` for `load`."""
         paces = paces_of(steps, from_zero)
         if from_zero:
             arrays = map(rows, (self.load, self.inverse, self.correction))
@@ -117,7 +117,7 @@ class CpuVolumeLevel(CpuLevel):
         """Let them go."""
 
     def apply(self, direction: Vector, image: Vector) -> float:
-        """Image = A direction; their scalar product."""
+        """Compute image = A direction; return their scalar product."""
         self._rest_of(direction, direction, np.float32(0), np.float32(-1), image)
         return self.product(direction, image)
 
@@ -209,14 +209,14 @@ class CpuVolumeModel(HostModel):
         return DoubleLevel(self.levels[0], *self._exact)
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """- A d everywhere, in double precision."""
+        """Return -A d everywhere, in double precision."""
         finest, out = self.levels[0], np.zeros(d.shape)
         exactly = d if low is None else d + low
         volume.pull(exactly, finest.lame, *self._exact, out, finest.parts)
         return out
 
     def work(self, d: Planes) -> tuple[float, float]:
-        """The elastic energy, and the norm of the forces."""
+        """Return the elastic energy, and the norm of the forces."""
         finest, (share, shape) = self.levels[0], self._exact
         products, squares = np.zeros((2, self.shape[0]))
         volume.work(d, finest.lame, share, shape, products, squares, finest.parts)
@@ -224,14 +224,14 @@ class CpuVolumeModel(HostModel):
 
     @property
     def steepness(self) -> Planes:
-        """The diagonal of the stiffness matrix."""
+        """Compute the diagonal of the stiffness matrix."""
         finest = self.levels[0]
         out = finest.vector()
         volume.diagonal(finest.lame, finest.share, finest.shape, out)
         return np.asarray(out, dtype=np.float64)
 
     def forget(self) -> None:
-        """Be not the last model any more: what is left in its vectors may be no number."""
+        """Clear the model cache: numbers in its vectors may have overflowed."""
         _last[:] = ()
 
 

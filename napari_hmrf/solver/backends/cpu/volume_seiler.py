@@ -55,7 +55,7 @@ def _smooth_row(d, load, tissue, inverse, weights, span, pace, out, i):
 
 @parallel
 def smooth(d, other, load, stiffness, lines, offsets, inverse, weight, springs, spans, paces):
-    """Chebyshev steps: other = d + scale D^-1 (load - (A + W) d) + ahead d - back other; and back.
+    """Run Chebyshev steps: other = d + scale D^-1 (load - (A + W) d) + ahead d - back other.
 
     What `other` holds before is the displacement before the last step: d - other was that step.
     """
@@ -102,7 +102,7 @@ def _rest_row(d, load, given, tissue, inverse, weights, span, share, out, i):
 def residual(
     d, load, given, stiffness, lines, offsets, inverse, weight, springs, spans, share, out
 ):
-    """Out = share (given load - (A + W) d), and 0 at sites that do not move."""
+    """Write share (given load - (A + W) d) to `out`; 0 at sites that do not move."""
     tissue, weights = (stiffness, lines, offsets), (weight, springs)
     for number in prange(d.shape[1] - 4):
         i = int64(number)
@@ -126,7 +126,7 @@ def _pull_row(d, tissue, span, out, i):
 
 @parallel
 def pull(d, stiffness, lines, offsets, spans, out, row_totals):
-    """Out = - A d within these spans; `row_totals` gets the energy of the cliques."""
+    """Write -A d to `out` within these spans; `row_totals` gets the energy of the cliques."""
     tissue = stiffness, lines, offsets
     for number in prange(d.shape[1] - 4):
         i = int64(number)
@@ -139,14 +139,14 @@ def _curvature_row(tissue, span, out, i):
     f = scratch(out)
     for x in range(max(span[0], 0) + 2, span[1] + 2, BLOCK):
         end = min(x + BLOCK, span[1] + 2)
-        look(out, stiffness, lines, offsets, i, x, end - x, f)  # of any displacement
+        look(out, stiffness, lines, offsets, i, x, end - x, f)  # for any displacement
         for k in range(3):
             out[k, i, x:end] = curvature_of(f, k)[: end - x]
 
 
 @parallel
 def curvature(stiffness, lines, offsets, spans, out):
-    """Each site's curvature within these spans: of the cliques it is the middle of."""
+    """Compute each site's curvature within these spans, of the cliques that it is the middle of."""
     tissue = stiffness, lines, offsets
     for number in prange(out.shape[1] - 4):
         i = int64(number)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.cpu import seiler_model, vectors, volume, volume_seiler
 from napari_hmrf.solver.backends.cpu.level import (
     Spans,
@@ -17,6 +16,7 @@ from napari_hmrf.solver.backends.cpu.level import (
 from napari_hmrf.solver.backends.cpu.seiler_model import CpuSeilerLevel, CpuSeilerModel, Lines
 from napari_hmrf.solver.backends.cpu.volume_cliques import offsets
 from napari_hmrf.solver.backends.linear import Planes, Steps
+from napari_hmrf.solver.backends.planes import inside
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 
 
@@ -25,7 +25,7 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
 
     @property
     def _tissue(self) -> tuple[Vector, Vector, npt.NDArray[np.int64]]:
-        """What the kernels need to know of it."""
+        """Arrays that the kernels read."""
         return rows(self.stiffness), self._lines, offsets(self.grid)
 
     def coarsen(self, finer: CpuSeilerLevel) -> None:
@@ -33,27 +33,27 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
         tissue = finer.vector()
         tissue[0], tissue[1] = finer.stiffness[0], finer.stiffness[0] > 0
         volume.restrict(tissue, self.load)
-        total, share, _ = host.inside(self.load)
-        m, inverse = host.inside(self.stiffness)
+        total, share, _ = inside(self.load)
+        m, inverse = inside(self.stiffness)
         np.divide(total, share, out=m, where=total > 0)
         np.divide(share, total, out=inverse, where=total > 0)
-        # Where less than a quarter of what is around a site is tissue, it counts as a quarter.
-        host.inside(self.even[None])[0] = 4 / np.maximum(share, 2)
+        # At least a quarter of the surroundings of a site counts as tissue.
+        inside(self.even[None])[0] = 4 / np.maximum(share, 2)
         self.load.fill(0)
 
     def curvature(self, stiffness: Planes, lines: Lines) -> Planes:
-        """Each site's, in double precision as all that is done with planes."""
+        """Return each site's curvature, in double precision."""
         out = np.zeros(self.inverse.shape)
         tissue = rows(stiffness), lines, offsets(self.grid)
         volume_seiler.curvature(*tissue, all_sites(self.grid), rows(out))
         return out
 
     def pull(self, d: Planes, stiffness: Planes, lines: Lines, spans: Spans, out: Planes) -> None:
-        """Out = - A d within these spans."""
+        """Write -A d to `out` within these spans."""
         self.work(d, stiffness, lines, spans, out)
 
     def work(self, d: Planes, stiffness: Planes, lines: Lines, spans: Spans, out: Planes) -> float:
-        """As `pull`; returns the energy of the cliques."""
+        """Write -A d to `out`, as `pull` does; return the energy of the cliques."""
         totals = np.zeros(len(spans))
         tissue = rows(stiffness), lines, offsets(self.grid)
         volume_seiler.pull(rows(d), *tissue, spans, rows(out), totals)
@@ -64,7 +64,7 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
         self.load *= self.even
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
-        """Chebyshev-Jacobi steps on `correction` for `load`."""
+        """Run Chebyshev-Jacobi steps on `correction` for `load`."""
         paces = paces_of(steps, from_zero)
         if from_zero:
             volume.start(*map(rows, (self.load, self.inverse, self.correction)), paces[0, 0])

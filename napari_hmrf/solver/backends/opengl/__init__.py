@@ -1,7 +1,8 @@
 """The kernels as OpenGL shaders, drawn (OpenGL 3.3) or dispatched (4.3) from the same text."""
 
 from napari_hmrf.solver.backends.opengl.backend import OpenGLBackend
-from napari_hmrf.solver.backends.opengl.context import is_software_renderer
-from napari_hmrf.solver.backends.opengl.report import describe
+from napari_hmrf.solver.backends.opengl.context.context import is_software_renderer
+from napari_hmrf.solver.backends.opengl.context.report import describe
+from napari_hmrf.solver.backends.opengl.support import missing_shaders
 
-__all__ = ["OpenGLBackend", "describe", "is_software_renderer"]
+__all__ = ["OpenGLBackend", "describe", "is_software_renderer", "missing_shaders"]

@@ -16,9 +16,11 @@ from napari_hmrf.solver.backends.base import (
     SiteRule,
 )
 from napari_hmrf.solver.backends.finite import FiniteModel
+from napari_hmrf.solver.backends.job import SolveJob
 from napari_hmrf.solver.backends.linear import LinearModel
-from napari_hmrf.solver.backends.opengl.device import the_device
-from napari_hmrf.solver.backends.opengl.fields import (
+from napari_hmrf.solver.backends.opengl.context.device import the_device
+from napari_hmrf.solver.backends.opengl.context.pace import MAX_PASS_SECONDS, Pace
+from napari_hmrf.solver.backends.opengl.images.fields import (
     GLField,
     Pool,
     as_given,
@@ -27,27 +29,27 @@ from napari_hmrf.solver.backends.opengl.fields import (
     pairs_with_tissue,
     singles,
 )
-from napari_hmrf.solver.backends.opengl.pace import MAX_PASS_SECONDS, Pace
-from napari_hmrf.solver.backends.opengl.passes import Passes
-from napari_hmrf.solver.backends.opengl.regions import Tissue
-from napari_hmrf.solver.backends.opengl.source import STAGES, Stage
-from napari_hmrf.solver.backends.opengl.totals import (
+from napari_hmrf.solver.backends.opengl.images.passes import Passes
+from napari_hmrf.solver.backends.opengl.images.totals import (
     BLOCK,
     KEPT_SHARES,
     BlockTotals,
     PairTotals,
     Totals,
 )
-from napari_hmrf.solver.backends.opengl.volume_passes import VolumePasses, check_volume
+from napari_hmrf.solver.backends.opengl.programs.regions import Tissue
+from napari_hmrf.solver.backends.opengl.programs.source import STAGES, Stage
+from napari_hmrf.solver.backends.opengl.support import (
+    image_refusal,
+    missing_shaders,
+    volume_refusal,
+)
+from napari_hmrf.solver.backends.opengl.volumes.volume_passes import VolumePasses
 from napari_hmrf.solver.priors import line_weights
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 from napari_hmrf.solver.priors.elements import ElasticMaterial
 from napari_hmrf.solver.priors.finite_strain import FiniteMaterial
 from napari_hmrf.solver.quadtree import Level
-
-# Bytes that a solve holds for each site of level 0: stiffness 8, its ratios 32 and mask 2,
-# observation 16, displacement 2 x 8, energy 2; a third more for the coarser levels.
-_BYTES_PER_SITE = 76 * 4 / 3
 
 
 class OpenGLBackend:
@@ -91,10 +93,19 @@ class OpenGLBackend:
         self._keeps_shares = software
         self._drawn: dict[tuple[int, ...], Tissue] = {}
 
+    def supports(self, job: SolveJob) -> str | None:
+        """Return None if the shaders can solve a job on this device, else the reason."""
+        missing = missing_shaders(job)
+        if missing is not None:
+            return f'{missing}. Take backend="cpu", or "auto".'
+        if job.is_volume:
+            return volume_refusal(self._device, self._stage, job.shape)
+        return image_refusal(self._device, job.shape)
+
     def upload(self, values: FloatArray) -> GLField:
         """Copy values of shape (H, W, C) into a texture."""
         height, width, components = values.shape
-        self._refuse_too_large(height, width)
+        self._refuse(image_refusal(self._device, (height, width)))
         made = self._field((height, width), components)
         made.texture.write(as_stored(values))
         self._device.check("uploading an image")
@@ -168,7 +179,7 @@ class OpenGLBackend:
     def energy(
         self, displacement: GLField, stiffness: GLField, observation: GLField, rule: SiteRule
     ) -> float:
-        """U_total."""
+        """Return U_total."""
         program = self._program("energy", {"SQUARE": _is_square(rule)})
         program.set({"weights": rule.weights.astype(np.float32)})
         inputs = [displacement.texture, *self._ratios(stiffness), observation.texture]
@@ -181,30 +192,19 @@ class OpenGLBackend:
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
         """Bring elastic tissue to the device; an image's levels come from the compiled loops."""
         if material.m.ndim == 3:
-            from napari_hmrf.solver.backends.opengl.volume_model import GLVolumeModel
+            from napari_hmrf.solver.backends.opengl.volumes.volume_model import GLVolumeModel
 
-            self.check_volume(material.m.shape)
+            self._refuse(volume_refusal(self._device, self._stage, material.m.shape))
             passes = VolumePasses(self._device, self._pace)
             self._of_models.append(passes)
             return GLVolumeModel(passes, material)
-        from napari_hmrf.solver.backends.opengl.elastic import GLElasticModel
+        from napari_hmrf.solver.backends.opengl.images.elastic import GLElasticModel
 
         return GLElasticModel(self._passes_for(material.m), material)
 
-    def check_volume(self, grid: tuple[int, ...]) -> None:
-        """Refuse a volume, (D, H, W) voxels, that these shaders cannot solve; () is none.
-
-        Raises
-        ------
-        BackendError
-            What is lacking, and what to take.
-        """
-        if grid:
-            check_volume(self._device, self._stage, grid)
-
     def seiler_model(self, material: SeilerMaterial) -> LinearModel:
         """Bring the paper's cliques to the device; their levels come from the compiled loops."""
-        from napari_hmrf.solver.backends.opengl.seiler import GLSeilerModel
+        from napari_hmrf.solver.backends.opengl.images.seiler import GLSeilerModel
 
         return GLSeilerModel(self._passes_for(material.m), material)
 
@@ -231,7 +231,7 @@ class OpenGLBackend:
 
     def _passes_for(self, stiffness: FloatArray) -> Passes:
         """Passes of a model's own, for tissue that is not too large."""
-        self._refuse_too_large(*stiffness.shape)
+        self._refuse(image_refusal(self._device, stiffness.shape))
         made = Passes(self._device, self._stage, self._pace)
         self._of_models.append(made)
         return made
@@ -274,16 +274,10 @@ class OpenGLBackend:
         program, largest = self._program("sum", {"BLOCK": BLOCK}), self._device.largest
         return BlockTotals(program, self._run, self._pool, wait, grid, sweeps, largest)
 
-    def _refuse_too_large(self, height: int, width: int) -> None:
-        """Refuse an image before anything is allocated for it."""
-        largest = self._device.largest
-        if max(height, width) > largest:
-            size = height * width * _BYTES_PER_SITE / 2**30
-            raise BackendError(
-                f"the image has {height} x {width} pixels, but {self.renderer} holds at most "
-                f"{largest} x {largest}; a solve of it would take about {size:.1f} GiB there. "
-                'Downsample it, cut it, or take backend="cpu".'
-            )
+    def _refuse(self, reason: str | None) -> None:
+        """Raise for a reason, if there is one, before anything is allocated."""
+        if reason is not None:
+            raise BackendError(reason)
 
 
 def _is_square(rule: SiteRule) -> int:
@@ -292,5 +286,5 @@ def _is_square(rule: SiteRule) -> int:
 
 
 def _use(components: int) -> str:
-    """What the texture of a field is used for: only one in pairs may come back as displacement."""
+    """Return the use of the texture of a field: only one in pairs may come back as displacement."""
     return "pairs" if components == 2 else "singles"

@@ -1,0 +1,1 @@
+"""Compilation of the loops for the processor, once per machine, and their cache on disk."""

@@ -1,0 +1,341 @@
+"""A direct solver on the pixel grid, in double precision: nested dissection of its elements.
+
+An *element* is a block of `patch` x `patch` sites that its matrix couples: 2 for elastic tissue, 3
+for the paper's cliques, around their middle. A *box* of elements is condensed to its *ring*, the
+sites that it shares with others:
+
+    F = [[A, B], [C, D]] of own sites and ring,   S = D - C A^-1 B,
+
+and two boxes side by side are one, once their S are added (nested dissection: George, SIAM J.
+Numer. Anal. 10, 1973). Boxes within tiles of 16 x 16 elements have the same few shapes: they are
+condensed many at a time, with 1 on the diagonal where nothing moves. Above, a box has only the
+components that move. On n x n sites that is about n^3 work and n^2 log n memory, whatever the
+materials.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+from threadpoolctl import ThreadpoolController
+
+from napari_hmrf.solver.backends.direct import tiles as shapes
+from napari_hmrf.solver.backends.direct.condensation import Step, SymmetricStep
+from napari_hmrf.solver.backends.direct.tiles import LEAF, TILE
+
+Float64Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
+
+#: Gives the matrices (h, w, n, n) of elements between these rows and columns; n is patch^2 C.
+Elements = Callable[[slice, slice], Float64Array]
+#: Callback, on any thread, with the completed part of the work; may raise to stop it.
+Progress = Callable[[float], None]
+
+# Tiles condensed at once: what a processor's cache holds.
+_AT_ONCE = 16
+_THREADS = os.cpu_count() or 1
+#: Least support of a component, as a part of the support by all its neighbours.
+HELD = 1e-13
+
+
+class Singular(ArithmeticError):
+    """Nothing holds a part of the system, as far as double precision can tell."""
+
+
+_Steps = list[Step | SymmetricStep]
+#: Bounds of tiles: first row, last row, first column, last column; the last ones are outside.
+_Range = tuple[int, int, int, int]
+
+
+class _Share(NamedTuple):
+    """A condensed box: its ring, and the matrix that it adds there."""
+
+    ring: Index
+    matrix: Float64Array
+
+
+class Dissection:
+    """The factors of a matrix.
+
+    Parameters
+    ----------
+    elements : callable
+        Gives the matrices of the elements.
+    patch : int
+        Sites along a side of an element.
+    moves : ndarray of bool, shape (H, W, C)
+        Which components are unknown: in some element each. The others are 0.
+    symmetric : bool
+        Whether the matrix is symmetric, and so positive definite.
+    progress : callable
+        Callback with the completed part of the work.
+    springs : ndarray, shape (H, W, C), optional
+        What is added to the diagonal.
+
+    Raises
+    ------
+    Singular
+    """
+
+    def __init__(
+        self,
+        elements: Elements,
+        patch: int,
+        moves: Mask,
+        symmetric: bool,
+        progress: Progress = lambda part: None,
+        springs: Float64Array | None = None,
+    ) -> None:
+        self._elements, self._patch = elements, patch
+        self._moves, self._symmetric = moves, symmetric
+        self._span = tuple(size - patch + 1 for size in moves.shape[:2])
+        self._tiles = tuple(-(-size // TILE) for size in self._span)
+        self._progress, self._done, self._work = progress, 0.0, work(moves.shape)
+        self._place()
+        # The matrix's diagonal, as far as elements have been looked at.
+        self._diagonal, self._lock = np.zeros(moves.size + 1), threading.Lock()
+        self._springs = np.zeros(moves.size + 1)
+        self._least = HELD if springs is None else 0.0
+        if springs is not None:
+            self._springs[:-1] = springs.ravel()
+        # One thread for each call, and several calls at once: small matrices gain nothing from more
+        # threads, and lose much where others use the cores.
+        with _one_thread(), ThreadPoolExecutor(_THREADS) as pool:
+            self._steps, rest = self._condense((0, self._tiles[0], 0, self._tiles[1]), pool)
+        if len(rest.ring):
+            self._steps.append(self._eliminate(rest.matrix, rest.ring, len(rest.ring))[0])
+        del self._elements, self._diagonal, self._springs, self._lock
+
+    def solve(self, load: Float64Array) -> Float64Array:
+        """Return the displacement (H, W, C) for a load (H, W, C)."""
+        rest, d = np.zeros((2, self._moves.size + 1))
+        rest[:-1] = np.where(self._moves, load, 0.0).ravel()
+        with _one_thread():
+            for step in self._steps:
+                step.forward(rest)
+            for step in reversed(self._steps):
+                step.back(rest, d)
+        return d[:-1].reshape(self._moves.shape)
+
+    @property
+    def memory(self) -> int:
+        """Memory of the factors, in bytes."""
+        return sum(part.nbytes for step in self._steps for part in step if part is not None)
+
+    def _place(self) -> None:
+        """Number the components, tile by tile; the last number is of those that do not move."""
+        side = TILE + self._patch - 1
+        height, width, fields = self._moves.shape
+        size = [TILE * count + self._patch - 1 for count in self._tiles]
+        numbers = np.full((*size, fields), self._moves.size)
+        every = np.arange(self._moves.size).reshape(self._moves.shape)
+        numbers[:height, :width] = np.where(self._moves, every, self._moves.size)
+        windows = np.lib.stride_tricks.sliding_window_view(numbers, (side, side), axis=(0, 1))
+        #: (tile rows, tile columns, side, side, C)
+        self._numbers = np.moveaxis(windows[::TILE, ::TILE], 2, -1)
+
+    def _condense(
+        self,
+        tiles: _Range,
+        pool: ThreadPoolExecutor,
+        threads: int = _THREADS,
+        shares: dict[tuple[int, int], _Share] | None = None,
+    ) -> tuple[_Steps, _Share]:
+        """Condense a box of tiles, some of which may be condensed already."""
+        top, bottom, left, right = tiles
+        high, wide = bottom - top, right - left
+        steps: _Steps = []
+        if shares is None and high * wide <= _AT_ONCE:
+            steps, shares = self._condense_tiles(tiles)
+        if high == wide == 1:
+            assert shares is not None
+            return steps, shares.pop((top, left))
+        if high >= wide:
+            middle = (top + bottom) // 2
+            one, two = (top, middle, left, right), (middle, bottom, left, right)
+        else:
+            middle = (left + right) // 2
+            one, two = (top, bottom, left, middle), (top, bottom, middle, right)
+        if threads > 1 and shares is None:
+            other = pool.submit(self._condense, two, pool, threads // 2)
+            found = [self._condense(one, pool, threads - threads // 2), other.result()]
+        else:
+            found = [self._condense(half, pool, 1, shares) for half in (one, two)]
+        (first, share), (second, other_share) = found
+        step, merged = self._merge(tiles, share, other_share)
+        return [*steps, *first, *second, step], merged
+
+    def _merge(
+        self, tiles: _Range, one: _Share, two: _Share
+    ) -> tuple[Step | SymmetricStep, _Share]:
+        """Make two boxes one."""
+        every = np.union1d(one.ring, two.ring)
+        shared = self._shared(every, tiles)
+        own = len(every) - int(shared.sum())
+        place = np.where(shared, own + np.cumsum(shared), np.cumsum(~shared)) - 1
+        front = np.zeros((len(every), len(every)))
+        for share in (one, two):
+            at = place[np.searchsorted(every, share.ring)]
+            front[np.ix_(at, at)] += share.matrix
+        order = np.concatenate([every[~shared], every[shared]])
+        step, matrix = self._eliminate(front, order, own)
+        self._tell(float(own) * len(every) ** 2)
+        return step, _Share(order[own:], matrix)
+
+    def _shared(self, components: Index, tiles: _Range) -> Mask:
+        """Return the components on sites that elements outside a box of tiles touch, too."""
+        top, bottom, left, right = tiles
+        row, col = np.divmod(components // self._moves.shape[2], self._moves.shape[1])
+        over = self._patch - 1
+        above, below = top > 0, bottom < self._tiles[0]
+        before, after = left > 0, right < self._tiles[1]
+        return np.asarray(
+            (above & (row < TILE * top + over))
+            | (below & (row >= TILE * bottom))
+            | (before & (col < TILE * left + over))
+            | (after & (col >= TILE * right))
+        )
+
+    def _condense_tiles(self, tiles: _Range) -> tuple[_Steps, dict[tuple[int, int], _Share]]:
+        """Condense each tile of a box of them."""
+        top, bottom, left, right = tiles
+        fields = self._moves.shape[2]
+        numbers = self._numbers[top:bottom, left:right].reshape(-1, *self._numbers.shape[2:])
+        boxes, at = self._leaves(tiles, numbers)
+        steps: _Steps = []
+        own = shapes.components(shapes.own(LEAF, LEAF, self._patch), fields).size
+        for merge in (None, *shapes.merges(self._patch, fields)):
+            if merge is not None:
+                boxes, at, own = shapes.merged(boxes, at, merge)
+            step, boxes = self._eliminate(boxes, at, own)
+            steps.append(step)
+            at = at[..., own:]
+        self._tell(_TILE_WORK * fields**3 * len(numbers))
+        shares = {}
+        for number, (ring, matrix) in enumerate(zip(at[:, 0, 0], boxes[:, 0, 0], strict=True)):
+            row, col = divmod(number, right - left)
+            here = np.flatnonzero(ring < self._moves.size)
+            here = here[np.argsort(ring[here])]
+            shares[top + row, left + col] = _Share(ring[here], matrix[np.ix_(here, here)])
+        return steps, shares
+
+    def _leaves(self, tiles: _Range, numbers: Index) -> tuple[Float64Array, Index]:
+        """The matrices of the smallest boxes (tiles, 4, 4, n, n), and their components' numbers."""
+        top, bottom, left, right = tiles
+        patch, fields = self._patch, self._moves.shape[2]
+        rows = slice(TILE * top, min(TILE * bottom, self._span[0]))
+        cols = slice(TILE * left, min(TILE * right, self._span[1]))
+        some = self._elements(rows, cols)
+        size = some.shape[-1]
+        every = np.zeros((TILE * (bottom - top), TILE * (right - left), size, size))
+        every[: some.shape[0], : some.shape[1]] = some
+        count, side = TILE // LEAF, LEAF + patch - 1
+        split = (bottom - top, count, LEAF, right - left, count, LEAF, size, size)
+        # (tile row, tile column, box row, box column, element row, element column, n, n)
+        elements = every.reshape(split).transpose(0, 3, 1, 4, 2, 5, 6, 7)
+        order = shapes.components(
+            np.concatenate([part(LEAF, LEAF, patch) for part in (shapes.own, shapes.ring)]), fields
+        )
+        place = np.argsort(order)
+        grid = np.arange(len(order)).reshape(side, side, fields)
+        leaves = np.zeros((*elements.shape[:4], len(order), len(order)))
+        for i in range(LEAF):
+            for j in range(LEAF):
+                at = place[grid[i : i + patch, j : j + patch].ravel()]
+                leaves[..., at[:, None], at] += elements[:, :, :, :, i, j]
+        leaves = leaves.reshape(-1, *leaves.shape[2:])
+        windows = np.lib.stride_tricks.sliding_window_view(numbers, (side, side), axis=(1, 2))
+        each = np.moveaxis(windows[:, ::LEAF, ::LEAF], 3, -1)
+        at = each.reshape(*leaves.shape[:-1])[..., order]
+        moves = at < self._moves.size
+        leaves *= moves[..., None] & moves[..., None, :]
+        diagonal = np.arange(len(order))
+        leaves[..., diagonal, diagonal] += ~moves
+        with self._lock:
+            np.add.at(self._diagonal, at, leaves[..., diagonal, diagonal])
+        return leaves, at
+
+    def _eliminate(
+        self, front: Float64Array, at: Index, own: int
+    ) -> tuple[Step | SymmetricStep, Float64Array]:
+        """Condense matrices (..., own + ring, own + ring), of components with these numbers."""
+        a, b = front[..., :own, :own], front[..., :own, own:]
+        c, d = front[..., own:, :own], front[..., own:, own:]
+        places = at[..., :own], at[..., own:]
+        diagonal = np.arange(own)
+        a[..., diagonal, diagonal] += self._springs[places[0]]
+        if self._symmetric:
+            step = self._factorise(a, b, places)
+            return step, d - step.right.swapaxes(-1, -2) @ step.right
+        try:
+            inverse = np.asarray(np.linalg.inv(a), np.float64)
+        except np.linalg.LinAlgError:
+            raise Singular from None
+        self._check(1 / inverse.diagonal(axis1=-2, axis2=-1), places[0])
+        right, left = inverse @ b, c @ inverse
+        return Step(*places, inverse, right, left), np.asarray(d - c @ right, np.float64)
+
+    def _factorise(
+        self, a: Float64Array, b: Float64Array, places: tuple[Index, Index]
+    ) -> SymmetricStep:
+        """Condense symmetric matrices; A's inverse itself would lose twice as many digits."""
+        pivots = a.diagonal(axis1=-2, axis2=-1)
+        if not (pivots > 0).all():
+            raise Singular
+        if a.ndim == 2:
+            factor, wrong = scipy.linalg.lapack.dpotrf(a)
+            if wrong:
+                raise Singular
+            self._check(factor.diagonal() ** 2, places[0])
+            above = scipy.linalg.blas.dtrsm(1.0, factor, b, trans_a=1)
+            return SymmetricStep(*places, factor, above)
+        scale = np.sqrt(pivots)
+        try:
+            factor = np.linalg.cholesky(a / (scale[..., :, None] * scale[..., None, :]))
+        except np.linalg.LinAlgError:
+            raise Singular from None
+        self._check(factor.diagonal(axis1=-2, axis2=-1) ** 2 * pivots, places[0])
+        inverse = np.linalg.inv(factor) / scale[..., None, :]
+        return SymmetricStep(*places, inverse.swapaxes(-1, -2), inverse @ b)
+
+    def _check(self, pivots: Float64Array, own: Index) -> None:
+        """See that something holds each component; springs may be as weak as they are."""
+        if not (pivots > self._least * self._diagonal[own]).all():
+            raise Singular
+
+    def _tell(self, amount: float) -> None:
+        self._done += amount
+        self._progress(min(self._done / self._work, 1.0))
+
+
+def work(shape: tuple[int, ...]) -> float:
+    """Estimate the number of multiplications of a dissection of (H, W, C)."""
+    height, width, fields = shape
+    sites = height * width
+    boxes, tiles = 16.0 * sites * math.sqrt(sites), _TILE_WORK * sites / TILE**2
+    return fields**3 * (boxes + tiles)
+
+
+# Multiplications of a tile of one component.
+_TILE_WORK = 3.0e5
+
+
+@lru_cache(maxsize=1)
+def _pools() -> ThreadpoolController:
+    """The thread pools of what NumPy and SciPy compute with, both loaded by now."""
+    return ThreadpoolController()
+
+
+def _one_thread() -> Any:
+    """Let each call compute on its own thread, within this context."""
+    return _pools().limit(limits=1, user_api="blas")

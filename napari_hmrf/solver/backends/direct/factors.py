@@ -1,0 +1,120 @@
+"""The factors of a linear model with what is held: what solves it whatever the materials."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+import psutil
+
+from napari_hmrf.solver.backends.direct.brick_factors import BrickFactors
+from napari_hmrf.solver.backends.direct.dissection import Dissection, Elements, Progress
+from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
+
+# The part of the memory that is free now that factors may take.
+_FREE = 0.7
+# Voxels whose factors take some seconds; what factors take of memory for each voxel^(4/3).
+_MOST_VOXELS = 14_000
+_VOLUME_BYTES = 3000.0
+
+
+class Part(NamedTuple):
+    """Components that depend on each other, and the elements that couple them."""
+
+    components: tuple[int, ...]
+    elements: Elements
+
+
+class Assembled(Protocol):
+    """A material that can say which matrix it makes."""
+
+    @property
+    def patch(self) -> int:
+        """Sites along a side of an element."""
+        ...
+
+    @property
+    def margin(self) -> int:
+        """Reach of elements beyond the image, in sites: 0, 1 or 2."""
+        ...
+
+    @property
+    def symmetric(self) -> bool:
+        """True if the matrix is symmetric."""
+        ...
+
+    @property
+    def parts(self) -> Sequence[Part]:
+        """Parts that can be solved apart."""
+        ...
+
+
+class Factors:
+    """The factors of a model.
+
+    Parameters
+    ----------
+    material : Assembled
+    moves : ndarray of bool, planes
+        Which components are unknown.
+    progress : callable
+        Callback with the completed part of the work; may raise to stop it.
+    springs : ndarray, planes, optional
+        What is added to the diagonal.
+
+    Raises
+    ------
+    Singular
+    """
+
+    def __init__(
+        self,
+        material: Assembled,
+        moves: HeldPlanes,
+        progress: Progress,
+        springs: Planes | None = None,
+    ) -> None:
+        ring = 2 - material.margin
+        self._inside = (slice(None), *(slice(ring, size - ring) for size in moves.shape[1:]))
+        inside = np.moveaxis(moves[self._inside], 0, -1)
+        self._parts: list[tuple[tuple[int, ...], Dissection | BrickFactors]] = []
+        parts = material.parts
+        for number, (components, elements) in enumerate(parts):
+
+            def tell(part: float, number: int = number) -> None:
+                progress((number + part) / len(parts))
+
+            at = list(components)
+            some = np.ascontiguousarray(inside[..., at])
+            more = None if springs is None else np.moveaxis(springs[self._inside], 0, -1)[..., at]
+            if some.ndim == 4:
+                self._parts.append((components, BrickFactors(elements, some, tell, more)))
+                continue
+            dissection = Dissection(elements, material.patch, some, material.symmetric, tell, more)
+            self._parts.append((components, dissection))
+
+    def solve(self, load: npt.NDArray[np.floating]) -> Planes:
+        """Return the displacement for a load, both planes: 0 where nothing moves."""
+        found: Planes = np.zeros(load.shape)
+        inside = np.moveaxis(load[self._inside], 0, -1).astype(np.float64)
+        for components, dissection in self._parts:
+            at = list(components)
+            found[self._inside][at] = np.moveaxis(dissection.solve(inside[..., at]), -1, 0)
+        return found
+
+    @staticmethod
+    def needed(shape: tuple[int, ...]) -> float:
+        """Estimate the bytes of the factors of a grid (H, W) or (D, H, W)."""
+        sites = float(math.prod(shape))
+        if len(shape) == 3:
+            return float(_VOLUME_BYTES * sites ** (4 / 3))
+        return 8 * 4 * sites * (10 + 10 * math.log2(max(max(shape) / 16, 1)))
+
+    @staticmethod
+    def fit(shape: tuple[int, ...]) -> bool:
+        """Return whether memory, and in a volume time, suffice for the factors of a grid."""
+        small = len(shape) == 2 or math.prod(shape) <= _MOST_VOXELS
+        return small and bool(Factors.needed(shape) < _FREE * psutil.virtual_memory().available)

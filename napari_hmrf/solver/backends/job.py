@@ -1,0 +1,93 @@
+"""Requirements of a solve, from which its backend and its compiled loops are chosen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
+
+if TYPE_CHECKING:
+    from napari_hmrf.solver.problem import Problem
+
+
+class Schedule(Protocol):
+    """Optimizer, as far as the choice of loops goes."""
+
+    @property
+    def kernels(self) -> str:
+        """Kernels of the schedule: "sweeps", "exact sweeps" or "cycles"."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class SolveJob:
+    """Requirements of a solve.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Grid, (H, W) or (D, H, W).
+    spacing : tuple of float
+        Size of a pixel or voxel along each axis.
+    prior : Prior
+        Prior in force, as returned by its `resolved`.
+    optimizer : Schedule
+    has_loads : bool
+        True if tissue grows or forces pull at it.
+    has_rigid_tissue : bool
+        True if some stiffness is infinite.
+    """
+
+    shape: tuple[int, ...]
+    spacing: tuple[float, ...]
+    prior: Prior
+    optimizer: Schedule
+    has_loads: bool = False
+    has_rigid_tissue: bool = False
+
+    @classmethod
+    def of(cls, problem: Problem, prior: Prior, optimizer: Schedule) -> SolveJob:
+        """Return the requirements of the solve of a problem."""
+        return cls(
+            problem.shape,
+            problem.spacing,
+            prior,
+            optimizer,
+            has_loads=problem.loads is not None,
+            has_rigid_tissue=math.isinf(float(problem.stiffness.max())),
+        )
+
+    @property
+    def is_volume(self) -> bool:
+        """True if the grid has three axes."""
+        return len(self.shape) == 3
+
+    @property
+    def has_large_motion(self) -> bool:
+        """True if tissue moves far."""
+        return isinstance(self.prior, NeoHookeanPrior)
+
+    @property
+    def can_slip(self) -> bool:
+        """True if observations yield where they pull hard."""
+        return not isinstance(self.prior, SeilerPrior) and self.prior.penalty != math.inf
+
+    @property
+    def loops(self) -> str:
+        """Name of the set of loops that covers most of the solve: a job of the compiler."""
+        if self.has_large_motion:
+            return "large-motion"
+        if isinstance(self.prior, ElasticPrior):
+            if self.is_volume:
+                return "volume"
+            return "elastic" if self.prior.kernels == "elastic" else "slipping"
+        name = "converged" if self.optimizer.kernels == "cycles" else "schedule"
+        if self.is_volume:
+            return f"volume-{name}"
+        if self.prior.kernels == "blanket":
+            return f"blanket-{name}"
+        if len(set(self.spacing)) > 1:
+            return f"{name}-oblong"
+        return "exact-steps" if self.optimizer.kernels == "exact sweeps" else name

@@ -1,0 +1,251 @@
+"""Making an OpenGL context of our own, and saying clearly why there is none.
+
+Nothing here touches a context that is there already: napari's own belongs to the GUI's thread.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from napari_hmrf.errors import BackendError
+
+#: The least OpenGL the shaders need, and the least that compute shaders need.
+REQUIRED_VERSION = 330
+COMPUTE_VERSION = 430
+
+_SOFTWARE = (
+    "llvmpipe",
+    "softpipe",
+    "swrast",
+    "software rasterizer",
+    "swiftshader",
+    "gdi generic",
+    "microsoft basic render",
+    "apple software renderer",
+)
+
+
+def is_software_renderer(renderer: str) -> bool:
+    """Return whether a renderer string names a program on the processor, not a GPU."""
+    return any(name in renderer.lower() for name in _SOFTWARE)
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """A context that is current on the calling thread.
+
+    Attributes
+    ----------
+    ctx : moderngl.Context
+    finish : callable
+        glFinish that lets other Python threads run while it waits; moderngl's own does not.
+    dispatch : callable
+        Given a program's number and how many work groups there are along each axis, runs it; other
+        Python threads run meanwhile, in which drivers may compile for the processor.
+    clear : callable
+        Given a buffer's number, fills it with zeros.
+    way : str
+        How it was made, in words.
+    """
+
+    ctx: Any
+    finish: Callable[[], None]
+    dispatch: Callable[[int, int, int], None]
+    clear: Callable[[int], None]
+    way: str
+
+    def release(self) -> None:
+        """Unbind and destroy the context, with every object in it."""
+        with self.ctx:
+            pass  # Leaving is what unbinds; entering first is what makes leaving safe.
+        self.ctx.release()
+
+
+def open_context() -> Opened:
+    """Make a context, on a GPU if any way leads to one.
+
+    Raises
+    ------
+    BackendError
+        What is missing and how to get it, with what each way answered.
+    """
+    refused: list[tuple[str, str]] = []
+    software: _Way | None = None
+    try:
+        for way in _ways():
+            try:
+                opened = _open(way)
+            except Exception as error:  # noqa: BLE001 - glcontext raises plain exceptions
+                refused.append((way.name, str(error)))
+                continue
+            hardware = not is_software_renderer(opened.ctx.info["GL_RENDERER"])
+            if hardware or not way.others:
+                return opened
+            opened.release()
+            software = software or way
+        if software is not None:
+            try:
+                return _open(software)
+            except Exception as error:  # noqa: BLE001 - as above
+                refused.append((software.name, str(error)))
+    except ImportError as error:
+        raise BackendError(
+            f'moderngl cannot be imported ({error}). Install it again, or take backend="cpu".'
+        ) from error
+    raise BackendError(_no_context(refused))
+
+
+@dataclass(frozen=True)
+class _Way:
+    """One way to make a context: a maker of glcontext's with its settings."""
+
+    name: str
+    make: Callable[..., Any]
+    settings: dict[str, Any]
+    #: True if further devices could be better than this one.
+    others: bool = False
+
+
+def _ways() -> Iterator[_Way]:
+    import glcontext
+
+    if not sys.platform.startswith("linux"):
+        yield _Way("the system's OpenGL", glcontext.default_backend(), {})
+        return
+    egl = glcontext.get_backend_by_name("egl")
+    # The second names are those of the run-time packages, found without a linker's cache.
+    for libraries in ({}, {"libegl": "libEGL.so.1", "libgl": "libGL.so.1"}):
+        chosen = os.environ.get("GLCONTEXT_DEVICE_INDEX")  # glcontext takes it over ours
+        devices = 1 if chosen else max(1, _device_count(egl, libraries))
+        for index in [chosen] if chosen else range(devices):
+            name = f"EGL device {index}" + (" by library name" if libraries else "")
+            settings = {"device_index": 0 if chosen else index, **libraries}
+            yield _Way(name, egl, settings, others=devices > 1)
+    if os.environ.get("DISPLAY"):
+        yield _Way(f"X11 display {os.environ['DISPLAY']}", glcontext.default_backend(), {})
+
+
+def _device_count(egl: Callable[..., Any], libraries: dict[str, str]) -> int:
+    """Return the number of EGL devices, from the error for one that cannot exist."""
+    try:
+        egl(mode="standalone", glversion=REQUIRED_VERSION, device_index=1 << 16, **libraries)
+    except Exception as error:  # noqa: BLE001 - glcontext raises plain exceptions
+        found = re.search(r"found (\d+) devices", str(error))
+        return int(found[1]) if found else 1
+    return 1
+
+
+def _open(way: _Way) -> Opened:
+    import moderngl
+
+    loader = _loader(way)
+    store = getattr(moderngl, "_store", None)
+    default = getattr(store, "default_context", None)
+    try:
+        ctx = moderngl.create_context(require=100, standalone=True, context=loader)
+    finally:
+        # moderngl makes the newest context the default of the process; this one must stay private.
+        if store is not None:
+            store.default_context = default
+    finish = _function(loader.load("glFinish"))
+    opened = Opened(ctx, finish, _dispatch(loader), _clear(loader), way.name)
+    if ctx.version_code < REQUIRED_VERSION:
+        found = f"found OpenGL {ctx.info['GL_VERSION']} on {ctx.info['GL_RENDERER']}"
+        opened.release()
+        raise RuntimeError(found)
+    return opened
+
+
+def _loader(way: _Way) -> Any:
+    """Make the bare context; some drivers give exactly the requested version."""
+    if sys.platform != "darwin":
+        try:
+            return way.make(mode="standalone", glversion=COMPUTE_VERSION, **way.settings)
+        except Exception:  # noqa: BLE001 - the next attempt says what is wrong
+            pass
+    return way.make(mode="standalone", glversion=REQUIRED_VERSION, **way.settings)
+
+
+def _dispatch(loader: Any) -> Callable[[int, int, int], None]:
+    """Return what runs a compute shader; of no use where there are none."""
+    use, run = loader.load("glUseProgram"), loader.load("glDispatchCompute")
+    use_program = _function(use, ctypes.c_uint)
+    dispatch_compute = _function(run, *[ctypes.c_uint] * 3)
+
+    def dispatch(program: int, cols: int, rows: int) -> None:
+        use_program(program)
+        dispatch_compute(cols, rows, 1)
+
+    return dispatch
+
+
+# GL_SHADER_STORAGE_BUFFER, GL_R32F, GL_RED and GL_FLOAT.
+_STORAGE, _SINGLES = 0x90D2, (0x822E, 0x1903, 0x1406)
+
+
+def _clear(loader: Any) -> Callable[[int], None]:
+    """Return what fills a buffer with zeros; of no use where there are no compute shaders."""
+    bind, fill = loader.load("glBindBuffer"), loader.load("glClearBufferData")
+    bind_buffer = _function(bind, *[ctypes.c_uint] * 2)
+    clear_data = _function(fill, *[ctypes.c_uint] * 4, ctypes.c_void_p)
+
+    def clear(buffer: int) -> None:
+        bind_buffer(_STORAGE, buffer)
+        clear_data(_STORAGE, *_SINGLES, None)
+
+    return clear
+
+
+def _function(address: int, *kinds: Any) -> Callable[..., None]:
+    """Return a C function; ctypes lets go of the interpreter while it runs."""
+    if sys.platform == "win32":
+        return ctypes.WINFUNCTYPE(None, *kinds)(address)
+    return ctypes.CFUNCTYPE(None, *kinds)(address)
+
+
+# Advice for each answer of a driver, the most specific first.
+_ADVICE = {
+    r"found OpenGL|eglCreateContext failed|glXCreateContext|CreateContextAttribs": (
+        "the driver offers no OpenGL 3.3 core profile, which the shaders need; update the graphics "
+        "driver, and look whether a variable such as MESA_GL_VERSION_OVERRIDE or "
+        "GLCONTEXT_GLVERSION requests less"
+    ),
+    r"requested device index .* found [1-9]": (
+        "GLCONTEXT_DEVICE_INDEX names an EGL device that does not exist; unset it or lower it"
+    ),
+    r"eglInitialize failed|eglGetPlatformDisplay|eglGetDisplay": (
+        "a driver was found but does not load; look at LIBGL_DRIVERS_PATH, GALLIUM_DRIVER and the "
+        "permission to use /dev/dri (group render), and install libgl1-mesa-dri"
+    ),
+    r"found 0 devices": (
+        "no driver offers OpenGL through EGL; install the graphics card's driver or Mesa (Debian "
+        "and Ubuntu: libegl1 libgl1-mesa-dri); a container with an NVIDIA card needs "
+        "NVIDIA_DRIVER_CAPABILITIES=graphics"
+    ),
+    r"not loaded": (
+        "the OpenGL libraries are missing; install them (Debian and Ubuntu: libegl1 libgl1 "
+        "libgl1-mesa-dri, Fedora: libglvnd-egl mesa-dri-drivers)"
+    ),
+    r"XOpenDisplay": "the X display cannot be opened; unset DISPLAY to use EGL alone",
+}
+
+
+def _no_context(refused: list[tuple[str, str]]) -> str:
+    """One message for all refusals: the advice for the most telling, then what was answered."""
+    answers = [answer for _, answer in refused]
+    advice = next(
+        (
+            advice
+            for pattern, advice in _ADVICE.items()
+            if any(re.search(pattern, answer) for answer in answers)
+        ),
+        "update the graphics driver",
+    )
+    tried = "; ".join(f"{name}: {answer}" for name, answer in dict(refused).items())
+    return f'no usable OpenGL: {advice}, or take backend="cpu". (Tried: {tried}.)'

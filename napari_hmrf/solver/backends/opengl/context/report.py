@@ -1,0 +1,85 @@
+"""Description of this machine's OpenGL, for a bug report."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from napari_hmrf.errors import BackendError
+from napari_hmrf.solver.backends.opengl.context.context import is_software_renderer
+from napari_hmrf.solver.backends.opengl.context.device import Device, the_device
+
+_FORMATS = {"R32F": 1, "RG32F": 2, "RGBA32F": 4}
+_LIMITS = (
+    "GL_MAX_TEXTURE_SIZE",
+    "GL_MAX_VIEWPORT_DIMS",
+    "GL_MAX_DRAW_BUFFERS",
+    "GL_MAX_COLOR_ATTACHMENTS",
+    "GL_MAX_TEXTURE_IMAGE_UNITS",
+    "GL_MAX_COMPUTE_WORK_GROUP_COUNT",
+    "GL_MAX_COMPUTE_WORK_GROUP_INVOCATIONS",
+    "GL_MAX_COMPUTE_SHADER_STORAGE_BLOCKS",
+    "GL_MAX_SHADER_STORAGE_BLOCK_SIZE",
+)
+
+
+def describe() -> dict[str, Any]:
+    """Describe the device, and try what it is needed for; on the compute thread only.
+
+    Returns
+    -------
+    dict
+        Words, numbers, and lists and dicts of them: ``vendor``, ``renderer``, ``version``,
+        ``software`` (no GPU), ``made_by`` (the way to the context), ``context_seconds``,
+        ``limits``, ``render_targets`` (formats that work), ``stages``, ``default_stage`` and
+        ``canary`` (what each stage made of the test image).
+
+    Raises
+    ------
+    BackendError
+        If there is no usable OpenGL.
+    """
+    device = the_device()
+    info = device.ctx.info
+    return {
+        "vendor": info["GL_VENDOR"],
+        "renderer": info["GL_RENDERER"],
+        "version": info["GL_VERSION"],
+        "software": is_software_renderer(device.renderer),
+        "made_by": device.way,
+        "context_seconds": round(device.seconds, 3),
+        "limits": {name: info[name] for name in _LIMITS if name in info},
+        "render_targets": [name for name, k in _FORMATS.items() if _works(device, k)],
+        "stages": list(device.stages),
+        "default_stage": device.best_stage,
+        "canary": {stage: _canary(stage) for stage in device.stages},
+    }
+
+
+def _works(device: Device, components: int) -> bool:
+    """Return whether a value written to a format is read from it unchanged."""
+    value = (0.1, -2e-30, 3e30, 7.0)
+    made: list[Any] = []
+    try:
+        made.append(device.texture((3, 5), components))
+        made.append(device.ctx.framebuffer(made[:1]))
+        made[1].use()
+        made[1].clear(*value)
+        read = np.frombuffer(made[0].read(), np.float32).reshape(-1, components)
+        return bool((read == np.array(value[:components], np.float32)).all())
+    except Exception as error:
+        if device.lost:
+            raise BackendError(str(error)) from error
+        return False
+    finally:
+        device.free(reversed(made))
+
+
+def _canary(stage: Any) -> str:
+    """Return "exact", or what went wrong; a device that fails is gone, the next one is new."""
+    try:
+        the_device().canary(stage)
+    except BackendError as error:
+        return str(error)
+    return "exact"

@@ -1,0 +1,1 @@
+"""Kernels on images: textures, and passes of shaders over them."""

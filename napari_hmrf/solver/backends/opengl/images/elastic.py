@@ -1,0 +1,90 @@
+"""Elastic tissue on the device; set-up and double precision are the host's work."""
+
+from __future__ import annotations
+
+from typing import Any, Self
+
+import numpy as np
+
+from napari_hmrf.solver.backends.compile_cache import loops
+from napari_hmrf.solver.backends.linear import LinearModel
+from napari_hmrf.solver.backends.opengl.images.level import stored_planes
+from napari_hmrf.solver.backends.opengl.images.model import GLModel
+from napari_hmrf.solver.backends.opengl.images.passes import Passes
+from napari_hmrf.solver.backends.opengl.images.relaxing import Float64Array, Model, RelaxingLevel
+from napari_hmrf.solver.priors.elements import ElasticMaterial, ElementShape, element_stiffness
+
+
+class GLElasticLevel(RelaxingLevel):
+    """One level's elements and springs.
+
+    Parameters
+    ----------
+    passes : Passes
+    host : CpuElasticLevel or ArrayElasticLevel
+        Where elements and springs come from.
+    shape : ElementShape
+    """
+
+    def __init__(self, passes: Passes, host: Any, shape: ElementShape) -> None:
+        there = host.lame[1] > 0
+        there[1:] |= there[:-1]
+        there[:, 1:] |= there[:, :-1]
+        model = Model("smooth", "apply", {}, {"shape": np.array(shape, np.float32)})
+        super().__init__(passes, host, there[2:-2, 2:-2], model)
+        self._lame, self._element = host.lame, shape
+        self._tissue_textures = [passes.texture(stored_planes(host.lame))]
+
+    def _hand_down(self, coarse: Self) -> None:
+        inputs = [
+            self.correction.texture,
+            self.load.texture,
+            *self._tissue_textures,
+            *self._held_textures,
+        ]
+        outputs = [coarse.load.texture]
+        coarse._run("restrict", self._defines, inputs, outputs, self._model.uniforms)
+
+    def _matrix(self) -> Float64Array:
+        return _stiffness_matrix(stored_planes(self._lame).astype(np.float64), self._element)
+
+
+class GLElasticModel(GLModel):
+    """`LinearModel` of elastic tissue.
+
+    Parameters
+    ----------
+    passes : Passes
+        Its own: they end with it.
+    material : ElasticMaterial
+    """
+
+    def __init__(self, passes: Passes, material: ElasticMaterial) -> None:
+        host = _host(material)
+        super().__init__(
+            passes, host, [GLElasticLevel(passes, level, material.shape) for level in host.levels]
+        )
+
+
+def _host(material: ElasticMaterial) -> LinearModel:
+    """The host's model: of loops, or of arrays before these are compiled."""
+    if loops.in_use():
+        from napari_hmrf.solver.backends.cpu import elastic_model
+
+        return elastic_model.the_model(material)
+    from napari_hmrf.solver.backends.arrays import elastic
+
+    return elastic.the_model(material)
+
+
+def _stiffness_matrix(stored_lame: Float64Array, element: ElementShape) -> Float64Array:
+    """The stiffness matrix of a small level."""
+    first, shear = element_stiffness(element)
+    lame = stored_lame.reshape(stored_lame.shape[0], -1, 2)
+    number = np.arange(lame.size).reshape(lame.shape)
+    corners = [number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]]
+    values = np.stack(corners, axis=2).reshape(-1, 8)
+    of_first, of_shear = lame[:-1, :-1].reshape(-1, 2).T[..., None, None]
+    total = np.zeros((lame.size, lame.size))
+    np.add.at(total, (values[:, :, None], values[:, None]), of_first * first + of_shear * shear)
+    return total

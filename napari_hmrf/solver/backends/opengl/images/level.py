@@ -1,0 +1,279 @@
+"""One level of a linear model on the device: its vectors, and what needs no model.
+
+A vector has two textures, of which a kernel reads the one and writes the other. A scalar is a
+texture of one texel. Both give their textures back with their last reference, so that an
+iteration allocates nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.backends.base import FloatArray
+from napari_hmrf.solver.backends.opengl.cycle import CycleLevel
+from napari_hmrf.solver.backends.opengl.images.fields import pairs
+from napari_hmrf.solver.backends.opengl.images.passes import Passes
+from napari_hmrf.solver.backends.opengl.images.totals import BLOCK
+from napari_hmrf.solver.backends.opengl.programs.programs import Uniforms
+from napari_hmrf.solver.backends.opengl.scalars import Ratio, values_of
+
+# Width of the ring of zeros around planes.
+_PAD = 2
+
+
+class Vector:
+    """Values of two components on a level's sites, in pairs.
+
+    Parameters
+    ----------
+    take : callable
+        Returns a texture of zeros.
+    spare : list of moderngl.Texture
+        Where the textures go in the end.
+    """
+
+    def __init__(self, take: Callable[[], Any], spare: list[Any]) -> None:
+        self._take, self._spare = take, spare
+        self._textures: list[Any] = []  # `__del__` needs the list even if `take` fails
+        self._textures.append(take())
+
+    @property
+    def texture(self) -> Any:
+        """Texture that holds the values."""
+        return self._textures[0]
+
+    @property
+    def other(self) -> Any:
+        """Texture for the next values; 0 wherever there is no tissue."""
+        if len(self._textures) == 1:
+            self._textures.append(self._take())
+        return self._textures[1]
+
+    def turn(self) -> None:
+        """Take what was written as the values."""
+        self._textures.reverse()
+
+    def __del__(self) -> None:
+        self._spare += self._textures
+
+
+class Scalar:
+    """A number on the device.
+
+    Parameters
+    ----------
+    texture : moderngl.Texture
+        Its one texel.
+    spare : list of moderngl.Texture
+        Where it goes in the end.
+    """
+
+    def __init__(self, texture: Any, spare: list[Any]) -> None:
+        self.texture, self._spare = texture, spare
+
+    def __del__(self) -> None:
+        self._spare.append(self.texture)
+
+
+Number = Scalar | Ratio[Scalar]
+
+
+class Product:
+    """A scalar times another: `GLLevel.quotient` multiplies."""
+
+    def __init__(self, first: Scalar, second: Scalar) -> None:
+        self.first, self.second = first, second
+
+
+class GLLevel(CycleLevel[Scalar]):
+    """The part of a level that all models share; `LinearLevel` says what each method does.
+
+    Parameters
+    ----------
+    passes : Passes
+    grid : tuple of int
+        Its sites, (H, W).
+    shown : ndarray, shape (H, W)
+        Which of them are tissue.
+    """
+
+    def __init__(self, passes: Passes, grid: tuple[int, ...], shown: npt.NDArray[np.bool_]) -> None:
+        self._passes, self.grid = passes, grid
+        self._pairs = pairs(grid)
+        either = np.zeros((self._pairs[0], 2 * self._pairs[1]), np.bool_)
+        either[:, : grid[1]] = shown
+        self._tissue = passes.tissue(either[:, ::2] | either[:, 1::2])
+        self._spare: list[Any] = []
+        self._spare_scalars: list[Any] = []
+        self._blocks: dict[tuple[int, ...], Any] = {}
+        self._share: Any = None
+
+    def vector(self, values: FloatArray | None = None) -> Vector:
+        """Return zeros, or these planes."""
+        made = Vector(self._take, self._spare)
+        if values is not None:
+            made.texture.write(stored_planes(values))
+            self._passes.device.check("uploading a vector")
+        return made
+
+    def passing(self) -> Vector:
+        """Return a new vector."""
+        return self.vector()
+
+    def planes(self, vector: Vector) -> FloatArray:
+        """Bring a vector back; a device that has stopped computing is found out."""
+        self._passes.wait()
+        stored = np.frombuffer(vector.texture.read(), "<f4")
+        self._passes.device.check("reading a vector")
+        self._passes.device.canary(self._passes.stage)
+        rows, cols = self.grid
+        values = stored.reshape(rows, -1, 2)[:, :cols]
+        planes = np.zeros((2, rows + 2 * _PAD, cols + 2 * _PAD), np.float32)
+        planes[:, _PAD:-_PAD, _PAD:-_PAD] = np.moveaxis(values, -1, 0)
+        return planes
+
+    def product(self, a: Vector, b: Vector) -> Scalar:
+        """Return the scalar product."""
+        return self._reduced("product", {}, [a.texture, b.texture], "sum", {})
+
+    def largest(self, a: Vector) -> Scalar:
+        """Return the largest absolute value."""
+        return self._reduced("largest", {"PAIRS": 1}, [a.texture], "largest", {"PAIRS": 0})
+
+    def weigh(self, a: Vector, b: Vector) -> tuple[Scalar, Scalar]:
+        """Return the largest absolute value of `a`, and the scalar product."""
+        return self.largest(a), self.product(a, b)
+
+    def quotient(self, a: Scalar | Product, b: Scalar | Product) -> Scalar:
+        """Return a over b, of either sign; 0 where b is 0."""
+        made = Scalar(self._one(), self._spare_scalars)
+        inputs = [*self._factors(a), *self._factors(b)]
+        self._passes.run(self._passes.program("quotient"), inputs, [made.texture], (1, 1))
+        return made
+
+    def times(self, a: Scalar, b: Scalar) -> Product:
+        """Return a times b, to be divided."""
+        return Product(a, b)
+
+    def advance(
+        self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: Number
+    ) -> Scalar:
+        """Add length direction to d, take length image from rest; return the square of the rest."""
+        inputs = [d.texture, rest.texture, direction.texture, image.texture, *self._over(length)]
+        signed = {"SIGNED": int(isinstance(length, Scalar))}
+        self._run("advance", signed, inputs, [d.other, rest.other, self._shares()])
+        d.turn()
+        rest.turn()
+        return self._sum_of_shares()
+
+    def turn(self, steepest: Vector, direction: Vector, share: Number) -> None:
+        """Compute direction = steepest + share direction."""
+        inputs = [steepest.texture, direction.texture, *self._over(share)]
+        self._run("turn", {}, inputs, [direction.other])
+        direction.turn()
+
+    def lean(
+        self, rest: Vector, direction: Vector, image: Vector, share: Scalar, stride: Scalar
+    ) -> None:
+        """Compute direction = rest + share (direction - stride image)."""
+        vectors = [each.texture for each in (rest, direction, image)]
+        self._run("lean", {}, [*vectors, share.texture, stride.texture], [direction.other])
+        direction.turn()
+
+    def read(self, *scalars: Number) -> tuple[float, ...]:
+        """Wait for scalars."""
+        self._passes.wait()
+
+        @cache
+        def value(scalar: Scalar) -> float:
+            return float(np.frombuffer(scalar.texture.read(), "<f4")[0])
+
+        values = values_of(scalars, value)
+        self._passes.device.check("reading scalars")
+        return values
+
+    def _run(
+        self,
+        name: str,
+        defines: Mapping[str, int],
+        inputs: list[Any],
+        outputs: list[Any],
+        uniforms: Uniforms | None = None,
+    ) -> None:
+        """Run a kernel for tissue."""
+        program = self._passes.program(name, defines)
+        program.set(uniforms or {})
+        self._passes.run(program, inputs, outputs, self._pairs, tissue=self._tissue)
+
+    def _take(self) -> Any:
+        """A texture of zeros, used before or not."""
+        if not self._spare:
+            return self._passes.blank(self._pairs, 4)
+        texture = self._spare.pop()
+        self._passes.clear(texture)
+        return texture
+
+    def _shares(self) -> Any:
+        """The texture for what each pair gives to a sum."""
+        if self._share is None:
+            self._share = self._passes.blank(self._pairs, 1)
+        return self._share
+
+    def _sum_of_shares(self) -> Scalar:
+        return self._reduced("sum", {}, [self._share], "sum", {})
+
+    def _reduced(
+        self,
+        first: str,
+        first_defines: dict[str, int],
+        inputs: list[Any],
+        then: str,
+        then_defines: dict[str, int],
+    ) -> Scalar:
+        """Reduce blocks by the first kernel, and blocks of these by the other until one is left."""
+        name, defines, grid = first, first_defines, self._pairs
+        while True:
+            rows, cols = (-(-size // BLOCK) for size in grid)
+            grid = rows, cols
+            scalar = Scalar(self._one(), self._spare_scalars) if grid == (1, 1) else None
+            output = scalar.texture if scalar else self._block(grid)
+            program = self._passes.program(name, {"BLOCK": BLOCK, **defines})
+            self._passes.run(program, inputs, [output], grid)
+            if scalar:
+                return scalar
+            name, defines, inputs = then, then_defines, [output]
+
+    def _one(self) -> Any:
+        return self._spare_scalars.pop() if self._spare_scalars else self._passes.empty((1, 1), 1)
+
+    def _block(self, grid: tuple[int, int]) -> Any:
+        if grid not in self._blocks:
+            self._blocks[grid] = self._passes.empty(grid, 1)
+        return self._blocks[grid]
+
+    def _over(self, number: Number) -> list[Any]:
+        """Return the inputs of a kernel for a number: above and below."""
+        if isinstance(number, Ratio):
+            return [number.above.texture, number.below.texture]
+        return [number.texture, self._passes.unit]
+
+    def _factors(self, number: Scalar | Product) -> list[Any]:
+        """Return the inputs of a kernel for a number that may be a product."""
+        if isinstance(number, Product):
+            return [number.first.texture, number.second.texture]
+        return [number.texture, self._passes.unit]
+
+
+def stored_planes(planes: npt.NDArray[np.float32]) -> FloatArray:
+    """Return planes (2, H + 4, W + 4) as they lie in a texture, (H, pairs, 4)."""
+    inner = planes[:, _PAD:-_PAD, _PAD:-_PAD]
+    rows, cols = pairs(inner.shape[1:])
+    made = np.zeros((rows, 2 * cols, 2), "<f4")
+    for component in (0, 1):
+        made[:, : inner.shape[2], component] = inner[component]
+    return made.reshape(rows, cols, 4)

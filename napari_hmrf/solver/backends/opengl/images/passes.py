@@ -1,0 +1,119 @@
+"""Passes of kernels over textures, at a pace that leaves the device to others in between."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.backends.opengl.context.device import Device
+from napari_hmrf.solver.backends.opengl.context.pace import Pace
+from napari_hmrf.solver.backends.opengl.context.resources import DeviceResources
+from napari_hmrf.solver.backends.opengl.programs.programs import Program
+from napari_hmrf.solver.backends.opengl.programs.regions import (
+    Groups,
+    Tissue,
+    Window,
+    groups_with,
+    window_around,
+)
+from napari_hmrf.solver.backends.opengl.programs.source import Stage
+
+
+class Passes(DeviceResources):
+    """A solve's way to the device, and the textures that are its own.
+
+    Parameters
+    ----------
+    device : Device
+    stage : {"fragment", "compute"}
+    pace : Pace
+        Says when to wait for the device.
+    """
+
+    def __init__(self, device: Device, stage: Stage, pace: Pace) -> None:
+        super().__init__(device, pace)
+        self.stage = stage
+        self._targets: dict[tuple[Any, ...], Any] = {}
+        self._unit: Any = None
+
+    def program(self, name: str, defines: Mapping[str, int] | None = None) -> Program:
+        """Compile a kernel, or return it if it has been compiled before."""
+        return self.device.program(name, self.stage, defines)
+
+    def run(
+        self,
+        program: Program,
+        inputs: Sequence[Any],
+        outputs: Sequence[Any],
+        grid: tuple[int, ...],
+        first_row: int = 0,
+        tissue: Tissue | None = None,
+    ) -> None:
+        """Run a kernel over a grid of texels, in as many strips as its size needs."""
+        region = Window(0, 0, *grid) if tissue is None else tissue.region
+        target = self._target(outputs, tissue) if self.stage == "fragment" else None
+        for rows in self.pace.strips(region.size):
+            part = region if rows is None else region.strip(*rows)
+            program.run(inputs, outputs, target, part, first_row)
+
+    def tissue(self, shown: npt.NDArray[np.bool_]) -> Tissue:
+        """Describe the texels, (rows, cols), that passes for tissue run on."""
+        if self.stage == "fragment":
+            made = self.device.mask(shown)
+            tissue = Tissue(window_around(shown), made)
+        else:
+            places = groups_with(shown)
+            made = self.device.texture(places.shape[:2], 2)
+            made.write(places)
+            rows, cols = shown.shape
+            tissue = Tissue(Groups(made, (rows, cols), 0, len(places)))
+        self._own.append(made)
+        return tissue
+
+    def texture(self, values: npt.NDArray[np.float32]) -> Any:
+        """Make a texture of values (rows, cols, components)."""
+        made = self.device.texture(values.shape[:2], values.shape[2])
+        self._own.append(made)
+        made.write(np.ascontiguousarray(values))
+        return made
+
+    def empty(self, grid: tuple[int, ...], components: int) -> Any:
+        """Make a texture that holds nothing yet."""
+        made = self.device.texture(grid, components)
+        self._own.append(made)
+        return made
+
+    def blank(self, grid: tuple[int, ...], components: int) -> Any:
+        """Make a texture of zeros."""
+        made = self.empty(grid, components)
+        self.clear(made)
+        return made
+
+    @property
+    def unit(self) -> Any:
+        """A texture of one texel that holds 1."""
+        if self._unit is None:
+            self._unit = self.texture(np.ones((1, 1, 1), np.float32))
+        return self._unit
+
+    def clear(self, texture: Any) -> None:
+        """Fill a texture with zeros."""
+        self.device.clear(self._target([texture], None))
+
+    def close(self) -> None:
+        """Free what was made here."""
+        self.device.free(self._targets.values())
+        self._targets.clear()
+        self._unit = None
+        super().close()
+
+    def _target(self, outputs: Sequence[Any], tissue: Tissue | None) -> Any:
+        """Make the framebuffer that draws into these textures, or return it."""
+        key = (*outputs, tissue)
+        if key not in self._targets:
+            mask = None if tissue is None else tissue.mask
+            self._targets[key] = self.device.framebuffer(outputs, mask)
+        return self._targets[key]

@@ -1,0 +1,179 @@
+"""A level on the device that smooths: the V-cycle's passes, whatever the tissue is.
+
+What a prior adds is which kernels look at the tissue, what they read of it, and how what is left of
+a load is handed down.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.backends.linear import Steps
+from napari_hmrf.solver.backends.opengl.images.level import GLLevel, Scalar, Vector, stored_planes
+from napari_hmrf.solver.backends.opengl.images.passes import Passes
+from napari_hmrf.solver.backends.opengl.programs.programs import Uniforms
+
+Float64Array = npt.NDArray[np.float64]
+
+# All steps of a level with so few values are one matrix; two passes would be no slower.
+_FEW_VALUES = 128
+_FEW_STEPS = 2
+
+#: A level of fewer sites, with all that is below it, is visited once in a cycle.
+WORTH_AGAIN = 40_000
+
+# A step that changes nothing.
+_NO_STEP = (0.0, 0.0)
+
+# START of smooth.glsl: from what the correction is, from zero, or with the coarse correction added.
+AS_IS, FROM_ZERO, FROM_COARSE = 0, 1, 2
+
+
+class Model(NamedTuple):
+    """Kernels of a prior, and their constants.
+
+    Attributes
+    ----------
+    smooth, apply : str
+        The kernels' names.
+    defines : mapping of str to int
+        What all of them are compiled with.
+    uniforms : mapping of str to ndarray
+    """
+
+    smooth: str
+    apply: str
+    defines: Mapping[str, int]
+    uniforms: Uniforms
+
+
+class RelaxingLevel(GLLevel):
+    """A level of a model; `LinearLevel` says what each method does.
+
+    Parameters
+    ----------
+    passes : Passes
+    host : CpuLevel or ArrayLevel
+        Where the diagonal and the springs (its ``weight``) come from.
+    shown : ndarray, shape (H, W)
+        Which sites are tissue.
+    model : Model
+    """
+
+    def __init__(
+        self, passes: Passes, host: Any, shown: npt.NDArray[np.bool_], model: Model
+    ) -> None:
+        super().__init__(passes, host.grid, shown)
+        self._host, self._model = host, model
+        self._inverse = passes.blank(self._pairs, 4)
+        self._springs = None if host.weight is None else passes.blank(self._pairs, 4)
+        self._defines = {"SPRINGS": int(self._springs is not None), **model.defines}
+        # Textures of the tissue, and of the held components.
+        self._tissue_textures: list[Any] = []
+        self._held_textures = [self._inverse, self._springs or self._inverse]
+        self.load, self.correction, self._last = self.vector(), self.vector(), self.vector()
+        self._matrices: dict[Any, Any] = {}
+
+    def _matrix(self) -> Float64Array:
+        """Return the matrix of a small level without springs, for values in pairs, row by row."""
+        raise NotImplementedError
+
+    def hold(self) -> None:
+        """Bring what is held from the host."""
+        self._inverse.write(stored_planes(self._host.inverse))
+        if self._springs is not None:
+            self._springs.write(stored_planes(np.asarray(self._host.weight)))
+        self._matrices.clear()
+
+    @property
+    def worth_again(self) -> bool:
+        """Starting the passes of all coarser levels takes its time, however small they are."""
+        return math.prod(self.grid) >= WORTH_AGAIN
+
+    def ascend(self, steps: Steps, coarse: Self) -> None:
+        """Add the coarse correction, and relax."""
+        self._smooth(FROM_COARSE, *steps[0], coarse=coarse)
+        self._relax(steps[1:], from_zero=False)
+
+    def _relax(self, steps: Steps, from_zero: bool) -> None:
+        """Smooth the correction for the load; from zero two steps are one pass, or all are."""
+        if from_zero:
+            if len(steps) > _FEW_STEPS and 4 * math.prod(self._pairs) <= _FEW_VALUES:
+                self._relax_at_once(steps)
+                return
+            (first, _), (scale, momentum), *_ = (*steps, _NO_STEP)
+            self._smooth(FROM_ZERO, scale, momentum, first=first)
+            steps = steps[2:]
+        for step in steps:
+            self._smooth(AS_IS, *step)
+
+    def apply(self, direction: Vector, image: Vector) -> Scalar:
+        """Compute image = A direction; return their scalar product."""
+        model = self._model
+        inputs = [direction.texture, *self._tissue_textures, self._inverse]
+        outputs = [image.texture, self._shares()]
+        self._run(model.apply, model.defines, inputs, outputs, model.uniforms)
+        return self._sum_of_shares()
+
+    def multiply(self, direction: Vector, image: Vector) -> None:
+        """Compute image = A direction."""
+        self.apply(direction, image)
+
+    def _smooth(
+        self,
+        start: int,
+        scale: float,
+        momentum: float,
+        first: float = 0.0,
+        coarse: RelaxingLevel | None = None,
+    ) -> None:
+        """One step of the smoother, or two from zero."""
+        d, last, unused = self.correction, self._last, self._inverse
+        inputs = [
+            unused if start == FROM_ZERO else d.texture,
+            self.load.texture,
+            *self._tissue_textures,
+            *self._held_textures,
+            last.texture if start == AS_IS else unused,
+            unused if coarse is None else coarse.correction.texture,
+        ]
+        values = {"scale": scale, "momentum": momentum, "first_scale": first}
+        numbers = {name: np.array([value], np.float32) for name, value in values.items()}
+        defines = {"START": start, **self._defines}
+        uniforms = {**self._model.uniforms, **numbers}
+        self._run(self._model.smooth, defines, inputs, [d.other, last.other], uniforms)
+        d.turn()
+        last.turn()
+
+    def _relax_at_once(self, steps: Steps) -> None:
+        """All steps from zero as one pass: they are a polynomial of the level's matrix."""
+        key = tuple(steps)
+        if key not in self._matrices:
+            matrix = self._smoother(steps)
+            count = matrix.shape[0] // 4
+            texels = matrix.reshape(count, 4, -1).swapaxes(1, 2)
+            self._matrices[key] = self._passes.texture(texels.astype(np.float32))
+        program = self._passes.program("at_once")
+        inputs, outputs = [self.load.texture, self._matrices[key]], [self.correction.other]
+        self._passes.run(program, inputs, outputs, self._pairs)
+        self.correction.turn()
+
+    def _smoother(self, steps: Steps) -> Float64Array:
+        """Return all steps from zero, applied to a load, as one matrix."""
+        # By products of matrices: a decomposition would wake the threads of LAPACK, which then wait
+        # for more on the cores that a software rasteriser renders with.
+        host, matrix = self._host, self._matrix()
+        if host.weight is not None:
+            matrix += np.diag(stored_planes(host.weight).astype(np.float64).ravel())
+        inverse = stored_planes(host.inverse).astype(np.float64).reshape(-1, 1)
+        moved = taken = np.zeros_like(matrix)
+        for scale, momentum in steps:
+            left = np.eye(len(matrix)) - matrix @ moved
+            taken = scale * inverse * left + momentum * taken
+            moved = moved + taken
+        return moved

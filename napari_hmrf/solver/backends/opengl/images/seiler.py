@@ -1,0 +1,131 @@
+"""The paper's cliques on the device; set-up and double precision are the host's work."""
+
+from __future__ import annotations
+
+from typing import Any, Self
+
+import numpy as np
+
+from napari_hmrf.solver.backends.compile_cache import loops
+from napari_hmrf.solver.backends.linear import LinearModel
+from napari_hmrf.solver.backends.opengl.images.fields import singles
+from napari_hmrf.solver.backends.opengl.images.level import stored_planes
+from napari_hmrf.solver.backends.opengl.images.model import GLModel
+from napari_hmrf.solver.backends.opengl.images.passes import Passes
+from napari_hmrf.solver.backends.opengl.images.relaxing import (
+    AS_IS,
+    Float64Array,
+    Model,
+    RelaxingLevel,
+)
+from napari_hmrf.solver.priors.cliques import SeilerMaterial
+
+
+class GLSeilerLevel(RelaxingLevel):
+    """One level's cliques and springs.
+
+    Parameters
+    ----------
+    passes : Passes
+    host : CpuSeilerLevel or ArraySeilerLevel
+        Where stiffness and springs come from.
+    """
+
+    def __init__(self, passes: Passes, host: Any) -> None:
+        defines = {"BLANKET": int(bool(host.blanket)), "SQUARE": int(host.lines is None)}
+        weights = {} if host.lines is None else {"weights": host.lines}
+        model = Model("smooth_cliques", "apply_cliques", defines, weights)
+        super().__init__(passes, host, host.stiffness[0, 2:-2, 2:-2] > 0, model)
+        self._cliques = host
+        self._tissue_textures = [passes.empty(singles(host.grid), 4) for _ in range(2)]
+        stiffness = [passes.texture(stored_planes(host.stiffness))]
+        passes.run(passes.program("ratios"), stiffness, self._tissue_textures, singles(host.grid))
+        self._left = passes.blank(self._pairs, 4)
+        # A load that is a mean over sites stays one on coarser levels.
+        self._even = None
+        if not host.blanket:
+            self._even = passes.texture(stored_planes(np.stack([host.even] * 2)))
+
+    def _hand_down(self, coarse: Self) -> None:
+        inputs = [
+            self.correction.texture,
+            self.load.texture,
+            *self._tissue_textures,
+            *self._held_textures,
+        ]
+        self._run("residual", self._defines, inputs, [self._left], self._model.uniforms)
+        even = {"EVEN": int(coarse._even is not None)}
+        coarse._run("gather", even, [self._left, coarse._even or self._left], [coarse.load.texture])
+
+    def _smooth(
+        self,
+        start: int,
+        scale: float,
+        momentum: float,
+        first: float = 0.0,
+        coarse: RelaxingLevel | None = None,
+    ) -> None:
+        """One step of the smoother, or two from zero; blanket, a pass more if not as it is."""
+        if self._cliques.blanket and start != AS_IS:
+            d, last, unused = self.correction, self._last, self._inverse
+            other = unused if coarse is None else coarse.correction.texture
+            inputs = [d.texture, self.load.texture, self._inverse, other]
+            number = {"first_scale": np.array([first], np.float32)}
+            self._run("begin", {"START": start}, inputs, [d.other, last.other], number)
+            d.turn()
+            last.turn()
+            start, coarse = AS_IS, None
+        super()._smooth(start, scale, momentum, first, coarse)
+
+    def _matrix(self) -> Float64Array:
+        """Found by applying the host's model to every single displacement."""
+        host = self._cliques
+        count = 4 * self._pairs[0] * self._pairs[1]
+        grid = (*self._pairs, 2, 2)
+        model = np.zeros((count, count))
+        image = host.vector()
+        for number in range(count):
+            row, pair, second, component = np.unravel_index(number, grid)
+            col = 2 * pair + second
+            if col < host.grid[1]:
+                single = host.vector()
+                single[component, row + 2, col + 2] = 1
+                host.apply(single, image)
+                model[:, number] = stored_planes(image).ravel()
+                host.free(single)
+        return model
+
+
+class GLSeilerModel(GLModel):
+    """`LinearModel` of the paper's cliques.
+
+    Parameters
+    ----------
+    passes : Passes
+        Its own: they end with it.
+    material : SeilerMaterial
+    """
+
+    def __init__(self, passes: Passes, material: SeilerMaterial) -> None:
+        host = _host(material)
+        super().__init__(passes, host, [GLSeilerLevel(passes, level) for level in host.levels])
+
+    @property
+    def slow(self) -> bool:
+        """Return whether factors are faster than cycles, as on a software rasteriser.
+
+        Blanket, cycles are many, rehearsal included, and their kernels read much: such a program
+        takes twice as long for them, at any size, and must compile them first.
+        """
+        return bool(self.material.blanket and self._passes.device.software)
+
+
+def _host(material: SeilerMaterial) -> LinearModel:
+    """The host's model: of loops, or of arrays before these are compiled."""
+    if loops.in_use():
+        from napari_hmrf.solver.backends.cpu import seiler_model
+
+        return seiler_model.the_model(material)
+    from napari_hmrf.solver.backends.arrays import seiler
+
+    return seiler.the_model(material)

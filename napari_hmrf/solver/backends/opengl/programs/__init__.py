@@ -1,0 +1,1 @@
+"""Shader programs, composed from the files of `shaders/`."""

@@ -1,0 +1,209 @@
+"""Compiled kernels, and how each stage runs one over a grid of texels."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import BackendError
+from napari_hmrf.solver.backends.opengl.programs.regions import Groups, Window
+from napari_hmrf.solver.backends.opengl.programs.source import (
+    GROUP,
+    KERNELS,
+    Stage,
+    compose,
+    vertices,
+)
+
+Uniforms = Mapping[str, npt.NDArray[np.float32] | npt.NDArray[np.float64] | npt.NDArray[np.int32]]
+
+
+class Program(Protocol):
+    """A kernel, ready to run."""
+
+    def set(self, values: Uniforms) -> None:
+        """Give uniforms their values; they keep them."""
+        ...
+
+    def run(
+        self,
+        inputs: Sequence[Any],
+        outputs: Sequence[Any],
+        target: Any,
+        region: Window | Groups,
+        first_row: int = 0,
+    ) -> None:
+        """Run the kernel once for each texel of a region; returns before the device has done it.
+
+        Parameters
+        ----------
+        inputs, outputs : sequence of moderngl.Texture
+            In the kernel's order. No texture may be both.
+        target : moderngl.Framebuffer or None
+            Of the outputs; for the fragment stage. If it has a mask (`Device.mask`), only what the
+            mask shows is run, and other texels keep what they hold.
+        region : Window or Groups
+            The texels to run: groups for kernels for tissue in the compute stage, a window for
+            all others.
+        first_row : int
+            Row of the outputs in which the grid of texels begins.
+        """
+        ...
+
+    def release(self) -> None:
+        """Free what OpenGL holds of it."""
+        ...
+
+
+# So many times it is run so that other threads go on.
+_FIRST_RUNS = 3
+#: Pause for other threads after each compilation, in seconds.
+BREATH = 0.005
+
+
+def compile_program(
+    ctx: Any,
+    name: str,
+    stage: Stage,
+    defines: Mapping[str, int] | None = None,
+    rows: int = 1,
+    dispatch: Callable[[int, int, int], None] | None = None,
+) -> Program:
+    """Compile a kernel for a stage; the parameters are those of `source.compose`.
+
+    A driver without a GPU compiles each for the processor when it is first run, for so long that a
+    window would stand still: `dispatch` runs it without keeping the interpreter from others.
+
+    Raises
+    ------
+    BackendError
+        With the compiler's words and the numbered text, if it does not compile.
+    """
+    source = compose(name, stage, defines, rows)
+    try:
+        if stage == "compute":
+            program = ctx.compute_shader(source.text)
+        else:
+            program = ctx.program(vertex_shader=vertices().text, fragment_shader=source.text)
+    except Exception as error:
+        raise BackendError(
+            f"the {stage} shader {name}.glsl does not compile on {ctx.info['GL_RENDERER']}; please "
+            f"report this with what follows\n{source.explain(str(error))}"
+        ) from error
+    time.sleep(BREATH)
+    for unit, texture in enumerate((*KERNELS[name].inputs, "groups")):
+        if texture in program:
+            program[texture].value = unit
+    if stage == "compute":
+        return _Compute(ctx, program, KERNELS[name].tissue, dispatch)
+    return _Fragment(ctx, program)
+
+
+class Compiled:
+    """Common part of both stages: uniforms that are written only when they change."""
+
+    def __init__(self, ctx: Any, program: Any) -> None:
+        self._ctx = ctx
+        self._program = program
+        self._uniforms = set(program)
+        self._written: dict[str, bytes] = {}
+        self._placed: dict[str, tuple[int, ...]] = {}
+
+    def set(self, values: Uniforms) -> None:
+        """Give uniforms their values."""
+        for name, value in values.items():
+            data = value.tobytes()
+            if self._written.get(name) != data:
+                self._written[name] = data
+                if name in self._uniforms:  # else the compiler saw that it does not matter
+                    self._program[name].write(data)
+
+    def _place(self, name: str, *numbers: int) -> None:
+        if self._placed.get(name) != numbers:
+            self._placed[name] = numbers
+            self.set({name: np.array(numbers, np.int32)})
+
+    def release(self) -> None:
+        """Free what OpenGL holds of it."""
+        self._program.release()
+
+
+class _Fragment(Compiled):
+    """A fragment shader over a triangle that fills the window."""
+
+    def __init__(self, ctx: Any, program: Any) -> None:
+        super().__init__(ctx, program)
+        self._vertices = ctx.vertex_array(program, [])
+
+    def run(
+        self,
+        inputs: Sequence[Any],
+        outputs: Sequence[Any],
+        target: Any,
+        region: Window | Groups,
+        first_row: int = 0,
+    ) -> None:
+        if not isinstance(region, Window):
+            raise TypeError("a fragment shader is drawn in a window, not in work groups")
+        for unit, texture in enumerate(inputs):
+            texture.use(unit)
+        rows, cols = region.size
+        self._place("origin", 0, first_row)
+        target.viewport = (region.left, first_row + region.top, cols, rows)
+        target.use()
+        self._vertices.render(vertices=3)
+
+    def release(self) -> None:
+        self._vertices.release()
+        super().release()
+
+
+class _Compute(Compiled):
+    """A compute shader: for a window, or for listed work groups if it is for tissue."""
+
+    def __init__(
+        self,
+        ctx: Any,
+        program: Any,
+        listed: bool,
+        dispatch: Callable[[int, int, int], None] | None,
+    ) -> None:
+        super().__init__(ctx, program)
+        self._listed = listed
+        self._dispatch = dispatch
+        self._first = 0 if dispatch is None else _FIRST_RUNS
+
+    def run(
+        self,
+        inputs: Sequence[Any],
+        outputs: Sequence[Any],
+        target: Any,
+        region: Window | Groups,
+        first_row: int = 0,
+    ) -> None:
+        if isinstance(region, Groups) != self._listed:
+            raise TypeError("kernels for tissue, and no others, are dispatched for listed groups")
+        for unit, texture in enumerate(inputs):
+            texture.use(unit)
+        for unit, texture in enumerate(outputs):
+            texture.bind_to_image(unit, read=False, write=True)
+        self._place("origin", 0, first_row)
+        if isinstance(region, Window):
+            rows, cols = (-(-size // side) for size, side in zip(region.size, GROUP, strict=True))
+            self._place("begin", region.left, region.top)
+            self._place("end", region.right, region.bottom)
+        else:
+            rows, cols = region.bottom - region.top, region.places.width
+            region.places.use(len(inputs))
+            self._place("first", region.top)
+            self._place("end", *reversed(region.grid))
+        if self._first and self._dispatch is not None:
+            self._first -= 1
+            self._dispatch(self._program.glo, cols, rows)
+        else:
+            self._program.run(cols, rows)
+        self._ctx.memory_barrier()

@@ -1,0 +1,328 @@
+"""From the kernels' text to the shaders' text: one file per kernel, two stages.
+
+A kernel is a function ``kernel(ivec2)`` that reads textures and assigns its outputs, the values of
+one texel: those of a site or of a pair of sites (``common.glsl``). The same text becomes a fragment
+shader (OpenGL 3.3, outputs are render targets) or a compute shader (OpenGL 4.3, images). Needs no
+OpenGL: it is text in, text out.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from napari_hmrf.errors import BackendError
+from napari_hmrf.resources import resource_folder
+
+Stage = Literal["fragment", "compute"]
+STAGES: tuple[str, ...] = get_args(Stage)
+Define = int
+
+#: Texels that a compute work group does, (rows, cols).
+GROUP = (8, 8)
+
+#: Versions of GLSL, by stage.
+VERSIONS = {"vertex": 330, "fragment": 330, "compute": 430}
+_TYPES = {1: "float", 2: "vec2", 4: "vec4"}
+# Lines of the second file count from 2001, and so on: not every compiler names the file.
+_FILE_LINES = 1000
+# A place in the text: "0:2014(3): error", "2(2014) : error" or "ERROR: 2:2014: ...".
+_PLACE = re.compile(r"\b\d+([:(])(\d+)\b")
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """Inputs and outputs of a kernel.
+
+    Attributes
+    ----------
+    name : str
+    inputs : tuple of str
+        Textures it reads, in the order of their texture units.
+    outputs : mapping of str to int
+        What it assigns, in the order of its targets, with the number of components (1, 2 or 4).
+    defines : tuple of str
+        Names that must be given a value to compile it.
+    shared : tuple of str
+        Files besides ``common.glsl`` that it needs.
+    tissue : bool
+        Whether it is run in tissue only, since there is nothing but 0 elsewhere.
+    carries : bool
+        Whether an invocation may do several texels, one below the other, and carries from each to
+        the next what both need. It has a function ``enter`` to begin with.
+    of : str
+        The kernel whose file it takes, if not its own: what differs is in the files they share.
+    """
+
+    name: str
+    inputs: tuple[str, ...]
+    outputs: Mapping[str, int]
+    defines: tuple[str, ...] = ()
+    shared: tuple[str, ...] = ()
+    tissue: bool = False
+    carries: bool = False
+    of: str = ""
+
+    @property
+    def text(self) -> str:
+        """The name of its file, without ``.glsl``."""
+        return self.of or self.name
+
+
+_CLIQUES = ("displacement", "straight", "diagonal")
+_HELD = ("inverse_diagonal", "springs")
+_READING = ("BLANKET", "SQUARE")
+
+
+def _around(*shared: str) -> dict[str, Any]:
+    """Properties of a kernel that reads the tissue around a site."""
+    return {"shared": shared, "tissue": True, "carries": True}
+
+
+#: Every kernel, by name.
+KERNELS: Mapping[str, Kernel] = {
+    kernel.name: kernel
+    for kernel in (
+        Kernel("project", ("finest",), {"values": 4}, ("PAIRS",)),
+        Kernel("prolong", ("coarse", "coarse_stiffness", "stiffness"), {"fine": 4}),
+        Kernel("ratios", ("stiffness",), {"straight": 4, "diagonal": 4}),
+        Kernel(
+            "icm",
+            (*_CLIQUES, "observation"),
+            {"moved": 4, "share": 1},
+            (*_READING, "STEPS"),
+            **_around("cliques", "ends"),
+        ),
+        Kernel(
+            "energy",
+            (*_CLIQUES, "observation"),
+            {"share": 1},
+            ("SQUARE",),
+            **_around("cliques"),
+        ),
+        Kernel(
+            "smooth",
+            ("displacement", "load", "lame", *_HELD, "last", "coarse"),
+            {"corrected": 4, "taken": 4},
+            ("START", "SPRINGS"),
+            **_around("elements", "forces", "interpolation"),
+        ),
+        Kernel(
+            "smooth_cliques",
+            ("displacement", "load", "straight", "diagonal", *_HELD, "last", "coarse"),
+            {"corrected": 4, "taken": 4},
+            ("START", "SPRINGS", *_READING),
+            **_around("cliques", "ends", "pulls", "interpolation"),
+            of="smooth",
+        ),
+        Kernel(
+            "begin",
+            ("displacement", "load", "inverse_diagonal", "coarse"),
+            {"begun": 4, "taken": 4},
+            ("START",),
+            shared=("interpolation",),
+            tissue=True,
+        ),
+        Kernel(
+            "restrict",
+            ("correction", "load", "lame", *_HELD),
+            {"coarse_load": 4},
+            ("SPRINGS",),
+            **_around("elements"),
+        ),
+        Kernel(
+            "residual",
+            ("displacement", "load", "straight", "diagonal", *_HELD),
+            {"rest": 4},
+            ("SPRINGS", *_READING),
+            **_around("cliques", "ends", "pulls"),
+        ),
+        Kernel("gather", ("rest", "even"), {"coarse_load": 4}, ("EVEN",), tissue=True),
+        Kernel(
+            "apply",
+            ("displacement", "lame", "inverse_diagonal"),
+            {"image": 4, "share": 1},
+            **_around("elements", "forces"),
+        ),
+        Kernel(
+            "apply_cliques",
+            (*_CLIQUES, "inverse_diagonal"),
+            {"image": 4, "share": 1},
+            _READING,
+            **_around("cliques", "ends", "pulls"),
+            of="apply",
+        ),
+        Kernel(
+            "advance",
+            ("found", "rest", "direction", "image", "above", "below"),
+            {"further": 4, "left": 4, "share": 1},
+            ("SIGNED",),
+            shared=("scalars",),
+            tissue=True,
+        ),
+        Kernel(
+            "turn",
+            ("steepest", "direction", "above", "below"),
+            {"turned": 4},
+            shared=("scalars",),
+            tissue=True,
+        ),
+        Kernel(
+            "lean",
+            ("rest", "direction", "image", "share", "stride"),
+            {"leaned": 4},
+            tissue=True,
+        ),
+        Kernel("quotient", ("above", "above_by", "below", "below_by"), {"value": 1}),
+        Kernel("at_once", ("load", "matrix"), {"corrected": 4}),
+        Kernel("product", ("first", "second"), {"total": 1}, ("BLOCK",)),
+        Kernel("largest", ("values",), {"most": 1}, ("BLOCK", "PAIRS")),
+        Kernel("sum", ("share",), {"total": 1}, ("BLOCK",)),
+        Kernel("canary", ("numbers",), {"first": 4, "second": 2, "third": 1}),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Source:
+    """A shader's full text and the files it was put together from.
+
+    Attributes
+    ----------
+    text : str
+        What the compiler gets.
+    files : tuple of str
+        File names by the number that ``#line`` gives them: line l of file k is line 1000 k + l.
+    """
+
+    text: str
+    files: tuple[str, ...]
+
+    def numbered(self) -> str:
+        """Return the text with the file and line number of each line, as a compiler counts them."""
+        lines = []
+        number = 0
+        for line in self.text.splitlines():
+            directive = re.match(r"#line (\d+)", line)
+            place = "" if directive or not number else ":".join(self._place(number))
+            lines.append(f"{place:>24} | {line}")
+            number = int(directive[1]) if directive else number + bool(number)
+        return "\n".join(lines)
+
+    def explain(self, log: str) -> str:
+        """Return a compiler's log with file names for numbers, and the numbered text below it."""
+
+        def named(match: re.Match[str]) -> str:
+            name, line = self._place(int(match[2]))
+            return f"{name}{match[1]}{line}"
+
+        return f"{_PLACE.sub(named, log.strip())}\n\n{self.numbered()}"
+
+    def _place(self, number: int) -> tuple[str, str]:
+        """File and line of a line number as ``#line`` has it."""
+        file, line = divmod(number, _FILE_LINES)
+        return self.files[min(file, len(self.files) - 1)], str(line)
+
+
+def compose(
+    name: str, stage: Stage, defines: Mapping[str, Define] | None = None, rows: int = 1
+) -> Source:
+    """Put a kernel's shader together.
+
+    Parameters
+    ----------
+    name : str
+        One of `KERNELS`.
+    stage : {"fragment", "compute"}
+    defines : mapping of str to int, optional
+        A value for each name in the kernel's ``defines``.
+    rows : {1, 2, 4, 8}
+        How many texels, one below the other, an invocation of the compute stage does of a kernel
+        that carries. More than one saves reading rows again, but leaves fewer invocations.
+
+    Raises
+    ------
+    BackendError
+        Naming the kernel and what is unknown, missing or too much, or the missing file.
+    """
+    if name not in KERNELS:
+        raise BackendError(f"there is no kernel {name!r}; take one of {', '.join(KERNELS)}")
+    if stage not in STAGES:
+        raise BackendError(f"there is no shader stage {stage!r}; take one of {', '.join(STAGES)}")
+    kernel = KERNELS[name]
+    given = dict(defines or {})
+    if set(given) != set(kernel.defines):
+        raise BackendError(
+            f"kernel {name!r} is compiled with values for {sorted(kernel.defines)}, "
+            f"but {sorted(given)} were given"
+        )
+    head = [f"#define {key} {value}" for key, value in given.items()]
+    head.append(f"#define TISSUE {int(kernel.tissue)}")
+    head.append(f"#define CARRIES {int(kernel.carries)}")
+    if stage == "compute":
+        head += _group(rows if kernel.carries else 1)
+    head += [f"uniform sampler2D {texture};" for texture in kernel.inputs]
+    head += _outputs(kernel, stage)
+    files = ["common", *kernel.shared, kernel.text, f"stage_{stage}"]
+    return joined(VERSIONS[stage], head, files)
+
+
+def vertices() -> Source:
+    """Return the vertex shader that every fragment shader is drawn with."""
+    return joined(VERSIONS["vertex"], [], ["triangle"])
+
+
+def _group(rows: int) -> list[str]:
+    """Define a work group, each invocation of which does some texels, one below the other."""
+    runs = " ".join(f"run(at + ivec2(0, {row}));" for row in range(rows))
+    return [
+        f"#define GROUP_ROWS {GROUP[0]}",
+        f"#define GROUP_COLS {GROUP[1]}",
+        f"#define ROWS {rows}",
+        f"#define LOCAL_ROWS {GROUP[0] // rows}",
+        f"#define RUN_ROWS(at) {runs}",
+    ]
+
+
+def _outputs(kernel: Kernel, stage: Stage) -> list[str]:
+    """Declare a kernel's outputs: render targets, or variables and the images they go to."""
+    if stage == "fragment":
+        return [
+            f"layout(location = {target}) out {_TYPES[components]} {name};"
+            for target, (name, components) in enumerate(kernel.outputs.items())
+        ]
+    lines = [f"{_TYPES[components]} {name};" for name, components in kernel.outputs.items()]
+    stores = []
+    for target, name in enumerate(kernel.outputs):
+        lines.append(f"layout(binding = {target}) uniform writeonly image2D {name}_image;")
+        stores.append(f"imageStore({name}_image, at, texel({name}));")
+    return [*lines, f"#define STORE_OUTPUTS(at) {' '.join(stores)}"]
+
+
+def joined(version: int, head: list[str], names: list[str]) -> Source:
+    """Join lines and files, which keep their numbers."""
+    files = ["(declarations)", *(f"{name}.glsl" for name in names)]
+    parts = [f"#version {version} core", "#line 1 0", *head]
+    for number, name in enumerate(names, start=1):
+        parts += [f"#line {number * _FILE_LINES + 1} {number}", _text(name).rstrip("\n")]
+    return Source("\n".join(parts) + "\n", tuple(files))
+
+
+@cache
+def _text(name: str) -> str:
+    path = Path(resource_folder("shaders"), f"{name}.glsl")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise BackendError(
+            f"the shader {path.name} cannot be read ({error.strerror}); install napari-hmrf again"
+        ) from error
+    if not text.isascii():
+        raise BackendError(f"the shader {path.name} holds characters other than ASCII")
+    if "#version" in text:
+        raise BackendError(f"the shader {path.name} must not give a #version: the loader does")
+    return text

@@ -1,0 +1,1 @@
+"""Kernels on volumes: storage buffers, and passes of compute shaders over them."""

@@ -1,0 +1,179 @@
+"""Elastic volumes on the device: levels, and residuals in double precision, as compute shaders.
+
+Of a solve the host has the displacement, and sees one number after the other of its iterations.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.solver.backends import planes
+from napari_hmrf.solver.backends.found import Found
+from napari_hmrf.solver.backends.host_model import HostModel
+from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
+from napari_hmrf.solver.backends.opengl.programs.programs import Uniforms
+from napari_hmrf.solver.backends.opengl.programs.volume_programs import Buffers
+from napari_hmrf.solver.backends.opengl.volumes.volume_level import GLVolumeLevel, exact
+from napari_hmrf.solver.backends.opengl.volumes.volume_passes import VolumePasses
+from napari_hmrf.solver.backends.thread import in_child_of_fork
+from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
+from napari_hmrf.solver.priors.elements import ElasticMaterial, Lame, lame_ratio, stiffest
+
+_INSIDE = (slice(2, -2),) * 3
+_ELEMENTS = (slice(None), *(slice(2, -3),) * 3)
+
+
+class _System(NamedTuple):
+    """Results for a system, which outlive a solve."""
+
+    material: ElasticMaterial
+    held: HeldPlanes
+    found: Found
+
+
+_last: list[_System] = []
+in_child_of_fork(_last.clear)
+
+
+class GLVolumeModel(HostModel):
+    """`LinearModel` of an elastic volume.
+
+    Parameters
+    ----------
+    passes : VolumePasses
+        Its own: they end with it.
+    material : ElasticMaterial
+    """
+
+    def __init__(self, passes: VolumePasses, material: ElasticMaterial) -> None:
+        self._passes, self.material = passes, material
+        self.bounds = smoother_bounds(material)
+        nu = material.poisson
+        parameters = 1 if isinstance(nu, float) else 2
+        share = lame_ratio(nu, strain=True) if isinstance(nu, float) else 1.0
+        self.levels = [
+            GLVolumeLevel(passes, grid, parameters, number == 0)
+            for number, grid in enumerate(grids(material.m.shape))
+        ]
+        self._shape = exact(shape=list(material.shape), share=share)
+        self._assemble(parameters)
+        for level in self.levels:
+            level.know(material.shape, share)
+        for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
+            coarse.coarsen(fine)
+        finest = self.levels[0]
+        self._residual = finest.vector()
+        # It stays on the device, where the iteration reads it.
+        self._rest = cast(Any, self._residual)
+        self._exactly = [passes.buffer(finest.values, np.float64) for _ in range(3)]
+        self._shares = passes.buffer(2 * finest.everywhere.number, np.float64)
+        self._moves: HeldPlanes | None = None
+
+    def _assemble(self, parameters: int) -> None:
+        """Find the parameters of the finest level's elements."""
+        finest, material = self.levels[0], self.material
+        scale = 0.125 / stiffest(material.m)
+        if isinstance(material.poisson, float):
+            scale /= 2 + 2 * material.poisson
+        # Vectors that nothing needs yet lend what the sites' values lie in.
+        passing = finest.correction.buffers
+        for buffer, values in zip(passing, (material.m, material.poisson), strict=False):
+            if not isinstance(values, float):
+                buffer.write(_padded(values))
+        buffers = {"stiffness": passing[:1], "poisson": passing[1:2], "lame": finest.lame}
+        defines = {"PARAMETERS": parameters}
+        place = finest.everywhere
+        self._passes.run("volume_elements", buffers, place, exact(scale=scale), defines)
+
+    def hold(self, held: HeldPlanes) -> None:
+        """Hold components on all levels."""
+        finest, self._moves = self.levels[0], None
+        finest.hold(held)
+        for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
+            coarse.hold_as(fine)
+        self.clear()
+        for buffer in self._residual.buffers:
+            self._passes.device.clear_buffer(buffer)
+        known = _last[0] if _last and _last[0].material == self.material else None
+        again = known is not None and np.array_equal(known.held, held)
+        self.found = known.found if known is not None and again else Found()
+        _last[:] = [_System(self.material, held, self.found)]
+
+    @property
+    def moves(self) -> HeldPlanes:
+        """Mask of the unknown components of the finest level."""
+        if self._moves is None:
+            finest = self.levels[0]
+            self._moves = finest.fetch(finest.inverse) > 0
+        return self._moves
+
+    def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
+        if load is not None:
+            raise NotImplementedError("forces pull at images only: at volumes nothing slips")
+        self._send(d)
+        buffers = {"rest": self._residual.buffers, "inverse": self.levels[0].inverse}
+        shares = self._add_up("volume_balance", buffers, exact(unit=unit))
+        return float(shares[:, 1].max(initial=0.0)), math.sqrt(shares[:, 0].sum())
+
+    def work(self, d: Planes) -> tuple[float, float]:
+        """Return the elastic energy, and the norm of the forces."""
+        self._send(d)
+        work, square = (
+            float(
+                self._add_up("volume_work", {}, {"power": np.array([power], np.int32)})[:, 0].sum()
+            )
+            for power in (1, 2)
+        )
+        return work / 2, math.sqrt(square)
+
+    def pull(self, d: Planes, low: Planes | None = None) -> Planes:
+        """Return -A d everywhere, in double precision, computed on the host: no cycle needs it."""
+        finest, share = self.levels[0], float(self._shape["share"][0])
+        stored = finest.fetch(finest.lame)[_ELEMENTS].astype(np.float64)
+        lame = Lame(share * stored[-1], stored[0])
+        exactly: Planes = (d if low is None else d + low)[(slice(None), *_INSIDE)]
+        pulls: Planes = -self.material.shape.forces(lame, np.moveaxis(exactly, 0, -1))
+        return planes.planes(pulls)
+
+    @property
+    def steepness(self) -> Planes:
+        """Compute the diagonal of the stiffness matrix."""
+        finest = self.levels[0]
+        out = finest.vector()
+        finest.diagonal(out.buffers)
+        return np.asarray(finest.fetch(out.buffers), np.float64)
+
+    def forget(self) -> None:
+        """Keep nothing for a later solve."""
+        _last[:] = ()
+
+    def close(self) -> None:
+        """Free every buffer."""
+        self._passes.close()
+
+    def _send(self, d: Planes) -> None:
+        """Bring a displacement to the device in double precision."""
+        for buffer, values in zip(self._exactly, d, strict=True):
+            buffer.write(np.ascontiguousarray(values))
+        self._passes.device.check("uploading a displacement")
+
+    def _add_up(self, name: str, buffers: Buffers, uniforms: Uniforms) -> npt.NDArray[np.float64]:
+        """Run a kernel in double precision; what each work group adds up, (groups, 2)."""
+        finest = self.levels[0]
+        about = {"displacement": self._exactly, "lame": finest.lame, "shares": [self._shares]}
+        defines = {"PARAMETERS": len(finest.lame)}
+        every, numbers = finest.everywhere, {**self._shape, **uniforms}
+        self._passes.run(name, {**about, **buffers}, every, numbers, defines)
+        shares = self._passes.read(self._shares, np.float64, 2 * every.number)
+        return np.asarray(shares.reshape(-1, 2))
+
+
+def _padded(values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Values of sites in a ring of void."""
+    made = np.zeros([size + 4 for size in values.shape], np.float32)
+    made[_INSIDE] = values
+    return made
