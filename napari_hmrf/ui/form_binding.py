@@ -297,9 +297,12 @@ class FormBinding:
         image = self._form.image.value
         if image is None:
             raise HmrfError(WELCOME)
+        word = f"changed the curve of '{image.name}'"
+        if self._model.curve is None:
+            self._model.set_curve(curve, word)  # the first one is no step of its own
         if self.curve is None:
             self._form.tissue.go_by(self._model.curve or curve)
-        self._model.set_curve(curve, f"changed the curve of '{image.name}'")
+        self._model.set_curve(curve, word)
 
     # From the model to the forms
 
