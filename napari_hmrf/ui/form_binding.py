@@ -74,7 +74,8 @@ class FormBinding:
         form.image.changed.connect(self._on_image)
         for field in (form.extent, form.tissue.choice, motion.boundary.choice):
             field.changed.connect(self._on_extent)
-        form.model.choice = model.model  # of a dock that was closed
+        if Part("model", "") in model.parts:  # chosen in a dock that was closed
+            form.model.choice = model.model
         for table in form.tables:
             table.changed.connect(self._write_tables)
         for field in (form.image, *self.fields.values(), form.model, form.model.in_detail):
