@@ -107,7 +107,7 @@ trust: setup
 	@$(RUN) benchmarks/trust.py --loops $(LOOPS) --shaders $(SHADERS) --volumes $(VOLUMES) --seed $(SEED) $(if $(PAGE),--page $(PAGE))
 
 edits: setup
-	@NUMBA_NUM_THREADS=1 $(RUN) benchmarks/live_edits.py
+	@NUMBA_NUM_THREADS=1 $(RUN) benchmarks/live_edits.py --seed $(SEED) $(if $(PAGE),--page $(PAGE))
 
 folds: setup
 	@NUMBA_NUM_THREADS=1 $(RUN) -m benchmarks.large_motion --random 3000
