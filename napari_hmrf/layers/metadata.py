@@ -10,7 +10,7 @@ from napari_hmrf.io.study_file import materials_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.row_table import RowTable
 
-#: Where a layer's metadata hold what this package knows of it.
+#: Key of the package's entry in a layer's metadata.
 METADATA = "napari-hmrf"
 
 Role = Literal["image", "tissue", "boundary"]
@@ -24,29 +24,29 @@ _TABLES: dict[Role, tuple[str, Callable[..., Any]]] = {
 
 
 def known_of(layer: Any) -> Mapping[str, Any]:
-    """What is known of a layer; nothing, for a layer of others."""
+    """Return the package's entry in a layer's metadata; empty if there is none."""
     known = layer.metadata.get(METADATA)
     return known if isinstance(known, Mapping) else {}
 
 
 def add_known(layer: Any, **facts: Any) -> None:
-    """Have more be known of a layer."""
+    """Add values to the package's entry in a layer's metadata."""
     layer.metadata = {**layer.metadata, METADATA: {**known_of(layer), **facts}}
 
 
 def described(
     role: Role, rows: Iterable[Any] = (), unit: str = "", preset: str = "", whose: str = ""
 ) -> dict[str, Any]:
-    """Metadata that say what a layer is for, with its table in JSON types.
+    """Return metadata with a layer's role, and its table in JSON types.
 
     Parameters
     ----------
     role : {"image", "tissue", "boundary"}
     rows : iterable of Material or BoundaryRule
     unit : str
-        Of stiffness.
+        Unit of stiffness.
     preset, whose : str
-        Which materials these are, and whose values.
+        Name of the preset, and source of its values.
     """
     known: dict[str, Any] = {"role": role}
     if role in _TABLES:
@@ -58,18 +58,18 @@ def described(
 
 
 def tissue_record(layer: Any, materials: Iterable[Material]) -> dict[str, Any]:
-    """What made the tissue of a layer, in JSON types, to be kept with a solution.
+    """Return the definition of the tissue, in JSON types, to be stored with a solution.
 
     Parameters
     ----------
     layer : napari.layers.Labels or napari.layers.Image
     materials : iterable of Material
-        Of labels.
+        Materials of the labels.
 
     Returns
     -------
     dict
-        The layer's name, the unit of stiffness, and a table of materials.
+        The layer's name and, if there are any, the unit of stiffness and the table of materials.
     """
     known = known_of(layer)
     record = {"layer": str(layer.name), **({"unit": known["unit"]} if "unit" in known else {})}
@@ -78,7 +78,10 @@ def tissue_record(layer: Any, materials: Iterable[Material]) -> dict[str, Any]:
 
 
 def tissue_recorded(layer: Any) -> tuple[tuple[Material, ...] | None, str]:
-    """The table of materials that the solution in a result's layer was made with, and its unit."""
+    """Return the materials that a result was solved with, and the unit of stiffness.
+
+    The materials are None, and the unit is "", if the layer has no readable record of them.
+    """
     try:
         record = known_of(layer)["solution"].provenance.parameters["tissue"]
         return materials_of(record["materials"]), str(record.get("unit", ""))
@@ -87,13 +90,13 @@ def tissue_recorded(layer: Any) -> tuple[tuple[Material, ...] | None, str]:
 
 
 def role_of(layer: Any) -> Role | None:
-    """What a layer is for, if its metadata say so."""
+    """Return the role that a layer's metadata give it; None if they give none."""
     role = known_of(layer).get("role")
     return role if role in (IMAGE, TISSUE, BOUNDARY) else None
 
 
 def rows_of(layer: Any, role: Role) -> tuple[Any, ...]:
-    """The table that a layer's metadata carry; empty if they carry none that can be read."""
+    """Return the rows of the table in a layer's metadata; empty if there is no readable table."""
     key, row_type = _TABLES[role]
     try:
         return tuple(

@@ -1,4 +1,4 @@
-"""Which slices have edits that no file holds."""
+"""Register of the slices with unsaved edits."""
 
 from __future__ import annotations
 

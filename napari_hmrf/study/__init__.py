@@ -1,1 +1,1 @@
-"""What somebody works on: which model it is."""
+"""Study of a deformation: its inputs, its choices with undo, and its interactive solution."""

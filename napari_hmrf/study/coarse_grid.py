@@ -1,4 +1,4 @@
-"""Tissue on fewer sites: quick enough to follow a hand, and near enough to be looked at."""
+"""Coarse grid on which tissue is solved during a drag, for a fast preview."""
 
 from __future__ import annotations
 
@@ -16,46 +16,46 @@ from napari_hmrf.tissue.drawing.marks import Point
 
 @dataclass(frozen=True)
 class CoarseGrid:
-    """The first site of an image or a volume, and every so many-th along each axis after it.
+    """Every `step`-th site of an image or a volume along each axis, from the first.
 
     Attributes
     ----------
     step : int
-        1: the grid itself.
+        1 is the full grid.
     """
 
     step: int = 1
 
     @classmethod
     def of_at_most(cls, sites: int, shape: tuple[int, ...]) -> CoarseGrid:
-        """The finest grid of at most so many sites."""
+        """Return the finest grid with at most this number of sites."""
         step = 1
         while math.prod(-(-size // step) for size in shape) > sites:
             step += 1
         return cls(step)
 
     def down(self, point: Point) -> Point:
-        """A place in pixels of this grid."""
+        """Convert a point from pixels of the full grid to pixels of this grid."""
         return tuple(at / self.step for at in point)
 
     def up(self, point: Point) -> Point:
-        """The inverse of `down`."""
+        """Convert a point from pixels of this grid to pixels of the full grid."""
         return tuple(at * self.step for at in point)
 
     def study(self, study: Study) -> Study:
-        """The same tissue, motion and drawing on this grid.
+        """Return the study with its tissue, motion and drawing on this grid.
 
         Parameters
         ----------
         study : Study
-            It keeps its place, which is of the fine grid.
+            Study on the full grid; its place stays that of the full grid.
         """
         if self.step == 1:
             return study
         grid, motion = study.grid, study.motion
         shape = tuple(-(-size // self.step) for size in grid.shape)
         spacing = tuple(size * self.step for size in grid.spacing)
-        if motion.labels is not None:  # however thin, so that a closed shell stays closed
+        if motion.labels is not None:  # thin labels stay, so that a closed shell stays closed
             painted = scipy.ndimage.maximum_filter(motion.labels, self.step)
             motion = replace(motion, labels=painted)
         return replace(
@@ -67,7 +67,7 @@ class CoarseGrid:
         )
 
     def _sampled(self, part: Any, axes: int) -> Any:
-        """A part of a study with those sites of its images."""
+        """Return a part of a study with its images sampled at the sites of this grid."""
         images = {name: each for name, each in vars(part).items() if isinstance(each, np.ndarray)}
         every = (slice(None, None, self.step),) * axes
         return replace(
@@ -75,7 +75,7 @@ class CoarseGrid:
         )
 
     def drawing(self, drawing: Drawing) -> Drawing:
-        """The same marks in pixels of this grid; lengths stay as they are."""
+        """Convert a drawing to pixels of this grid; lengths stay in the unit of the spacing."""
         if self.step == 1:
             return drawing
         return Drawing(tuple(map(self._mark, drawing.marks)))
@@ -91,14 +91,14 @@ class CoarseGrid:
 
 @dataclass(frozen=True)
 class Glance:
-    """What is looked at while a hand moves tissue that would not follow it on all its sites.
+    """Preview during a drag of tissue that is too slow to solve on the full grid.
 
     Attributes
     ----------
     grid : CoarseGrid
-        What tissue is solved on meanwhile.
+        Grid on which the tissue is solved.
     axis, number : int, optional
-        Of a volume one slice is seen: across which axis it lies, and where.
+        For a volume: axis perpendicular to the visible slice, and number of that slice.
     """
 
     grid: CoarseGrid

@@ -1,8 +1,8 @@
-"""Solving the newest study of those that come, and moving its image: away from any window.
+"""Interactive solution of studies, and deformation of their images, independent of the window.
 
-Everything is computed on the compute thread. Of several studies that come while one is solved only
-the newest is looked at; each solve begins with what the last ones found, and what two studies
-share is made once.
+Everything is computed on the compute thread. While a study is solved, the latest request wins. A
+solve is a warm start unless a cold start is requested, and the parts that two consecutive studies
+share are computed once.
 """
 
 from __future__ import annotations
@@ -38,24 +38,24 @@ _log = logging.getLogger("napari_hmrf")
 Array = npt.NDArray[Any]
 #: Pictures that move with the tissue.
 Pictures = tuple[Picture, ...]
-#: Keeps pictures that a drawing changes: called with the ground, the images with the drawing on
-#: top, the pixels that may have changed (None if none did), and the pictures as they were; writes
-#: to them, and returns them, or others.
+#: Callback that updates pictures of the drawing. It is called with the ground, the drawing, the
+#: images with the drawing on top, the pixels that may have changed (None if none did), and the
+#: earlier pictures. It may write to these, and returns them or new ones.
 Overlay = Callable[[Ground, Drawing, Canvas, Box | None, Pictures], Pictures]
 
 
 class Engine:
-    """Answers the newest study by a `Deformation`.
+    """Solver of the newest submitted study, which delivers a `Deformation`.
 
-    All methods may be called from any thread, and return at once. A study in which nothing is held
-    or moved is answered by its image as it is.
+    All methods may be called from any thread, and return at once. The answer to a study without
+    boundary conditions or loads is the undeformed image.
 
     Parameters
     ----------
     deliver : callable
         Called with a `Deformation` on the compute thread; it should hand over and return.
     doing : str
-        What others who wait for it are told: what it is, and how to stop it, as a clause.
+        Clause for jobs that wait for the solve: its name, and how to stop it.
     overlay : callable, optional
         An `Overlay`, called on the compute thread.
     """
@@ -70,13 +70,13 @@ class Engine:
         self._overlay = overlay
         self._live = LiveSolver(self._deliver, progress=self.report, doing=doing)
         self._reached = Monitor("starting", 0.0)
-        #: Set once everything was dropped, for good.
+        #: Set once the engine is closed.
         self.closed = threading.Event()
         self._dropped = threading.Event()
-        #: The newest answer; only for the compute thread, as is what follows.
+        #: Newest answer. Only the compute thread uses this and the attributes below.
         self.latest: Deformation | None = None
         self._asked: Deformation | None = None
-        # With the study that each was made of.
+        # Each ground with the study that it was made from.
         self._grounds: dict[CoarseGrid, tuple[Study, Ground]] = {}
         self._rendering: Rendering | None = None
         self._over: Pictures = ()
@@ -86,12 +86,12 @@ class Engine:
 
     @property
     def busy(self) -> bool:
-        """Whether an answer is still to come."""
+        """True until the last study is answered or dropped."""
         return self._live.busy
 
     @property
     def monitor(self) -> Monitor:
-        """What is going on, or waited for."""
+        """Progress of the solve, or the job that it waits for."""
         waits = self._live.delay
         return Monitor(waits, 0.0) if waits else self._reached
 
@@ -102,7 +102,7 @@ class Engine:
         settle: bool = False,
         glance: Glance | None = None,
     ) -> None:
-        """Have this answered instead of what waits.
+        """Submit a study, which replaces the one that waits.
 
         Parameters
         ----------
@@ -110,10 +110,10 @@ class Engine:
         backend : str
             As for `solve`.
         settle : bool
-            Whether to solve it from nothing, bit by bit as `solve_study` does; then it is an error
-            that nothing is held or moved.
+            Whether to solve from a cold start, with the same bits as `solve_study`; a study without
+            boundary conditions or loads is then an error.
         glance : Glance, optional
-            All that is looked at while a hand moves tissue, which is solved on its coarse grid.
+            Preview during a drag: the study is solved only on its coarse grid.
         """
         if settle:
             self.forget()
@@ -127,23 +127,23 @@ class Engine:
 
         state = partial(self._state, study, checkpoint, settle, glance)
         patience = None if settle else patience_for(study, glance)
-        # A glance at what has no time takes longer than it is worth.
+        # Without patience, a preview would cost more time than it saves.
         self._live.submit(state, glance=bool(patience), patience=patience)
 
     def forget(self) -> None:
-        """Drop what waits, what is being solved, and what was found."""
+        """Cancel the pending and the running solve; the next solve is a cold start."""
         self._dropped.set()
         self._dropped = threading.Event()
         self._live.forget()
 
     def close(self) -> None:
-        """Drop everything, for good."""
+        """Cancel all solves, and stop the engine."""
         self.closed.set()
         self.forget()
         self._live.close()
 
     def report(self, monitor: Monitor) -> None:
-        """Say how far something is."""
+        """Record the progress of the solve."""
         self._reached = monitor
 
     # On the compute thread
@@ -151,7 +151,7 @@ class Engine:
     def _state(
         self, study: Study, checkpoint: Callable[[], None], settle: bool, glance: Glance | None
     ) -> tuple[Problem, Prior]:
-        """State the problem of a study, making anew only what differs from the one before."""
+        """Build the problem of a study; only parts that have changed are computed again."""
         self._asked = Deformation(study, settled=settle, glance=glance)
         grid = self._asked.grid
         fine = self._ground_of(study, CoarseGrid(), checkpoint)
@@ -171,7 +171,7 @@ class Engine:
         return stated.problem, stated.prior
 
     def _ground_of(self, study: Study, grid: CoarseGrid, checkpoint: Callable[[], None]) -> Ground:
-        """What a study's drawing lies on, made anew only where that differs from the one before."""
+        """Return the ground of a study; the last one is reused if only the drawing differs."""
         known = self._grounds.get(grid)
         if known is None or not known[0].lies_as(study):
             known = self._grounds[grid] = study, Ground.of(grid.study(study), checkpoint)
@@ -189,7 +189,7 @@ class Engine:
                 return
             except Cancelled:
                 raise
-            except Exception as failure:  # noqa: BLE001 - an answer is waited for, whatever it is
+            except Exception as failure:  # noqa: BLE001 - the caller always gets an answer
                 _log.exception("the image could not be moved")
                 error = failure
         known = latest is not None and latest.ground is asked.ground and asked.ground is not None
@@ -200,7 +200,7 @@ class Engine:
     def _moved(
         self, asked: Deformation, solution: Solution | None
     ) -> tuple[Array | None, tuple[Array, ...]]:
-        """The image, and what lies over it, where a solution takes them."""
+        """Return the image and its overlays, deformed by a solution."""
         image, glance = asked.study.pictures.image, asked.glance
         if glance is None or glance.axis is None:
             if solution is not None and asked.ground is not None and asked.grid.step > 1:
@@ -216,40 +216,41 @@ class Engine:
 
 
 def patience_for(study: Study, glance: Glance | None) -> float:
-    """How long a study is solved on though there is a newer one, in seconds.
+    """Return the time, in seconds, for which a solve goes on although a newer study waits.
 
-    Tissue is to follow a hand that never rests. What takes longer is outdated before it is seen.
+    Tissue must follow a drag that never pauses, so a solve is not cancelled at once. It is 0 for a
+    volume on its full grid, whose solution would be out of date before it is seen.
     """
     return 0.0 if glance is None and len(study.grid.shape) == 3 else 3.0
 
 
 class _StillError(HmrfError):
-    """Nothing moves."""
+    """Signal that nothing in a study is held or moved."""
 
 
 @dataclass(frozen=True, eq=False)
 class Deformation:
-    """A study, and how its tissue moves.
+    """Answer to a study: the motion of its tissue, or an error.
 
     Attributes
     ----------
     study : Study
     ground : Ground, optional
-        The study as it was understood; None if it could not be.
+        Interpretation of the study; None if it cannot be interpreted.
     stated : Statement, optional
-        What was solved; None if it could not be stated.
+        Problem that was solved; None if it could not be built.
     solution : Solution, optional
         None if nothing is held or moved, or if there is an error.
     image : ndarray, optional
-        The study's image, moved with the tissue.
+        Image of the study, deformed with the tissue.
     overlay : tuple of ndarray
-        What was drawn over it, moved likewise.
+        Pictures over the image, deformed likewise.
     error : Exception, optional
-        Why there is no solution, in words of the study.
+        Reason for the lack of a solution, in terms of the study.
     settled : bool
-        Whether it was solved from nothing, as `solve_study` does.
+        True if it was solved from a cold start, as by `solve_study`.
     glance : Glance, optional
-        If that is all it is: `image` is one slice of a volume, (H, W), or all of an image.
+        Set for a preview: `image` is then one slice of a volume, (H, W), or the whole image.
     """
 
     study: Study
@@ -264,17 +265,17 @@ class Deformation:
 
     @property
     def grid(self) -> CoarseGrid:
-        """What it was solved on."""
+        """Grid on which the study was solved."""
         return CoarseGrid() if self.glance is None else self.glance.grid
 
     @property
     def moves(self) -> bool:
-        """Whether anything is drawn, or has moved."""
+        """True if there is a drawing, or any tissue has moved."""
         drawn = bool(self.study.motion.drawing.marks)
         return drawn or (self.solution is not None and bool(self.solution.displacement.any()))
 
     def came_from(self, point: Point) -> Point | None:
-        """Where the tissue seen at a point, in pixels, was before it moved; None if none is."""
+        """Return the undeformed place of the tissue seen at a point, in pixels; None if none is."""
         if self.solution is not None:
             site = self.grid.down(point)
             before = self._points.before(site)
@@ -282,18 +283,18 @@ class Deformation:
                 point = self.grid.up(before)
             elif holds(self.solution.tissue, _pixel(site)):
                 return None
-            # Else nobody held it anywhere: it stayed out of it, and where it was.
+            # Else it is unconstrained tissue, which was excluded and has not moved.
         there = self.ground is not None and holds(self.ground.body, _pixel(point))
         return point if there else None
 
     def goes_to(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Where tissue that was at points, (N, n) in pixels, is seen."""
+        """Return the places after the motion of tissue originally at points, (N, n) in pixels."""
         if self.solution is None or not len(points):
             return points
         return self._points.after(points / self.grid.step) * self.grid.step
 
     def is_inside(self, point: Point) -> bool:
-        """Whether a point is one of the grid."""
+        """Return whether a point lies inside the grid."""
         along = zip(point, self.study.grid.shape, strict=True)
         return all(-0.5 <= at <= size - 0.5 for at, size in along)
 
@@ -304,5 +305,5 @@ class Deformation:
 
 
 def _pixel(point: Point) -> tuple[int, ...]:
-    """The pixel that a point lies on."""
+    """Return the pixel nearest to a point."""
     return tuple(map(round, point))

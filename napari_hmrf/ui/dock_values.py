@@ -32,7 +32,7 @@ class DockValues(Dock):
     _sides: PatientSides
     _unsaved: Unsaved
 
-    # What the user chooses
+    # Choices of the user
     @property
     def image(self) -> Any:
         """Image to deform, or None: then only the motion of painted tissue is shown."""
@@ -45,7 +45,7 @@ class DockValues(Dock):
 
     @property
     def extent(self) -> str:
-        """What is deformed: "slice", as if it had no neighbours, or "volume"."""
+        """Extent of the deformation: "slice", which ignores its neighbours, or "volume"."""
         value: str = self._form.extent.value
         return value
 
@@ -115,7 +115,7 @@ class DockValues(Dock):
 
     @property
     def hold_edge(self) -> bool:
-        """Whether the outer edge of the tissue is held in place."""
+        """True if the outer edge of the tissue is held in place."""
         value: bool = self._form.motion.edge.value
         return value
 
@@ -135,7 +135,7 @@ class DockValues(Dock):
 
     @property
     def without_border(self) -> bool:
-        """Whether the dark, unpainted border of the image is excluded from the tissue."""
+        """True if the dark, unpainted border of the image is excluded from the tissue."""
         value: bool = self._form.tissue.border.value
         return value
 
@@ -205,7 +205,7 @@ class DockValues(Dock):
 
     @property
     def before(self) -> bool:
-        """Whether the undeformed image is shown, without its result."""
+        """True if the undeformed image is shown, without its result."""
         value: bool = self._view.before
         return value
 
@@ -245,7 +245,7 @@ class DockValues(Dock):
 
     @property
     def live(self) -> bool:
-        """Whether the tissue follows every edit; by default unless the image is large."""
+        """True if the tissue follows every edit; by default unless the image is large."""
         value: bool = self._form.footer.live.value
         return value
 
@@ -255,9 +255,9 @@ class DockValues(Dock):
 
     @property
     def ask(self) -> Ask:
-        """Function that asks what to do with unsaved work before its window closes.
+        """Callback for the prompt about unsaved work before its window closes.
 
-        It is given a question, and returns "save", "discard" or "cancel"; by default a dialog.
+        It takes a question and returns "save", "discard" or "cancel"; by default it shows a dialog.
         """
         return self._unsaved.ask
 
@@ -265,17 +265,17 @@ class DockValues(Dock):
     def ask(self, value: Ask) -> None:
         self._unsaved.ask = value
 
-    # What the dock shows
+    # State that the dock shows
 
     @property
     def active(self) -> bool:
-        """Whether the mouse draws."""
+        """True if the mouse draws."""
         value: bool = self._pointer.active
         return value
 
     @property
     def playing(self) -> bool:
-        """Whether the deformation is played back and forth."""
+        """True while the deformation is played back and forth."""
         value: bool = self._view.player.playing
         return value
 
@@ -293,7 +293,7 @@ class DockValues(Dock):
 
     @property
     def unsaved(self) -> bool:
-        """Whether there is work that is in no file."""
+        """True if there is work that is in no file."""
         value: bool = self._unsaved.there
         return value
 

@@ -1,4 +1,4 @@
-"""What always stays in sight: the buttons, how far the work is, and what there is to say."""
+"""Footer of the dock: status text, warning and buttons, which are always visible."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from qtpy.QtWidgets import QPushButton, QSizePolicy, QVBoxLayout, QWhatsThis, QW
 from napari_hmrf.layers.viewer_undo import ViewerUndo
 from napari_hmrf.ui.forms import Prose, row
 
-#: Lines of the status that are seen at most; its tooltip has all of it.
+#: Largest number of visible lines of the status; its tooltip has the whole text.
 _LINES = 9
-#: Dark words on amber: read on napari's dark theme and on its light one.
+#: Dark text on amber: legible on napari's dark and light themes.
 _CHIP = "background: #ffb454; color: #1d1d1d; border-radius: 8px; padding: 3px 8px;"
 _HELP = (
     "Drag tissue: pull it. Click: hold it there. Drag an arrow's head or base: change it.\n"
@@ -20,8 +20,8 @@ _HELP = (
     "While napari paints: 2 paints, 1 erases, 3 draws an outline, 4 fills.\n"
     "Ctrl+Z: undo. Ctrl+Shift+Z or Ctrl+Y: redo. Ctrl+Shift+P: all commands, by their words.\n"
 )
-#: So many pixels are followed without being asked. On two cores and no GPU the picture follows an
-#: edit of 1200 x 1200 pixels in 0.4 s (elastic) to 1.4 s, and one of 2048 x 2048 in 1.6 to 5 s.
+#: Largest image, in pixels, that is followed live by default. On two cores without a GPU, an edit
+#: takes 0.4 s (elastic) to 1.4 s at 1200 x 1200 pixels, and 1.6 to 5 s at 2048 x 2048.
 LARGEST = 1200 * 1200
 _LIVE = (
     "The tissue follows any edit of tissue, boundary or tables; what is pulled, always.\n"
@@ -30,30 +30,33 @@ _LIVE = (
 
 
 class Footer(QWidget):
-    """Words and buttons; words are above and take no more room than they need.
+    """Status text and warning, with buttons below them.
 
-    What can be pressed lies at the bottom and stays there, so nothing moves under the mouse.
+    The text is only as high as it needs to be. The buttons stay at the bottom, so that nothing
+    moves under the mouse.
 
     Parameters
     ----------
     tools : str
-        Which keys the tools have.
+        Keys of the tools, for the help.
 
     Attributes
     ----------
     deform, cancel : PushButton
     live : LiveChoice
     undo, redo : PushButton
-        Their tooltips say what they would do.
+        Their tooltips name the step.
     chip : QPushButton
-        There only when there is something to know of the tissue that is seen.
+        Visible only while there is a warning about the visible tissue.
     other : QPushButton
-        There only when another model would mend it.
+        Visible only while another model is offered.
     """
 
     def __init__(self, tools: str = "") -> None:
         super().__init__()
-        self.deform = PushButton(text="Deform", tooltip="Compute from nothing how the tissue moves")
+        self.deform = PushButton(
+            text="Deform", tooltip="Compute the motion of the tissue from the start"
+        )
         self.cancel = PushButton(text="Cancel", tooltip="Stop; nothing is changed")
         self.cancel.enabled = False
         self.live = LiveChoice()
@@ -68,7 +71,7 @@ class Footer(QWidget):
         layout = QVBoxLayout(self)
         layout.setContentsMargins(2, 2, 2, 2)
         layout.setSpacing(2)
-        # magicgui's containers end with the last reference.
+        # Keep a reference: magicgui deletes containers that have none.
         self._rows = row(self.live, self.undo, self.redo, self.help), row(self.deform, self.cancel)
         self.chip.setStyleSheet(_CHIP)
         self.chip.hide()
@@ -84,53 +87,53 @@ class Footer(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
 
     def show_steps(self, undo: ViewerUndo) -> None:
-        """Show what there is to take back, and to do again."""
+        """Show the next steps to undo and to redo."""
         self.undo.tooltip, self.redo.tooltip = undo.tooltips
         self.undo.enabled = undo.model.next_undo is not None
         self.redo.enabled = undo.model.next_redo is not None
 
     def say(self, status: str) -> None:
-        """Show a sentence; what has no room is read where the mouse rests on it."""
+        """Show a status text; the tooltip has all of it, in case it does not fit."""
         self._status.say(status)
         self._status.tooltip = status
 
     def _show_help(self, *_: object) -> None:
         button = self.help.native
         middle = button.mapToGlobal(button.rect().center())
-        QWhatsThis.showText(middle, self.help.tooltip, button)  # there until a click or a key
+        QWhatsThis.showText(middle, self.help.tooltip, button)  # stays until a click or a key press
 
     def explain(self, technical: str) -> None:
-        """Show, where the mouse rests on the sentence, what few want to know of it."""
+        """Show technical details in the tooltip of the status."""
         self._status.tooltip = technical
 
     def warn(self, sentences: str, short: str = "") -> None:
-        """Show what is to be known of the tissue that is seen; "" if nothing."""
+        """Show a warning about the visible tissue; "" hides it."""
         self.warning = sentences
         self.chip.setVisible(bool(sentences))
         self.chip.setText(f"⚠  {short or 'Good to know'}")
         self.chip.setToolTip(sentences)
 
     def offer(self, words: str) -> None:
-        """Have a button for something that helps; "" if there is nothing."""
+        """Show a button that offers another model; "" hides it."""
         self.other.setVisible(bool(words))
         self.other.setText(words)
 
     def show_work(self, going_on: bool) -> None:
-        """Show whether there is anything to be cancelled before the next can begin."""
+        """Enable "Cancel" while a solve is in progress, and else "Deform"."""
         self.deform.enabled, self.cancel.enabled = not going_on, going_on
 
 
 class LiveChoice(CheckBox):
-    """Whether every edit is followed: by default unless the image is large."""
+    """Check box for following every edit; on by default unless the image is large."""
 
     def __init__(self) -> None:
         super().__init__(value=True, text="Live", tooltip=_LIVE)
-        # Once somebody has decided, the size of the image decides nothing.
+        # True once the user has clicked the box, or a script has set it.
         self._decided = False
         self.changed.connect(self._on_changed)
 
     def judge(self, pixels: int) -> None:
-        """Decide by the size, unless somebody else has decided."""
+        """Set the default for an image of this size, unless the value was set before."""
         if not self._decided:
             with self.changed.blocked():
                 self.value = pixels <= LARGEST

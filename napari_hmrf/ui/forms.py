@@ -1,4 +1,4 @@
-"""What forms need that magicgui's containers do not bring: sentences, and labels in one column."""
+"""Fields, menus and labels for forms, in addition to those of magicgui."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from napari_hmrf.ui.messages import in_short
 
 
 def narrow(menu: Any) -> None:
-    """Have a long name not widen the dock."""
+    """Elide long names in a menu, so that they do not widen the dock."""
     box = menu.native
     box.setSizeAdjustPolicy(box.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
     box.setMinimumContentsLength(8)
@@ -25,25 +25,25 @@ def narrow(menu: Any) -> None:
 
 
 def share(label: str, tooltip: str, **options: Any) -> FloatSlider:
-    """A field for a part of a whole; it speaks when the mouse lets go."""
+    """Create a slider for a fraction; it emits its value when the mouse button is released."""
     how = {"value": 0.5, "min": 0.0, "max": 1.0, "step": 0.05, **options}
     return FloatSlider(label=label, tooltip=tooltip, tracking=False, **how)
 
 
 def length(label: str, tooltip: str, least: float = -1e6, **options: Any) -> FloatSpinBox:
-    """A field for a length, or for a step if it may be negative."""
+    """Create a field for a length, or for a displacement if negative values are allowed."""
     how = {"value": 0.0, "min": least, "max": 1e6, "step": 0.5, **options}
     return FloatSpinBox(label=label, tooltip=tooltip, **how)
 
 
 def menu(label: str, words: Mapping[Any, str], tooltip: str, **options: Any) -> ComboBox:
-    """A field for one of some values, each called by its words."""
+    """Create a menu of values, each shown as its words."""
     choices = [(said, value) for value, said in words.items()]
     return ComboBox(label=label, choices=choices, tooltip=tooltip, **options)
 
 
 def add_entry(menu: QMenu, title: str, about: str, answer: Callable[[], Any]) -> Any:
-    """An entry of a menu, with what it does; a layer's name may be its title."""
+    """Add an entry with a tooltip and a callback to a menu; "&" in the title is shown."""
     action = menu.addAction(title.replace("&", "&&"))
     action.setToolTip(about)
     action.triggered.connect(lambda: answer())
@@ -51,7 +51,7 @@ def add_entry(menu: QMenu, title: str, about: str, answer: Callable[[], Any]) ->
 
 
 def give_menu(button: QPushButton, fill: Callable[[], None]) -> None:
-    """Give a button a menu that is filled with what there is whenever it opens."""
+    """Give a button a menu that is filled by a callback each time it opens."""
     made = QMenu(button)
     made.setToolTipsVisible(True)
     made.aboutToShow.connect(fill)
@@ -59,7 +59,7 @@ def give_menu(button: QPushButton, fill: Callable[[], None]) -> None:
 
 
 def number_of(text: str) -> float:
-    """A number as people type it, with a point or a comma; NaN for anything else."""
+    """Parse a number with a decimal point or comma; NaN for any other text."""
     try:
         return float(text.replace(",", "."))
     except ValueError:
@@ -67,27 +67,27 @@ def number_of(text: str) -> float:
 
 
 def attempt(action: Callable[[], object], refuse: Callable[[str], object]) -> None:
-    """Do what somebody has asked for, or say why it cannot be done."""
+    """Run an action, and report its error in a short message if it fails."""
     try:
         action()
-    except (HmrfError, OSError, ValueError) as error:  # the last of what cannot be saved
+    except (HmrfError, OSError, ValueError) as error:  # ValueError: data that cannot be saved
         refuse(in_short(error))
 
 
 def row(*widgets: Any) -> Container:
-    """Widgets beside each other."""
+    """Arrange widgets in a row, without labels."""
     made = Container(widgets=widgets, layout="horizontal", labels=False)
     made.native.layout().setSpacing(2)
     return made
 
 
 class Prose(Label):
-    """A sentence that wraps: narrower than its words, and then as high as it takes.
+    """Label with wrapped text: as narrow as its parent, and as high as the text needs.
 
     Parameters
     ----------
     lines : int, optional
-        How many are seen at most.
+        Largest number of visible lines.
     """
 
     def __init__(self, lines: int = 1000) -> None:
@@ -106,7 +106,7 @@ class Prose(Label):
 
 
 class _FitHeight(QObject):
-    """Keeps a label's height that of its words: layouts in a scrolled area do not ask for it."""
+    """Event filter that fits a label's height to its text, as layouts in a scroll area do not."""
 
     def __init__(self, words: Any, lines: int) -> None:
         super().__init__(words)
@@ -114,8 +114,8 @@ class _FitHeight(QObject):
 
     def fit(self) -> None:
         words, most = self._words, self._lines * self._words.fontMetrics().lineSpacing()
-        words.setMinimumHeight(0)  # else Qt takes what it is for what it needs
-        words.setFixedHeight(min(max(0, words.heightForWidth(words.width())), most))  # -1: no words
+        words.setMinimumHeight(0)  # else `heightForWidth` is at least the present height
+        words.setFixedHeight(min(max(0, words.heightForWidth(words.width())), most))  # -1: no text
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
         if event.type() in (QEvent.Type.Resize, QEvent.Type.FontChange, QEvent.Type.StyleChange):
@@ -124,11 +124,12 @@ class _FitHeight(QObject):
 
 
 class CalmField(QObject):
-    """Filters events of fields, and leaves some to what they lie in.
+    """Event filter of fields that leaves some events to the surrounding widget.
 
-    The wheel scrolls that, unless a field was clicked; and the usual keys take back what was done
-    last, as they do beside the fields, unless a number is being typed. A menu would take all keys
-    after a choice from it, those of the tools, too: by the mouse it is given none.
+    The wheel scrolls the surrounding widget unless the field has the focus. The keys of undo and
+    redo act on the last step, as they do outside of the fields, unless a number is being typed. A
+    menu gets the focus only by the Tab key: after a choice by mouse it would keep all keys, such as
+    those of the tools.
     """
 
     def watch(self, field: Any) -> None:
@@ -140,7 +141,7 @@ class CalmField(QObject):
             field.editingFinished.connect(partial(field.lineEdit().setModified, False))
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
-        """Leave an event to those around a field if it is theirs."""
+        """Leave the wheel and the undo keys to the surrounding widget where they apply."""
         theirs = event.type() == QEvent.Type.Wheel and not watched.hasFocus()
         if event.type() == QEvent.Type.KeyPress and isinstance(watched, QAbstractSpinBox):
             keys = QKeySequence.StandardKey
@@ -152,6 +153,6 @@ class CalmField(QObject):
 
 
 def align_labels(form: Container) -> None:
-    """Give a form's labels one width: magicgui does so only when one of them changes."""
+    """Give a form's labels one width, which magicgui does only when a label changes."""
     first = form[0]
     first.label = first.label

@@ -1,4 +1,4 @@
-"""What the dock says at its bottom: what was done, what is wrong, and what can be done next."""
+"""Status text of the dock: results, errors, and hints at the next step."""
 
 from __future__ import annotations
 
@@ -15,17 +15,16 @@ from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.motion import motion_messages
 
-#: Why something is read, which says what may take its place: a step is read until something new is
-#: begun; so is what was refused, and before all that goes on meanwhile.
+#: Reason for the current sentence. "step" and "refused" stay until a new action begins, and
+#: "refused" also hides the progress.
 Why = Literal["news", "step", "refused"]
 
 
 class Guide:
-    """Knows which sentence may take the place of which.
+    """Writer of the status text, which ranks the messages of the other parts of the dock.
 
-    Where there is nothing to say, what can be done next is read. What was taken back stays to be
-    read until something new is begun, and so does what was refused; what goes on is said while it
-    does.
+    Progress is shown while a job runs, and a hint at the next step if there is no message. The
+    message of a step, an undo or a refusal stays until a new action begins.
 
     Parameters
     ----------
@@ -58,18 +57,18 @@ class Guide:
         self._heard = Listening((undo.said, self._on_step))
 
     def release(self) -> None:
-        """Say nothing of the viewer any more."""
+        """Stop listening to the undo of the viewer."""
         self._heard.release()
 
     @property
     def shown(self) -> str:
-        """What is read."""
+        """Status text."""
         doing = "" if self._why == "refused" else self._doing
         return doing or self._said or self.invitation
 
     @property
     def invitation(self) -> str:
-        """What can be done next."""
+        """Hint at the next step."""
         form, boundary = self._form, self._form.motion.boundary
         if form.image.value is None:
             return messages.CHOOSE if self._viewer.layers else messages.WELCOME
@@ -82,48 +81,48 @@ class Guide:
         return f"{self._live.loose} {self._paused or how}".lstrip()
 
     def say(self, sentence: str, why: Why = "news") -> None:
-        """Say something in place of all that was said."""
+        """Show a sentence in place of the earlier ones."""
         self._said, self._why, self._read = sentence, why, ""
         self.show()
 
     def invite(self) -> None:
-        """Say what can be done next, unless what was taken back or refused is to be read still."""
+        """Show the hint at the next step, unless the message of a step or a refusal has to stay."""
         if self._why == "news":
             self.say("")
 
     def refuse(self, sentence: str) -> None:
-        """Say why what somebody did is not done, until they do something else."""
+        """Show why an action was refused, until a new action begins."""
         self.say(sentence, "refused")
 
     def show(self, *_: object) -> None:
-        """Show what is to be read now."""
+        """Write the status text to the footer."""
         self._form.footer.say(self.shown)
 
     @property
     def _covered(self) -> str:
-        """That the image is hidden beneath another, if it is."""
+        """Message that another image covers the image; "" if none does."""
         image = still_there(self._viewer, self._form.image.value)
         other = None if image is None else image_covering(self._viewer, image)
         return "" if other is None else motion_messages.covered(other.name)
 
     @property
     def _paused(self) -> str:
-        """That a tool was taken up and put down, and how to go on; "" if it was not."""
+        """Message that drawing has stopped, and how to resume it; "" if it has not."""
         arrows = self._pointer.display.arrows
         if arrows.former is None or self._live.study is None or self._pointer.active:
             return ""
         return motion_messages.ARROWS_GONE if arrows.layer is None else motion_messages.OFF
 
     def _on_begun(self, *_: object) -> None:
-        """Something new is begun: what was taken back before has been read."""
+        """Let other messages replace the current one, as a new action has begun."""
         self._why, self._read = "news", self._said
 
     def _on_followed(self, *_: object) -> None:
-        """What was said before something new was begun is true no more."""
+        """Clear a message from before the last action, as the result has changed since."""
         self.say("" if self._read else self._said, self._why)
 
     def _on_step(self, sentence: str, step: Step | None) -> None:
-        """Say what was taken back, on another slice, too; and that the mouse draws no more."""
+        """Report an undo or redo; for a drawing, also whether drawing has stopped."""
         drawn = step is not None and isinstance(step.value, Drawing)
         self.say(f"{sentence} {self._paused if drawn else ''}".rstrip(), "step")
 
@@ -139,7 +138,7 @@ class Guide:
             self.invite()
 
     def _on_study(self, sentence: str) -> None:
-        """Say something of the study beside what was taken back; "": nothing is wrong any more."""
+        """Show a message about the study, after that of a step; "" if the problem is solved."""
         if not sentence:
             self.invite()
         elif self._why != "refused":

@@ -1,4 +1,4 @@
-"""Tables with a row for each label of a Labels layer, in step with what is painted there."""
+"""Tables with a row for each label of a Labels layer, updated when labels are painted."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ from napari_hmrf.tissue.row_table import RowTable
 from napari_hmrf.ui.events import Listening, single_shot
 from napari_hmrf.ui.forms import CalmField
 
-#: The columns that every table has.
+#: Columns of every table.
 LABEL, NAME = range(2)
-#: How long after the last brush stroke the labels are looked at, in milliseconds.
+#: Time from the last brush stroke to the update of the labels, in milliseconds.
 _PAUSE = 150
-#: The layer's events after which there may be new labels, or other colours.
+#: Events of the layer that can change its labels or colours.
 _EVENTS = (*CHANGES, "colormap")
-#: In pixels, for the dock is shared: about five rows are seen without scrolling.
+#: Heights of a row and of the whole table, in pixels; about five rows fit without scrolling.
 _ROW_HEIGHT, _HIGHEST = 26, 172
 _COMPACT = "QComboBox { padding: 1px 0px 1px 3px; } QComboBox::drop-down { width: 14px; }"
 
 
 class Column(NamedTuple):
-    """One column of a table.
+    """Column of a table.
 
     Attributes
     ----------
     title, about : str
-        Its head, and what the mouse finds there.
+        Header, and its tooltip.
     shown : callable
-        What the cell of a row says; where that is "" there is nothing to be typed either.
+        Returns the text of a row's cell; only a name can be edited if it is "".
     typed : callable
-        The row after something was typed; ValueError says why that means nothing.
+        Returns the row with the typed text; raises ValueError if the text is not valid.
     choices : sequence of str
-        What there is to choose from, if nothing is to be typed.
+        Texts to choose from, in a column without typing.
     """
 
     title: str
@@ -59,28 +59,28 @@ def _named(row: Any, text: str) -> Any:
 
 
 class LabelTable(QTableWidget):
-    """Rows by label, with its colour and its name; what the other columns hold is up to subclasses.
+    """Table of labels, with their colours and names; subclasses add further columns.
 
-    A layer carries its table in its metadata, so that it goes where the layer goes. New labels that
-    are painted get rows, and a row that is clicked, or gone to by the keys, is painted with.
+    The table is stored in the metadata of its layer, so that it stays with the layer. New painted
+    labels get rows. A click on a row, or moving to it by the keys, selects its label for painting.
 
     Parameters
     ----------
     view : callable
-        Which slice is shown.
+        Returns the visible slice.
 
     Attributes
     ----------
     role : "tissue" or "boundary"
     title : str
-        Of the column of names.
+        Header of the column of names.
 
     Signals
     -------
-    changed : bool, the paint or the table changed; whether by nobody's hand, as for new paint
-    picked : the layer, a row of which is to be painted with
-    found : str, what new labels were painted
-    refused : str, why something typed was not taken
+    changed : bool, the paint or the table changed; False if the rows were edited
+    picked : the layer, a label of which was selected for painting
+    found : str, message about new painted labels
+    refused : str, reason why typed text was refused
     """
 
     role: Role
@@ -115,25 +115,25 @@ class LabelTable(QTableWidget):
         self.cellClicked.connect(self._on_click)
         self.itemChanged.connect(self._on_typed)
 
-    # What a row says
+    # Columns and rows
 
     @property
     def columns(self) -> list[Column]:
-        """What the columns are now; subclasses have more."""
+        """Columns of the table; subclasses add further ones."""
         return [
             Column("", "Click a row to paint with its label", lambda row: str(row.label)),
             Column(self.title, "Double click: rename", lambda row: row.name, _named),
         ]
 
     def default(self, label: int) -> Any:
-        """The row of a label that was not there before."""
+        """Return the row for a new label."""
         raise NotImplementedError
 
-    # What is in it
+    # Contents
 
     @property
     def contents(self) -> RowTable:
-        """All that it says, as one value; to be set, too."""
+        """Contents of the table as one value; can be set."""
         return self._contents
 
     @contents.setter
@@ -145,7 +145,7 @@ class LabelTable(QTableWidget):
 
     @property
     def rows(self) -> tuple[Any, ...]:
-        """The values, by label; to be set, too."""
+        """Rows in the order of their labels; can be set."""
         return self._contents.rows
 
     @rows.setter
@@ -154,7 +154,7 @@ class LabelTable(QTableWidget):
 
     @property
     def labels(self) -> tuple[int, ...]:
-        """The labels that have a row."""
+        """Labels that have a row."""
         return tuple(int(row.label) for row in self.rows)
 
     def add(self) -> int:
@@ -164,11 +164,11 @@ class LabelTable(QTableWidget):
         self.pick(label)
         return label
 
-    # Its layer
+    # Layer
 
     @property
     def layer(self) -> Any:
-        """The Labels layer, or None."""
+        """Labels layer of the table, or None."""
         return self._layer
 
     @layer.setter
@@ -184,20 +184,20 @@ class LabelTable(QTableWidget):
         self._mark()
         self._heard = Listening(
             (layer.events.selected_label, self._mark),
-            # Restarted at every stroke: looking at a large image takes longer than a stroke.
+            # Debounced: reading the labels of a large image takes longer than a stroke.
             *((getattr(layer.events, name), lambda _: self._timer.start()) for name in _EVENTS),
         )
         self._tell(by_itself=True)
 
     def release(self) -> None:
         """Stop listening to the layer."""
-        with suppress(RuntimeError):  # at the end of the program Qt may have ended it already
+        with suppress(RuntimeError):  # Qt may have deleted it at exit
             self._timer.stop()
         self._heard.release()
         self._layer = None
 
     def look(self) -> None:
-        """Give new labels their rows and all rows their colours; now, not after a pause."""
+        """Add rows for new labels and update the colours, without waiting for a pause."""
         if self._layer is None:
             return
         self._timer.stop()
@@ -209,7 +209,7 @@ class LabelTable(QTableWidget):
             self.found.emit(f"New in '{self._layer.name}': {said}. Change it in the table.")
 
     def pick(self, label: int) -> None:
-        """Have a label be painted with."""
+        """Select a label for painting."""
         if self._layer is not None:
             self._layer.selected_label = label
             self.picked.emit(self._layer)
@@ -224,7 +224,7 @@ class LabelTable(QTableWidget):
             self.selectRow(row)
 
     def _list_painted(self) -> list[Any]:
-        """Give each label of the slice a row; those that are new, none if it cannot be read."""
+        """Add a row for each new label of the slice; return these, none if it cannot be read."""
         try:
             picture = copy_slice(self._layer, frame_of(self._layer, self._view()))
         except ProblemError:
@@ -241,16 +241,16 @@ class LabelTable(QTableWidget):
         self._fill()
 
     def _tell(self, by_itself: bool) -> None:
-        """Have the layer carry the table, and say what changed."""
+        """Store the table in the layer, and emit `changed`."""
         if self._layer is not None:
             store_table(self._contents, self._layer, self.role)
             self.changed.emit(by_itself)
 
-    # How it is seen
+    # Cells
 
     def _fill(self) -> None:
-        """Have the cells say what the rows do; columns are seen that say something of any row."""
-        blocked, columns = QSignalBlocker(self), self.columns  # nobody has typed it
+        """Write the rows to the cells, and hide columns that are empty in every row."""
+        blocked, columns = QSignalBlocker(self), self.columns  # not typed by the user
         self.setRowCount(len(self.rows))
         self.setColumnCount(len(columns))
         for column, about in enumerate(columns):
@@ -264,7 +264,7 @@ class LabelTable(QTableWidget):
         blocked.unblock()
 
     def _write(self, row: int, column: int, about: Column) -> None:
-        """Have a cell say what its row does; one that is typed in is left alone."""
+        """Write the value of a row to a cell; an open editor stays open."""
         value, item = self.rows[row], self.item(row, column)
         text = about.shown(value)
         if item is None:
@@ -287,12 +287,12 @@ class LabelTable(QTableWidget):
             self.cellWidget(row, column).setCurrentText(text)
 
     def _box(self, item: QTableWidgetItem, choices: Sequence[str]) -> QComboBox:
-        """What a cell is chosen by, rather than typed."""
+        """Create the menu of a cell whose value is chosen instead of typed."""
         box = QComboBox()
         box.addItems(choices)
         box.setStyleSheet(_COMPACT)
         box.textActivated.connect(item.setText)
-        box.activated.connect(self.clearFocus)  # the keys that come next are the canvas's
+        box.activated.connect(self.clearFocus)  # the canvas gets the next keys
         CalmField(box).watch(box)
         return box
 
@@ -301,20 +301,20 @@ class LabelTable(QTableWidget):
         pixels = QPixmap(14, 14)
         pixels.fill(QColor(0, 0, 0, 0) if rgba is None else QColor.fromRgbF(*map(float, rgba)))
         icon = QIcon(pixels)
-        # Qt would tint the colour of the row that is selected.
+        # Otherwise Qt tints the colour of the selected row.
         icon.addPixmap(pixels, QIcon.Mode.Selected)
         return icon
 
-    # What is done with it
+    # Mouse and keys
 
     def keyPressEvent(self, event: Any) -> None:
-        """Arrow keys pick rows as the mouse does, letters are the canvas's, Delete is nobody's."""
+        """Select rows by the arrow keys, leave letters to the canvas, and block Delete."""
         if event.key() in (Qt.Key.Key_Delete, Qt.Key.Key_Backspace):
-            # The window would give it to the active layer, which would lose its selected points.
+            # Otherwise the window passes it to the active layer, which deletes its selected points.
             event.accept()
             return
         if event.text() >= " " and self.currentColumn() <= NAME:
-            event.ignore()  # the row was clicked to paint with; a name is typed by a double click
+            event.ignore()  # a click selects a label; only a double click edits a name
             return
         before = self.currentRow()
         super().keyPressEvent(event)
@@ -322,13 +322,13 @@ class LabelTable(QTableWidget):
             self.pick(self.labels[self.currentRow()])
 
     def _on_click(self, row: int, column: int) -> None:
-        if column <= NAME:  # in the others somebody may want to type
+        if column <= NAME:  # a click on another column may begin an edit
             self.pick(self.labels[row])
         elif self._layer is not None:
             self._layer.selected_label = self.labels[row]
 
     def _on_typed(self, item: QTableWidgetItem) -> None:
-        """Take over what was typed into a cell, or say why not."""
+        """Apply the text typed into a cell, or report why it is refused."""
         row, column = self.rows[item.row()], self.columns[item.column()]
         try:
             after = column.typed(row, item.text().strip())

@@ -1,4 +1,4 @@
-"""The parts of the dock that say what the tissue is and what its boundary does."""
+"""Sections of the dock for the tissue and for the boundary."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialMenu, MaterialTa
 Layers = Callable[[], list[Any]]
 Shown = Callable[[], View]
 Table = TypeVar("Table", bound=LabelTable)
-#: What an editor begins with.
+#: First curve of an editor.
 _UNKNOWN = StiffnessCurve(((0, 1), (1, 1)))
 
 
 class _PaintedSection(Container, Generic[Table]):
-    """A menu of layers; for Labels, their table and a row of buttons below it."""
+    """Menu of layers; for Labels, with their table and a row of buttons below it."""
 
     edited = Signal()
 
@@ -61,17 +61,17 @@ class _PaintedSection(Container, Generic[Table]):
 
 
 class TissueSection(_PaintedSection[MaterialTable]):
-    """Labels with a table of stiffness, an image that is the stiffness, or a curve by brightness.
+    """Section for the tissue: Labels with a table, an image of stiffness, or a brightness curve.
 
     Attributes
     ----------
     menu : MaterialMenu
     border : CheckBox
-        Tells air from tissue.
+        Excludes dark, unpainted surroundings from the tissue.
     known : StiffnessCurve or None
-        The image's curve, which can be chosen.
+        Curve of the image, which can be chosen.
     editor : CurveEditor
-        Of that.
+        Editor of that curve.
     """
 
     known: StiffnessCurve | None = None
@@ -79,7 +79,7 @@ class TissueSection(_PaintedSection[MaterialTable]):
     def __init__(self, layers: Layers, view: Shown) -> None:
         choice = LayerChoice(
             layers,
-            # What a dock has deformed, or drawn of it, is nobody's tissue.
+            # Layers of results, which have a "kind", cannot define the tissue.
             lambda layer: isinstance(layer, Labels | Image) and "kind" not in known_of(layer),
             "tissue",
             "A Labels layer in which tissues are painted, an image of stiffness, or a curve",
@@ -88,7 +88,7 @@ class TissueSection(_PaintedSection[MaterialTable]):
         self.border = CheckBox(
             value=True,
             text="the dark border is no tissue",
-            tooltip="What is dark around the image and not painted is no tissue, such as air",
+            tooltip="Dark, unpainted surroundings of the image, such as air, are no tissue",
         )
         self.editor = CurveEditor(_UNKNOWN)
         table = MaterialTable(view)
@@ -100,42 +100,42 @@ class TissueSection(_PaintedSection[MaterialTable]):
 
     @property
     def layer(self) -> Any:
-        """The layer that is chosen, if one is."""
+        """Chosen layer, or None."""
         return None if self.choice.value == BRIGHTNESS else self.choice.value
 
     @property
     def curve(self) -> StiffnessCurve | None:
-        """The curve, if tissue goes by the image's brightness."""
+        """Curve of the image, if brightness defines the tissue; else None."""
         return self.known if self.choice.value == BRIGHTNESS else None
 
     def offer(self, curve: StiffnessCurve | None) -> None:
-        """Have a curve to choose, that of the image; None if that has none."""
+        """Offer the curve of the image in the menu; None removes it."""
         self.known = curve
         if curve is not None:
             self.editor.curve = curve
         self.choice.reset_choices()
 
     def go_by(self, curve: StiffnessCurve) -> None:
-        """Choose a curve of the image."""
+        """Choose brightness as the tissue, with a curve."""
         self.offer(curve)
         self.choice.value = BRIGHTNESS
         self.edited.emit()
 
     def _on_choice(self, layer: Any) -> None:
         self.editor.visible = layer == BRIGHTNESS
-        self.border.visible = isinstance(layer, Labels)  # without, the dark border is soft
+        self.border.visible = isinstance(layer, Labels)  # without labels, the border is soft tissue
         super()._on_choice(layer)
 
 
 class BoundarySection(_PaintedSection[BoundaryTable]):
-    """Labels with a table of rules, or arrows with an image of confidence; and landmarks.
+    """Section for the boundary: Labels with rules, or Vectors with confidence; and landmarks.
 
     Attributes
     ----------
     confidence : LayerChoice
-        Of images, for arrows.
+        Confidence of the Vectors.
     landmarks : LandmarkChoice
-        Two Points layers or lines, beside all that or without any of it.
+        Two Points layers or lines; with or without a boundary.
     """
 
     def __init__(self, layers: Layers, view: Shown) -> None:
@@ -150,7 +150,7 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
             layers,
             _may_be_confidence,
             "confidence",
-            "How sure that is: an image from 0 to 1, a mask, or the image's edges; without, 1",
+            "Confidence in the Vectors: an image from 0 to 1, a mask, or the image's edges; else 1",
             lambda: [("edges of the image", EDGES)],
         )
         super().__init__(choice, [self.confidence], BoundaryTable(view))
@@ -165,6 +165,6 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
 
 
 def _may_be_confidence(layer: Any) -> bool:
-    """Whether a layer is grey or a mask, and no picture of what brushes have made of confidence."""
+    """Return whether a layer is grey or a mask, and not the view of painted confidence."""
     grey = isinstance(layer, Labels) or (isinstance(layer, Image) and not layer.rgb)
     return grey and known_of(layer).get("kind") != CONFIDENCE

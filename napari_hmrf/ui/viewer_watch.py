@@ -1,4 +1,4 @@
-"""What happens in the viewer, and what the dock does about it."""
+"""Callbacks of the dock for events of the viewer."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.motion.motion_messages import ARROWS_GONE
 
-#: What napari paints with.
+#: Modes in which napari paints.
 _BRUSHES = ("paint", "erase", "fill", "polygon")
 
 
 class ViewerWatch:
-    """Listens for a dock while it is there.
+    """Listener that updates a dock when its viewer changes.
 
-    napari's own brushes paint on the image as it was before it moved, so while one of them is at
-    work that is what is seen.
+    napari's own brushes paint on the undeformed image, so that image is shown when one of them is
+    selected and while it paints.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class ViewerWatch:
     guide : Guide
     """
 
-    #: There is a first image, which nobody is at work with: it can be pulled.
+    #: The first image is ready to be pulled, and the user works with no other layer.
     first_came = Signal()
 
     def __init__(self, native: Any, viewer: Any, live: LiveStudy, guide: Guide) -> None:
@@ -52,10 +52,10 @@ class ViewerWatch:
         self._results = shared(viewer, ResultLayers)
         self._active = viewer.layers.selection.active
         self._starting = single_shot(native, 0, self._on_first)
-        # napari may be in the middle of removing more layers than the one.
+        # Deferred, as napari may still be removing other layers.
         self._leaving = single_shot(native, 0, self._on_left)
         self._begun = self._was_active = False
-        # What is to be said of a layer that is gone.
+        # Message about a removed layer, until it is shown.
         self._gone = ""
         live.moved_on.connect(self._on_other)
         self._slice = self._slice_shown
@@ -79,13 +79,13 @@ class ViewerWatch:
         self._on_choice()
 
     def release(self) -> None:
-        """Listen no more."""
+        """Stop listening."""
         self._events.release()
         if self._on_drag in self._viewer.mouse_drag_callbacks:
             self._viewer.mouse_drag_callbacks.remove(self._on_drag)
 
     def _on_other(self, study: Study) -> None:
-        """Another slice or image is worked on: have lengths that suit the first, and pull it."""
+        """Set tool sizes that suit the first image, and schedule `first_came`; once."""
         if not self._begun:
             self._begun = True
             size = study.grid.shape, study.grid.spacing
@@ -93,14 +93,14 @@ class ViewerWatch:
             self._starting.start()
 
     def _on_first(self) -> None:
-        """Nothing has to be pressed to pull the first image, unless somebody is at work with it."""
+        """Emit `first_came`, unless a painted layer is chosen or another layer is active."""
         at_work = any(layer is not None for layer in self._painted)
         looked_at = self._viewer.layers.selection.active in (None, self._form.image.value)
         if looked_at and not at_work:
             self.first_came.emit()
 
     def hide_paint(self) -> None:
-        """Hide what is painted: it says where tissue is before it moves, and would tint it."""
+        """Hide painted layers, which show the undeformed tissue and would tint the image."""
         painted, roles = self._painted, (TISSUE, BOUNDARY)
         seen = [each for each in self._viewer.layers if each.visible]
         seen = [each for each in seen if each in painted or role_of(each) in roles]
@@ -112,10 +112,10 @@ class ViewerWatch:
 
     @property
     def _painted(self) -> tuple[Any, Any]:
-        """What says what is tissue and what holds it: layers, or the image itself."""
+        """Choices of tissue and boundary: layers, None, or `BRIGHTNESS` for the tissue."""
         return self._form.tissue.choice.value, self._form.motion.boundary.choice.value
 
-    # What is chosen, and what it holds
+    # Choices
 
     def _on_choice(self, *_: Any) -> None:
         form, there = self._form, self._form.image.value is not None
@@ -125,7 +125,7 @@ class ViewerWatch:
         self._guide.show()
 
     def _on_image(self, image: Any) -> None:
-        """Have the image that is chosen be seen, and what came of it; and no other's results."""
+        """Show the chosen image and its results, and hide the results of other images."""
         self._results.show_only(image)
         if image is None:
             self._rest()
@@ -137,16 +137,16 @@ class ViewerWatch:
         self._on_choice()
 
     def _rest(self) -> None:
-        """Work on nothing."""
+        """Clear the current study."""
         self._live.cancel()
         self._live.forget()
         self._guide.say("")
         self._leaving.start()
 
-    # What is shown
+    # Visible slice, and layers
 
     def _on_slice(self, *_: Any) -> None:
-        # An arrow over the image's edge makes the canvas larger, and napari says as much.
+        # `dims` also has events if an arrow beyond the image's edge enlarges the canvas.
         before, self._slice = self._slice, self._slice_shown
         if self._slice != before:
             self._pointer.turn()
@@ -155,22 +155,22 @@ class ViewerWatch:
 
     @property
     def _slice_shown(self) -> tuple[tuple[int, ...], list[float]]:
-        """Which axes are drawn, and where on all others."""
+        """Displayed axes, and the position along each other axis."""
         dims = self._viewer.dims
         return dims.displayed, [dims.point[axis] for axis in dims.not_displayed]
 
     def _on_layers(self, event: Any) -> None:
-        """Answer what happens to the list of layers, or to a layer in it."""
+        """Dispatch an event of the list of layers, or of a layer in it."""
         if event.type in self._answers:
             self._answers[event.type](event)
 
     def _on_pixels(self, event: Any) -> None:
-        """The pixels of a layer, or their place, may be others."""
+        """Schedule a refresh, as the pixels of a layer or their place may have changed."""
         if self._reads(event.sources[0]):
             self._live.touch()
 
     def _reads(self, layer: Any) -> bool:
-        """Whether a layer is among those that are read."""
+        """Return whether the study is read from a layer."""
         return layer in (self._form.image.value, *self._model.choice.layers)
 
     def _on_inserted(self, event: Any) -> None:
@@ -193,7 +193,10 @@ class ViewerWatch:
         self._on_choice()
 
     def _gone_with(self, layer: Any) -> str:
-        """Say what goes with a layer, as napari brings none back; "" if nothing does."""
+        """Return a message about work that is lost with a removed layer; "" if none is.
+
+        napari cannot restore a removed layer.
+        """
         tissue, boundary = self._painted
         study, is_source = self._live.study, layer is self._live.source
         if is_source and study is not None and study.motion.drawing.marks:
@@ -202,7 +205,7 @@ class ViewerWatch:
         return "" if is_source else words.get(id(layer), "").format(name=layer.name)
 
     def _on_left(self) -> None:
-        """Take away the results of images that are gone, and the tools if there is none left."""
+        """Remove the results of removed images, and the tools if no image is left."""
         self._results.remove_orphans()
         if self._form.image.value is None and self._live.study is None:
             self._pointer.leave()
@@ -211,10 +214,10 @@ class ViewerWatch:
             self._guide.say(self._gone, why="step")
             self._gone = ""
 
-    # Who feels the mouse
+    # Mouse
 
     def look_at_mouse(self) -> None:
-        """Another layer feels the mouse, or ours does again."""
+        """Update status and tool, as the mouse may have begun or ceased to draw."""
         pointer = self._pointer
         if not pointer.display.quiet:
             stopped, self._was_active = self._was_active and not pointer.active, pointer.active
@@ -227,22 +230,22 @@ class ViewerWatch:
     def _on_active(self, *_: Any) -> None:
         before, self._active = self._active, self._viewer.layers.selection.active
         self.look_at_mouse()
-        if self._active is not before:  # else a layer of ours has come beside it
+        if self._active is not before:  # unchanged if the dock only added a layer
             self._on_mode()
 
     @property
     def _is_painted(self) -> bool:
-        """Whether napari's brush paints what the study is read from."""
+        """True if a brush of napari is selected in the chosen tissue or boundary."""
         active = self._viewer.layers.selection.active
         painted = isinstance(active, Labels) and active in self._painted
         return painted and active.mode in _BRUSHES
 
     def _on_mode(self, *_: Any) -> None:
-        """A brush that is taken up is to be put on the image as it was."""
+        """Show the undeformed image if a brush of napari is selected, else the deformed one."""
         self._live.show_before(self._is_painted)
 
     def _on_drag(self, _: Any, event: Any) -> Iterator[None]:
-        """While a brush paints the image is seen as it was; after that as it has moved."""
+        """Show the undeformed image while a brush paints, and the deformed one after that."""
         if not self._is_painted:
             return
         self._live.show_before(True)

@@ -1,4 +1,4 @@
-"""Painting strokes with a pointer: what the tissue under the brush does, or is."""
+"""Brush tool: paints strokes that prescribe the motion or the kind of tissue."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from napari_hmrf.tissue.drawing.canvas import covers, refuse_open_line
 from napari_hmrf.tissue.drawing.marks import Action, Mark, Point, Stroke, between
 from napari_hmrf.ui.motion.hands import Hand, Origin, unmoved
 
-#: The brush must have moved on by this part of its radius until that is a place of its own.
+#: Smallest distance between two points of a stroke, as a part of the brush's radius.
 _STEP = 0.1
-#: What was painted, for the words of the steps.
+#: Names of the undo steps, by the action of the brush.
 WORDS: dict[Action, str] = {
     "pin": "held tissue",
     "free": "freed tissue",
@@ -25,20 +25,20 @@ _PUSHED = "pushed what was painted"
 
 
 class Brush(Hand):
-    """Paints strokes; where the selected one is gone over with the same paint, it is continued.
+    """Brush that paints strokes; going over the selected stroke with the same paint continues it.
 
-    What moves by a step is dragged instead, once it is painted: the step leads where it is let go.
+    A selected stroke that moves tissue is dragged instead, which changes its displacement.
 
-    That tissue moves meanwhile does not lead the brush astray.
+    Strokes are placed on the undeformed tissue, even while the tissue moves.
     """
 
-    #: Where the tissue under the brush was, as it was seen when the button was pressed.
+    #: Map from a visible place to that of the undeformed tissue, as of the button press.
     _origin: Origin
-    #: Where a stroke that moves was taken hold of, and its step then.
+    #: Place where a moving stroke was picked up, and its displacement then; None if none is.
     _dragged: tuple[Point, Point] | None = None
 
     def press(self, point: Point, reach: float, how: Stroke, came_from: Origin = unmoved) -> bool:
-        """Touch tissue with the brush; where there is none, the place itself is meant."""
+        """Begin, continue or drag a stroke; outside tissue, it starts at the visible place."""
         self.release()
         self._origin, self._dragged = came_from, None
         drawing, at, stroke = self._model.drawing, self._place(point), self.mark
@@ -57,7 +57,7 @@ class Brush(Hand):
         return True
 
     def move(self, point: Point) -> None:
-        """Go on to a point; nothing happens unless the brush is down."""
+        """Continue to a point; without effect unless the brush is down."""
         stroke = self.mark
         if not self.holding or not isinstance(stroke, Stroke):
             return
@@ -82,7 +82,7 @@ class Brush(Hand):
         return super().release()
 
     def _changed(self, mark: Mark, how: Stroke) -> Mark:
-        """The brush may change its size from stroke to stroke: that is no change of the last."""
+        """Apply the settings of the brush to a stroke, but keep its path and its radius."""
         if not isinstance(mark, Stroke):
             return mark
         return replace(how, lines=mark.lines, radius=mark.radius)

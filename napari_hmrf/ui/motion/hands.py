@@ -1,4 +1,4 @@
-"""What draws with a pointer that is pressed, moved and released: arrows and landmarks."""
+"""Drags that draw: their base class, and the tool for arrows and landmarks."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.drawing.drawing import Drawing, Hit, ends_of
 from napari_hmrf.tissue.drawing.marks import COMPONENTS, Arrow, Landmark, Mark, Point, between
 
-#: Rounding of where tissue is seen must not move what stays.
+#: Displacements below this, in the unit of the spacing, are rounding errors and become 0.
 _NOTHING = 1e-9
 
-#: Where the tissue seen at a point is when nothing moves; None if there is none.
+#: Map from a visible point to that of the undeformed tissue; None without tissue.
 Origin = Callable[[Point], Point | None]
 
 
 def unmoved(point: Point) -> Point | None:
-    """The `Origin` of tissue that is seen where it is."""
+    """Return the point itself, as the `Origin` of undeformed tissue."""
     return point
 
 
 class Hand:
-    """What holds a tool and draws; each press to release is one step that can be undone.
+    """Base class of drawing by drags; each drag is one undo step.
 
     Parameters
     ----------
     model : StudyModel
-        Whose selected slice is drawn on.
+        Model with the drawing of the selected slice.
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
     shape : tuple of int
-        Of the image.
+        Shape of the image.
 
     Attributes
     ----------
     selected : int or None
-        The number of the mark made or taken hold of last.
+        Number of the selected mark.
     """
 
     def __init__(
@@ -56,59 +56,59 @@ class Hand:
 
     @property
     def holding(self) -> bool:
-        """Whether something is held."""
+        """True while a drag is in progress."""
         return self._model.drawing_in_progress
 
     @property
     def selected(self) -> int | None:
-        """The number of the mark made or taken hold of last; None once something else was done."""
+        """Number of the mark made or picked up last; None after another edit of the drawing."""
         if self._model.drawing is not self._ours:
             self._selected = None
         return self._selected
 
     @property
     def mark(self) -> Mark | None:
-        """The mark that is selected."""
+        """Selected mark, or None."""
         number = self.selected
         return None if number is None else self._model.drawing.marks[number]
 
     def press(self, point: Point, reach: float, how: Any, came_from: Origin = unmoved) -> bool:
-        """Begin.
+        """Begin a drag.
 
         Parameters
         ----------
         point : tuple of float
-            Of the picture as it is seen, in pixels.
+            Point on the visible image, in pixels.
         reach : float
-            How near to what can be picked up is near enough, in the unit of the spacing.
+            Largest distance of a mark that can be picked up, in the unit of the spacing.
         how : Arrow, Landmark or Stroke
-            A mark as new ones are to be; where it lies does not count.
+            Settings for a new mark; its place is ignored.
         came_from : callable
-            Where the tissue seen at a point is when nothing moves; None if there is none.
+            An `Origin`.
 
         Returns
         -------
         bool
-            Whether there was anything to take hold of, so that a drag begins.
+            Whether a drag has begun.
         """
         raise NotImplementedError
 
     def move(self, point: Point) -> None:
-        """Go on to a point; nothing happens unless something is held."""
+        """Continue to a point; without effect unless a drag is in progress."""
         raise NotImplementedError
 
     def release(self) -> str:
-        """Let go; what was done, as one step that can be undone, or nothing.
+        """End the drag as one undo step; return the name of the step, or "" if there is none.
 
         Raises
         ------
         ProblemError
-            If what is to expand is an open line; nothing has changed then.
+            If an expanding stroke is an open line; nothing has changed then.
         """
         return self._model.end_drawing()
 
     def cancel(self) -> bool:
-        """Let go, and have everything as it was before; whether anything was held."""
+        """Cancel the drag and restore the drawing; return whether there was a drag."""
         held, number = self.holding, self._selected
         if held:
             self._model.cancel_drawing()
@@ -116,11 +116,11 @@ class Hand:
         return held
 
     def select(self, number: int | None) -> None:
-        """Have a mark be the one that is changed or removed next."""
+        """Select the mark to change or remove next; None selects none."""
         self._ours, self._selected = self._model.drawing, number
 
     def remove(self) -> bool:
-        """Remove the mark that is selected; whether there was one."""
+        """Remove the selected mark; return whether there was one."""
         mark, number = self.mark, self.selected
         if mark is None or number is None:
             return False
@@ -129,13 +129,13 @@ class Hand:
         return True
 
     def change(self, how: Any) -> None:
-        """Make the selected mark as another one is, but where it lies."""
+        """Apply the settings of another mark to the selected one, but not its place."""
         mark, number = self.mark, self.selected
         if mark is None or number is None or self.holding:
             return
         if (changed := self._changed(mark, how)) != mark:
             drawing = self._model.drawing.replaced(number, changed)
-            self._ours = drawing  # before those who listen ask what is selected
+            self._ours = drawing  # before callbacks read the selection
             self._model.draw(drawing, f"changed {name_of(changed)}")
 
     def _changed(self, mark: Any, how: Any) -> Mark:
@@ -144,30 +144,29 @@ class Hand:
     def _show(self, drawing: Drawing, number: int) -> None:
         self._ours, self._selected = drawing, number
         self._model.update_drawing(drawing)
-        # The same drawing stays the one it was.
+        # The model keeps its own object if the drawing is equal.
         self._ours = self._model.drawing
 
     def _remake(self, mark: Mark) -> None:
-        """Have another mark in the place of the one that is held."""
+        """Replace the mark that is being dragged."""
         if self._selected is not None:
             self._show(self._model.drawing.replaced(self._selected, mark), self._selected)
 
 
 class Pull(Hand):
-    """Takes hold of tissue and pulls it, or takes hold of the end of an arrow or landmark again."""
+    """Tool that pulls tissue by a new arrow or landmark, or drags an end of an earlier one."""
 
     _part: Literal["head", "base"] = "head"
-    #: Where the pointer is, and how far from the end that is held.
+    #: Place of the pointer, and its offset from the end that is dragged.
     _at: Point = (0.0, 0.0)
     _offset: Point = (0.0, 0.0)
 
     def press(
         self, point: Point, reach: float, how: Arrow | Landmark, came_from: Origin = unmoved
     ) -> bool:
-        """Take hold of the end of a mark, or of tissue; as in `Hand`.
+        """Pick up the end of a mark, or tissue; as in `Hand`.
 
-        A new mark begins where the tissue seen there is when nothing moves, and at first leaves it
-        where it is seen.
+        A new mark begins at the undeformed place of the tissue, and ends at its visible place.
         """
         self.release()
         drawing, at = self._model.drawing, came_from(point)
@@ -190,7 +189,7 @@ class Pull(Hand):
         return True
 
     def move(self, point: Point) -> None:
-        """Go on to a point; nothing happens unless something is held."""
+        """Continue to a point; without effect unless a drag is in progress."""
         if not self.holding or point == self._at:
             return
         self._at, mark = point, self.mark
@@ -207,7 +206,7 @@ class Pull(Hand):
         return self._led(how, base, head)
 
     def _led(self, how: Arrow | Landmark, at: Point, to: Point) -> Arrow | Landmark:
-        """A mark that leads tissue from one place to another."""
+        """Return the mark changed to lead tissue from one place to another."""
         if isinstance(how, Landmark):
             return replace(how, source=at, target=to)
         by, which = np.zeros(len(at)), COMPONENTS[how.components]
@@ -217,6 +216,6 @@ class Pull(Hand):
 
 
 def name_of(mark: Mark) -> str:
-    """What a mark is, with its article: "an arrow"."""
+    """Return the kind of a mark with its article, such as "an arrow"."""
     kind = type(mark).__name__.lower()
     return f"an {kind}" if kind == "arrow" else f"a {kind}"
