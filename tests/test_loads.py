@@ -447,7 +447,7 @@ def test_shaders_bear_loads_too():
 
 def test_what_cannot_bear_loads_says_so():
     problem, _ = anything(3)
-    with pytest.raises(BackendError, match="without loads"):
+    with pytest.raises(BackendError, match="volumes with loads"):
         solve(problem, backend="opengl")
     with pytest.raises(ProblemError, match="no forces"):
         solve(problem, SeilerPrior())
