@@ -39,6 +39,103 @@ class Mutation(NamedTuple):
 
 
 MUTATIONS = (
+    # the model of what is edited, and its forms
+    Mutation(
+        "study/edit_history.py",
+        "        self._past.append(step)\n        self._future.clear()",
+        "        self._past.append(step)",
+        "test_edits.py",
+    ),
+    Mutation(
+        "study/edit_history.py",
+        "        back = step._replace(value=self._now[step.part])\n        target.append(back)",
+        "        back = step\n        target.append(back)",
+        "test_edits.py",
+    ),
+    Mutation(
+        "study/study_model.py",
+        "return known and image is not None",
+        "return not known and image is not None",
+        "test_study_model.py",
+    ),
+    Mutation(
+        "study/study_model.py",
+        "before = self.open(part, type(now)())",
+        "before = self.open(part, now)",
+        "test_study_model.py",
+    ),
+    Mutation(
+        "study/study_model.py",
+        'self._set(part, now, word if step else "")',
+        "self._set(part, now, word)",
+        "test_study_model.py",
+    ),
+    Mutation(
+        "study/study_model.py",
+        "        if self.drawing_in_progress:\n            self.end()\n        self.slice",
+        "        self.slice",
+        "test_edits.py",
+    ),
+    Mutation(
+        "study/study_model.py",
+        "            choice = replace(choice, plane=prior.plane)",
+        "            choice = replace(choice)",
+        "test_study_model.py",
+    ),
+    Mutation(
+        "study/study_model.py",
+        "hold_edge=motion.hold_edge,",
+        "",
+        "test_study_model.py",
+    ),
+    Mutation(
+        "study/study_model.py",
+        'extent="volume" if len(study.grid.shape) == 3 else "slice"',
+        'extent="slice"',
+        "test_volume_window.py test_saved_study.py",
+    ),
+    Mutation(
+        "layers/read.py",
+        "hold_edge=choice.hold_edge,",
+        "hold_edge=True,",
+        "test_study_model.py test_widgets.py",
+    ),
+    Mutation(
+        "layers/read.py",
+        "weight=choice.weight,",
+        "",
+        "test_images_in_turn.py test_widgets_model.py test_large_window.py",
+    ),
+    Mutation(
+        "layers/viewer_undo.py",
+        "store_table(value, part.layer, part.kind)",
+        "pass",
+        "test_undo_keys.py test_segmentations.py test_widgets_layers.py",
+    ),
+    Mutation(
+        "tissue/row_table.py",
+        "    if len(differing) != 1:",
+        "    if not differing:",
+        "test_first_use.py test_undo_keys.py",
+    ),
+    Mutation(
+        "ui/form_binding.py",
+        "        known = self._model.select(image)\n",
+        "        known = self._model.select(image) and False\n",
+        "test_images_in_turn.py",
+    ),
+    Mutation(
+        "ui/form_binding.py",
+        '        if Part("model", "") in model.parts:',
+        '        if Part("model", "") not in model.parts:',
+        "test_remembered.py test_docks.py",
+    ),
+    Mutation(
+        "ui/live_study.py",
+        "return replace(read, motion=replace(read.motion, drawing=self._model.drawing))",
+        "return read",
+        "test_grab.py",
+    ),
     # study: how a study is understood
     Mutation(
         "study/ground.py",
