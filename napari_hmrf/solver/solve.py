@@ -135,19 +135,21 @@ def solve(
     tell = None if progress is None else reports.put
     interrupted = threading.Event()
     either = _Either(stop, interrupted)
-    job: Future[Solution] = compute_thread.submit(
-        lambda: run_here(problem, prior, optimizer, backend, tell, either, initial),
-        lambda: STOPPED if either.is_set() else _DOING,
-    )
-    job.add_done_callback(lambda _: reports.put(None))
+    job: Future[Solution] | None = None
     try:
+        job = compute_thread.submit(
+            lambda: run_here(problem, prior, optimizer, backend, tell, either, initial),
+            lambda: STOPPED if either.is_set() else _DOING,
+        )
+        job.add_done_callback(lambda _: reports.put(None))
         while (report := _next(reports, cancel)) is not None:
             if progress is not None:
                 progress(report)
     except BaseException:
         # Ctrl-C, or an error in `progress`: the work must not continue in the background.
         interrupted.set()
-        job.cancel()
+        if job is not None:
+            job.cancel()
         raise
     return job.result()
 

@@ -97,14 +97,16 @@ class ComputeThread:
             with self.unless(left.is_set):
                 return job()
 
-        future = self.submit(run, doing)
+        future: Future[T] | None = None
         try:
+            future = self.submit(run, doing)
             while not wait([future], _TICK).done:
                 pass  # a lock alone may keep Ctrl-C waiting: on Windows always
             return future.result()
         except BaseException:
             left.set()
-            future.cancel()
+            if future is not None:
+                future.cancel()
             raise
 
     @contextmanager
