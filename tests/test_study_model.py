@@ -6,15 +6,18 @@ import numpy as np
 import pytest
 from napari.layers import Image, Labels
 from napari.viewer import ViewerModel
+from psygnal import EmitLoopError
 
 from napari_hmrf import Arrow, BoundaryRule, Drawing, Material, solve_study
 from napari_hmrf.field.frame import SlicePlace
 from napari_hmrf.io.study_file import read_study, write_study
 from napari_hmrf.layers.read import Request, study_from_layers, study_layers
 from napari_hmrf.layers.slice_view import View
+from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.study.models import SolverDetails
-from napari_hmrf.study.study_model import ImageChoice, ModelChoice, StudyModel
+from napari_hmrf.study.study_model import ImageChoice, ModelChoice, Part, StudyModel
 from napari_hmrf.tissue.row_table import RowTable
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 SHAPE = (24, 30)
@@ -123,13 +126,7 @@ def test_what_is_chosen_for_one_image_is_not_for_another(layers):
     assert model.choice == ImageChoice(tissue=layers["tissue"], weight=(1.0, 0.0))
 
 
-def test_a_window_follows_the_model_and_the_model_a_window(qtbot, layers, at_rest):
-    viewer = ViewerModel()
-    for layer in layers.values():
-        viewer.add_layer(layer)
-    dock = SoftTissue(viewer)
-    qtbot.addWidget(dock.native)
-    at_rest.until(lambda: not dock.busy)
+def test_a_window_follows_the_model_and_the_model_a_window(dock, layers, at_rest):
     model = dock.study_model
     model.choose(tissue=layers["tissue"], boundary=layers["boundary"], hold_edge=False)
     model.set_table("tissue", layers["tissue"], RowTable((SOFT, STIFF)), "stiffened")
@@ -145,3 +142,76 @@ def test_a_window_follows_the_model_and_the_model_a_window(qtbot, layers, at_res
     at_rest.until(lambda: dock.solution is not None and not dock.busy)
     assert model.slice.place == SlicePlace.of(dock.study.grid.known_place)
     np.testing.assert_allclose(dock.solution.displacement[12, 15], (0, 2), atol=1e-2)
+
+
+@pytest.fixture
+def dock(qtbot, layers, at_rest):
+    viewer = ViewerModel()
+    for layer in layers.values():
+        viewer.add_layer(layer)
+    made = SoftTissue(viewer)
+    qtbot.addWidget(made.native)
+    at_rest.until(lambda: not made.busy)
+    return made
+
+
+def test_a_second_image_is_shown_again_with_its_image(dock, layers):
+    other = dock._viewer.add_image(np.zeros(SHAPE), name="other")
+    dock.image, dock.compare_with = layers["image"], other
+    dock.image = other
+    dock.image = layers["image"]
+    assert dock.compare_with is other
+
+
+def test_a_layer_that_was_removed_is_chosen_nowhere_any_more(dock, layers):
+    other = dock._viewer.add_image(np.zeros(SHAPE), name="other")
+    model = dock.study_model
+    dock.image = layers["image"]
+    model.choose(tissue=layers["tissue"])
+    dock.image = other
+    dock._viewer.layers.remove(layers["tissue"])
+    dock.image = layers["image"]
+    assert (dock.tissue, model.choice.tissue) == (None, None)
+
+
+def test_a_value_that_the_form_rounds_or_does_not_offer_stays_what_it_is(dock):
+    details = SolverDetails(accuracy=0.003)
+    dock.study_model.choose_model(ModelChoice(poisson=0.4567, details=details))
+    assert dock.study_model.model == ModelChoice(poisson=0.4567, details=details)
+    assert dock.settings.accuracy == 0.003
+
+
+def test_a_curve_is_not_in_use_before_it_is_chosen(dock, layers):
+    model = dock.study_model
+    model.choose(tissue=layers["tissue"])
+    for end in (1.0, 2.0):
+        model.set_curve(StiffnessCurve(((0, 1), (end, 5))), "changed the curve")
+    assert (dock.tissue, model.choice.tissue) == (layers["tissue"], layers["tissue"])
+
+
+def test_an_image_of_another_viewer_cannot_be_selected(dock, layers):
+    with pytest.raises(EmitLoopError, match="is no image of this viewer"):
+        dock.study_model.select(Image(np.zeros(SHAPE), name="elsewhere"))
+    assert dock.study_model.image is dock.image
+
+
+def test_what_is_drawn_where_there_is_nothing_to_draw_on_is_no_step(qtbot):
+    dock = SoftTissue(ViewerModel())
+    qtbot.addWidget(dock.native)
+    dock.drawing = Drawing((PULL,))
+    assert dock.study_model.next_undo is None
+
+
+def test_another_stroke_after_undo_is_unsaved_work(layers):
+    viewer = ViewerModel()
+    viewer.add_layer(layers["tissue"])
+    viewer.layers.selection.active = layers["tissue"]
+    undo = undo_of(viewer)
+    owner = Drawing()
+    undo.bind_keys(owner)
+    model, states = undo.model, set()
+    for _ in range(2):
+        layers["tissue"].events.paint(value=[])
+        states.add(model.get(Part("paint", layers["tissue"])))
+        model.undo()
+    assert len(states) == 2

@@ -1,4 +1,4 @@
-"""From layers to a study, and from a study to layers: the only reader there is, and its inverse."""
+"""Conversion between napari layers and a `Study`."""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import weakref
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -19,6 +20,8 @@ from napari_hmrf.study.study_model import Part, StudyModel
 
 #: Keys of undo and redo.
 KEYS = {"Control-Z": "undo", "Control-Shift-Z": "redo", "Control-Y": "redo"}
+# Numbers of the strokes of napari's brush, in all viewers.
+_strokes = itertools.count(1)
 
 
 class ViewerUndo:
@@ -109,8 +112,9 @@ class ViewerUndo:
     def _on_paint(self, event: Any) -> None:
         """Make a stroke of napari's brush a step."""
         part = Part("paint", event.source)
-        strokes = self.model.open(part, 0)
-        self.model.do(part, strokes + 1, f"painted in '{event.source.name}'")
+        self.model.open(part, 0)
+        # A count would be the same again after undo and another stroke.
+        self.model.do(part, next(_strokes), f"painted in '{event.source.name}'")
 
     def _before_us(self, name: str, step: Step | None) -> bool:
         """Undo or redo paint of the active layer that is older than all steps; return whether."""
@@ -134,7 +138,7 @@ class ViewerUndo:
         """Return a clause that names the image, if several were edited."""
         images = {each.layer for each in self.model.parts if each.kind == "drawing" and each.layer}
         said = len(images) > 1 and part.kind in ("drawing", "choice")
-        return f" on '{part.layer.name}'" if said else ""
+        return f" on '{part.layer.name}'" if said and part.layer else ""
 
     def go_to(self, part: Any, turn: bool = False) -> None:
         """Show the slice of a part; if other axes are displayed, only with `turn`."""
@@ -158,8 +162,7 @@ class ViewerUndo:
             store_table(value, part.layer, part.kind)
 
     def _on_removed(self, event: Any) -> None:
-        gone = event.value
-        self.model.drop(lambda part: part.layer is gone)
+        self.model.remove(event.value)
 
 
 def _tip(what: str, step: Step | None) -> str:

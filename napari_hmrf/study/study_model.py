@@ -115,6 +115,12 @@ class ImageChoice:
         """Values of the choices of layers."""
         return self.tissue, self.boundary, self.confidence, self.compare_with
 
+    def without(self, layer: Hashable) -> ImageChoice:
+        """Return the choices without a layer."""
+        names = ("tissue", "boundary", "confidence", "compare_with")
+        gone: dict[str, Any] = {name: None for name in names if getattr(self, name) is layer}
+        return replace(self, **gone)
+
 
 @dataclass(frozen=True)
 class ModelChoice:
@@ -332,6 +338,14 @@ class StudyModel(EditHistory):
             self.cancel()
 
     # Common
+
+    def remove(self, layer: Hashable) -> None:
+        """Drop the parts of a layer that was removed, and clear it from all choices."""
+        self.drop(lambda part: part.layer is layer)
+        for part in self.parts:
+            if part.kind == "choice":
+                choice: ImageChoice = self.get(part)
+                self.amend(part, choice.without(layer))
 
     def _edit(self, part: Part, now: ImageChoice | ModelChoice, step: bool) -> None:
         before = self.open(part, type(now)())

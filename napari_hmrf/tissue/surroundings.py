@@ -100,14 +100,14 @@ def void_threshold(picture: npt.NDArray[Any]) -> float | None:
 
     Parameters
     ----------
-    picture : ndarray, shape (H, W)
+    picture : ndarray, shape ([D,] H, W)
 
     Returns
     -------
     float or None
         None if no dark pixels surround anything.
     """
-    dark, known = background_of(picture), np.isfinite(picture)
+    dark, known = background_of(picture, picture.ndim), np.isfinite(picture)
     air, inside = picture[dark & known], picture[~dark & known]
     if not (surrounds(dark) and air.size and inside.size):
         return None

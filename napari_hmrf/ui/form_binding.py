@@ -105,6 +105,18 @@ class FormBinding:
             if not before:
                 self.write(step=False)
 
+    @contextmanager
+    def _showing(self) -> Iterator[None]:
+        """Change forms inside the block to show the model, without writing their values to it.
+
+        A form may round a value, or lack a layer that the model has.
+        """
+        before, self.automatic = self.automatic, True
+        try:
+            yield
+        finally:
+            self.automatic = before
+
     def request(self) -> Request:
         """Return all choices for the selected image, with the visible slice and its drawing.
 
@@ -259,10 +271,12 @@ class FormBinding:
         """Disconnect, as the dock was closed or its window is gone."""
         self._undo.unbind_keys(self)
         self._heard.release()
+        self.automatic = True  # the closed form writes nothing any more
 
     def write(self, *, step: bool = True) -> None:
         """Write the forms' values to the model, unless they are changing automatically."""
-        if not self.automatic:
+        # While another image is being chosen, the form has values of both.
+        if not self.automatic and self._form.image.value is self._model.image:
             self._write(step)
 
     def _write(self, step: bool) -> None:
@@ -308,27 +322,40 @@ class FormBinding:
     # From the model to the forms
 
     def _on_selected(self, image: Any) -> None:
-        """Show the selected image in the form."""
-        if image is not self._form.image.value:
-            with self.automatically():
-                self._form.image.value = image
+        """Show the selected image in the form; one that is not in the viewer is refused."""
+        form = self._form
+        if image is form.image.value:
+            return
+        if image is not None and image not in form.image.offered:
+            self._model.select(form.image.value)
+            raise HmrfError(f"'{image.name}' is no image of this viewer. Add it first.")
+        with self.automatically():
+            form.image.value = image
+        self._lost = False
 
     def _on_changed(self, part: Part, value: Any, _: Any = None) -> None:
         """Show a changed part in the form, and choose the image that it belongs to."""
         form = self._form
         if part.kind == "drawing" and part.layer is form.image.value:
             return
-        with self.automatically():
+        with self._showing():
             others = [each for each in form.image.offered if each is not form.image.value]
             if part.kind in ("drawing", "choice") and part.layer in others:
                 form.image.value = part.layer
                 uncover(self._viewer, part.layer)
+            here = part.layer is form.image.value
             if part.kind == "model":
                 form.model.choice = value
-            elif part.kind == "choice":
+            elif part.kind == "choice" and here:
                 self._show(value)
-            elif part.kind == "curve" and part.layer is form.image.value:
-                form.tissue.go_by(value)
+                for layer in value.layers:  # undo may bring back one that was removed since
+                    if isinstance(layer, Layer) and layer not in self._viewer.layers:
+                        value = value.without(layer)
+                self._model.amend(part, value)
+            elif part.kind == "curve" and here:
+                form.tissue.offer(value)
+                if self._model.choice.tissue == BRIGHTNESS:
+                    form.tissue.go_by(value)
             for table in form.tables:
                 if part == Part(table.role, table.layer):
                     table.contents = value

@@ -13,19 +13,20 @@ from napari.utils.notifications import show_error, show_warning
 from psygnal import Signal
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.frame import SlicePlace
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.read import Request, study_from_layers
 from napari_hmrf.layers.screen_directions import ways_of
-from napari_hmrf.layers.slice_view import plane_shown
+from napari_hmrf.layers.slice_view import frame_of, plane_shown
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.study.coarse_grid import CoarseGrid, Glance
 from napari_hmrf.study.ground import refuse_unknown
 from napari_hmrf.study.study import Study
-from napari_hmrf.study.study_model import StudyModel
+from napari_hmrf.study.study_model import Part, StudyModel
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, first_curve
 from napari_hmrf.ui import messages
@@ -172,8 +173,10 @@ class LiveStudy:
             If there is nothing to work on.
         """
         request = self.binding.request()
-        here = self._read is not None and request.layers[0] is self.source
-        return request if here else replace(request, drawing=Drawing())
+        layer = request.layers[0]
+        place = SlicePlace.of(frame_of(layer, request.view))
+        drawing = self._model.get(Part("drawing", layer, place), Drawing())
+        return replace(request, drawing=drawing)
 
     def read(self, request: Request) -> Study:
         """Read the study of a request, with the chosen model and solver settings."""

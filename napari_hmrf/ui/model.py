@@ -6,7 +6,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from magicgui.widgets import Container, FloatSpinBox, RadioButtons, create_widget
+from magicgui.widgets import ComboBox, Container, FloatSpinBox, RadioButtons, create_widget
 from napari.layers import Image
 from qtpy.QtCore import QSize
 from qtpy.QtGui import QIcon
@@ -40,6 +40,8 @@ class DetailsForm(Container):
         self["penalty"].native.setSpecialValueText("automatic")
         self["grip"].native.setSpecialValueText("by confidence")
         self["grip"].native.setDecimals(4)
+        for name in ("penalty", "grip"):
+            self[name].native.setKeyboardTracking(False)  # "0." is not a complete number
 
     @property
     def details(self) -> SolverDetails:
@@ -48,6 +50,10 @@ class DetailsForm(Container):
 
     @details.setter
     def details(self, details: SolverDetails) -> None:
+        for name, value in asdict(details).items():
+            field = self[name]
+            if isinstance(field, ComboBox) and value not in field.choices:
+                field.set_choice(f"{value:g}" if isinstance(value, float) else str(value), value)
         self.update(asdict(details))
 
 

@@ -180,7 +180,8 @@ class Pointer:
     def set_drawing(self, drawing: Drawing, word: str) -> None:
         """Replace the drawing, as an undo step named `word`; if that is "", without a step."""
         self.release()
-        self._model.draw(drawing, word)
+        if self._model.slice.layer is not None:  # else there is nothing to draw on
+            self._model.draw(drawing, word)
 
     def clear(self) -> None:
         """Remove all marks of the drawing."""
