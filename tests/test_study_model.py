@@ -115,6 +115,22 @@ def test_a_solver_detail_is_no_step(layers):
     assert model.model.optimizer.tolerance == 1e-2
 
 
+def test_undo_keeps_what_was_chosen_without_a_step_since(layers):
+    model = StudyModel()
+    model.select(layers["image"])
+    model.choose(hold_edge=False)
+    model.choose(step=False, tissue=layers["tissue"])
+    model.choose_model(ModelChoice(plane="strain"))
+    fine = SolverDetails(accuracy=1e-4)
+    model.choose_model(ModelChoice(plane="strain", details=fine))
+    assert [model.undo().word, model.undo().word] == [
+        "chose another plane",
+        "changed whether the edge is held",
+    ]
+    assert model.choice == ImageChoice(tissue=layers["tissue"])
+    assert model.model == ModelChoice(details=fine)
+
+
 def test_what_is_chosen_for_one_image_is_not_for_another(layers):
     model, other = StudyModel(), Image(np.zeros(SHAPE), name="other")
     model.select(layers["image"])

@@ -351,7 +351,21 @@ class StudyModel(EditHistory):
         before = self.open(part, type(now)())
         changed = [each.name for each in fields(now) if _differ(before, now, each.name)]
         word = next((_WORDS[name] for name in _WORDS if name in changed), "")
+        if not (step and word):
+            self._change_earlier(part, before, now, changed)
         self._set(part, now, word if step else "")
+
+    def _change_earlier(self, part: Part, before: Any, now: Any, changed: list[str]) -> None:
+        """Apply a change that is no step to the other states of a part, so that undo keeps it.
+
+        States in which these attributes had another value keep it.
+        """
+        for steps in (self._past, self._future):
+            for number, step in enumerate(steps):
+                if step.part == part:
+                    names = [each for each in changed if not _differ(step.value, before, each)]
+                    same = {name: getattr(now, name) for name in names}
+                    steps[number] = step._replace(value=replace(step.value, **same))
 
     def _set(self, part: Part, value: Any, word: str) -> None:
         if word:
