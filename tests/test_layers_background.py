@@ -62,6 +62,8 @@ def test_a_threshold_void_threshold(low, high):
     assert (picture > threshold)[inside].all()
     assert (picture > threshold)[~inside].mean() < 0.02
     assert void_threshold(picture[20:40, 30:50]) is None, "it fills the picture"
+    volume = np.stack([np.full_like(picture, low), *(3 * [picture]), np.full_like(picture, low)])
+    assert low < void_threshold(volume) < high, "a volume is no colour picture"
 
 
 def test_the_sample_brain_lies_in_air():

@@ -133,6 +133,29 @@ def test_studies_of_several_slices_open_each_in_its_own_place(made, wait_for, tm
     assert second.drawing == drawings[0], "and stays on it"
 
 
+def test_a_study_without_an_image_opens_beside_an_image(made, wait_for, tmp_path):
+    labels = np.ones(SHAPE, np.uint8)
+    tissue = Tissue(labels=labels, materials=(Material(1, "gel", 1.0),))
+    study = Study(Grid(SHAPE, (1.0, 1.0)), tissue, Motion(hold_edge=True, drawing=DRAWING))
+    path = write_study(tmp_path / "gel", study)
+    viewer = ViewerModel()
+    viewer.add_image(np.random.default_rng(0).random(SHAPE), name="photo")
+    dock = made(viewer)
+    dock.open_study(path)
+    wait_for(lambda: not dock.busy)
+    assert (dock.image, dock.drawing) == (None, DRAWING)
+    assert dock.shown.motion.drawing == DRAWING
+
+
+def test_a_study_read_right_after_the_slice_was_changed_has_its_own_drawing(made, wait_for):
+    viewer = stack()
+    dock = made(viewer)
+    dock.drawing = DRAWING
+    wait_for(lambda: not dock.busy)
+    viewer.dims.set_current_step(0, 2)
+    assert dock.study.motion.drawing == Drawing()
+
+
 @pytest.mark.parametrize("moves", [True, False])
 def test_what_is_opened_is_nothing_to_take_back_and_paint_is_seen_only_where_nothing_moves(
     made, wait_for, tmp_path, moves

@@ -484,3 +484,11 @@ def test_a_boundary_too_thin_for_the_schedule_is_none_for_elastic_tissue():
     assert any("so thin" in note for note in read_layers(wanted).notes)
     notes = read_layers(wanted, ElasticPrior()).notes
     assert not any("so thin" in note for note in notes)
+
+
+def test_digits_typed_as_a_force_are_all_taken(docked, qtbot):
+    field = docked._form.model.in_detail["grip"]
+    field.native.selectAll()
+    qtbot.keyClicks(field.native, "0.25")
+    field.native.interpretText()
+    assert docked.settings.grip == 0.25
