@@ -60,8 +60,8 @@ MUTATIONS = (
     ),
     Mutation(
         "study/study_model.py",
-        "before = self.open(part, type(now)())",
-        "before = self.open(part, now)",
+        "before = self.setdefault(part, type(now)())",
+        "before = self.setdefault(part, now)",
         "test_study_model.py",
     ),
     Mutation(
@@ -126,8 +126,8 @@ MUTATIONS = (
     ),
     Mutation(
         "ui/form_binding.py",
-        '        if Part("model", "") in model.parts:',
-        '        if Part("model", "") not in model.parts:',
+        "        if MODEL_PART in model.parts:",
+        "        if MODEL_PART not in model.parts:",
         "test_remembered.py test_docks.py",
     ),
     Mutation(

@@ -37,7 +37,7 @@ sequences = st.lists(
 def opened():
     edits = EditHistory()
     for slot, value in FIRST.items():
-        edits.open(slot, value)
+        edits.setdefault(slot, value)
     return edits
 
 

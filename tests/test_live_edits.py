@@ -50,7 +50,7 @@ edits = st.lists(
 def begun():
     steps = EditHistory()
     for slot, value in FIRST.items():
-        steps.open(slot, value)
+        steps.setdefault(slot, value)
     return steps
 
 

@@ -81,7 +81,7 @@ class Request:
     without_border : bool
         Whether what is dark around the image is no tissue where its label is 0.
     curve : StiffnessCurve, optional
-        By which the image's intensity says how stiff tissue is; with `image`, in place of `tissue`.
+        Curve from the image's intensity to stiffness; used with `image`, in place of `tissue`.
     weight : tuple of float
         As of `Motion`.
     """

@@ -53,12 +53,12 @@ class ViewerUndo:
 
     def undo(self) -> None:
         """Undo the last step, and show the slice that it was on."""
-        if not self._before_us("undo", self.model.next_undo):
+        if not self._undo_older_paint("undo", self.model.next_undo):
             self._tell("undo", "Took back", self.model.undo(), "There is nothing to take back.")
 
     def redo(self) -> None:
         """Redo the step that was undone last, and show the slice that it is on."""
-        if not self._before_us("redo", self.model.next_redo):
+        if not self._undo_older_paint("redo", self.model.next_redo):
             self._tell("redo", "Did again", self.model.redo(), "There is nothing to do again.")
 
     @property
@@ -112,11 +112,11 @@ class ViewerUndo:
     def _on_paint(self, event: Any) -> None:
         """Make a stroke of napari's brush a step."""
         part = Part("paint", event.source)
-        self.model.open(part, 0)
+        self.model.setdefault(part, 0)
         # A count would be the same again after undo and another stroke.
         self.model.do(part, next(_strokes), f"painted in '{event.source.name}'")
 
-    def _before_us(self, name: str, step: Step | None) -> bool:
+    def _undo_older_paint(self, name: str, step: Step | None) -> bool:
         """Undo or redo paint of the active layer that is older than all steps; return whether."""
         layer = self._viewer.layers.selection.active
         known = step is None and bool(paint_steps(layer, name))

@@ -80,7 +80,7 @@ class EditHistory:
 
     # Edits
 
-    def open(self, part: Hashable, value: Any) -> Any:
+    def setdefault(self, part: Hashable, value: Any) -> Any:
         """Set the first value of a part, unless it has one; return its value."""
         return self._now.setdefault(part, value)
 

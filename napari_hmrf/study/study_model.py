@@ -42,7 +42,7 @@ TableKind = Literal["image", "tissue", "boundary"]
 BRIGHTNESS = "brightness"
 # Names of the steps that change a choice; the first changed attribute names the step. A change of
 # another attribute, such as a solver detail, is no step.
-_WORDS = {
+_STEP_NAMES = {
     "name": "chose another model",
     "plane": "chose another plane",
     "poisson": "changed Poisson's ratio",
@@ -71,6 +71,10 @@ class Part(NamedTuple):
     kind: Kind
     layer: Any
     place: Any = None
+
+
+#: The tissue model, which belongs to the whole viewer and to no layer.
+MODEL_PART = Part("model", "")
 
 
 @dataclass(frozen=True)
@@ -203,11 +207,11 @@ class StudyModel(EditHistory):
         return known and image is not None
 
     def select_slice(self, image: Hashable | None, place: Hashable = None) -> None:
-        """Select the drawing of a slice; an edit in progress of another one ends."""
+        """Select the drawing of a slice; a drag of the previous slice ends first."""
         if self.drawing_in_progress:
             self.end()
         self.slice = Part("drawing", image, place)
-        self.open(self.slice, Drawing())
+        self.setdefault(self.slice, Drawing())
 
     # Choices
 
@@ -226,12 +230,12 @@ class StudyModel(EditHistory):
     @property
     def model(self) -> ModelChoice:
         """Chosen tissue model."""
-        choice: ModelChoice = self.get(Part("model", ""), ModelChoice())
+        choice: ModelChoice = self.get(MODEL_PART, ModelChoice())
         return choice
 
     def choose_model(self, choice: ModelChoice, *, step: bool = True) -> None:
         """Change the tissue model of the viewer; solver details alone are no step."""
-        self._edit(Part("model", ""), choice, step)
+        self._edit(MODEL_PART, choice, step)
 
     def restore(self, study: Study, layers: Mapping[str, Hashable]) -> None:
         """Select and choose what a study holds, except its drawing, without undo steps.
@@ -247,7 +251,7 @@ class StudyModel(EditHistory):
         self.select(image)
         if tissue.curve is not None:
             part = Part("curve", image)
-            self.open(part, tissue.curve)
+            self.setdefault(part, tissue.curve)
             self.amend(part, tissue.curve)
         self.choose(
             step=False,
@@ -275,7 +279,7 @@ class StudyModel(EditHistory):
     def set_table(self, kind: TableKind, layer: Hashable, table: RowTable, word: str = "") -> None:
         """Change the table of a layer, as a step with this name; "" makes no step."""
         part = Part(kind, layer)
-        if self.open(part, table) != table:
+        if self.setdefault(part, table) != table:
             self._set(part, table, word)
 
     @property
@@ -287,7 +291,7 @@ class StudyModel(EditHistory):
     def set_curve(self, curve: StiffnessCurve, word: str) -> None:
         """Change the curve of the selected image; several changes until `end` are one step."""
         part = Part("curve", self.image)
-        if self.open(part, curve) != curve:
+        if self.setdefault(part, curve) != curve:
             if self.in_progress != part:
                 self.begin(part, word)
             self.update(curve)
@@ -307,12 +311,12 @@ class StudyModel(EditHistory):
 
     def draw(self, drawing: Drawing, word: str) -> None:
         """Change the drawing, as a step with this name; "" makes no step."""
-        self.open(self.slice, Drawing())
+        self.setdefault(self.slice, Drawing())
         self._set(self.slice, drawing, word)
 
     def begin_drawing(self, word: str) -> None:
         """Begin a drag: all its changes are one step."""
-        self.open(self.slice, Drawing())
+        self.setdefault(self.slice, Drawing())
         self.begin(self.slice, word)
 
     def update_drawing(self, drawing: Drawing) -> None:
@@ -348,9 +352,9 @@ class StudyModel(EditHistory):
                 self.amend(part, choice.without(layer))
 
     def _edit(self, part: Part, now: ImageChoice | ModelChoice, step: bool) -> None:
-        before = self.open(part, type(now)())
+        before = self.setdefault(part, type(now)())
         changed = [each.name for each in fields(now) if _differ(before, now, each.name)]
-        word = next((_WORDS[name] for name in _WORDS if name in changed), "")
+        word = next((_STEP_NAMES[name] for name in _STEP_NAMES if name in changed), "")
         if not (step and word):
             self._change_earlier(part, before, now, changed)
         self._set(part, now, word if step else "")

@@ -19,7 +19,7 @@ from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.slice_view import fits
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.layers.viewer_undo import undo_of
-from napari_hmrf.study.study_model import BRIGHTNESS, ImageChoice, Part
+from napari_hmrf.study.study_model import BRIGHTNESS, MODEL_PART, ImageChoice, Part
 from napari_hmrf.tissue.row_table import change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
@@ -65,16 +65,16 @@ class FormBinding:
         }
         self._image: Any = None
         self.automatic = False
-        # True once the user chose an image, or none, or deformed one.
-        self._by_hand = False
-        # True if the last image was removed.
-        self._lost = False
+        # True once the user chose an image, or none, or deformed one: new ones do not replace it.
+        self._image_is_fixed = False
+        # True if there was an image, and none is chosen now.
+        self._image_is_gone = False
         model.select(None)
         motion.boundary.choice.changed.connect(self._on_boundary)
         form.image.changed.connect(self._on_image)
         for field in (form.extent, form.tissue.choice, motion.boundary.choice):
             field.changed.connect(self._on_extent)
-        if Part("model", "") in model.parts:  # chosen in a dock that was closed
+        if MODEL_PART in model.parts:  # chosen in a dock that was closed
             form.model.choice = model.model
         for table in form.tables:
             table.changed.connect(self._write_tables)
@@ -129,7 +129,7 @@ class FormBinding:
             self._write(step=False)
         form, model, choice = self._form, self._model, self._model.choice
         image, tissue = form.image.value, choice.tissue_layer
-        if image is None and (self._lost or not isinstance(tissue, Labels)):
+        if image is None and (self._image_is_gone or not isinstance(tissue, Labels)):
             raise HmrfError(CHOOSE if self._viewer.layers else WELCOME)
         return Request.of(model, form.view(), form.motion.fields.preset.value)
 
@@ -145,7 +145,7 @@ class FormBinding:
             if before is not None and form.image.value is None:
                 others = (form.tissue.choice.value, form.motion.boundary.confidence.value)
                 images = [layer for layer in form.image.offered if layer not in others]
-                self._by_hand = self._by_hand and bool(images)
+                self._image_is_fixed = self._image_is_fixed and bool(images)
                 if images:
                     form.image.value = images[0]
                 else:  # the next image begins as the first did
@@ -165,12 +165,14 @@ class FormBinding:
 
     def begin(self) -> None:
         """Keep the chosen image from now on, whatever layers come."""
-        self._by_hand = True
+        self._image_is_fixed = True
 
     def take(self, layer: Any) -> None:
         """Choose a new layer: as image unless work on another has begun, or as paint on it."""
         image = self._form.image
-        begun = self._by_hand or (image.value is not None and self._model.next_undo is not None)
+        begun = self._image_is_fixed or (
+            image.value is not None and self._model.next_undo is not None
+        )
         with self.automatically():
             if layer in image.offered and not begun:
                 image.value = layer
@@ -220,17 +222,17 @@ class FormBinding:
 
     def _on_image(self, image: Any) -> None:
         """Show what was chosen for an image before, or else choose layers for it."""
-        self._by_hand = self._by_hand or not self.automatic
+        self._image_is_fixed = self._image_is_fixed or not self.automatic
         before, self._image = self._image, image
         if before is image:
             return
         # Choices for a removed image, or before there was one, are kept for the next.
-        stays = before is None or (image is None and self.automatic)
-        self._lost = image is None
+        keep_choices = before is None or (image is None and self.automatic)
+        self._image_is_gone = image is None
         known = self._model.select(image)
         choice = self._model.choice
         with self.automatically():
-            if not stays:
+            if not keep_choices:
                 self._show(ImageChoice())
             self._form.extent.look_at(image)
             self._form.tissue.offer(self._model.curve)
@@ -244,7 +246,7 @@ class FormBinding:
         model, view = self._model, self._form.view()
         # Layers that were chosen for other images are not meant for this one.
         others = [each for each in model.parts if each.kind == "choice" and each.layer]
-        theirs = [
+        used_by_others = [
             layer for part in others if part.layer is not image for layer in model.get(part).layers
         ]
         for field in self.fields.values():
@@ -253,7 +255,7 @@ class FormBinding:
             if isinstance(layer, Layer) and not (holds_field(layer) or fits(layer, image, view)):
                 field.value = None
         for layer in reversed(painted_on(image, self._viewer.layers, view)):
-            if layer not in theirs:
+            if layer not in used_by_others:
                 self._take_painted(layer)
 
     def _show(self, choice: ImageChoice) -> None:
@@ -280,7 +282,7 @@ class FormBinding:
             self._write(step)
 
     def _write(self, step: bool) -> None:
-        self._write_tables(not step)
+        self._write_tables(automatic=not step)
         values = {name: field.value for name, field in self.fields.items()}
         self._model.choose(step=step, **values)
         self._model.choose_model(self._form.model.choice, step=step)
@@ -331,7 +333,7 @@ class FormBinding:
             raise HmrfError(f"'{image.name}' is no image of this viewer. Add it first.")
         with self.automatically():
             form.image.value = image
-        self._lost = False
+        self._image_is_gone = False
 
     def _on_changed(self, part: Part, value: Any, _: Any = None) -> None:
         """Show a changed part in the form, and choose the image that it belongs to."""
