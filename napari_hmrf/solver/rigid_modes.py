@@ -107,11 +107,11 @@ def grip(problem: Problem) -> float:
         As for `check_held`.
     """
     held = problem.known
-    if held[problem.tissue].all():
-        return 1.0  # no site is free to move
-    for known in _firm:
+    for known in _firm:  # first: every picture of a drag needs it
         if known.covers(problem.tissue, held):
             return known.grip
+    if held[problem.tissue].all():
+        return 1.0  # no site is free to move
     pieces, count = _some_pieces(problem)
     ways = list(_modes(pieces, count, held))
     free = _first_motion(problem, pieces, count, ways)
