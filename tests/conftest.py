@@ -41,7 +41,8 @@ gc.set_threshold(50_000, 20, 20)
 if "PYTEST_XDIST_WORKER" in os.environ:
     # Processes that test side by side leave the cores to each other. What many threads do is asked
     # of processes that tests begin, and by tests that take as many as there are.
-    os.environ.setdefault("LP_NUM_THREADS", "1")
+    # With a thread of its own Mesa 22.3 crashed, rarely, on a busy machine.
+    os.environ.setdefault("LP_NUM_THREADS", "0")
     loader.before_numba()
     import numba
 
