@@ -18,6 +18,7 @@ from napari_hmrf import (
     Study,
     Tissue,
     read_study,
+    solve,
     solve_study,
     write_study,
 )
@@ -104,13 +105,12 @@ def test_the_shell_says_how_far_loops_are_that_a_solve_waits_for(
     pull = Drawing((Arrow(at=(10, 12), by=(0, 3), radius=3),))
     write_study("a.study", Study(grid, Tissue(), Motion(hold_edge=True, drawing=pull)))
 
-    def slowly(study, *, progress, **more):
+    def slowly(*problem, progress, **more):
         for message in ("compiling loops (3 of 22), about 9 s left", "level 2"):
             progress(Monitor(message, 0.1))
-        return solve_study(study, **more)
+        return solve(*problem, **more)
 
-    for module in ("case", "study_file"):
-        monkeypatch.setattr(f"napari_hmrf.io.{module}.solve_study", slowly)
+    monkeypatch.setattr("napari_hmrf.study.ground.solve", slowly)
     code, out, err = run(command, capsys)
     assert code == 0
     assert "compiling" not in out

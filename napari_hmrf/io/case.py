@@ -28,7 +28,7 @@ from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import Progress
-from napari_hmrf.study.ground import Ground, solve_study
+from napari_hmrf.study.ground import Ground, solve_statement
 from napari_hmrf.study.shortcomings import shortcomings
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import (
@@ -193,7 +193,10 @@ def solve_case(
     except ProblemError as error:  # an option, and no single part, lacks the motion
         raise HmrfError(error.message) from None
     folder.mkdir(parents=True, exist_ok=True)  # fail before the solve, not after it
-    solution = solve_study(study, stated=stated, backend=backend, progress=progress)
+    solution = solve_statement(study, stated, backend=backend, progress=progress)
+    folds = solution.count_folds()
+    short = tuple(shortcomings(solution, study.grid.unit, folds))
+    solution = replace(solution, notes=(*short, *solution.notes))
     name = case.image.name.partition(".")[0]
     image = study.pictures.image
     if image is not None:
@@ -204,8 +207,6 @@ def solve_case(
         written = ImageFile(moved, where, colours=moved.ndim > len(study.grid.shape))
         write_image(folder / f"{name} deformed{'.nrrd' if where else '.tif'}", written)
     write_study(folder / f"{name}.study", study, solution)
-    folds = solution.count_folds()
-    short = shortcomings(solution, study.grid.unit, folds)
     notes = (*short, *ground.unused(stated), *ground.notes_on(stated))
     return SolvedCase(study, solution, folds, notes)
 

@@ -345,6 +345,36 @@ def solve_study(
         ground.refuse_motionless(stated)
         notes = (*ground.unused(stated), *ground.notes_on(stated))
     require_kind(Statement, "stated", stated, "build_problem(study)")
+    solution = solve_statement(study, stated, backend=backend, progress=progress, cancel=cancel)
+    # Counting takes 5 % of the time of a solve of a volume, but only milliseconds of an image.
+    folds = 0 if solution.tissue.ndim == 3 else solution.count_folds()
+    short = shortcomings(solution, solution.unit, folds)
+    return replace(solution, notes=(*short, *(notes or solution.notes)))
+
+
+def solve_statement(
+    study: Study,
+    stated: Statement,
+    *,
+    backend: str = "auto",
+    progress: Progress | None = None,
+    cancel: CancelFlag | None = None,
+) -> Solution:
+    """Compute the field of a study that is stated already, without looking for shortcomings.
+
+    Parameters
+    ----------
+    study : Study
+    stated : Statement
+        The study as a problem, with the energy and the optimizer that solve it.
+    backend, progress, cancel
+        As for `solve`.
+
+    Returns
+    -------
+    Solution
+        Placed like the study, in the unit of its grid.
+    """
     with study.naming():
         solution = solve(
             stated.problem,
@@ -354,15 +384,9 @@ def solve_study(
             progress=progress,
             cancel=cancel,
         )
-    # Counting takes 5 % of the time of a solve of a volume, but only milliseconds of an image.
-    folds = 0 if solution.tissue.ndim == 3 else solution.count_folds()
-    short = shortcomings(solution, study.grid.unit, folds)
-    return replace(
-        solution,
-        frame=None if study.grid.place is None else study.grid.place.as_dict(),
-        unit=study.grid.unit,
-        notes=(*short, *(notes or solution.notes)),
-    )
+    place = study.grid.place
+    frame = None if place is None else place.as_dict()
+    return replace(solution, frame=frame, unit=study.grid.unit)
 
 
 def _check_study(study: object) -> None:

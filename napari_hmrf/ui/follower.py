@@ -17,24 +17,23 @@ from napari_hmrf.field.held_forces import held_forces
 from napari_hmrf.field.live_warp import Picture
 from napari_hmrf.field.motion_lines import Lines
 from napari_hmrf.field.rehearsal import rehearse
-from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.paint_layer import painted_marks, show_painted
 from napari_hmrf.layers.result_layers import Outputs, result_layers
 from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.solver.caveats import shortfall
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import Elastic
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.coarse_grid import Glance
 from napari_hmrf.study.engine import Deformation, Engine, Pictures, patience_for
 from napari_hmrf.study.ground import Ground
+from napari_hmrf.study.shortcomings import shortcomings
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Canvas, Drawing, Stroke
 from napari_hmrf.tissue.drawing.canvas import Box
 from napari_hmrf.ui.handover import Errands, Newest, Repainted
 
 _log = logging.getLogger("napari_hmrf")
-# What those who wait for it are told.
+# Description of the work for other callers that wait for the compute thread.
 _FOLLOWING = "tissue that 'Soft tissue' deforms, which its Cancel stops"
 
 
@@ -53,7 +52,7 @@ class Seen(NamedTuple):
 
     @property
     def confidence(self) -> npt.NDArray[np.float32] | None:
-        """How sure is what is held or moved, 0 to 1; None if that was not painted."""
+        """Painted confidence of what is held or moved, 0 to 1; None if none was painted."""
         return self.moved.overlay[1] if len(self.moved.overlay) > 1 else None
 
 
@@ -85,17 +84,17 @@ class Follower:
         self._newest = Newest(self._on_seen)
         self._repainted = Repainted(self._on_repainted)
         self._engine = Engine(self._deliver, _FOLLOWING, self._overlay)
-        # Whether what was submitted is not painted yet, until when what is newer waits for it, and
-        # the newest that waits.
+        # True while the submitted study is not painted yet; time until which a newer study waits
+        # for that; and the newest study that waits.
         self._behind, self._due = False, 0.0
         self._next: tuple[Study, str, Glance | None] | None = None
         self._beside = Errands(lambda _: None)  # a drag says itself what went wrong
         self._rehearsed = False
-        # What was painted where, at rest; only the compute thread looks at it.
+        # Paint on the undeformed image; used on the compute thread only.
         self._canvas: Canvas | None = None
 
     def follow(self, study: Study, backend: str = "auto", glance: Glance | None = None) -> None:
-        """Have the tissue move as a study says; returns at once.
+        """Submit a study that the tissue is to follow, and return at once.
 
         Parameters
         ----------
@@ -106,21 +105,21 @@ class Follower:
         self.go_on()
 
     def go_on(self) -> None:
-        """Have what waits be solved, unless what is on its way will soon be seen."""
+        """Submit the waiting study, unless the one before it is about to be painted."""
         if self._next is not None and (not self._behind or time.monotonic() > self._due):
             self._submit(*self._next)
 
     def settle(self, study: Study, backend: str = "auto") -> None:
-        """Have a study solved from nothing instead of all that waits; returns at once."""
+        """Submit a study for a cold solve, drop all that waits, and return at once."""
         self.forget()
         self._submit(study, backend, settle=True)
 
     def complete(self) -> None:
-        """Have what takes longer made of the latest result, unless there is a newer one then."""
+        """Draw the layers of the latest result in the background, unless there is a newer one."""
         self._beside.send("layers", self._drawn, self._on_drawn)
 
     def forget(self) -> None:
-        """Show nothing of what is on its way."""
+        """Drop all results that are still to come."""
         self._engine.forget()
         self._newest.forget()
         self._beside.forget("layers")
@@ -128,21 +127,21 @@ class Follower:
 
     @property
     def busy(self) -> bool:
-        """Whether an answer is still to come."""
+        """True if a submitted study is not answered, or not painted yet."""
         return self._behind or self._engine.busy
 
     @property
     def at_work(self) -> bool:
-        """Whether anything is computed, or will be."""
+        """True if anything is being computed, or will be."""
         return self.busy or self._beside.busy() or self._newest.waits
 
     @property
     def monitor(self) -> Monitor:
-        """What is going on, or waited for."""
+        """Progress of the work, or what it waits for."""
         return self._engine.monitor
 
     def release(self) -> None:
-        """Follow nothing any more."""
+        """Stop for good."""
         self.forget()
         self._engine.close()
         self._newest.release()
@@ -150,7 +149,7 @@ class Follower:
         self._repainted.release()
 
     def rehearse(self, study: Study) -> None:
-        """Have what the first pull and the first brush will need be loaded, or compiled."""
+        """Load or compile in the background what the first pull and the first stroke need."""
         image, engine = study.pictures.image, self._engine
         if not self._rehearsed and image is not None:
             self._rehearsed = True
@@ -168,7 +167,7 @@ class Follower:
         self._engine.submit(study, backend, settle, glance)
 
     def _on_seen(self, seen: Seen) -> None:
-        # What was wrong with an edit that has been replaced is put right by now, or said again.
+        # An error of a replaced edit is corrected by now, or will be reported again.
         if seen.moved.error is None or self._next is None:
             self._show(seen)
         self._repainted.ask()
@@ -210,7 +209,7 @@ class Follower:
         if "confidence" not in actions:
             over = over if len(over) < 2 else over[:1]
         elif len(over) < 2:
-            # Between what is certain and what nobody says nothing is half sure: never interpolated.
+            # Never interpolated: no site is half sure beside one without any confidence.
             confidence = Picture(np.zeros(canvas.shape, np.float32), order=0)
             over, window = (*over, confidence), canvas.whole
         if over and window is not None:
@@ -244,12 +243,12 @@ def drawn(moved: Deformation, checkpoint: Callable[[], None] = lambda: None) -> 
     if isinstance(stated.prior, Elastic):
         forces = partial(held_forces, stated.problem, solved, stated.prior)
     outputs = result_layers(kept, place, pictures, checkpoint, stated.problem, forces)
-    short = shortfall(solved.reach, unit_symbol(study.grid.unit))
-    return Done(moved, outputs, tuple(filter(None, (short, *ground.notes_on(stated)))))
+    short = shortcomings(solved, study.grid.unit, folds=0)  # the warning chip counts folds
+    return Done(moved, outputs, tuple(filter(None, (*short, *ground.notes_on(stated)))))
 
 
 def _to_be_kept(moved: Deformation, ground: Ground) -> Solution:
-    """The solution with what its tissue was made of and what was drawn; of air nobody asks."""
+    """Return the solution to keep: without air, and with the drawing and the tissue's record."""
     study, solution = moved.study, moved.solution
     assert solution is not None
     body = solution.tissue & ground.body
