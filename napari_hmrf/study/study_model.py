@@ -40,6 +40,8 @@ Kind = Literal["drawing", "image", "tissue", "boundary", "curve", "choice", "mod
 TableKind = Literal["image", "tissue", "boundary"]
 #: Value of `ImageChoice.tissue` if the image's brightness gives the stiffness, by its curve.
 BRIGHTNESS = "brightness"
+# Attributes of `ImageChoice` that may be layers.
+_LAYER_NAMES = "tissue", "boundary", "confidence", "compare_with"
 # Names of the steps that change a choice; the first changed attribute names the step. A change of
 # another attribute, such as a solver detail, is no step.
 _STEP_NAMES = {
@@ -117,12 +119,11 @@ class ImageChoice:
     @property
     def layers(self) -> tuple[Any, ...]:
         """Values of the choices of layers."""
-        return self.tissue, self.boundary, self.confidence, self.compare_with
+        return tuple(getattr(self, name) for name in _LAYER_NAMES)
 
     def without(self, layer: Hashable) -> ImageChoice:
         """Return the choices without a layer."""
-        names = ("tissue", "boundary", "confidence", "compare_with")
-        gone: dict[str, Any] = {name: None for name in names if getattr(self, name) is layer}
+        gone: dict[str, Any] = {name: None for name in _LAYER_NAMES if getattr(self, name) is layer}
         return replace(self, **gone)
 
 

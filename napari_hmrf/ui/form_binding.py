@@ -97,13 +97,11 @@ class FormBinding:
     @contextmanager
     def automatically(self) -> Iterator[None]:
         """Make changes inside the block without undo steps."""
-        before, self.automatic = self.automatic, True
         try:
-            yield
+            with self._showing():
+                yield
         finally:
-            self.automatic = before
-            if not before:
-                self.write(step=False)
+            self.write(step=False)  # unless an outer block goes on
 
     @contextmanager
     def _showing(self) -> Iterator[None]:
