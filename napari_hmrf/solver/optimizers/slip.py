@@ -116,12 +116,11 @@ class Slip:
         """Find the states by the interior-point method, in place."""
         # Its rounding depends on where it starts. Where it fails from the end of the exchanges,
         # which depends on the tolerance, it starts again with all observations held.
-        start = d.copy()
         try:
             interior.solve(self._model, self._states, d, self._report)
         except ConvergenceError:
             self._model.hold(self._states.every)
-            d[:] = self._held(start)
+            d[:] = self._held(d)
             interior.solve(self._model, self._states, d, self._report)
 
     def _held(self, d: Planes) -> Planes:
