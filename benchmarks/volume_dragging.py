@@ -23,9 +23,9 @@ from napari_hmrf.io.images import read_image
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.study.coarse_grid import CoarseGrid, Glance
+from napari_hmrf.study.drag_preview import PREVIEW_SITES
 from napari_hmrf.study.engine import Deformation, Engine
 from napari_hmrf.study.ground import build_problem
-from napari_hmrf.ui.live_study import GLANCED
 
 
 def main() -> None:
@@ -49,7 +49,7 @@ def main() -> None:
         pictures=Pictures(pixels),
     )
     middle = tuple(size / 2 for size in pixels.shape)
-    glance = Glance(CoarseGrid.of_at_most(GLANCED, pixels.shape), 0, pixels.shape[0] // 2)
+    glance = Glance(CoarseGrid.of_at_most(PREVIEW_SITES, pixels.shape), 0, pixels.shape[0] // 2)
     print(f"{' x '.join(map(str, pixels.shape))} voxels; every {glance.grid.step}th while it moves")
     answers: queue.Queue[Deformation] = queue.Queue()
     engine = Engine(answers.put, "a benchmark")

@@ -131,7 +131,7 @@ MUTATIONS = (
         "test_remembered.py test_docks.py",
     ),
     Mutation(
-        "ui/live_study.py",
+        "ui/controller.py",
         "return replace(read, motion=replace(read.motion, drawing=self._model.drawing))",
         "return read",
         "test_grab.py",

@@ -137,7 +137,7 @@ def main() -> None:
     pointer = dock._pointer
     pointer.press((32.0, 32.0), 1.0)
     pointer.move((32.0, 33.0))
-    until(lambda: not dock._live_study._follower.busy)
+    until(lambda: not dock._controller.engine.busy)
     seen: list[object] = []
     dock.seen.connect(seen.append)
 

@@ -50,7 +50,7 @@ def drag(person: Person, dock: Any, begin: tuple[int, int], end: tuple[int, int]
     for step in range(1, _STEPS + 1):
         part = step / _STEPS
         person.move(*(a + (b - a) * part for a, b in zip(begin, end, strict=True)))
-        wait_until(lambda: not dock._live_study._follower.busy, rest=0.05)
+        wait_until(lambda: not dock._controller.engine.busy, rest=0.05)
 
 
 if __name__ == "__main__":

@@ -80,7 +80,7 @@ def pulled(person: Person, dock: Any, *places: tuple[float, float], steps: int =
         for step in range(1, steps + 1):
             along = step / steps
             person.move(*(a + (b - a) * along for a, b in zip(begin, end, strict=True)))
-            wait_until(lambda: not dock._live_study._follower.busy, rest=0.0)
+            wait_until(lambda: not dock._controller.engine.busy, rest=0.0)
 
 
 # The pages
@@ -146,7 +146,7 @@ def animation(_: dict[str, Path]) -> None:
                 along = 0.5 - 0.5 * math.cos(math.pi * step / steps)
                 place = [a + (b - a) * along for a, b in zip(begin, end, strict=True)]
                 person.move(*place, button=LEFT if held else NO_BUTTON)
-                wait_until(lambda: not dock._live_study._follower.busy, rest=0.0)
+                wait_until(lambda: not dock._controller.engine.busy, rest=0.0)
                 look()
 
     go((70, 40), (148, 112), steps=6, held=False)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from patience import LONG_MS
+from patience import LONG, LONG_MS
 from person import by_name
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QApplication
@@ -19,8 +19,7 @@ from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.study import engine
 from napari_hmrf.tissue.drawing import Arrow, Drawing
-from napari_hmrf.ui import follower as following_module
-from napari_hmrf.ui.follower import Follower
+from napari_hmrf.ui.paced_engine import PacedEngine
 
 
 def pulled(by):
@@ -33,11 +32,11 @@ class Following:
     def __init__(self, image, **how):
         self.study = replace(read_ground(image, **how).study, optimizer=Multigrid(TOLERANCE))
         self.shown = []
-        self.follower = Follower(lambda seen: self.shown.append(seen.moved), lambda done: None)
+        self.engine = PacedEngine(lambda seen: self.shown.append(seen.moved), lambda done: None)
 
     def follow(self, drawing):
         motion = replace(self.study.motion, drawing=drawing)
-        self.follower.follow(replace(self.study, motion=motion))
+        self.engine.submit(replace(self.study, motion=motion))
 
 
 @pytest.fixture
@@ -58,7 +57,7 @@ def following(qtbot):
 
     yield of
     for each in made:
-        each.follower.release()
+        each.engine.release()
 
 
 @pytest.fixture
@@ -79,7 +78,7 @@ def solver_at_work():
 @pytest.fixture
 def rest(at_rest):
     """Wait until a follower has shown the last drawing."""
-    return lambda following: at_rest.until(lambda: not following.follower.at_work)
+    return lambda following: at_rest.until(lambda: not following.engine.at_work)
 
 
 def test_the_newest_drawing_is_shown_in_the_end(follower, rest):
@@ -95,32 +94,46 @@ def test_the_newest_drawing_is_shown_in_the_end(follower, rest):
     assert order == sorted(order), "the tissue never goes back to an older drawing"
 
 
-def test_of_drawings_made_while_one_is_shown_only_the_last_is_solved(
-    follower, rest, monkeypatch, solver_at_work
-):
-    solved = []
+def test_of_drawings_made_while_one_is_solved_only_the_last_is_solved(follower, rest, monkeypatch):
+    solved, first_begun, others_drawn = [], threading.Event(), threading.Event()
     check = Problem.__init__
 
     def noted(self, y, *rest, **options):
         solved.append(round(float(y.max()), 1))
+        if solved[-1] == 0.1:
+            first_begun.set()
+            assert others_drawn.wait(LONG)
         check(self, y, *rest, **options)
 
     monkeypatch.setattr(Problem, "__init__", noted)
-    for by in range(1, 10):
+    follower.follow(pulled(0.1))
+    assert first_begun.wait(LONG)
+    for by in range(2, 10):
         follower.follow(pulled(by / 10))
-    solver_at_work.set()
+    others_drawn.set()
     rest(follower)
     first, last = 0.1, 0.9
     assert [by for by in solved if by not in (0, 1)] == [first, last], (
         "compiling solves for 0 and 1"
     )
+    assert [seen.study.motion.drawing for seen in follower.shown] == [pulled(0.1), pulled(0.9)]
+
+
+def test_a_newer_drawing_waits_until_the_one_before_is_painted(follower, rest):
+    follower.follow(pulled(1))
+    assert compute_thread.submit(lambda: True).result(LONG)
+    follower.follow(pulled(2))
+    assert compute_thread.submit(lambda: True).result(LONG)
+    assert follower.engine.busy, "the answer is not painted yet"
+    assert not follower.shown
+    rest(follower)
+    assert [seen.study.motion.drawing for seen in follower.shown] == [pulled(1), pulled(2)]
 
 
 def test_a_drawing_that_takes_too_long_gives_way_to_a_newer_one(
     follower, rest, monkeypatch, solver_at_work
 ):
-    for module in (engine, following_module):
-        monkeypatch.setattr(module, "patience_for", lambda *_: 0.0)
+    monkeypatch.setattr(engine, "patience_for", lambda *_: 0.0)
     follower.follow(pulled(1))
     follower.follow(pulled(2))
     solver_at_work.set()
@@ -267,7 +280,7 @@ def test_the_first_drag_finds_everything_compiled(rest, following, confidence):
 
     image = Image(np.random.default_rng(2).normal(size=(40, 44)).astype(np.float32))
     follower = following(image, hold_edge=False)
-    follower.follower.rehearse(follower.study)
+    follower.engine.rehearse(follower.study)
     rest(follower)
     before = compiled()
     follower.follow(Drawing((Arrow((20, 20), (0, 2), 4, confidence),)))
@@ -300,7 +313,7 @@ def test_tissue_that_nobody_holds_is_ready_once_it_is_compiled(
     follower = following(image, hold_edge=False)
     follower.follow(Drawing())
     at_rest(thread=False)
-    assert follower.follower.busy
+    assert follower.engine.busy
     assert not follower.shown
     solver_at_work.set()
     rest(follower)

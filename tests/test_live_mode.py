@@ -140,7 +140,7 @@ def test_an_error_leaves_the_last_result_and_is_said_once(living, settle, monkey
     widget, _ = living
     popups = []
     for kind in ("show_error", "show_warning"):
-        monkeypatch.setattr(f"napari_hmrf.ui.live_study.{kind}", popups.append)
+        monkeypatch.setattr(f"napari_hmrf.ui.controller.{kind}", popups.append)
     before, picture = widget.solution, by_name(widget, "MR deformed, elastic").data.copy()
     rules, why = widget.rules, "The tissue does not follow yet. 'Boundary' lets label 2 expand, but"
     for amount in (1.0, 2.0, 3.0):

@@ -2,6 +2,7 @@
 
 import threading
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -354,27 +355,25 @@ def test_a_study_is_the_same_until_something_is_painted():
 # Handing over
 
 
-def test_only_the_newest_result_reaches_the_window(qtbot, at_rest):
-    from napari_hmrf.ui.handover import Newest
+def test_calls_from_other_threads_run_in_order_on_the_gui_thread(qtbot, at_rest):
+    from napari_hmrf.ui.gui_thread import GuiThread
 
-    answered = []
-    newest = Newest(lambda value: answered.append((value, threading.current_thread())))
-    work = threading.Thread(target=lambda: [newest.put(number) for number in range(50)])
+    called, gui = [], GuiThread()
+
+    def call(number):
+        called.append((number, threading.current_thread()))
+
+    work = threading.Thread(target=lambda: [gui.submit(partial(call, n)) for n in range(50)])
     work.start()
     work.join()
-    assert not answered
-    qtbot.waitUntil(lambda: bool(answered))
-    assert answered == [(49, threading.main_thread())]
-    newest.put(50)
-    newest.forget()
-    newest.put(51)
-    qtbot.waitUntil(lambda: len(answered) == 2)
-    assert answered[-1][0] == 51
-    newest.put(52)
-    newest.release()
-    newest.put(53)
+    assert not called
+    qtbot.waitUntil(lambda: len(called) == 50)
+    assert called == [(number, threading.main_thread()) for number in range(50)]
+    gui.submit(partial(call, 50))
+    gui.release()
+    gui.submit(partial(call, 51))
     at_rest()
-    assert len(answered) == 2
+    assert len(called) == 50, "nothing is called after the release"
 
 
 def test_holes_in_tissue_are_free_and_what_lies_in_them_is_held():

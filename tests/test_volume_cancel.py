@@ -28,7 +28,7 @@ from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.solve import run_here
 from napari_hmrf.study.engine import Engine
 from napari_hmrf.study.study import Pictures
-from napari_hmrf.ui.handover import Errands
+from napari_hmrf.ui.background_jobs import BackgroundJobs
 
 #: Of slabs of four planes for each core, three or more, whichever cores a test before left to work.
 SHAPE = (12 * numba.config.NUMBA_NUM_THREADS, 9, 8)
@@ -155,9 +155,9 @@ def test_a_study_that_is_dropped_while_its_image_moves_is_not_answered(thin, cou
         engine.close()
 
 
-def test_an_errand_that_is_forgotten_stops(thin, counted, qtbot):
+def test_a_background_job_that_is_dropped_stops(thin, counted, qtbot):
     refused, found = [], []
-    errands = Errands(refused.append)
+    jobs = BackgroundJobs(refused.append)
     begun, forgotten = threading.Event(), threading.Event()
 
     def wait():
@@ -165,15 +165,15 @@ def test_an_errand_that_is_forgotten_stops(thin, counted, qtbot):
         assert forgotten.wait(LONG)
 
     done = counted("rasterise", wait)
-    errands.send("a warp", answers, found.append)
+    jobs.submit("a warp", answers, found.append)
     assert begun.wait(LONG)
-    errands.forget("a warp")
+    jobs.forget("a warp")
     forgotten.set()
     compute_thread.submit(lambda: None).result(LONG)
     assert len(done) == 1
-    assert not errands.busy()
+    assert not jobs.busy()
     assert (found, refused) == ([], [])
-    errands.release()
+    jobs.release()
 
 
 class Countdown:

@@ -193,7 +193,7 @@ def test_whatever_goes_wrong_in_looking_again_is_told_and_the_result_stays(
         raise ZeroDivisionError("no such slice")
 
     with monkeypatch.context() as broken:
-        broken.setattr("napari_hmrf.ui.live_study.study_from_layers", fail)
+        broken.setattr("napari_hmrf.ui.study_reader.study_from_layers", fail)
         widget.touch()
         wait_for(lambda: "no such slice The last result stays." in widget.status)
     assert widget.solution is outputs.solution

@@ -1,4 +1,4 @@
-"""What was found before, for the next solve to begin with."""
+"""Earlier solutions, from which the next solve starts."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from napari_hmrf.solver.loads import are_same
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 
-#: How many are kept. Each costs a pass over the image; a patch that is dragged about has two
-#: directions, and with the place it set out from that makes three.
+#: Number of solutions to keep. Each costs a pass over the image. A patch that is dragged has two
+#: directions and an origin, which makes three; one more is kept in reserve.
 KEPT = 4
 
 
 class Earlier:
-    """The newest solutions of one grid, for different observations and loads.
+    """The latest solutions on one grid, for different observations and loads.
 
-    How far tissue moves is proportional to how far it is pushed: between them, a patch that was
-    moved before is moved on by hardly a cycle.
+    Displacements are proportional to the prescribed ones, so that a linear combination of these
+    solutions is often so close that the next solve takes hardly a cycle.
 
     Attributes
     ----------
     solutions : list of Solution
-        Newest first.
+        Latest first.
     """
 
     def __init__(self) -> None:
@@ -31,14 +31,14 @@ class Earlier:
         self._of: tuple[object, ...] = ()
 
     def look_at(self, problem: Problem, series: object) -> None:
-        """Forget all that is of another grid or another series."""
+        """Discard all solutions if the grid or the series has changed."""
         of = (problem.shape, problem.spacing, series)
         if of != self._of:
             self._of = of
             self.solutions, self._newest = [], None
 
     def add(self, problem: Problem, solution: Solution) -> None:
-        """Keep this; instead of the newest one, if the same was asked there."""
+        """Keep a solution; it replaces the latest one if both have the same observations."""
         before, self._newest = self._newest, problem
         if before is not None and _same_observations(before, problem):
             del self.solutions[0]

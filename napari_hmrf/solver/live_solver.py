@@ -8,17 +8,15 @@ from __future__ import annotations
 
 import logging
 import math
-import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
 from napari_hmrf.errors import Cancelled, HmrfError
-from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
 from napari_hmrf.solver.earlier_solutions import Earlier
+from napari_hmrf.solver.latest_queue import LatestQueue, Turn
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import Problem
@@ -134,18 +132,7 @@ class LiveSolver:
         self.backend = backend
         self._deliver = deliver
         self._progress = progress
-        self._doing = doing
-        self._job: Future[None] | None = None
-        self._changed = threading.Condition()
-        self._number = 0
-        self._waiting: _Request | None = None
-        # True while a job of this solver is queued or runs; there is at most one.
-        self._busy = False
-        # True until the last edit is answered or dropped.
-        self._owed = False
-        self._closed = False
-        # Set when all edits so far are dropped.
-        self._dropped = threading.Event()
+        self._queue = LatestQueue(doing)
         # Used on the compute thread only.
         self._earlier = Earlier()
 
@@ -168,8 +155,8 @@ class LiveSolver:
             Whether a preview may be delivered if the solution takes long. Without a preview, the
             first edit after `forget` has the same bits as `solve` has.
         patience : float, optional
-            Time, in seconds, for which the edit is solved on although a newer one waits; by
-            default to its end.
+            Time, in seconds, for which the edit is solved although a newer one waits; by default
+            to its end.
 
         Returns
         -------
@@ -181,41 +168,31 @@ class LiveSolver:
         RuntimeError
             After `close`.
         """
-        with self._changed:
-            if self._closed:
-                raise RuntimeError("this live solver is closed; make a new one")
-            self._number += 1
-            request = _Request(
-                self._number,
-                problem,
-                self.prior,
-                self.optimizer,
-                self.backend,
-                time.perf_counter(),
-                self._dropped,
-                glance,
-                patience,
-            )
-            self._waiting, self._owed = request, True
-            self._go_on()
-            return self._number
+        edit = _Edit(problem, self.prior, self.optimizer, self.backend, glance)
+        patience = math.inf if patience is None else patience
+        return self._queue.submit(partial(self._answer, edit), patience).generation
 
     def forget(self) -> None:
-        """Drop what waits, what is being solved, and what was found: the tissue is another one.
+        """Drop the waiting and the running edit; the next solve is a cold start.
 
-        Of the edits submitted so far nothing is delivered any more, except by a delivery that has
-        already begun.
+        No edit submitted so far is delivered any more, except by a delivery that has already begun.
         """
-        with self._changed:
-            self._dropped.set()
-            self._dropped = threading.Event()
-            self._waiting, self._owed = None, False
+        self._queue.drop()
 
     def close(self) -> None:
         """Drop everything, for good; harmless if repeated."""
-        with self._changed:
-            self._closed = True
-            self.forget()
+        self._queue.close()
+
+    def hold(self) -> None:
+        """Start no newer edit until `resume`, for instance until a solution is painted.
+
+        Called while an update is delivered.
+        """
+        self._queue.hold()
+
+    def resume(self) -> None:
+        """Start the edit that waits, after `hold`."""
+        self._queue.resume()
 
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until the last edit is answered; for scripts, never for a window.
@@ -225,20 +202,27 @@ class LiveSolver:
         bool
             Whether it was, in time.
         """
-        with self._changed:
-            return self._changed.wait_for(lambda: not self._busy, timeout)
+        return self._queue.wait(timeout)
 
     @property
     def busy(self) -> bool:
         """True until the last edit is answered or dropped."""
-        with self._changed:
-            return self._owed
+        return self._queue.busy
+
+    @property
+    def waits(self) -> bool:
+        """True if an edit waits that is newer than the one that is being solved."""
+        return self._queue.waits
+
+    @property
+    def held(self) -> bool:
+        """True between `hold` and `resume`."""
+        return self._queue.held
 
     @property
     def delay(self) -> str:
         """Job that an edit waits for, and how to stop it, as a clause; "" if none."""
-        with self._changed:
-            return "" if self._job is None else compute_thread.delays(self._job)
+        return self._queue.delay
 
     def __enter__(self) -> LiveSolver:
         return self
@@ -246,60 +230,27 @@ class LiveSolver:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _go_on(self) -> None:
-        """Queue a job, if there is work for one; each solve is one, so that others get turns."""
-        if self._waiting is None:
-            self._busy = self._owed = False
-            self._changed.notify_all()
-        elif not self._busy:
-            self._busy = True
-            dropped = self._dropped
-            self._job = compute_thread.submit(
-                self._run, lambda: STOPPED if dropped.is_set() else self._doing
-            )
-
-    def _run(self) -> None:
-        with self._changed:
-            request, self._waiting = self._waiting, None
-        try:
-            if request is not None:
-                self._answer(request)
-        finally:
-            del request
-            with self._changed:
-                self._busy = False
-                self._go_on()
-
-    def _answer(self, request: _Request) -> None:
-        try:
-            with compute_thread.unless(request.dropped.is_set):
-                self._follow(request)
-        except Cancelled:
-            return
-
-    def _follow(self, request: _Request) -> None:
+    def _answer(self, edit: _Edit, turn: Turn) -> None:
         problem: Problem | None = None
         try:
-            made = request.problem() if callable(request.problem) else request.problem
-            found, prior = made if isinstance(made, tuple) else (made, request.prior)
+            made = edit.problem() if callable(edit.problem) else edit.problem
+            found, prior = made if isinstance(made, tuple) else (made, edit.prior)
             check_arguments(problem=found, prior=prior)
             problem = found
-            self._earlier.look_at(problem, request.dropped)
-            solve = partial(self._solve, problem, prior, request.backend)
-            optimizer = request.optimizer
-            stop = _Overtaken(self, request, request.patience)
-            long = request.glance and self._takes_long(problem)
-            if long and isinstance(optimizer, Multigrid):
-                glance = replace(optimizer, tolerance=GLANCE)
-                self._say(request, problem, solve(glance, stop), final=False)
-                stop = _Overtaken(self, request, 0)
-            self._say(request, problem, solve(optimizer, stop))
+            self._earlier.look_at(problem, turn.series)
+            solve = partial(self._solve, problem, prior, edit.backend, stop=turn)
+            optimizer = edit.optimizer
+            if edit.glance and self._takes_long(problem) and isinstance(optimizer, Multigrid):
+                preview = solve(replace(optimizer, tolerance=GLANCE))
+                self._say(turn, problem, preview, final=False)
+                turn.patience = 0
+            self._say(turn, problem, solve(optimizer))
         except Cancelled:
             raise
-        except Exception as error:  # noqa: BLE001 - whoever edits hears of it, whatever it is
+        except Exception as error:  # noqa: BLE001 - the caller always gets an answer
             if not isinstance(error, HmrfError):
                 _log.exception("a live solve failed")
-            self._say(request, problem, error=error)
+            self._say(turn, problem, error=error)
 
     def _takes_long(self, problem: Problem) -> bool:
         """Return whether the solve is a cold start of large tissue."""
@@ -312,6 +263,7 @@ class LiveSolver:
         prior: Prior,
         backend: str,
         optimizer: Optimizer,
+        *,
         stop: CancelFlag,
     ) -> Solution:
         """Solve with a warm start, and keep the solution for the next one."""
@@ -323,25 +275,22 @@ class LiveSolver:
 
     def _say(
         self,
-        request: _Request,
+        turn: Turn,
         problem: Problem | None,
         solution: Solution | None = None,
         error: Exception | None = None,
         final: bool = True,
     ) -> None:
         # The error of an edit that was replaced is corrected by now, or occurs again.
-        if request.dropped.is_set() or (error is not None and self._waits()):
+        if turn.dropped or (error is not None and self._queue.waits):
             return
-        seconds = time.perf_counter() - request.submitted
+        seconds = time.perf_counter() - turn.submitted
         try:
-            self._deliver(Update(request.number, problem, solution, error, final, seconds))
+            self._deliver(Update(turn.generation, problem, solution, error, final, seconds))
         except Cancelled:
             raise
-        except Exception:  # noqa: BLE001 - the edits to come are answered all the same
+        except Exception:  # noqa: BLE001 - later edits are answered all the same
             _log.exception("a live result could not be shown")
-
-    def _waits(self) -> bool:
-        return self._waiting is not None
 
 
 def _is_crushed(solution: Solution) -> bool:
@@ -349,28 +298,11 @@ def _is_crushed(solution: Solution) -> bool:
     return solution.reach is not None and solution.reach.least_jacobian < _CRUSHED
 
 
-class _Request(NamedTuple):
-    """An edit that waits for its turn."""
+class _Edit(NamedTuple):
+    """A problem to solve, with the solver settings at its submission."""
 
-    number: int
     problem: Input | Callable[[], Input]
     prior: Prior
     optimizer: Optimizer
     backend: str
-    submitted: float
-    dropped: threading.Event
     glance: bool
-    patience: float | None
-
-
-class _Overtaken:
-    """Flag that is set if an edit is dropped, or has used its patience while a newer one waits."""
-
-    def __init__(self, live: LiveSolver, request: _Request, patience: float | None) -> None:
-        self._live = live
-        self._dropped = request.dropped
-        self._until = math.inf if patience is None else request.submitted + patience
-
-    def is_set(self) -> bool:
-        late = time.perf_counter() > self._until
-        return self._dropped.is_set() or (late and self._live._waits())

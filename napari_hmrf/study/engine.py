@@ -22,6 +22,7 @@ from napari_hmrf.field.live_warp import Picture
 from napari_hmrf.field.moved_pictures import MovedPictures
 from napari_hmrf.field.resample import on_finer_grid
 from napari_hmrf.field.tissue_point import Points, holds
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.live_solver import LiveSolver, Update
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import Prior
@@ -72,8 +73,10 @@ class Engine:
         self._reached = Monitor("starting", 0.0)
         #: Set once the engine is closed.
         self.closed = threading.Event()
-        self._dropped = threading.Event()
-        #: Newest answer. Only the compute thread uses this and the attributes below.
+        # Generations of the last study, and of the last one that was dropped.
+        self._generation = self._dropped = 0
+        self._newest: Deformation | None = None
+        #: Latest answer with a result. Only the compute thread uses this and the attributes below.
         self.latest: Deformation | None = None
         self._asked: Deformation | None = None
         # Each ground with the study that it was made from.
@@ -86,8 +89,13 @@ class Engine:
 
     @property
     def busy(self) -> bool:
-        """True until the last study is answered or dropped."""
-        return self._live.busy
+        """True until the last study is answered or dropped, and between `hold` and `resume`."""
+        return self._live.busy or self._live.held
+
+    @property
+    def waits(self) -> bool:
+        """True if a study waits that is newer than the one that is being solved."""
+        return self._live.waits
 
     @property
     def monitor(self) -> Monitor:
@@ -101,7 +109,7 @@ class Engine:
         backend: str = "auto",
         settle: bool = False,
         glance: Glance | None = None,
-    ) -> None:
+    ) -> int:
         """Submit a study, which replaces the one that waits.
 
         Parameters
@@ -114,26 +122,40 @@ class Engine:
             boundary conditions or loads is then an error.
         glance : Glance, optional
             Preview during a drag: the study is solved only on its coarse grid.
+
+        Returns
+        -------
+        int
+            Generation of the study, greater than that of every earlier one.
         """
         if settle:
             self.forget()
             self._reached = Monitor("reading what is painted", 0.0)
         self._live.optimizer, self._live.backend = study.optimizer, backend
-        dropped = self._dropped
-
-        def checkpoint() -> None:
-            if dropped.is_set():
-                raise Cancelled
-
-        state = partial(self._state, study, checkpoint, settle, glance)
+        state = partial(self._state, study, settle, glance)
         patience = None if settle else patience_for(study, glance)
         # Without patience, a preview would cost more time than it saves.
-        self._live.submit(state, glance=bool(patience), patience=patience)
+        self._generation = self._live.submit(state, glance=bool(patience), patience=patience)
+        return self._generation
+
+    def is_current(self, answer: Deformation) -> bool:
+        """Return whether an answer is the newest, and its study was not dropped since."""
+        return answer is self._newest and answer.generation > self._dropped
+
+    def hold(self) -> None:
+        """Solve no newer study until `resume`, for instance until the answer is painted.
+
+        Called while an answer is delivered.
+        """
+        self._live.hold()
+
+    def resume(self) -> None:
+        """Solve the study that waits, after `hold`."""
+        self._live.resume()
 
     def forget(self) -> None:
         """Cancel the pending and the running solve; the next solve is a cold start."""
-        self._dropped.set()
-        self._dropped = threading.Event()
+        self._dropped = self._generation
         self._live.forget()
 
     def close(self) -> None:
@@ -148,14 +170,12 @@ class Engine:
 
     # On the compute thread
 
-    def _state(
-        self, study: Study, checkpoint: Callable[[], None], settle: bool, glance: Glance | None
-    ) -> tuple[Problem, Prior]:
+    def _state(self, study: Study, settle: bool, glance: Glance | None) -> tuple[Problem, Prior]:
         """Build the problem of a study; only parts that have changed are computed again."""
         self._asked = Deformation(study, settled=settle, glance=glance)
         grid = self._asked.grid
-        fine = self._ground_of(study, CoarseGrid(), checkpoint)
-        ground = fine if grid.step == 1 else self._ground_of(study, grid, checkpoint)
+        fine = self._ground_of(study, CoarseGrid())
+        ground = fine if grid.step == 1 else self._ground_of(study, grid)
         self._asked = replace(self._asked, ground=fine)
         if self._rendering is None or self._rendering.base is not ground.base:
             self._rendering, self._over = Rendering(ground.base), ()
@@ -170,22 +190,23 @@ class Engine:
         self._asked = replace(self._asked, stated=stated)
         return stated.problem, stated.prior
 
-    def _ground_of(self, study: Study, grid: CoarseGrid, checkpoint: Callable[[], None]) -> Ground:
+    def _ground_of(self, study: Study, grid: CoarseGrid) -> Ground:
         """Return the ground of a study; the last one is reused if only the drawing differs."""
         known = self._grounds.get(grid)
         if known is None or not known[0].lies_as(study):
-            known = self._grounds[grid] = study, Ground.of(grid.study(study), checkpoint)
+            known = self._grounds[grid] = study, Ground.of(grid.study(study), compute_thread.look)
         return known[1]
 
     def _deliver(self, update: Update) -> None:
-        asked, error, latest = self._asked, update.error, self.latest
-        assert asked is not None
+        assert self._asked is not None
+        asked = replace(self._asked, generation=update.number)
+        error, latest = update.error, self.latest
         if update.solution is not None or isinstance(error, _StillError):
             try:
                 image, over = self._moved(asked, update.solution)
                 answer = replace(asked, solution=update.solution, image=image, overlay=over)
                 self.latest = answer
-                self._tell(answer)
+                self._answer(answer)
                 return
             except Cancelled:
                 raise
@@ -195,7 +216,11 @@ class Engine:
         known = latest is not None and latest.ground is asked.ground and asked.ground is not None
         over = self._moved(asked, latest.solution if known and latest else None)[1]
         error = asked.study.in_words(error or RuntimeError("there is no solution"))
-        self._tell(replace(asked, error=error, overlay=over))
+        self._answer(replace(asked, error=error, overlay=over))
+
+    def _answer(self, answer: Deformation) -> None:
+        self._newest = answer
+        self._tell(answer)
 
     def _moved(
         self, asked: Deformation, solution: Solution | None
@@ -251,6 +276,8 @@ class Deformation:
         True if it was solved from a cold start, as by `solve_study`.
     glance : Glance, optional
         Set for a preview: `image` is then one slice of a volume, (H, W), or the whole image.
+    generation : int
+        As returned by `Engine.submit`.
     """
 
     study: Study
@@ -262,6 +289,7 @@ class Deformation:
     error: Exception | None = None
     settled: bool = False
     glance: Glance | None = None
+    generation: int = 0
 
     @property
     def grid(self) -> CoarseGrid:

@@ -11,8 +11,8 @@ from napari_hmrf.layers.viewer_undo import ViewerUndo
 from napari_hmrf.study.edit_history import Step
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.ui import messages
+from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import Listening
-from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.motion import motion_messages
 
 #: Reason for the current sentence. "step" and "refused" stay until a new action begins, and
@@ -29,19 +29,19 @@ class Guide:
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
-    live : LiveStudy
+    controller : Controller
     undo : ViewerUndo
     """
 
-    def __init__(self, viewer: Any, live: LiveStudy, undo: ViewerUndo) -> None:
-        self._viewer, self._live = viewer, live
-        form, pointer = self._form, self._pointer = live.form, live.pointer
+    def __init__(self, viewer: Any, controller: Controller, undo: ViewerUndo) -> None:
+        self._viewer, self._controller = viewer, controller
+        form, pointer = self._form, self._pointer = controller.form, controller.pointer
         self._said = self._doing = self._read = ""
         self._why: Why = "news"
         for table in form.tables:
             table.found.connect(partial(self.say, why="step"))
             table.refused.connect(self.refuse)
-        for told in (form.tissue.menu, live.binding):
+        for told in (form.tissue.menu, controller.binding):
             told.said.connect(partial(self.say, why="step"))
         form.tissue.editor.refused.connect(self.refuse)
         pointer.said.connect(self._on_pointer)
@@ -49,11 +49,11 @@ class Guide:
         pressed = (form.footer.deform.changed, form.motion.picked, form.image.changed)
         for begun in (form.edited, pointer.drawn, pointer.begun, *pressed):
             begun.connect(self._on_begun)
-        live.refused.connect(self.refuse)
-        live.said.connect(self._on_study)
-        live.doing.connect(self._on_doing)
-        live.moved_on.connect(self.show)
-        live.followed.connect(self._on_followed)
+        controller.refused.connect(self.refuse)
+        controller.said.connect(self._on_study)
+        controller.progress.doing.connect(self._on_doing)
+        controller.moved_on.connect(self.show)
+        controller.followed.connect(self._on_followed)
         self._heard = Listening((undo.said, self._on_step))
 
     def release(self) -> None:
@@ -78,7 +78,7 @@ class Guide:
         how = motion_messages.START if form.footer.live.value or not begun else messages.READY
         if self._pointer.active:
             how = self._pointer.tool.how
-        return f"{self._live.loose} {self._paused or how}".lstrip()
+        return f"{self._controller.loose} {self._paused or how}".lstrip()
 
     def say(self, sentence: str, why: Why = "news") -> None:
         """Show a sentence in place of the earlier ones."""
@@ -109,7 +109,7 @@ class Guide:
     def _paused(self) -> str:
         """Message that drawing has stopped, and how to resume it; "" if it has not."""
         arrows = self._pointer.display.arrows
-        if arrows.former is None or self._live.study is None or self._pointer.active:
+        if arrows.former is None or self._controller.study is None or self._pointer.active:
             return ""
         return motion_messages.ARROWS_GONE if arrows.layer is None else motion_messages.OFF
 

@@ -9,12 +9,12 @@ from napari_hmrf.errors import ConvergenceError, HmrfError, in_words
 from napari_hmrf.field.animation import MARKS, Mark
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import as_seen, unit_symbol
+from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.result_layers import Outputs
 from napari_hmrf.solver.caveats import LOOSE
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors.elastic import Plane
-from napari_hmrf.ui.follower import Done
 from napari_hmrf.wording import in_words_of
 
 WELCOME = "Open an image first (File > Open), or a sample (File > Open Sample)."
@@ -68,7 +68,7 @@ MOST = "The slice that is seen now has most of them: {}."
 HANDFUL = 5
 
 
-def report(done: Done) -> str:
+def report(done: CompleteResult) -> str:
     """Describe the largest displacement of a result in a sentence."""
     place, solution = done.moved.study.grid.known_place, done.outputs.solution
     far = as_seen(float(magnitude(solution.displacement).max()), solution.spacing)
@@ -79,7 +79,7 @@ def report(done: Done) -> str:
     return f"{where} moved up to {far:.3g} {unit_symbol(place.unit)}."
 
 
-def warnings_of(done: Done, seen: str) -> tuple[str, str]:
+def warnings_of(done: CompleteResult, seen: str) -> tuple[str, str]:
     """Return the warnings of a result, and the label of the next click after the overlay `seen`."""
     sites = "voxels" if len(done.moved.study.grid.shape) == 3 else "pixels"
     found = marks_of(done.outputs)
@@ -90,7 +90,7 @@ def warnings_of(done: Done, seen: str) -> tuple[str, str]:
     return " ".join(parts), f"Hide the {seen}" if seen in found else ""
 
 
-def can_unfold(done: Done) -> bool:
+def can_unfold(done: CompleteResult) -> bool:
     """Return whether the tissue folds and would not in the large-motion model."""
     flat = len(done.moved.study.grid.shape) == 2
     return flat and "folds" in marks_of(done.outputs) and done.moved.study.model_name == "elastic"

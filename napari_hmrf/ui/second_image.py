@@ -17,8 +17,8 @@ from napari_hmrf.layers.result_layers import Answer
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.tissue.drawing import Landmark
+from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import Listening
-from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.result.result_view import ResultView
 
 #: Where both images are alike they make grey.
@@ -34,15 +34,15 @@ class SecondImage:
     viewer : napari.Viewer or ViewerModel
     view : ResultView
         Of the result that is looked at.
-    live : LiveStudy
+    controller : Controller
         Its landmark layers say where things are and should be; without, those of the drawing do.
     """
 
-    def __init__(self, viewer: Any, view: ResultView, live: LiveStudy) -> None:
-        self._viewer, self._view, self._live = viewer, view, live
+    def __init__(self, viewer: Any, view: ResultView, controller: Controller) -> None:
+        self._viewer, self._view, self._controller = viewer, view, controller
         self._results = shared(viewer, ResultLayers)
-        self._image, self._form = live.form.image, live.form.result
-        self._pair = live.form.motion.boundary.landmarks
+        self._image, self._form = controller.form.image, controller.form.result
+        self._pair = controller.form.motion.boundary.landmarks
         # How the second image and those under it were drawn before, and where the second was.
         self._before: dict[Any, dict[str, Any]] = {}
         self._place = 0
@@ -134,7 +134,7 @@ class SecondImage:
                 return landmark_pairs(where, should, answer.frame, answer.shape, view)
             except HmrfError:
                 return None  # said when they are taken
-        study = self._live.study
+        study = self._controller.study
         if study is None or study.grid.place != answer.frame:  # another image is worked on
             return None
         marks = (mark for mark in study.motion.drawing.marks if isinstance(mark, Landmark))

@@ -21,12 +21,12 @@ from napari_hmrf.study.study_model import BRIGHTNESS, StudyModel
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui import messages
+from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.dock_values import DockValues
 from napari_hmrf.ui.form_binding import FormBinding
 from napari_hmrf.ui.forms import attempt
 from napari_hmrf.ui.guide import Guide
-from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.new_layers import add_missing
 from napari_hmrf.ui.patient_sides import PatientSides
@@ -99,17 +99,21 @@ class SoftTissue(DockValues):
         self._binding = FormBinding(viewer, form)
         self._pointer = Pointer(self.native, viewer, form.motion.fields, undo)
         inputs = form, self._binding, self._pointer, undo.model
-        self._live_study = live = LiveStudy(self.native, viewer, *inputs)
+        self._controller = controller = Controller(self.native, viewer, *inputs)
         results = shared(viewer, ResultLayers)
         self._view = ResultView(self.native, viewer, form.result, results)
         form.image.changed.connect(self._view.stand_on)
-        self._guide = Guide(viewer, live, undo)
-        self._watch = ViewerWatch(self.native, viewer, live, self._guide)
-        self._second = SecondImage(viewer, self._view, live)
+        self._guide = Guide(viewer, controller, undo)
+        self._watch = ViewerWatch(self.native, viewer, controller, self._guide)
+        self._second = SecondImage(viewer, self._view, controller)
         self._sides = PatientSides(viewer, form.image)
-        self._unsaved = Unsaved(self, viewer, live, self._try)
+        self._unsaved = Unsaved(self, viewer, controller, self._try)
         self.fields, self.more = form.motion.fields, self._view.more
-        self.seen, self.followed, self.finished = live.seen, live.followed, live.finished
+        self.seen, self.followed, self.finished = (
+            controller.seen,
+            controller.followed,
+            controller.finished,
+        )
         self.saved = self._view.more.saved
         self.undo, self.redo = undo.undo, undo.redo
         self.remove, self.clear = self._pointer.remove, self._pointer.clear
@@ -117,7 +121,7 @@ class SoftTissue(DockValues):
         self.at = self._view.cursor.at
         self.save_study = self._unsaved.save
         self.take_materials, self.save_materials = form.tissue.menu.take, form.tissue.menu.save
-        self.cancel, self.touch, self.say = live.cancel, live.touch, self._guide.say
+        self.cancel, self.touch, self.say = controller.cancel, controller.touch, self._guide.say
         self._connect()
         self._binding.choose_first()
 
@@ -132,18 +136,18 @@ class SoftTissue(DockValues):
         HmrfError
             If there is nothing to work on, or a layer cannot be read.
         """
-        return self._live_study.read(self._live_study.request())
+        return self._controller.reader.read(self._controller.reader.request())
 
     @property
     def solution(self) -> Solution | None:
         """Solution of the latest result at rest, or None."""
-        latest = self._live_study.latest
+        latest = self._controller.latest
         return None if latest is None else latest.outputs.solution
 
     @property
     def shown(self) -> Study | None:
         """Study of the latest result, or None."""
-        latest = self._live_study.latest
+        latest = self._controller.latest
         return None if latest is None else latest.moved.study
 
     @property
@@ -154,12 +158,12 @@ class SoftTissue(DockValues):
     @property
     def idle(self) -> bool:
         """True if no cold-start solve is in progress."""
-        return not self._live_study.settling
+        return not self._controller.settling
 
     @property
     def busy(self) -> bool:
         """True if a requested change is not shown yet."""
-        return self._live_study.busy or self._view.busy
+        return self._controller.busy or self._view.busy
 
     @property
     def tool(self) -> str:
@@ -177,7 +181,7 @@ class SoftTissue(DockValues):
 
     @drawing.setter
     def drawing(self, drawing: Drawing) -> None:
-        self._live_study.look()
+        self._controller.look()
         word = "" if self._binding.automatic else "took over a drawing"
         self._pointer.set_drawing(drawing, word)
 
@@ -187,7 +191,7 @@ class SoftTissue(DockValues):
         """Start drawing with the current tool; return whether the mouse draws now."""
         if self._viewer.dims.ndisplay != 2 or self.image is None:
             self._guide.invite()
-        elif self._live_study.look():
+        elif self._controller.look():
             self._pointer.take()
             self._watch.hide_paint()
             self.touch()  # tissue follows its drawing, live or not
@@ -215,7 +219,7 @@ class SoftTissue(DockValues):
             for table in self._form.tables:
                 table.look()
             self._binding.begin()
-            self._live_study.settle()
+            self._controller.settle()
 
     def make_layers(self) -> None:
         """Add a tissue and a boundary layer on the pixels of the image, and choose them.
@@ -245,10 +249,10 @@ class SoftTissue(DockValues):
         """
         if self.image is None:
             raise HmrfError(messages.WELCOME)
-        curve = curve or self._form.tissue.known or self._live_study.first_curve()
+        curve = curve or self._form.tissue.known or self._controller.reader.first_curve()
         self.curve = curve
-        self._live_study.look()
-        if (layer := self._live_study.curve_layer.layer) is not None:
+        self._controller.look()
+        if (layer := self._controller.curve_layer.layer) is not None:
             self._viewer.layers.selection.active = layer
         self.say(messages.CURVE)
         return curve
@@ -259,7 +263,7 @@ class SoftTissue(DockValues):
         Landmarks that were taken before are replaced. Arguments (`radius` and `confidence` among
         them) and errors are those of `read_landmarks`.
         """
-        if self.image is None or not self._live_study.look():
+        if self.image is None or not self._controller.look():
             raise HmrfError(messages.WELCOME if self.image is None else self.status)
         grid, view = self.study.grid, self._form.view()
         others = [mark for mark in self.drawing.marks if mark not in self._taken]
@@ -278,11 +282,11 @@ class SoftTissue(DockValues):
             self.say(messages.MEANWHILE if self.before else "")
 
     def _connect(self) -> None:
-        form, pointer, live = self._form, self._pointer, self._live_study
+        form, pointer, controller = self._form, self._pointer, self._controller
         form.make.changed.connect(lambda _: self._try(self.make_layers))
         form.intensity.changed.connect(lambda _: self._try(self.tissue_from_intensity))
         form.tissue.editor.anew.changed.connect(
-            lambda: self._try(lambda: self.tissue_from_intensity(live.first_curve()))
+            lambda: self._try(lambda: self.tissue_from_intensity(controller.reader.first_curve()))
         )
         points = form.motion.boundary.landmarks
         points.take.changed.connect(lambda _: self._try(lambda: self.take_landmarks(*points.pair)))
@@ -295,10 +299,12 @@ class SoftTissue(DockValues):
         for table in form.tables:
             table.picked.connect(self.hand_brush)
             # Show the effect of a typed value even while the brush is active.
-            table.changed.connect(lambda by_itself: None if by_itself else live.show_before(False))
+            table.changed.connect(
+                lambda by_itself: None if by_itself else controller.show_before(False)
+            )
         pointer.changed.connect(self._show_tool)
         pointer.begun.connect(partial(setattr, self, "_unused", False))
-        live.finished.connect(self._on_finished)
+        controller.finished.connect(self._on_finished)
         self._view.said.connect(self.say)
         self._watch.first_came.connect(self._on_first)
 
@@ -333,8 +339,8 @@ class SoftTissue(DockValues):
     def _on_finished(self, outputs: object) -> None:
         """Show the requested result without the paint on it."""
         if outputs is not None and self.image is not None:
-            self._live_study.show_before(False)
-            for tissue in (self._form.tissue.layer, self._live_study.curve_layer.layer):
+            self._controller.show_before(False)
+            for tissue in (self._form.tissue.layer, self._controller.curve_layer.layer):
                 if tissue is not None:
                     tissue.visible = False  # would tint the deformed image
 
@@ -346,12 +352,12 @@ class SoftTissue(DockValues):
     def on_over(self, closed: bool) -> None:
         """Release all parts, as the dock was closed or its window is gone."""
         if closed:
-            self._live_study.cancel()
-            self._live_study.forget()
+            self._controller.cancel()
+            self._controller.forget()
             self._pointer.leave()
             self._view.rest()
         parts = (self._second, self._sides, self._view, self._unsaved, self._watch, self._guide)
-        for part in (*parts, self._live_study, self._binding, self._form):
+        for part in (*parts, self._controller, self._binding, self._form):
             part.release()
         self._pointer.end()
         super().on_over(closed)

@@ -31,6 +31,7 @@ from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_model import Part
 from napari_hmrf.tissue.drawing.drawing import ends_of
 from napari_hmrf.ui import messages
+from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import Listening, single_shot
 from napari_hmrf.ui.forms import Prose, row
 from napari_hmrf.ui.remembered_settings import settings
@@ -56,7 +57,7 @@ class Unsaved(QObject):
     ----------
     dock : SoftTissue
     viewer : napari.Viewer or ViewerModel
-    live : LiveStudy
+    controller : Controller
     attempt : callable
         Runs a given action, and reports the error if it fails.
 
@@ -66,12 +67,12 @@ class Unsaved(QObject):
         Given a question, returns "save", "discard" or "cancel"; by default from a dialog.
     """
 
-    def __init__(self, dock: Any, viewer: Any, live: Any, attempt: Attempt) -> None:
+    def __init__(self, dock: Any, viewer: Any, controller: Controller, attempt: Attempt) -> None:
         super().__init__(dock.native)
         self.ask: Ask = self._ask_person
         self._try = attempt
-        self._dock, self._viewer, self._live = dock, viewer, live
-        self._binding, self._undo = live.binding, undo_of(viewer)
+        self._dock, self._viewer, self._controller = dock, viewer, controller
+        self._binding, self._undo = controller.binding, undo_of(viewer)
         self._model, self._work = self._undo.model, shared(viewer, UnsavedWork)
         self._writer = threading.Thread()
         self._resting = single_shot(dock.native, _REST, self._keep)
@@ -88,7 +89,7 @@ class Unsaved(QObject):
 
     def save(self, path: str | Path) -> Path:
         """Save the current study, and its field if that is up to date."""
-        solution, study = self._dock.solution if self._live.fresh else None, self._dock.study
+        solution, study = self._dock.solution if self._controller.fresh else None, self._dock.study
         written = write_study(path, study, solution)
         apart = self._landmarks_apart(study)
         self._dock.say(messages.saved_study(written.name, solution is not None, apart))
@@ -97,7 +98,7 @@ class Unsaved(QObject):
 
     def _landmarks_apart(self, study: Study) -> str:
         """Return the name of the *landmarks at* layer if a pair of it was not taken; else ""."""
-        form, grid = self._live.form, study.grid
+        form, grid = self._controller.form, study.grid
         where, should = form.motion.boundary.landmarks.pair
         taken = [ends_of(mark, grid.spacing) for mark in study.motion.drawing.marks]
         if where is None:
@@ -136,10 +137,10 @@ class Unsaved(QObject):
                 there = SlicePlace(frame.plane, (0,) * first.ndim)
                 self._undo.go_to(Part("drawing", first, there), turn=True)
             self._model.restore(study, layers)
-            if study.motion.drawing.marks and not self._live.look():
+            if study.motion.drawing.marks and not self._controller.look():
                 raise HmrfError(f"{Path(path).name} cannot be shown here: {dock.status}")
             dock.drawing = study.motion.drawing
-        if (brightness := self._live.curve_layer.layer) is not None and study.moves:
+        if (brightness := self._controller.curve_layer.layer) is not None and study.moves:
             brightness.visible = False  # as all paint on moving tissue
 
     def _on_edited(self, part: Part, _: Any, before: Any) -> None:
@@ -208,7 +209,7 @@ class Unsaved(QObject):
         """Go to a slice, and save it to its known path, or else to a path the user chooses."""
         self._dock.image = part.layer
         self._undo.go_to(part, turn=True)
-        self._live.look()
+        self._controller.look()
         known = self._work.paths.get(part)
         if self._model.slice == part:  # else another slice is visible
             self._try(self.save_as if known is None else partial(self.save, known))

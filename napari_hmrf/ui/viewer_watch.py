@@ -18,9 +18,9 @@ from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
 from napari_hmrf.ui import messages
+from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import Listening, single_shot
 from napari_hmrf.ui.guide import Guide
-from napari_hmrf.ui.live_study import LiveStudy
 from napari_hmrf.ui.motion.motion_messages import ARROWS_GONE
 
 #: Modes in which napari paints.
@@ -38,16 +38,20 @@ class ViewerWatch:
     native : QWidget
         The dock.
     viewer : napari.Viewer or ViewerModel
-    live : LiveStudy
+    controller : Controller
     guide : Guide
     """
 
     #: The first image is ready to be pulled, and the user works with no other layer.
     first_came = Signal()
 
-    def __init__(self, native: Any, viewer: Any, live: LiveStudy, guide: Guide) -> None:
-        self._viewer, self._live, self._guide = viewer, live, guide
-        self._form, self._binding, self._pointer = live.form, live.binding, live.pointer
+    def __init__(self, native: Any, viewer: Any, controller: Controller, guide: Guide) -> None:
+        self._viewer, self._controller, self._guide = viewer, controller, guide
+        self._form, self._binding, self._pointer = (
+            controller.form,
+            controller.binding,
+            controller.pointer,
+        )
         self._model = undo_of(viewer).model
         self._results = shared(viewer, ResultLayers)
         self._active = viewer.layers.selection.active
@@ -57,7 +61,7 @@ class ViewerWatch:
         self._begun = self._was_active = False
         # Message about a removed layer, until it is shown.
         self._gone = ""
-        live.moved_on.connect(self._on_other)
+        controller.moved_on.connect(self._on_other)
         self._slice = self._slice_shown
         self._form.edited.connect(self._on_choice)
         self._form.image.changed.connect(self._on_image)
@@ -121,7 +125,7 @@ class ViewerWatch:
         form, there = self._form, self._form.image.value is not None
         form.make.enabled = there and None in self._painted
         form.intensity.enabled = form.result.keep.enabled = there
-        self._live.touch()
+        self._controller.touch()
         self._guide.show()
 
     def _on_image(self, image: Any) -> None:
@@ -138,8 +142,8 @@ class ViewerWatch:
 
     def _rest(self) -> None:
         """Clear the current study."""
-        self._live.cancel()
-        self._live.forget()
+        self._controller.cancel()
+        self._controller.forget()
         self._guide.say("")
         self._leaving.start()
 
@@ -151,7 +155,7 @@ class ViewerWatch:
         if self._slice != before:
             self._pointer.turn()
             self.look_at_mouse()
-            self._live.touch()
+            self._controller.touch()
 
     @property
     def _slice_shown(self) -> tuple[tuple[int, ...], list[float]]:
@@ -167,7 +171,7 @@ class ViewerWatch:
     def _on_pixels(self, event: Any) -> None:
         """Schedule a refresh, as the pixels of a layer or their place may have changed."""
         if self._reads(event.sources[0]):
-            self._live.touch()
+            self._controller.touch()
 
     def _reads(self, layer: Any) -> bool:
         """Return whether the study is read from a layer."""
@@ -179,16 +183,16 @@ class ViewerWatch:
         self._on_choice()
 
     def _on_removed(self, event: Any) -> None:
-        layer, live, display = event.value, self._live, self._pointer.display
+        layer, controller, display = event.value, self._controller, self._pointer.display
         was_read = self._reads(layer)
         self._gone = self._gone_with(layer) or self._gone
         self._binding.look()
         if layer is display.arrows.former and not display.quiet:
             self._guide.say(ARROWS_GONE, why="step")
-        if layer is live.source:
+        if layer is controller.source:
             self._rest()
-        elif was_read and live.settling:
-            live.cancel()
+        elif was_read and controller.settling:
+            controller.cancel()
         self._leaving.start()
         self._on_choice()
 
@@ -198,7 +202,7 @@ class ViewerWatch:
         napari cannot restore a removed layer.
         """
         tissue, boundary = self._painted
-        study, is_source = self._live.study, layer is self._live.source
+        study, is_source = self._controller.study, layer is self._controller.source
         if is_source and study is not None and study.motion.drawing.marks:
             return messages.DRAWING_GONE.format(name=layer.name)
         words = {id(tissue): messages.TISSUE_GONE, id(boundary): messages.BOUNDARY_GONE}
@@ -207,7 +211,7 @@ class ViewerWatch:
     def _on_left(self) -> None:
         """Remove the results of removed images, and the tools if no image is left."""
         self._results.remove_orphans()
-        if self._form.image.value is None and self._live.study is None:
+        if self._form.image.value is None and self._controller.study is None:
             self._pointer.leave()
             self.look_at_mouse()
         if self._gone:
@@ -242,14 +246,14 @@ class ViewerWatch:
 
     def _on_mode(self, *_: Any) -> None:
         """Show the undeformed image if a brush of napari is selected, else the deformed one."""
-        self._live.show_before(self._is_painted)
+        self._controller.show_before(self._is_painted)
 
     def _on_drag(self, _: Any, event: Any) -> Iterator[None]:
         """Show the undeformed image while a brush paints, and the deformed one after that."""
         if not self._is_painted:
             return
-        self._live.show_before(True)
+        self._controller.show_before(True)
         yield
         while event.type == "mouse_move":
             yield
-        self._live.show_before(False)
+        self._controller.show_before(False)

@@ -8,11 +8,11 @@ from typing import Any
 from psygnal import Signal
 
 from napari_hmrf.field.animation import MARKS, Mark
+from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.slice_view import plane_shown
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.dock_form import DockForm
-from napari_hmrf.ui.follower import Done
 from napari_hmrf.ui.result.result_messages import NOTHING
 
 
@@ -30,7 +30,9 @@ class WarningChip:
     #: Message for the user.
     said = Signal(str)
 
-    def __init__(self, viewer: Any, form: DockForm, latest: Callable[[], Done | None]) -> None:
+    def __init__(
+        self, viewer: Any, form: DockForm, latest: Callable[[], CompleteResult | None]
+    ) -> None:
         self._viewer, self._form, self._latest = viewer, form, latest
         form.footer.chip.clicked.connect(self._on_chip)
         form.footer.other.clicked.connect(self._take_other)
@@ -65,7 +67,7 @@ class WarningChip:
             overlay.value = NOTHING
         self.said.emit(f"{self._form.footer.warning} {went}".rstrip())
 
-    def _go_to_most(self, latest: Done, mark: Mark) -> str:
+    def _go_to_most(self, latest: CompleteResult, mark: Mark) -> str:
         """Go to the slice of a volume with most marked sites; return a message that names it."""
         dims, place, view = (
             self._viewer.dims,

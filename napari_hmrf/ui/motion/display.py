@@ -11,9 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.field.motion_lines import Lines
+from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.image_result import CONFIDENCE, PAINTED, Result, ResultLayers
 from napari_hmrf.layers.paint_layer import confidence_layer, number_of, painted_layer, way_of
+from napari_hmrf.layers.painted_overlay import Seen
 from napari_hmrf.layers.result_layers import Kind, LayerData, picture_layer
 from napari_hmrf.layers.viewer_layers import shared, still_there
 from napari_hmrf.study.engine import Deformation
@@ -21,7 +23,6 @@ from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.canvas import box_of, covered
 from napari_hmrf.ui.events import single_shot
-from napari_hmrf.ui.follower import Done, Seen
 from napari_hmrf.ui.motion.arrows import ArrowsLayer
 from napari_hmrf.ui.motion.hands import Hand
 
@@ -136,7 +137,7 @@ class Display:
             np.moveaxis(self._whole, moved.glance.axis, 0)[moved.glance.number] = moved.image
         return self._whole
 
-    def finish(self, done: Done | None) -> None:
+    def finish(self, done: CompleteResult | None) -> None:
         """Show all layers of a state at rest; with None, only the undeformed image."""
         seen = self.seen
         assert seen is not None

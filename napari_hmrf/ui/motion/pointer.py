@@ -12,13 +12,13 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.frame import SlicePlace
 from napari_hmrf.layers.compat import text_of
 from napari_hmrf.layers.paint_layer import tissue_colours
+from napari_hmrf.layers.painted_overlay import Seen
 from napari_hmrf.layers.viewer_undo import ViewerUndo
 from napari_hmrf.study.edit_history import Step
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing, Landmark, Mark, Stroke
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.ui.events import single_shot
-from napari_hmrf.ui.follower import Seen
 from napari_hmrf.ui.messages import in_short
 from napari_hmrf.ui.motion import motion_messages
 from napari_hmrf.ui.motion.brush import Brush

@@ -20,8 +20,8 @@ from napari_hmrf.layers.image_result import Part, Result
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.read import look_of
 from napari_hmrf.layers.result_layers import Answer, Overlay
+from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.events import repeating
-from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result.result_messages import FULL
 
 #: All of the deformation in one direction, in seconds.
@@ -140,7 +140,7 @@ class Player:
     Parameters
     ----------
     parent : QWidget
-    errands : Errands
+    jobs : BackgroundJobs
     shown : callable
         Returns the result whose moments are drawn, or None.
 
@@ -158,9 +158,9 @@ class Player:
     drawn = Signal()
 
     def __init__(
-        self, parent: Any, errands: Errands, shown: Callable[[], MovingLayers | None]
+        self, parent: Any, jobs: BackgroundJobs, shown: Callable[[], MovingLayers | None]
     ) -> None:
-        self._errands, self._shown = errands, shown
+        self._jobs, self._shown = jobs, shown
         self._timer = repeating(parent, _TICK, self._on_tick)
         self._started = 0.0
 
@@ -188,11 +188,11 @@ class Player:
         if (shown := self._shown()) is None:
             return
         if (moment := shown.motion.known(percent / FULL)) is not None:
-            self._errands.forget("moment")
+            self._jobs.forget("moment")
             self._draw(shown, percent, moment)
         else:
             work = partial(shown.motion.at, percent / FULL)
-            self._errands.send("moment", work, partial(self._draw, shown, percent))
+            self._jobs.submit("moment", work, partial(self._draw, shown, percent))
 
     def _draw(self, shown: MovingLayers, percent: int, moment: Moment) -> None:
         shown.draw(percent, moment)
@@ -200,7 +200,7 @@ class Player:
 
     def _on_tick(self) -> None:
         # The slider waits for the picture: both always say the same.
-        if (shown := self._shown()) is None or self._errands.busy("moment"):
+        if (shown := self._shown()) is None or self._jobs.busy("moment"):
             return
         along = (time.monotonic() - self._started) / SECONDS % 2
         part = along if along <= 1 else 2 - along

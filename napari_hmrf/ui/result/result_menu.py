@@ -25,8 +25,8 @@ from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_record
 from napari_hmrf.layers.result_layers import LayerData, stiffness_unit
 from napari_hmrf.layers.screen_directions import ways_of
 from napari_hmrf.layers.viewer_layers import same_selection
+from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu
-from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_form import ResultForm
 from napari_hmrf.ui.result.result_messages import NO_FORCES, NO_IMAGE, NO_RESULT, SAVING, saved
@@ -72,14 +72,14 @@ class ResultMenu:
         say: Callable[[str], None],
     ) -> None:
         self._button, self._viewer, self._look, self._say = form.more, viewer, shown, say
-        self._errands = Errands(say)
+        self._jobs = BackgroundJobs(say)
         give_menu(self._button, self._fill)
         form.save.changed.connect(self._on_save)
 
     @property
     def busy(self) -> bool:
         """True if a requested output is not finished."""
-        return self._errands.busy()
+        return self._jobs.busy()
 
     def measure(self) -> tuple[Measurement, ...]:
         """Measure the deformation of each tissue, or of all tissue if there are no labels.
@@ -112,12 +112,12 @@ class ResultMenu:
         made = f"{answer.pictures.name or 'result'} pictures" if own_folder else ""
         what = Path(folder), answer.solution, shown.image, answer.unit, made
         self._say(SAVING)
-        self._errands.send(f"{folder}", partial(write_result_pictures, *what), self._on_saved)
+        self._jobs.submit(f"{folder}", partial(write_result_pictures, *what), self._on_saved)
 
     def save_field(self, path: str | Path, *, forward: bool = False) -> None:
         """Write the field for other tools; a message gives the accuracy of its inverse."""
         field = FieldFile.of(self._shown.answer.solution)
-        self._errands.send(
+        self._jobs.submit(
             f"{path}", partial(write_field_file, path, field, forward=forward), self._say
         )
 
@@ -128,7 +128,7 @@ class ResultMenu:
             raise HmrfError(NO_IMAGE)
         work = partial(write_movie, path, shown.answer.solution, shown.image)
         self._say("Saving the film ...")
-        self._errands.send(f"{path}", work, lambda file: self._say(f"Saved {file.name}."))
+        self._jobs.submit(f"{path}", work, lambda file: self._say(f"Saved {file.name}."))
 
     def move_along(self, *layers: Any) -> None:
         """Add moved copies of other layers, each above its original.
@@ -147,11 +147,11 @@ class ResultMenu:
             self._say(f"Moved along: {names}.")
 
         kind = f"{[layer.name for layer in layers]} moved along"  # one kind per selection
-        self._errands.send(kind, lambda: [move() for move in movers], add)
+        self._jobs.submit(kind, lambda: [move() for move in movers], add)
 
     def release(self) -> None:
         """Discard all pending tasks."""
-        self._errands.release()
+        self._jobs.release()
 
     @property
     def _shown(self) -> MovingLayers:
@@ -228,7 +228,7 @@ class ResultMenu:
             words = forces_in_words(rows, ways, stiffness, answer.unit)
             self._show_table("Forces on tissue where it is held or moved", words)
 
-        self._errands.send("forces", answer.forces, show)
+        self._jobs.submit("forces", answer.forces, show)
 
     def _show_table(
         self, title: str, words: tuple[list[str], list[list[str]]], *below: QtWidgets.QWidget

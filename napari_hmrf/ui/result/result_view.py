@@ -15,9 +15,9 @@ from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.result_layers import Name, Overlay, overlay_of
 from napari_hmrf.layers.screen_directions import ways_of
+from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.forms import attempt
-from napari_hmrf.ui.handover import Errands
 from napari_hmrf.ui.result import result_messages as words
 from napari_hmrf.ui.result.cursor import UnderCursor
 from napari_hmrf.ui.result.moving_layers import MovingLayers, Player
@@ -50,12 +50,12 @@ class ResultView:
 
     def __init__(self, native: Any, viewer: Any, form: ResultForm, results: ResultLayers) -> None:
         self._viewer, self._form, self._results = viewer, form, results
-        self._errands = Errands(self.said.emit)
+        self._jobs = BackgroundJobs(self.said.emit)
         self.shown: MovingLayers | None = None
         #: How far the result is from its reference, if there is one.
         self.comparison: Comparison | None = None
         self.cursor = UnderCursor(viewer, lambda: self.shown)
-        self.player = Player(native, self._errands, lambda: self.shown)
+        self.player = Player(native, self._jobs, lambda: self.shown)
         self.more = ResultMenu(form, viewer, lambda: self.shown, self.said.emit)
         form.slider.changed.connect(self._on_slider)
         form.overlay.changed.connect(self._on_chosen)
@@ -84,7 +84,7 @@ class ResultView:
     @property
     def busy(self) -> bool:
         """Whether something that was asked for is not seen yet."""
-        return self._errands.busy() or self.more.busy
+        return self._jobs.busy() or self.more.busy
 
     @property
     def before(self) -> bool:
@@ -109,7 +109,7 @@ class ResultView:
         if answer is not None:
             shown = MovingLayers(self._viewer, arrows, answer, self._results.of(arrows))
         other = before is None or shown is None or shown.layers is not before.layers
-        chosen = other or self._errands.busy("overlay")  # which may have been to be seen
+        chosen = other or self._jobs.busy("overlay")  # which may have been to be seen
         # A newer state of the same is not seen as long as somebody looks at what was before.
         self._put_back(release=other)
         if before is not None and other:
@@ -151,7 +151,7 @@ class ResultView:
     def release(self) -> None:
         """Listen no more."""
         self._events.release()
-        self._errands.release()
+        self._jobs.release()
         self.more.release()
         self.cursor.release()
 
@@ -161,7 +161,7 @@ class ResultView:
         """Say how far the result is from its reference, if there is one."""
         shown, reference, self.comparison = self.shown, self._form.reference.value, None
         self._say_how_far()
-        self._errands.forget("comparison")
+        self._jobs.forget("comparison")
         field = field_of(reference)
         if shown is not None and field is not None:
             answer, name = shown.answer, str(reference.name)
@@ -170,7 +170,7 @@ class ResultView:
                 with naming(observed=name):
                     return compare(answer.solution, answer.frame, field, name)
 
-            self._errands.send("comparison", work, self._on_compared)
+            self._jobs.submit("comparison", work, self._on_compared)
 
     def _on_compared(self, found: Comparison) -> None:
         self.comparison = found
@@ -190,7 +190,7 @@ class ResultView:
     def _on_changed(self, result: Result) -> None:
         """What is seen in a place is another result, or none."""
         shown, arrows = self.shown, result.layer("arrows")
-        moves = self.player.playing or self._errands.busy("moment")
+        moves = self.player.playing or self._jobs.busy("moment")
         if shown is None or result is not shown.layers:
             if arrows is not None and arrows.visible:
                 self.arrows = arrows
@@ -257,17 +257,17 @@ class ResultView:
         if shown is None:
             return
         if name == words.NOTHING:
-            self._errands.forget("overlay")
+            self._jobs.forget("overlay")
             self._on_overlay(shown, name, False, None)
         elif name != "difference" or self.comparison is not None:  # else once it is compared
             answer = partial(self._on_overlay, shown, name, chosen)
             work = partial(overlay_of, shown.answer, name, self.comparison)
-            self._errands.send("overlay", work, answer)
+            self._jobs.submit("overlay", work, answer)
 
     def _on_overlay(
         self, shown: MovingLayers, name: Name, chosen: bool, made: Overlay | None
     ) -> None:
-        self._errands.forget("moment")
+        self._jobs.forget("moment")
         shown.lay_over(made, chosen)
         self._say_how_far()
         if made is None and chosen:
@@ -291,7 +291,7 @@ class ResultView:
 
     def _put_back(self, release: bool = True) -> None:
         """Leave the layers as they were before they were moved."""
-        self._errands.forget()
+        self._jobs.forget()
         if self.shown is not None:
             if release:
                 self.shown.layers.show_before(False)
@@ -301,7 +301,7 @@ class ResultView:
     def _draw_whole(self) -> None:
         """Arrows of the whole deformation, and nothing of what was seen before."""
         self.player.stop()
-        self._errands.forget("moment")
+        self._jobs.forget("moment")
         if self.shown is not None:
             self.shown.draw_arrows(words.FULL)
         self._set_slider(words.FULL)

@@ -1,0 +1,70 @@
+"""All layers of a deformation at rest, with notes on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from napari_hmrf.field.held_forces import held_forces
+from napari_hmrf.layers.result_layers import Outputs, result_layers
+from napari_hmrf.solver.priors import Elastic
+from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.engine import Deformation
+from napari_hmrf.study.ground import Ground
+from napari_hmrf.study.shortcomings import shortcomings
+
+
+class CompleteResult(NamedTuple):
+    """A deformation at rest: its layers, and notes that users should know, as clauses."""
+
+    moved: Deformation
+    outputs: Outputs
+    notes: tuple[str, ...]
+
+
+def complete_result(
+    moved: Deformation, checkpoint: Callable[[], None] = lambda: None
+) -> CompleteResult:
+    """Make the layers of a deformation, and collect notes on it.
+
+    Parameters
+    ----------
+    moved : Deformation
+        With a solution.
+    checkpoint : callable
+        Called between the steps; raises to stop the work.
+    """
+    study, ground, stated, solved = moved.study, moved.ground, moved.stated, moved.solution
+    assert ground is not None
+    assert stated is not None
+    assert solved is not None
+    kept = _to_be_kept(moved, ground)
+    place, pictures = study.grid.place, study.pictures
+    if stated.labels is not None:
+        pictures = replace(pictures, labels=stated.labels)
+    forces = None
+    if isinstance(stated.prior, Elastic):
+        forces = partial(held_forces, stated.problem, solved, stated.prior)
+    outputs = result_layers(kept, place, pictures, checkpoint, stated.problem, forces)
+    short = shortcomings(solved, study.grid.unit, folds=0)  # the warning chip counts folds
+    return CompleteResult(moved, outputs, tuple(filter(None, (*short, *ground.notes_on(stated)))))
+
+
+def _to_be_kept(moved: Deformation, ground: Ground) -> Solution:
+    """Return the solution to keep: without air, and with the drawing and the tissue's record."""
+    study, solution = moved.study, moved.solution
+    assert solution is not None
+    body = solution.tissue & ground.body
+    if not np.array_equal(body, solution.tissue):
+        field = np.where(body[..., None], solution.displacement, np.float32(0))
+        solution = replace(solution, displacement=field, tissue=body)
+    if study.motion.drawing.marks:
+        solution = replace(solution, frame={"drawing": study.motion.drawing.as_dict()})
+    if study.tissue.record:
+        parameters = {**solution.provenance.parameters, "tissue": dict(study.tissue.record)}
+        solution = replace(solution, provenance=replace(solution.provenance, parameters=parameters))
+    return solution

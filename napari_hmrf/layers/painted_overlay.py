@@ -1,0 +1,66 @@
+"""Pictures of what brushes have painted, which move with the tissue."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.field.live_warp import Picture
+from napari_hmrf.field.motion_lines import Lines
+from napari_hmrf.layers.paint_layer import painted_marks, show_painted
+from napari_hmrf.study.engine import Deformation, Pictures
+from napari_hmrf.study.ground import Ground
+from napari_hmrf.tissue.drawing import Canvas, Drawing, Stroke
+from napari_hmrf.tissue.drawing.canvas import Box
+
+
+class Seen(NamedTuple):
+    """A deformation with the marks that show what is painted on it.
+
+    Attributes
+    ----------
+    moved : Deformation
+    marks : Lines, optional
+        As returned by `painted_marks`; None if nothing is painted.
+    """
+
+    moved: Deformation
+    marks: Lines | None = None
+
+    @property
+    def confidence(self) -> npt.NDArray[np.float32] | None:
+        """Painted confidence of what is held or moved, 0 to 1; None if none was painted."""
+        return self.moved.overlay[1] if len(self.moved.overlay) > 1 else None
+
+
+class PaintedOverlay:
+    """Overlay of an `Engine` that shows what is painted; used on the compute thread only."""
+
+    def __init__(self) -> None:
+        self._canvas: Canvas | None = None
+
+    def __call__(
+        self, ground: Ground, drawing: Drawing, canvas: Canvas, window: Box | None, over: Pictures
+    ) -> Pictures:
+        """Update the pictures: one of the paint, and one of its confidence if that is painted."""
+        self._canvas = canvas
+        actions = {mark.action for mark in drawing.marks if isinstance(mark, Stroke)}
+        if not over and actions:
+            over, window = (Picture(np.zeros(canvas.shape, np.uint8), order=0),), canvas.whole
+        if "confidence" not in actions:
+            over = over if len(over) < 2 else over[:1]
+        elif len(over) < 2:
+            # Not interpolated, so that sites without confidence stay without it.
+            confidence = Picture(np.zeros(canvas.shape, np.float32), order=0)
+            over, window = (*over, confidence), canvas.whole
+        if over and window is not None:
+            show_painted(canvas, ground.base, window, *(np.asarray(each.image) for each in over))
+        return over
+
+    def on(self, moved: Deformation) -> Seen:
+        """Return the newest deformation with the marks of what is painted on it."""
+        if self._canvas is None or not moved.overlay or not moved.overlay[0].any():
+            return Seen(moved)
+        return Seen(moved, painted_marks(self._canvas))

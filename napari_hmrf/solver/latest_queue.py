@@ -1,0 +1,215 @@
+"""Queue of the compute thread in which only the latest job counts.
+
+Edits come faster than they can be solved, and a slider moves faster than pictures can be drawn. A
+`LatestQueue` runs one job at a time. A job that is submitted meanwhile waits, and replaces the job
+that waited before. Each job is called with a `Turn`, from which it learns that it is out of date.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+
+from napari_hmrf.errors import Cancelled
+from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
+
+_log = logging.getLogger("napari_hmrf")
+
+
+class Turn:
+    """Turn of a job of a `LatestQueue`; also the flag that stops its solve.
+
+    Attributes
+    ----------
+    generation : int
+        Number of the job: 1 for the first that was submitted to its queue, then counting up.
+    series : int
+        How often the jobs of the queue had been dropped before: jobs of one series belong together.
+    submitted : float
+        Time of submission, by `time.perf_counter`.
+    patience : float
+        Time, in seconds from its start, for which the job goes on although a newer one may start.
+        The job may change it.
+    """
+
+    def __init__(self, queue: LatestQueue, generation: int, series: int, patience: float) -> None:
+        self.generation, self.series, self.patience = generation, series, patience
+        self.submitted = time.perf_counter()
+        self._queue = queue
+        self._started = math.inf
+        self._dropped = threading.Event()
+
+    @property
+    def dropped(self) -> bool:
+        """True if the result of the job is no longer wanted."""
+        return self._dropped.is_set()
+
+    def is_set(self) -> bool:
+        """Return whether to stop: dropped, or out of patience while a newer job waits."""
+        late = time.perf_counter() > self._started + self.patience
+        return self.dropped or (late and self._queue.can_go_on)
+
+    def start(self) -> None:
+        """Start to count the patience."""
+        self._started = time.perf_counter()
+
+    def drop(self) -> None:
+        """Mark the job as no longer wanted."""
+        self._dropped.set()
+
+
+#: Work on the compute thread, called with its turn; it handles its own errors.
+Job = Callable[[Turn], object]
+
+
+class LatestQueue:
+    """Queue of the compute thread in which a newer job replaces the one that waits.
+
+    All methods may be called from any thread, and all but `wait` return at once. The queues of a
+    process share the compute thread and take turns after each job.
+
+    Parameters
+    ----------
+    doing : str
+        Clause for jobs of others that wait for one of this queue, after "waiting for": what it
+        does, and how to stop it.
+    """
+
+    def __init__(self, doing: str) -> None:
+        self._doing = doing
+        self._changed = threading.Condition()
+        self._generation = self._series = 0
+        self._waiting: tuple[Job, Turn] | None = None
+        self._current: Turn | None = None
+        # Set while a job of this queue is scheduled or runs; there is at most one.
+        self._scheduled: Future[None] | None = None
+        # True until the last job has ended or was dropped.
+        self._owed = False
+        self._held = self._closed = False
+
+    def submit(self, job: Job, patience: float = math.inf) -> Turn:
+        """Submit a job, which replaces the one that waits.
+
+        Parameters
+        ----------
+        job : callable
+            Called with its turn on the compute thread, unless it is replaced before.
+        patience : float
+            As of `Turn`; by default the job runs to its end.
+
+        Raises
+        ------
+        RuntimeError
+            After `close`.
+        """
+        with self._changed:
+            if self._closed:
+                raise RuntimeError("this queue is closed; make a new one")
+            self._generation += 1
+            turn = Turn(self, self._generation, self._series, patience)
+            if self._waiting is not None:
+                self._waiting[1].drop()
+            self._waiting, self._owed = (job, turn), True
+            self._go_on()
+            return turn
+
+    def hold(self) -> None:
+        """Start no other job until `resume`, for instance until a result is painted.
+
+        Called by the running job; it has no effect if that was dropped.
+        """
+        with self._changed:
+            self._held = self._current is not None and not self._current.dropped
+
+    def resume(self) -> None:
+        """Start the job that waits, after `hold`."""
+        with self._changed:
+            self._held = False
+            self._go_on()
+
+    def drop(self) -> None:
+        """Drop the job that waits and the one that runs, which stops at its next checkpoint."""
+        with self._changed:
+            for turn in (self._current, self._waiting and self._waiting[1]):
+                if turn is not None:
+                    turn.drop()
+            self._series += 1
+            self._waiting, self._owed, self._held = None, False, False
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """Drop all jobs, and accept none from now on; harmless if repeated."""
+        with self._changed:
+            self._closed = True
+            self.drop()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until no job waits or runs; return whether that happened in time."""
+        with self._changed:
+            return self._changed.wait_for(
+                lambda: self._waiting is None and self._scheduled is None, timeout
+            )
+
+    @property
+    def busy(self) -> bool:
+        """True until the last job has ended or was dropped."""
+        with self._changed:
+            return self._owed
+
+    @property
+    def held(self) -> bool:
+        """True between `hold` and `resume`."""
+        return self._held
+
+    @property
+    def waits(self) -> bool:
+        """True if a job waits that is newer than the one that runs."""
+        return self._waiting is not None
+
+    @property
+    def can_go_on(self) -> bool:
+        """True if the job that waits would start if the one that runs stopped."""
+        return self._waiting is not None and not self._held
+
+    @property
+    def delay(self) -> str:
+        """Work of others that the job waits for, and how to stop it, as a clause; "" if none."""
+        with self._changed:
+            return "" if self._scheduled is None else compute_thread.delays(self._scheduled)
+
+    def _go_on(self) -> None:
+        """Schedule a run, if there is a job for it; one run a job, so that others get turns."""
+        if self._scheduled is not None or self._held:
+            return
+        if self._waiting is None:
+            self._owed = False
+            self._changed.notify_all()
+        else:
+            self._scheduled = compute_thread.submit(self._run, self._described)
+
+    def _described(self) -> str:
+        turn = self._current
+        return STOPPED if turn is not None and turn.dropped else self._doing
+
+    def _run(self) -> None:
+        with self._changed:
+            waiting, self._waiting = self._waiting, None
+            self._current = turn = None if waiting is None else waiting[1]
+        try:
+            if waiting is not None and turn is not None:
+                turn.start()
+                with compute_thread.unless(lambda: turn.dropped):
+                    waiting[0](turn)
+        except Cancelled:
+            pass
+        except Exception:  # noqa: BLE001 - no one waits for the result of the job
+            _log.exception("a job in the background failed")
+        finally:
+            del waiting
+            with self._changed:
+                self._current = self._scheduled = None
+                self._go_on()

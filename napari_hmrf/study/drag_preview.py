@@ -1,0 +1,45 @@
+"""Accuracy and grid of a solve during a drag, for several pictures a second."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from napari_hmrf.solver.live_solver import TOLERANCE
+from napari_hmrf.solver.optimizers import Multigrid
+from napari_hmrf.study.coarse_grid import CoarseGrid, Glance
+from napari_hmrf.study.study import Study
+
+#: Number of sites on which a volume, or an image in large motion, is solved during a drag.
+PREVIEW_SITES = 100_000
+#: Images in large motion that have up to this many times as many sites are solved on all of them.
+_LARGER = 4
+#: Tolerance during a drag in the large-motion model, in pixels.
+_LARGE_MOTION_TOLERANCE = 0.1
+
+
+def drag_preview(study: Study, plane: tuple[int, int] | None = None) -> Glance | None:
+    """Return the coarse grid to solve a study on during a drag; None for the full grid.
+
+    Parameters
+    ----------
+    study : Study
+    plane : tuple of int, optional
+        For a volume: the axis perpendicular to the visible slice, and the number of that slice.
+    """
+    shape = study.grid.shape
+    if len(shape) == 3:
+        assert plane is not None
+        return Glance(CoarseGrid.of_at_most(PREVIEW_SITES, shape), *plane)
+    if study.model_name != "large motion" or math.prod(shape) <= _LARGER * PREVIEW_SITES:
+        return None
+    return Glance(CoarseGrid.of_at_most(PREVIEW_SITES, shape))
+
+
+def as_dragged(study: Study) -> Study:
+    """Return the study with a tolerance that suits a drag: below what is visible."""
+    optimizer = study.optimizer
+    if not isinstance(optimizer, Multigrid):
+        return study
+    tolerance = _LARGE_MOTION_TOLERANCE if study.model_name == "large motion" else TOLERANCE
+    return replace(study, optimizer=Multigrid(max(tolerance, optimizer.tolerance)))

@@ -1,0 +1,89 @@
+"""Jobs of the window on the compute thread, whose results come back on the GUI thread."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple, TypeVar
+
+from napari_hmrf.errors import Cancelled, in_words
+from napari_hmrf.solver.latest_queue import LatestQueue, Turn
+from napari_hmrf.ui.gui_thread import GuiThread
+from napari_hmrf.wording import in_words_of
+
+_log = logging.getLogger("napari_hmrf")
+T = TypeVar("T")
+# Description of a job for messages of other jobs, after "waiting for".
+_DOING = "a picture that is being drawn"
+
+
+class _Pending(NamedTuple):
+    """The queue of a kind of job, and the turn of the last job of that kind."""
+
+    queue: LatestQueue
+    turn: Turn
+
+
+class BackgroundJobs:
+    """Jobs on the compute thread; of each kind, the newest replaces the one that waits.
+
+    Jobs must hold copies only and no Qt objects: the caller may be gone when they end. All methods
+    are called on the GUI thread.
+
+    Parameters
+    ----------
+    refuse : callable
+        Called with the message of the error that a job raised.
+    """
+
+    def __init__(self, refuse: Callable[[str], object]) -> None:
+        self._refuse = refuse
+        self._pending: dict[str, _Pending] = {}
+        self._gui = GuiThread()
+
+    def submit(self, kind: str, work: Callable[[], T], show: Callable[[T], object]) -> None:
+        """Submit a job; `show` is called with its result, unless a newer job replaces it.
+
+        The result of a job that is running already is shown, too, so that the picture moves during
+        a drag.
+        """
+        known = self._pending.get(kind)
+        queue = LatestQueue(_DOING) if known is None else known.queue
+
+        def job(turn: Turn) -> None:
+            try:
+                result = work()
+            except Cancelled:
+                raise
+            except Exception as error:  # noqa: BLE001 - every error is reported to the user
+                _log.debug("%s failed", kind, exc_info=True)
+                call = partial(self._refuse, in_words_of("window", in_words(error)))
+            else:
+                call = partial(show, result)
+            self._gui.submit(partial(self._finish, kind, turn, call))
+
+        self._pending[kind] = _Pending(queue, queue.submit(job))
+
+    def busy(self, kind: str | None = None) -> bool:
+        """Return whether a job of a kind, or any job, has not been answered yet."""
+        return bool(self._pending) if kind is None else kind in self._pending
+
+    def forget(self, kind: str | None = None) -> None:
+        """Drop the jobs of a kind, or all; a running job stops at its next checkpoint."""
+        for each in [*self._pending] if kind is None else [kind]:
+            if each in self._pending:
+                self._pending.pop(each).queue.close()
+
+    def release(self) -> None:
+        """Drop all jobs for good."""
+        self.forget()
+        self._gui.release()
+
+    def _finish(self, kind: str, turn: Turn, call: Callable[[], object]) -> None:
+        if turn.dropped:
+            return
+        pending = self._pending.get(kind)
+        if pending is not None and pending.turn is turn:
+            del self._pending[kind]
+        call()

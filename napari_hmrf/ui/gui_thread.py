@@ -1,0 +1,84 @@
+"""Calls on the GUI thread: from other threads, and after the window has painted."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+
+from qtpy.QtCore import QCoreApplication, QEvent, QObject, Qt, Signal
+
+from napari_hmrf.ui.events import single_shot
+
+#: A function to call, with its arguments bound to it.
+Call = Callable[[], object]
+
+
+class GuiThread(QObject):
+    """Calls functions on the thread that created this object, by its event loop and in order.
+
+    The object has no parent, because a parent could delete it while another thread submits a call.
+    """
+
+    _submitted = Signal(object)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._lock = threading.Lock()
+        self._released = False
+        self._submitted.connect(self._run, Qt.ConnectionType.QueuedConnection)
+
+    def submit(self, call: Call) -> None:
+        """Submit a call from any thread, and return at once."""
+        with self._lock:
+            if not self._released:
+                self._submitted.emit(call)
+
+    def release(self) -> None:
+        """Drop the pending calls and all later ones."""
+        with self._lock:
+            self._released = True
+        with suppress(RuntimeError):  # at exit Qt may have deleted the object already
+            self.deleteLater()
+
+    def _run(self, call: Call) -> None:
+        if not self._released:
+            call()
+
+
+class Repainted(QObject):
+    """Callback after the next painting of the window and the mouse events that follow it.
+
+    Qt posts its request to paint with low priority, so that an event posted with a lower one comes
+    after it. Pending mouse events are processed next, and then timers without a delay fire.
+
+    Parameters
+    ----------
+    callback : callable
+        Called on the thread that created this object, by its event loop.
+    """
+
+    _KIND = QEvent.Type(QEvent.registerEventType())
+    _PRIORITY = int(getattr(Qt.EventPriority.LowEventPriority, "value", -1)) - 1
+
+    def __init__(self, callback: Callable[[], None]) -> None:
+        super().__init__()
+        self._timer = single_shot(self, 0, callback)
+
+    def ask(self) -> None:
+        """Schedule the callback after the next painting."""
+        QCoreApplication.postEvent(self, QEvent(self._KIND), self._PRIORITY)
+
+    def event(self, event: QEvent | None) -> bool:
+        """Start the timer of the callback, as the requested painting is done."""
+        if event is not None and event.type() == self._KIND:
+            self._timer.start()
+            return True
+        return bool(super().event(event))
+
+    def release(self) -> None:
+        """Cancel the callback, and delete this object."""
+        with suppress(RuntimeError):  # at exit Qt may have deleted the object already
+            QCoreApplication.removePostedEvents(self)
+            self._timer.stop()
+            self.deleteLater()

@@ -1,0 +1,88 @@
+"""Progress of a solve, shown in the dock if the solve takes long."""
+
+from __future__ import annotations
+
+import time
+
+from psygnal import Signal
+from qtpy.QtWidgets import QWidget
+
+from napari_hmrf.ui import messages
+from napari_hmrf.ui.events import repeating
+from napari_hmrf.ui.footer import Footer
+from napari_hmrf.ui.paced_engine import PacedEngine
+
+#: Interval between updates, in milliseconds.
+_INTERVAL = 30
+#: Time without a picture after which progress is shown, in seconds.
+_PATIENCE = 0.4
+
+
+class SolveProgress:
+    """Progress of the engine, in the footer and as a message.
+
+    Parameters
+    ----------
+    native : QWidget
+        The dock.
+    footer : Footer
+    engine : PacedEngine
+    """
+
+    #: Progress message, shown until the work ends; then "".
+    doing = Signal(str)
+
+    def __init__(self, native: QWidget, footer: Footer, engine: PacedEngine) -> None:
+        self._footer, self._engine = footer, engine
+        self._work = ""
+        self._since = 0.0
+        self._at_once = False
+        self._timer = repeating(native, _INTERVAL, self._update)
+
+    @property
+    def active(self) -> bool:
+        """True until the end of the work is shown."""
+        return bool(self._timer.isActive())
+
+    def start(self, work: str, at_once: bool = False) -> None:
+        """Start to show the progress of a piece of work.
+
+        Parameters
+        ----------
+        work : str
+            The work, such as "Deforming".
+        at_once : bool
+            Whether progress is shown from the beginning, and until `stop`; else only if pictures
+            take long, and until the engine is idle.
+        """
+        if at_once or not self._engine.busy:
+            self.restart()
+        self._work, self._at_once = work, at_once
+        if at_once:
+            self._footer.show_work(True)
+        if not self.active:
+            self._timer.start()
+
+    def restart(self) -> None:
+        """Measure the time without a picture from now on."""
+        self._since = time.monotonic()
+
+    def stop(self) -> None:
+        """Show that no work is in progress."""
+        self._at_once = False
+        self._footer.show_work(False)
+        self.doing.emit("")
+
+    def release(self) -> None:
+        """Stop all updates."""
+        self._timer.stop()
+
+    def _update(self) -> None:
+        if not (self._engine.busy or self._at_once):
+            self._timer.stop()
+            self.stop()
+        elif self._at_once or time.monotonic() - self._since > _PATIENCE:
+            monitor = self._engine.monitor
+            self._footer.cancel.enabled = True
+            self.doing.emit(messages.progress(monitor, self._work))
+            self._footer.explain(monitor.message)
