@@ -1,9 +1,11 @@
-"""Print the modules that one press of Deform, and one move of a drag, pass through, in order.
+"""Print the route of one press of Deform, and of one move of a drag, through the modules.
 
     python scripts/routes.py [--functions]
 
-Each line has the module, the first function that is called there, and the first line of the
-module's docstring. Thread changes are marked. With ``--functions``, every first call of a function.
+A module has a line where it is called first, below the module that calls it: its name, the function
+that is called, and the first line of its docstring. Modules that call no further module are the
+vocabulary of the step (values, checks, units); they are listed by name after "with". Changes of the
+thread are marked. With ``--functions``, every first call of a function has a line.
 """
 
 from __future__ import annotations
@@ -11,7 +13,9 @@ from __future__ import annotations
 import argparse
 import importlib
 import inspect
+import os
 import sys
+import textwrap
 import threading
 import time
 from collections.abc import Callable
@@ -24,15 +28,23 @@ import napari_hmrf
 PACKAGE = Path(napari_hmrf.__file__).parent
 #: Seconds to wait for a result.
 _LONG = 300.0
-_WIDTHS = 44, 34
+#: Columns of the names, spaces for each level of calls, and the deepest level that is indented.
+_WIDTHS, _INDENT, _DEEPEST = (48, 32), 2, 8
 
 
 class Stop(NamedTuple):
-    """First call of a module, or of a function."""
+    """First call of a module, or of a function.
+
+    Attributes
+    ----------
+    caller : str
+        Module of the caller; "" for the first call on a thread.
+    """
 
     module: str
     function: str
     thread: str
+    caller: str
 
 
 class Route:
@@ -61,16 +73,25 @@ class Route:
         return list(self.stops.values())
 
     def _on_event(self, frame: FrameType, event: str, _: Any) -> None:
-        code = frame.f_code
-        if not self._on or event != "call" or not code.co_filename.startswith(str(PACKAGE)):
+        if not self._on or event != "call" or frame.f_code.co_name.startswith("<"):
             return
-        if code.co_name.startswith("<"):
+        module = module_of(frame)
+        key = (module, frame.f_code.co_qualname) if self._functions else (module,)
+        if not module or key in self.stops:
             return
-        module = str(Path(code.co_filename).relative_to(PACKAGE))
-        key = (module, code.co_qualname) if self._functions else (module,)
-        if key not in self.stops:
-            name = code.co_qualname.replace("<locals>.", "")
-            self.stops[key] = Stop(module, name, threading.current_thread().name)
+        name = frame.f_code.co_qualname.replace("<locals>.", "")
+        above = frame.f_back
+        while above is not None and module_of(above) in ("", module):
+            above = above.f_back
+        caller = "" if above is None else module_of(above)
+        self.stops[key] = Stop(module, name, threading.current_thread().name, caller)
+
+
+def module_of(frame: FrameType) -> str:
+    """Return the module of a frame, as a path in the package; "" if it is outside of it."""
+    file = frame.f_code.co_filename
+    inside = file.startswith(f"{PACKAGE}{os.sep}")
+    return file.removeprefix(f"{PACKAGE}{os.sep}").replace(os.sep, "/") if inside else ""
 
 
 def duty_of(module: str) -> str:
@@ -80,17 +101,28 @@ def duty_of(module: str) -> str:
     return documented.partition("\n")[0]
 
 
-def print_route(title: str, stops: list[Stop]) -> None:
-    """Print the stops of a route, one in a line."""
+def print_route(title: str, stops: list[Stop], functions: bool) -> None:
+    """Print the stops of a route: one in a line, or with its vocabulary in the next line."""
     modules = {stop.module for stop in stops}
-    print(f"\n{title}: {len(modules)} modules\n")
-    thread = ""
+    callers = {stop.caller for stop in stops}
+    main = [stop for stop in stops if functions or not stop.caller or stop.module in callers]
+    print(f"\n{title}: {len(main)} stops, {len(modules)} modules\n")
+    depths: dict[str, int] = {}
+    thread, level = "", 0
     for stop in stops:
+        level = depths[stop.caller] + 1 if stop.caller in depths else level
+        depths.setdefault(stop.module, level)
+    for stop in main:
         if stop.thread != thread:
             thread = stop.thread
             print(f"-- {thread}")
         first, second = _WIDTHS
-        print(f"{stop.module:<{first}} {stop.function[:second]:<{second}} {duty_of(stop.module)}")
+        indent = " " * _INDENT * min(depths[stop.module], _DEEPEST)
+        name = f"{indent}{stop.module}"
+        print(f"{name:<{first}} {stop.function[:second]:<{second}} {duty_of(stop.module)}")
+        words = [each.module for each in stops if each.caller == stop.module and each not in main]
+        for line in textwrap.wrap(", ".join(words), 100):
+            print(f"{indent}    with {line}" if line else "")
 
 
 def main() -> None:
@@ -130,7 +162,7 @@ def main() -> None:
         dock.deform()
         until(lambda: bool(ended) and not dock.busy)
 
-    print_route("One press of Deform", route.record(deform))
+    print_route("One press of Deform", route.record(deform), options.functions)
 
     dock.start()
     until(lambda: not dock.busy)
@@ -145,7 +177,7 @@ def main() -> None:
         pointer.move((32.0, 34.0))
         until(lambda: bool(seen))
 
-    print_route("One move of a drag", route.record(move))
+    print_route("One move of a drag", route.record(move), options.functions)
     pointer.release()
     until(lambda: not dock.busy)
     dock.on_over(closed=True)
