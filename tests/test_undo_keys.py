@@ -143,6 +143,15 @@ def test_the_keys_of_who_is_gone_without_a_word_are_not_bound_twice():
     assert not viewer.keymap
 
 
+def test_undo_keys_stay_while_one_of_two_docks_is_open(at_hand, frame):
+    _, first = at_hand
+    second = quick(frame.open())
+    frame.close(second)
+    assert frame.viewer.keymap, "the first dock uses them"
+    frame.close(first)
+    assert not frame.viewer.keymap
+
+
 def test_arrows_and_numbers_are_taken_back_from_the_last_to_the_first(at_hand, at_rest):
     person, dock = at_hand
     materials = dock.materials

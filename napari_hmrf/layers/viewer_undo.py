@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import weakref
-from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from typing import Any
 
@@ -44,8 +43,8 @@ class ViewerUndo:
     def __init__(self, viewer: Any) -> None:
         self.model = StudyModel()
         self._viewer = weakref.proxy(viewer)
-        # Weak reference to the owner of the keys.
-        self._owner: Callable[[], Any] = lambda: None
+        # Docks that use the keys.
+        self._owners: weakref.WeakSet[Any] = weakref.WeakSet()
         # Restore the keys of the viewer, and of the active layer.
         self._keys, self._of_layer = ExitStack(), ExitStack()
         self.model.changed.connect(self._on_changed)
@@ -76,10 +75,13 @@ class ViewerUndo:
         Parameters
         ----------
         owner : object
-            Owner of the keys, in place of an earlier one.
+            User of the keys; they stay bound until the last one releases them.
         """
+        bound = bool(self._owners)
+        self._owners.add(owner)
+        if bound:
+            return
         self._keys.close()
-        self._owner = weakref.ref(owner)
         self._keys = self._bind(self._viewer)
         active = self._viewer.layers.selection.events.active
         active.connect(self._on_active)
@@ -88,8 +90,9 @@ class ViewerUndo:
         self._on_active()
 
     def unbind_keys(self, owner: Any) -> None:
-        """Restore the viewer's keys, unless they have another owner by now."""
-        if self._owner() is owner:
+        """Restore the viewer's keys, once no owner is left."""
+        self._owners.discard(owner)
+        if not self._owners:
             self._keys.close()
 
     def _bind(self, owner: Any) -> ExitStack:
