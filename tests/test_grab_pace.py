@@ -168,6 +168,18 @@ def test_what_is_wrong_is_said_once_it_is_not_put_right_already(follower, rest, 
     assert follower.shown[-1].solution is not None
 
 
+def test_an_answer_that_was_dropped_on_its_way_to_the_window_is_not_shown(follower, rest):
+    follower.follow(pulled(1))
+    compute_thread.submit(lambda: None).result(LONG)
+    follower.engine.forget()
+    assert not follower.engine.busy
+    rest(follower)
+    assert not follower.shown
+    follower.follow(pulled(2))
+    rest(follower)
+    assert [seen.study.motion.drawing for seen in follower.shown] == [pulled(2)]
+
+
 def test_a_picture_that_cannot_be_moved_does_not_stop_the_next(follower, rest, monkeypatch):
     from napari_hmrf.field.live_warp import Warper
 

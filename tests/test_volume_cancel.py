@@ -176,6 +176,20 @@ def test_a_background_job_that_is_dropped_stops(thin, counted, qtbot):
     jobs.release()
 
 
+def test_a_background_job_that_is_dropped_on_its_way_to_the_window_is_not_shown(qtbot, at_rest):
+    shown = []
+    jobs = BackgroundJobs(shown.append)
+    jobs.submit("a warp", lambda: 1, shown.append)
+    compute_thread.submit(lambda: None).result(LONG)
+    assert jobs.busy("a warp")
+    jobs.forget()
+    assert not jobs.busy()
+    jobs.submit("a warp", lambda: 2, shown.append)
+    at_rest.until(lambda: not jobs.busy())
+    assert shown == [2]
+    jobs.release()
+
+
 class Countdown:
     """Set from the look of a number on."""
 

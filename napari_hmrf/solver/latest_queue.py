@@ -41,12 +41,11 @@ class Turn:
         self.submitted = time.perf_counter()
         self._queue = queue
         self._started = math.inf
-        self._dropped = threading.Event()
 
     @property
     def dropped(self) -> bool:
-        """True if the result of the job is no longer wanted."""
-        return self._dropped.is_set()
+        """True if the result of the job is no longer wanted, even if it has ended by now."""
+        return self.series != self._queue.series
 
     def is_set(self) -> bool:
         """Return whether to stop: dropped, or out of patience while a newer job waits."""
@@ -56,10 +55,6 @@ class Turn:
     def start(self) -> None:
         """Start to count the patience."""
         self._started = time.perf_counter()
-
-    def drop(self) -> None:
-        """Mark the job as no longer wanted."""
-        self._dropped.set()
 
 
 #: Work on the compute thread, called with its turn; it handles its own errors.
@@ -82,7 +77,9 @@ class LatestQueue:
     def __init__(self, doing: str) -> None:
         self._doing = doing
         self._changed = threading.Condition()
-        self._generation = self._series = 0
+        self._generation = 0
+        #: How often all jobs were dropped.
+        self.series = 0
         self._waiting: tuple[Job, Turn] | None = None
         self._current: Turn | None = None
         # Set while a job of this queue is scheduled or runs; there is at most one.
@@ -110,9 +107,7 @@ class LatestQueue:
             if self._closed:
                 raise RuntimeError("this queue is closed; make a new one")
             self._generation += 1
-            turn = Turn(self, self._generation, self._series, patience)
-            if self._waiting is not None:
-                self._waiting[1].drop()
+            turn = Turn(self, self._generation, self.series, patience)
             self._waiting, self._owed = (job, turn), True
             self._go_on()
             return turn
@@ -132,12 +127,9 @@ class LatestQueue:
             self._go_on()
 
     def drop(self) -> None:
-        """Drop the job that waits and the one that runs, which stops at its next checkpoint."""
+        """Drop all jobs so far; the one that runs stops at its next checkpoint."""
         with self._changed:
-            for turn in (self._current, self._waiting and self._waiting[1]):
-                if turn is not None:
-                    turn.drop()
-            self._series += 1
+            self.series += 1
             self._waiting, self._owed, self._held = None, False, False
             self._changed.notify_all()
 
@@ -183,12 +175,12 @@ class LatestQueue:
 
     def _go_on(self) -> None:
         """Schedule a run, if there is a job for it; one run a job, so that others get turns."""
-        if self._scheduled is not None or self._held:
+        if self._scheduled is not None:
             return
         if self._waiting is None:
             self._owed = False
             self._changed.notify_all()
-        else:
+        elif not self._held:
             self._scheduled = compute_thread.submit(self._run, self._described)
 
     def _described(self) -> str:
