@@ -136,6 +136,55 @@ MUTATIONS = (
         "return read",
         "test_grab.py",
     ),
+    # solver, study, ui: one queue for all background work
+    Mutation(
+        "solver/latest_queue.py",
+        "        elif not self._held:\n",
+        "        else:\n",
+        "test_latest_queue.py test_grab_pace.py",
+    ),
+    Mutation(
+        "solver/latest_queue.py",
+        "return self.series != self._queue.series",
+        "return False",
+        "test_latest_queue.py",
+    ),
+    Mutation(
+        "solver/latest_queue.py",
+        "self._held = self._current is not None and not self._current.dropped",
+        "self._held = True",
+        "test_latest_queue.py",
+    ),
+    Mutation(
+        "study/engine.py",
+        "return answer is self._newest and answer.generation > self._dropped",
+        "return answer is self._newest",
+        "test_grab_pace.py",
+    ),
+    Mutation(
+        "ui/paced_engine.py",
+        "        if seen.moved.error is None or not self._engine.waits:\n",
+        "        if seen.moved.error is None:\n",
+        "test_grab_pace.py",
+    ),
+    Mutation(
+        "ui/background_jobs.py",
+        "        if turn.dropped:\n            return\n",
+        "",
+        "test_volume_cancel.py",
+    ),
+    Mutation(
+        "study/drag_preview.py",
+        "Glance(CoarseGrid.of_at_most(PREVIEW_SITES, shape), *plane)",
+        "Glance(CoarseGrid(1), *plane)",
+        "test_volume_window.py",
+    ),
+    Mutation(
+        "layers/viewer_undo.py",
+        "        if not self._owners:\n",
+        "        if owner not in self._owners:\n",
+        "test_undo_keys.py",
+    ),
     # study: how a study is understood
     Mutation(
         "study/ground.py",
