@@ -1,4 +1,4 @@
-"""A second image over the one that moves, and how far landmarks are from where they belong."""
+"""Comparison with a second image and with landmarks: overlay of both, and residuals."""
 
 from __future__ import annotations
 
@@ -21,21 +21,23 @@ from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import Listening
 from napari_hmrf.ui.result.result_view import ResultView
 
-#: Where both images are alike they make grey.
+#: Looks of the moving image and of the second one; where both are equal, they add up to grey.
 _MOVED = {"colormap": "magenta"}
 _OTHER = {"colormap": "green", "blending": "additive", "opacity": 1.0, "visible": True}
 
 
 class SecondImage:
-    """Has two images be seen at once, and measures landmarks whenever tissue has come to rest.
+    """View of a second image over the deformed one, and residuals of landmarks.
+
+    Residuals are measured whenever a result is selected, and when landmarks or their choice change.
 
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
     view : ResultView
-        Of the result that is looked at.
+        View of the selected result.
     controller : Controller
-        Its landmark layers say where things are and should be; without, those of the drawing do.
+        Its form has the layers of landmarks; without these, the landmarks of the drawing count.
     """
 
     def __init__(self, viewer: Any, view: ResultView, controller: Controller) -> None:
@@ -43,7 +45,7 @@ class SecondImage:
         self._results = shared(viewer, ResultLayers)
         self._image, self._form = controller.form.image, controller.form.result
         self._pair = controller.form.motion.boundary.landmarks
-        # How the second image and those under it were drawn before, and where the second was.
+        # Looks of all layers involved before the comparison, and index of the second image then.
         self._before: dict[Any, dict[str, Any]] = {}
         self._place = 0
         choices = (self._image, self._form.second, self._pair.where, self._pair.should)
@@ -52,17 +54,17 @@ class SecondImage:
             (viewer.layers.events.inserted, self.look), *((change, self.look) for change in changes)
         )
         self._points = Listening()
-        # Of which layer, and in which column, it is said how far its points are from their places.
-        self._said: tuple[Any, str] | None = None
+        # Layer and column of features with the residuals.
+        self._residuals: tuple[Any, str] | None = None
 
     def release(self) -> None:
-        """The dock is closed, or its window is gone."""
+        """Restore all layers, and stop listening."""
         self._heard.release()
         self._points.release()
         self._draw(None, [])
 
     def look(self, *_: Any) -> None:
-        """Show the second image over the first, and say how far landmarks are apart."""
+        """Show the second image over the first, and measure the landmarks."""
         image = self._image.value
         moved = [] if image is None else [image, *self._results.pictures_of(image)]
         self._draw(self._form.second.value, moved)
@@ -72,14 +74,14 @@ class SecondImage:
         self._measure()
 
     def _draw(self, other: Any, moved: list[Any]) -> None:
-        """Draw an image over others that move; those drawn so before are as they were."""
+        """Draw an image over the moving ones, and restore those of an earlier comparison."""
         wanted, layers = [] if other is None else [other, *moved], self._viewer.layers
         if wanted == list(self._before):
             return
         for layer, look in self._before.items():
             _set(layer, look)
         second = next(iter(self._before), None)
-        if second in layers:  # else it would cover what moves
+        if second in layers:  # left on top, it would cover the image
             layers.move(layers.index(second), self._place)
         self._before = {}
         for layer in wanted:
@@ -98,14 +100,14 @@ class SecondImage:
             self._measure()
 
     def _measure(self) -> None:
-        """Say how far landmarks are apart; what was said of points before is no longer so."""
-        said, self._said = self._said, None
+        """Show the residuals of the landmarks, and remove earlier ones."""
+        said, self._residuals = self._residuals, None
         if said is not None and said[1] in said[0].features:
             said[0].features = said[0].features.drop(columns=said[1])
         self._form.landmarks.say(self._measured())
 
     def _measured(self) -> str:
-        """How far landmarks were and are apart; each pair's goes to the features of its layer."""
+        """Describe the residuals; each landmark gets its own as a feature of its layer."""
         shown, where = self._view.shown, self._pair.where.value
         pairs = None if shown is None else self._pairs(shown.answer)
         if shown is None or pairs is None:
@@ -119,23 +121,23 @@ class SecondImage:
         if where is not None:
             column = np.full(len(where.data), np.nan)
             column[pairs.numbers] = left
-            self._said = where, f"residual ({unit})"
-            where.features = where.features.assign(**{self._said[1]: column})
+            self._residuals = where, f"residual ({unit})"
+            where.features = where.features.assign(**{self._residuals[1]: column})
         both = (float(np.sqrt((lengths**2).mean())) for lengths in (apart, left))
         before, after = (as_seen(length, spacing) for length in both)
         return f"Landmarks: {before:.3g} {unit} apart before, {after:.3g} now (RMS of {len(left)})"
 
     def _pairs(self, answer: Answer) -> LandmarkPairs | None:
-        """The landmarks of the layers that are chosen, or else of the drawing."""
+        """Return the landmarks of the chosen layers, or else those of the drawing."""
         where, should = self._pair.pair
         if where is not None:
             view = View.of(self._viewer.dims)
             try:
                 return landmark_pairs(where, should, answer.frame, answer.shape, view)
             except HmrfError:
-                return None  # said when they are taken
+                return None  # reported when the landmarks are taken
         study = self._controller.study
-        if study is None or study.grid.place != answer.frame:  # another image is worked on
+        if study is None or study.grid.place != answer.frame:  # the study is of another image
             return None
         marks = (mark for mark in study.motion.drawing.marks if isinstance(mark, Landmark))
         both = [(mark.source, mark.target) for mark in marks]

@@ -1,4 +1,4 @@
-"""The layers of the result that is looked at, at a moment of its deformation."""
+"""Layers of the selected result at any percentage of its deformation, and their player."""
 
 from __future__ import annotations
 
@@ -24,45 +24,45 @@ from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.events import repeating
 from napari_hmrf.ui.result.result_messages import FULL
 
-#: All of the deformation in one direction, in seconds.
+#: Duration of playing from 0 to 100 %, in seconds.
 SECONDS = 2.0
-#: The shortest time between two moments while playing, in milliseconds.
+#: Interval between two pictures while playing, in milliseconds.
 _TICK = 40
-#: Steps of the slider in which is played, at best, in per cent.
+#: Smallest step while playing, in per cent.
 _STEP = 2
 
 
 class MovingLayers:
-    """A result, and what the viewer shows of it.
+    """Layers of a result, which can be shown at any percentage of its deformation.
 
-    How long its arrows are at 100 % is said by napari's own control of their layer.
+    The user sets the length of the arrows at 100 % in napari's controls of their layer.
 
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
     arrows : napari.layers.Vectors
-        Which hold the result.
+        Arrows that hold the result.
     answer : Answer
-        What they hold.
+        The result.
     layers : Result
-        Those that there are.
+        Layers of the result in the viewer.
 
     Attributes
     ----------
     overlay : Overlay, optional
-        What lies over the image.
+        Overlay on the image.
     motion : Motion
-        What moves.
+        Image, overlay and arrows at each percentage.
     source : napari.layers.Image, optional
-        What is moved.
+        Image that is deformed.
     image : ndarray, optional
-        A copy of that.
+        Copy of its pixels.
     percent : int
-        How much of the deformation is drawn.
+        Percentage of the deformation that is drawn.
     longest : float
-        How far anything moves, in the unit of the answer.
+        Largest displacement, in the unit of the answer.
     points : Points
-        What happens at each point.
+        Displacement and strain at each point.
     """
 
     def __init__(self, viewer: Any, arrows: Any, answer: Answer, layers: Result) -> None:
@@ -74,23 +74,23 @@ class MovingLayers:
         self.percent = FULL
         self.longest = float(magnitude(answer.solution.displacement).max(initial=0.0))
         self.points = Points(answer.solution)
-        # How long arrows are at 100 %.
+        # Length of the arrows at 100 %.
         self._length = arrows.length
 
     def copy_image(self) -> None:
-        """Have the image be moved as it is now.
+        """Copy the current pixels of the image, to move them.
 
         Raises
         ------
         HmrfError
-            If it cannot be read; the rest moves.
+            If the image cannot be read; the other layers can still be moved.
         """
         if self.source is not None:
             self.image = picture_of(self.source, self.answer)
             self.motion = Motion(self.answer.solution, self.image)
 
     def lay_over(self, made: Overlay | None, show: bool = False) -> None:
-        """Have something lie over the image, or nothing, and move with the tissue from now on."""
+        """Set the overlay, which moves with the tissue, or remove it."""
         solution, self.overlay = self.answer.solution, made
         if made is None:
             self.layers.drop("overlay")
@@ -102,9 +102,9 @@ class MovingLayers:
             self.motion = Motion(solution, self.image, picture, is_grid, quantity)
 
     def ready(self) -> bool:
-        """Have a layer that can be moved; whether there is one."""
+        """Add the layer of the moving image, if needed; return whether any layer can move."""
         if self.image is not None:
-            if self.layers.layer("image") is None:  # as it is before it moves
+            if self.layers.layer("image") is None:  # undeformed at first
                 look, name = look_of(self.source), self.source.name
                 made = self.answer.layer("image", self.image, "deformed", look, source=name)
                 made.attributes["metadata"][METADATA]["percent"] = 0
@@ -113,7 +113,7 @@ class MovingLayers:
         return any(self.layers.layer(part) is not None for part in ("image", "overlay"))
 
     def draw(self, percent: int, moment: Moment) -> None:
-        """Draw a moment."""
+        """Draw the layers at a percentage."""
         frame, parts = self.answer.frame, dict[Part, Any]()
         if moment.image is not None:
             parts["image"] = frame.put_image(moment.image)
@@ -125,9 +125,9 @@ class MovingLayers:
         self.draw_arrows(percent)
 
     def draw_arrows(self, percent: int) -> None:
-        """Let them end where the tissue is at so much of the deformation; their data stay."""
+        """Scale the arrows to a percentage of their length; their data stay."""
         if (arrows := self.layers.layer("arrows")) is not None:
-            # Somebody may have chosen another length.
+            # The user may have set another length.
             if self.percent and arrows.length != self._length * self.percent / FULL:
                 self._length = arrows.length * FULL / self.percent
             arrows.length = self._length * percent / FULL
@@ -135,22 +135,23 @@ class MovingLayers:
 
 
 class Player:
-    """Draws moments of a deformation, computed on the compute thread.
+    """Player of a deformation; its pictures are computed on the compute thread.
 
     Parameters
     ----------
     parent : QWidget
     jobs : BackgroundJobs
     shown : callable
-        Returns the result whose moments are drawn, or None.
+        Returns the selected result, or None.
 
     Attributes
     ----------
     moved : Signal(int)
-        Per cent that playing has come to.
+        Emitted with the next percentage while playing.
     playing_changed : Signal(bool)
+        Emitted when playing starts or stops.
     drawn : Signal()
-        A moment is.
+        Emitted when a picture has been drawn.
     """
 
     moved = Signal(int)
@@ -166,11 +167,11 @@ class Player:
 
     @property
     def playing(self) -> bool:
-        """Whether it is moving by itself."""
+        """True while playing."""
         return bool(self._timer.isActive())
 
     def play(self) -> None:
-        """Go back and forth until stopped, beginning where the slider is."""
+        """Play back and forth until `stop`, from the current percentage."""
         if (shown := self._shown()) is None or self.playing:
             return
         self._started = time.monotonic() - SECONDS * shown.percent / FULL
@@ -178,13 +179,13 @@ class Player:
         self.playing_changed.emit(True)
 
     def stop(self) -> None:
-        """Stay at what is shown."""
+        """Stop playing, at the current percentage."""
         if self.playing:
             self._timer.stop()
             self.playing_changed.emit(False)
 
     def show(self, percent: int) -> None:
-        """Draw a moment, at once if it is kept, else as soon as it is computed."""
+        """Draw a percentage: at once if it is cached, else when it is computed."""
         if (shown := self._shown()) is None:
             return
         if (moment := shown.motion.known(percent / FULL)) is not None:
@@ -199,12 +200,12 @@ class Player:
         self.drawn.emit()
 
     def _on_tick(self) -> None:
-        # The slider waits for the picture: both always say the same.
+        # The slider waits for the picture, so that both always agree.
         if (shown := self._shown()) is None or self._jobs.busy("moment"):
             return
         along = (time.monotonic() - self._started) / SECONDS % 2
         part = along if along <= 1 else 2 - along
-        # As fine as all moments can be kept.
+        # Steps so small that all pictures fit into the cache, but no smaller.
         step = max(_STEP, math.ceil(FULL * shown.motion.finest))
         percent = min(FULL, round(FULL * part / step) * step)
         if percent != shown.percent:

@@ -1,4 +1,4 @@
-"""The result in the viewer: which one is looked at, how much of it is seen, and how."""
+"""View of the selected result: its overlay, its percentage, and its comparison with a reference."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from napari_hmrf.ui.result.result_menu import ResultMenu
 
 
 class ResultView:
-    """Does to the layers of a result what its form is asked for.
+    """View of the selected result, controlled by the result form.
 
     Parameters
     ----------
@@ -35,24 +35,24 @@ class ResultView:
     viewer : napari.Viewer or ViewerModel
     form : ResultForm
     results : ResultLayers
-        Of the viewer.
+        Results in the viewer.
 
     Attributes
     ----------
     arrows : napari.layers.Vectors or None
-        Which hold the result that is looked at: the newest, or those that are selected.
+        Arrows that hold the selected result: by default the newest one.
     """
 
-    #: What there is to say.
+    #: Message for the user.
     said = Signal(str)
-    #: Another result is looked at, another state of it, or none.
+    #: Another result has been selected, or none, or the selected one has changed.
     looked = Signal()
 
     def __init__(self, native: Any, viewer: Any, form: ResultForm, results: ResultLayers) -> None:
         self._viewer, self._form, self._results = viewer, form, results
         self._jobs = BackgroundJobs(self.said.emit)
         self.shown: MovingLayers | None = None
-        #: How far the result is from its reference, if there is one.
+        #: Difference between the result and its reference, if one is chosen.
         self.comparison: Comparison | None = None
         self.cursor = UnderCursor(viewer, lambda: self.shown)
         self.player = Player(native, self._jobs, lambda: self.shown)
@@ -74,21 +74,21 @@ class ResultView:
             (viewer.layers.selection.events.active, self._on_active),
             (results.changed, self._on_changed),
         )
-        with suppress(ValueError):  # somebody else's
+        with suppress(ValueError):  # bound by another plugin
             viewer.bind_key(BEFORE_KEY, self._while_key_is_held)
         found = [layer for layer in viewer.layers if result_of(layer) is not None]
         self.arrows = max(reversed(found), key=lambda each: results.of(each).visible, default=None)
 
-    # What there is
+    # State
 
     @property
     def busy(self) -> bool:
-        """Whether something that was asked for is not seen yet."""
+        """True if a requested change is not shown yet."""
         return self._jobs.busy() or self.more.busy
 
     @property
     def before(self) -> bool:
-        """Whether the image is seen as it was; never without a result."""
+        """True if the undeformed image is shown; always False without a result."""
         return self.shown is not None and self.shown.layers.is_before
 
     @before.setter
@@ -98,19 +98,19 @@ class ResultView:
 
     @property
     def arrows(self) -> Any:
-        """Which hold the result that is looked at."""
+        """Arrows that hold the selected result, or None."""
         return None if self.shown is None else self.shown.arrows
 
     @arrows.setter
     def arrows(self, arrows: Any) -> None:
-        """Look at the result that a layer of arrows holds, as it is now; None: at none."""
+        """Select the result that a layer of arrows holds, in its current state."""
         before = self.shown
         answer, shown = None if arrows is None else result_of(arrows), None
         if answer is not None:
             shown = MovingLayers(self._viewer, arrows, answer, self._results.of(arrows))
         other = before is None or shown is None or shown.layers is not before.layers
-        chosen = other or self._jobs.busy("overlay")  # which may have been to be seen
-        # A newer state of the same is not seen as long as somebody looks at what was before.
+        chosen = other or self._jobs.busy("overlay")  # a pending overlay may have been chosen
+        # A newer state of the same result does not end the view of the undeformed image.
         self._put_back(release=other)
         if before is not None and other:
             before.layers.leave()
@@ -126,10 +126,10 @@ class ResultView:
         if self._form.overlay.value != words.NOTHING:
             self._lay_over(chosen)
 
-    # What can be done
+    # Actions
 
     def stand_on(self, image: Any) -> None:
-        """Look at the result of an image, if what is looked at is another's; at none without."""
+        """Select the result of an image, or none, unless its result is selected already."""
         shown, layers = self.shown, self._viewer.layers
         if shown is not None and shown.source in (None, image):
             return
@@ -138,27 +138,27 @@ class ResultView:
         self.arrows = None if image is None else next(own, None)
 
     def play(self) -> None:
-        """Go back and forth between 0 and 100 % until `player.stop`."""
+        """Play back and forth between 0 and 100 % until `player.stop`."""
         if self._can_move():
             self.player.play()
 
     def rest(self) -> None:
-        """Leave the layers as they were before they were moved."""
+        """Restore the layers and the key, as the dock closes."""
         if self._while_key_is_held in self._viewer.keymap.values():
             self._viewer.bind_key(BEFORE_KEY, None)
         self._put_back()
 
     def release(self) -> None:
-        """Listen no more."""
+        """Stop listening, and drop all jobs."""
         self._events.release()
         self._jobs.release()
         self.more.release()
         self.cursor.release()
 
-    # What it is compared with
+    # Comparison with a reference
 
     def _compare(self) -> None:
-        """Say how far the result is from its reference, if there is one."""
+        """Compare the result with its reference in the background, if one is chosen."""
         shown, reference, self.comparison = self.shown, self._form.reference.value, None
         self._say_how_far()
         self._jobs.forget("comparison")
@@ -183,12 +183,12 @@ class ResultView:
         if self.shown is not None:
             self._offer(self.shown)
             if self._form.overlay.value == words.NOTHING:
-                self._lay_over(chosen=False)  # as the map of another reference lay there
+                self._lay_over(chosen=False)  # the difference was removed with its reference
 
-    # Which result is looked at
+    # Selection of the result
 
     def _on_changed(self, result: Result) -> None:
-        """What is seen in a place is another result, or none."""
+        """Respond to a change of a result, as another slice or a new solution is shown."""
         shown, arrows = self.shown, result.layer("arrows")
         moves = self.player.playing or self._jobs.busy("moment")
         if shown is None or result is not shown.layers:
@@ -201,10 +201,10 @@ class ResultView:
         else:
             self.cursor.say()
             if moves or self._form.slider.value != words.FULL:
-                self._draw_whole()  # all of it is there again
+                self._draw_whole()  # its layers were redrawn at 100 %
 
     def _on_active(self, *_: Any) -> None:
-        """Look at another result that is selected: of another image, slice or file."""
+        """Select the result whose arrows are active: of another image, slice or file."""
         active = self._viewer.layers.selection.active
         answer = None if active in (None, self.arrows) else result_of(active)
         if answer is not None and not self._results.of(active).is_away:
@@ -220,13 +220,13 @@ class ResultView:
             self.arrows = layer
         elif shown is None or shown.source in self._viewer.layers:
             return
-        elif can_be_source(layer, shown.answer):  # of a file, or opened again
+        elif can_be_source(layer, shown.answer):  # the image of a result that was opened
             self.arrows = shown.arrows
 
     def _on_removed(self, event: Any) -> None:
         if self.shown is None:
             return
-        # What goes by our own doing is no part any more.
+        # Layers that the dock itself removes are no longer parts of a result.
         part = self.shown.layers.part_of(event.value)
         if part == "overlay":
             self._form.overlay.value = words.NOTHING
@@ -235,15 +235,15 @@ class ResultView:
                 self.said.emit(words.LOST.format(layer=event.value.name))
             self.arrows = None
 
-    # What lies over the image
+    # Overlay
 
     def _offer(self, shown: MovingLayers) -> None:
-        """Offer what can lie over the image of a result, and choose what does."""
+        """Offer the overlays of a result, and select the one that is shown."""
         choice, there = self._form.overlay, shown.layers.layer("overlay")
         with choice.changed.blocked():
             name = choice.value
             if name == words.NOTHING and there is not None and there.visible:
-                name = known_of(there)["kind"]  # of a dock that was closed
+                name = known_of(there)["kind"]  # left by a dock that was closed
             ways = ways_of(shown.answer.frame, self._viewer)
             compared = self._form.reference.value is not None
             if name == "difference" and not compared:
@@ -252,14 +252,14 @@ class ResultView:
             choice.value = name
 
     def _lay_over(self, chosen: bool) -> None:
-        """Have what is chosen lie over the image; `chosen`: just now, so that it is to be seen."""
+        """Draw the chosen overlay in the background; if just `chosen`, make it visible."""
         shown, name = self.shown, self._form.overlay.value
         if shown is None:
             return
         if name == words.NOTHING:
             self._jobs.forget("overlay")
             self._on_overlay(shown, name, False, None)
-        elif name != "difference" or self.comparison is not None:  # else once it is compared
+        elif name != "difference" or self.comparison is not None:  # else after the comparison
             answer = partial(self._on_overlay, shown, name, chosen)
             work = partial(overlay_of, shown.answer, name, self.comparison)
             self._jobs.submit("overlay", work, answer)
@@ -276,10 +276,10 @@ class ResultView:
             self.player.show(self._form.slider.value)
         self.cursor.look()
 
-    # How much is seen
+    # Percentage
 
     def _can_move(self) -> bool:
-        """Have a layer that can be moved be seen; whether there is one, else why not is said."""
+        """Prepare a layer that can move, or report why there is none; return whether one can."""
         self.before = False
         if self.shown is None:
             self.said.emit(words.NO_RESULT)
@@ -290,7 +290,7 @@ class ResultView:
         return False
 
     def _put_back(self, release: bool = True) -> None:
-        """Leave the layers as they were before they were moved."""
+        """Show the whole deformation, and drop all jobs."""
         self._jobs.forget()
         if self.shown is not None:
             if release:
@@ -299,7 +299,7 @@ class ResultView:
         self._draw_whole()
 
     def _draw_whole(self) -> None:
-        """Arrows of the whole deformation, and nothing of what was seen before."""
+        """Stop playing, and draw the arrows of the whole deformation."""
         self.player.stop()
         self._jobs.forget("moment")
         if self.shown is not None:
@@ -312,7 +312,7 @@ class ResultView:
         self._say_how_far()
 
     def _say_how_far(self, *_: Any) -> None:
-        """Say how much is seen, and of which slice."""
+        """Show the percentage, the slice, and the differences."""
         far = ""
         if (shown := self.shown) is not None:
             percent = self._form.slider.value
@@ -321,7 +321,7 @@ class ResultView:
                 far = ". ".join(filter(None, (far.rstrip("."), shown.overlay.beyond)))
         self._form.how_far.say(far)
 
-    # What is pressed
+    # Buttons and events
 
     def _on_slider(self, percent: int) -> None:
         self.player.stop()
