@@ -26,6 +26,7 @@ from napari_hmrf.wording import in_words_of
 
 if TYPE_CHECKING:
     from napari_hmrf.contributions import LayerData
+    from napari_hmrf.samples.demo import Demonstration
     from napari_hmrf.solver.solution import Solution
 
 
@@ -357,8 +358,49 @@ def _demo(options: argparse.Namespace) -> int:
     _tell("drawing ...")
     _tell_written(options, write_results(demonstration, options.out))
     layers = phantom_layers(demonstration.phantom)
-    _show_in_napari(options, layers, demonstration.solution, models[0][0])
+    if not _show_in_napari(options, layers, demonstration.solution, models[0][0]):
+        _compile_loops(options, demonstration, *models[0])
+    _suggest_next_steps()
     return 0
+
+
+def _compile_loops(
+    options: argparse.Namespace,
+    demonstration: Demonstration,
+    prior: Prior,
+    optimizer: Optimizer | None,
+) -> None:
+    """Wait until the loops are compiled, and solve again with them."""
+    from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING, VOLUMES
+    from napari_hmrf.solver.preparation import loops_are_compiled, provide_loops
+    from napari_hmrf.solver.solve import solve
+
+    jobs = [job for job in (EVERYTHING, VOLUMES) if not loops_are_compiled(job)]
+    if options.backend != "auto" or not jobs:
+        return
+    _tell(
+        "compiling the loops for this processor, once on a machine. All results are written: "
+        "Ctrl-C stops without loss"
+    )
+    progress = _ProgressLine()
+    for job in jobs:
+        provide_loops(job, progress.show)
+    progress.end()
+    again = solve(demonstration.phantom.problem, prior, optimizer=optimizer)
+    seconds = again.provenance.seconds
+    print(f"compiled; the same solve takes {seconds:.2g} s now ({again.provenance.backend})")
+
+
+def _suggest_next_steps() -> None:
+    """Print what to try after a demonstration."""
+    folder = Path(sys.executable).parent
+    if folder.is_relative_to(Path.cwd()):
+        folder = folder.relative_to(Path.cwd())
+    napari, here = folder / "napari", folder / "napari-hmrf"
+    print("\nnext, try:")
+    print(f"  {napari}  (then File > Open Sample > napari-hmrf, and drag the tissue)")
+    print(f"  {here} demo --volume  (a tumour that grows in a head)")
+    print(f"  {here} solve --help  (an image of your own)", flush=True)
 
 
 def _make_demo_folder(options: argparse.Namespace) -> None:
@@ -409,15 +451,16 @@ def _tell_written(options: argparse.Namespace, written: Sequence[Path]) -> None:
 
 def _show_in_napari(
     options: argparse.Namespace, layers: Sequence[LayerData], solution: Solution, prior: Prior
-) -> None:
-    """Open napari, unless it is switched off or there is no display."""
+) -> bool:
+    """Open napari, unless it is switched off or there is no display; return whether it opened."""
     if options.no_window:
-        return
-    if _has_display():
-        _tell("opening napari ...")
-        _open_napari(layers, solution, prior)
-    else:
+        return False
+    if not _has_display():
         _tell("napari is not opened, as there is no display (or CI is set)")
+        return False
+    _tell("opening napari ...")
+    _open_napari(layers, solution, prior)
+    return True
 
 
 _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {

@@ -16,7 +16,6 @@ from napari_hmrf.field.frame import PATIENT_AXES
 from napari_hmrf.io import figures
 from napari_hmrf.io.study_file import read_study
 from napari_hmrf.samples import selftest
-from napari_hmrf.samples.demo import demonstrate
 from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING, VOLUMES
 from napari_hmrf.solver.optimizers import Monitor
 
@@ -192,25 +191,26 @@ def test_pictures_of_quantities_let_the_image_through_and_say_when_it_was_so(kin
     assert len(draw(solution).axes[0].images) == 1
 
 
-@pytest.mark.parametrize(
-    ("backend", "expected"),
-    [("auto", [EVERYTHING, VOLUMES, "auto"]), ("opengl", ["opengl"]), ("cpu", ["cpu"])],
-)
-def test_the_demo_goes_napari_s_way_and_has_all_loops_compiled_before(
-    backend, expected, monkeypatch
+@pytest.mark.parametrize(("backend", "jobs"), [("auto", [EVERYTHING, VOLUMES]), ("cpu", [])])
+def test_the_demo_writes_its_results_before_it_waits_for_compiled_loops(
+    backend, jobs, monkeypatch, tmp_path, capsys
 ):
-    import napari_hmrf.samples.demo as module
+    from napari_hmrf.solver import preparation
 
-    done = []
+    waited = []
 
-    def solved(*given, backend, **more):
-        done.append(backend)
-        return solve(*given, backend="cpu", **more)
+    def wait(job, report):
+        waited.append((job, (tmp_path / "solution.npz").exists()))
 
-    monkeypatch.setattr(module, "solve", solved)
-    monkeypatch.setattr(module, "provide_loops", lambda job, report: done.append(job))
-    demonstrate("expansion", 32, backend=backend, progress=lambda _: None)
-    assert done == expected
+    monkeypatch.setattr("napari_hmrf.solver.solve.provide_loops", lambda *_: None)
+    monkeypatch.setattr(preparation, "loops_are_compiled", lambda job: False)
+    monkeypatch.setattr(preparation, "provide_loops", wait)
+    demo = ["demo", "--size", "32", "--backend", backend, "--no-window", "-o", str(tmp_path)]
+    assert cli.main(demo) == 0
+    assert waited == [(job, True) for job in jobs]
+    said = capsys.readouterr()
+    assert ("Ctrl-C" in said.err) == bool(jobs)
+    assert "next, try:" in said.out
 
 
 def test_progress_where_lines_stay_is_a_line_for_each_stage(capsys):

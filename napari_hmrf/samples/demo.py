@@ -12,10 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.samples.phantoms import Phantom, phantom, reference_displacement, sample
-from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING, VOLUMES
 from napari_hmrf.solver.model_names import in_words
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
-from napari_hmrf.solver.preparation import provide_loops
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import solve
@@ -117,8 +115,7 @@ def demonstrate(
     size : int
         Pixels along each side.
     backend : str
-        One of `BACKEND_NAMES`; "auto" selects napari's backend, after all loops are compiled,
-        those of elastic volumes included.
+        One of `BACKEND_NAMES`; "auto" is the fastest that is ready, as in napari.
     progress : callable
         Called with a `Monitor` now and then.
     prior, optimizer : optional
@@ -132,11 +129,6 @@ def demonstrate(
         If the requested backend cannot run.
     """
     subject = sample(name) if size == SAMPLE_SIZE else phantom(name, size)
-    if backend == "auto":
-        # Compile all loops now, so that napari finds them ready.
-        provide_loops(EVERYTHING, progress)
-        # Loops for volumes are a job of their own.
-        provide_loops(VOLUMES, progress)
     how: dict[str, Any] = {"optimizer": optimizer, "backend": backend, "progress": progress}
     solution = solve(subject.problem, prior, **how)
     rmsd = rmsd_of_fem = None
