@@ -376,20 +376,17 @@ def test_every_file_that_is_linked_exists(page):
 
 
 def test_the_readme_s_python_example_does_what_it_says():
-    example, study = re.findall(r"```python\n(.*?)```", read("README.md"), flags=re.DOTALL)
+    (example,) = re.findall(r"```python\n(.*?)```", read("README.md"), flags=re.DOTALL)
     names = {}
     exec(compile(example, "README.md", "exec"), names)
     displacement = names["solution"].displacement
-    assert np.abs(displacement[:, :4]).max() < 0.01, "the left edge is held"
-    assert displacement[:, -4:, 1].min() > 5.99, "the right edge is pulled 6 pixels"
-    assert displacement[32, 32, 1] == pytest.approx(3, abs=0.3)
-    stretch = np.diff(displacement[32, :, 1])
-    assert stretch[26:38].mean() < 0.5 * stretch[8:20].mean(), "the inclusion is stiff"
-    assert names["moved"].shape == names["image"].shape
-    exec(compile(study, "README.md", "exec"), names)
-    displacement = names["solution"].displacement
     assert displacement[32, 40] == pytest.approx((0, 6), abs=1e-3), "it is pulled"
     assert np.abs(displacement[:, [0, -1]]).max() < 1e-3, "and its edge is held"
+    assert names["moved"].shape == names["image"].shape
+
+
+def test_the_readme_is_one_screen_and_a_page():
+    assert len(read("README.md").splitlines()) <= 120
 
 
 def read(name: str) -> str:
