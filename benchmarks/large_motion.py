@@ -25,7 +25,7 @@ from napari_hmrf.data import phantom
 from napari_hmrf.loads import growth, weight
 from napari_hmrf.solver.backends.cpu import elastic_model, finite_model
 from napari_hmrf.solver.backends.thread import compute_thread
-from tests.finite_oracle import bar, solved, turned
+from tests.support.finite_oracle import bar, solved, turned
 
 _LIVE = 0.01
 # How many random problems by default.

@@ -17,7 +17,7 @@ from napari_hmrf import HmrfError, NeoHookeanPrior, Problem, solve
 from napari_hmrf.fields import count_folds
 from napari_hmrf.loads import Loads, growth
 from napari_hmrf.solver.optimizers import Multigrid
-from tests.finite_oracle import least_corner, turned
+from tests.support.finite_oracle import least_corner, turned
 
 Field = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

@@ -12,8 +12,9 @@ verb       the docstring of a public function or method does not begin with an i
 message    a message begins with one of `OPENINGS`, capitalised, and is no question
 
 A message is any string of two words or more that is no docstring. Text between backticks is code
-and is not read. `tests/words_verbs.txt` lists the accepted verbs, `tests/words_accepted.txt` the
-reviewed exceptions and `tests/words_left.txt` the files that still have violations.
+and is not read. Three files in `tests/project` belong to the check: `words_verbs.txt` lists the
+accepted verbs, `words_accepted.txt` the reviewed exceptions and `words_left.txt` the files that
+still have violations.
 """
 
 from __future__ import annotations
@@ -32,9 +33,10 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "napari_hmrf"
-VERBS = ROOT / "tests" / "words_verbs.txt"
-ACCEPTED = ROOT / "tests" / "words_accepted.txt"
-LEFT = ROOT / "tests" / "words_left.txt"
+RECORDS = ROOT / "tests" / "project"
+VERBS = RECORDS / "words_verbs.txt"
+ACCEPTED = RECORDS / "words_accepted.txt"
+LEFT = RECORDS / "words_left.txt"
 
 KINDS = ("opening", "people", "verb", "message")
 OPENINGS = ("what", "whether", "which", "who", "how", "of", "have", "be", "that", "where")

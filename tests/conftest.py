@@ -12,21 +12,21 @@ from itertools import count
 
 import numpy as np
 import pytest
-from at_rest import AtRest
-from compiling import compile_most, compile_once
 from hypothesis import settings
-from once import (
+
+from napari_hmrf.solver.backends.compile_cache import loader
+from napari_hmrf.solver.backends.thread import compute_thread
+from tests.support.compile_once import compile_most, compile_once
+from tests.support.idle import AtRest
+from tests.support.napari_caches import (
     check_callbacks_once,
     check_widgets_once,
     collect_little_once,
     draw_letters_once,
     read_manifests_once,
 )
-from patience import LONG, LONG_MS
-from screen import Screen
-
-from napari_hmrf.solver.backends.compile_cache import loader
-from napari_hmrf.solver.backends.thread import compute_thread
+from tests.support.screen import Screen
+from tests.support.timeouts import LONG, LONG_MS
 
 # However slow a machine is, what is claimed of tissue is so.
 settings.register_profile("any machine", deadline=None)
@@ -242,9 +242,9 @@ def every_pass_a_batch(monkeypatch):
 def made(monkeypatch):
     """Every texture and framebuffer that is made; `left` of it says how many OpenGL still has."""
     import moderngl
-    from opengl_here import on_compute_thread, require_opengl
 
     from napari_hmrf.solver.backends.opengl.context.device import the_device
+    from tests.support.opengl import on_compute_thread, require_opengl
 
     require_opengl()
     on_compute_thread(the_device)
@@ -280,7 +280,7 @@ def without_controls(monkeypatch):
 @pytest.fixture
 def open_window(unstyled, make_napari_viewer, chequered, qtbot, at_rest):
     """Open a window with the dock beside an image."""
-    from person import Person
+    from tests.support.person import Person
 
     def opened(data=None, **place):
         viewer = make_napari_viewer(show=True)
@@ -295,7 +295,7 @@ def open_window(unstyled, make_napari_viewer, chequered, qtbot, at_rest):
 @pytest.fixture
 def frame(qtbot):
     """A viewer without a window, and a frame for docks beside it."""
-    from beside import Frame
+    from tests.support.windowless import Frame
 
     check_widgets_once()
     check_callbacks_once()
@@ -305,7 +305,7 @@ def frame(qtbot):
 @pytest.fixture
 def open_beside(qtbot, chequered, at_rest):
     """Open the dock beside an image in a viewer without a window."""
-    from beside import Frame, Touch
+    from tests.support.windowless import Frame, Touch
 
     check_widgets_once()
     check_callbacks_once()

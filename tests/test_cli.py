@@ -7,7 +7,6 @@ import sys
 
 import numpy as np
 import pytest
-from patience import LONG_MS
 
 import napari_hmrf
 from napari_hmrf import SeilerPrior, Solution, cli, solve
@@ -18,6 +17,7 @@ from napari_hmrf.io.study_file import read_study
 from napari_hmrf.samples import selftest
 from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING, VOLUMES
 from napari_hmrf.solver.optimizers import Monitor
+from tests.support.timeouts import LONG_MS
 
 #: The finite elements that there are for the samples.
 FEM, OTHER = "RMSD to FEM of nu 0.3", "as another material"

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from napari.layers import Image, Labels, Layer
 from npe2 import PluginManifest
-from study_reader import read_layers
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, solve
 from napari_hmrf.contributions import (
@@ -34,6 +33,7 @@ from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.samples.head import SAMPLE_SIZE, head_phantom
 from napari_hmrf.samples.phantoms import sample
 from napari_hmrf.solver.optimizers import ICM
+from tests.support.study_reader import read_layers
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,6 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from public_names import PACKAGES, public_names
 
 import napari_hmrf
 from napari_hmrf import (
@@ -31,6 +30,7 @@ from napari_hmrf.fields import Picture, Warper, equivalent_strain, fold_mask, gr
 from napari_hmrf.solver.model_names import ModelName, model_name
 from napari_hmrf.study.models import chosen
 from napari_hmrf.tissue import StiffnessCurve, boundary_images, poisson_image, stiffness_image
+from tests.support.public_names import PACKAGES, public_names
 
 #: The public names without their packages.
 NAMES = {full.rpartition(".")[2]: found for full, found in public_names().items()}

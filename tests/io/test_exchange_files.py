@@ -1,0 +1,286 @@
+"""Damaged exchange files are refused, whatever they do to the libraries that decode them."""
+
+import gzip
+import os
+import struct
+import subprocess
+import sys
+
+import numpy as np
+import psutil
+import pytest
+from damaged_fields import make_field, make_foreign, read_all
+
+from napari_hmrf import FileFormatError
+from napari_hmrf.atomic_write import CANNOT_SAVE
+from napari_hmrf.cli import main
+from napari_hmrf.contributions import open_scan
+from napari_hmrf.fields import read_field, write_field
+from napari_hmrf.io import decoder_process, itk_decoder, itk_files, seal
+from napari_hmrf.io.decoder_process import DecoderProcess, Undecodable, decoder
+from napari_hmrf.io.fields import FIELD_SUFFIXES, is_field_file
+from napari_hmrf.io.images import ImageFile, read_image, write_image
+from tests.io.test_fields import Case
+
+sitk = pytest.importorskip("SimpleITK")
+
+
+def heap_objects(content):
+    """Offsets of the objects in an HDF5 file's global heap, which holds its texts."""
+    start = content.index(b"GCOL")
+    at, end = start + 16, start + struct.unpack_from("<Q", content, start + 8)[0]
+    while at < end and struct.unpack_from("<H", content, at)[0]:
+        yield at
+        at += 16 + -(-struct.unpack_from("<Q", content, at + 8)[0] // 8) * 8
+
+
+def endless(path):
+    """A transform whose texts have no end: HDF5 reads them for ever."""
+    make_foreign(path)
+    content = bytearray(path.read_bytes())
+    at = next(heap_objects(content))
+    content[at : at + 16] = bytes(16)
+    path.write_bytes(content)
+
+
+def crashing(path):
+    """A transform whose name is longer than any file."""
+    make_foreign(path)
+    content = bytearray(path.read_bytes())
+    at = list(heap_objects(content))[-1]
+    content[at + 8 : at + 16] = b"\xff" * 8
+    path.write_bytes(content)
+
+
+@pytest.fixture
+def hanging(tmp_path):
+    path = tmp_path / "hanging.h5"
+    endless(path)
+    return path
+
+
+def test_a_file_that_is_read_for_ever_is_refused_and_the_next_is_read(hanging, tmp_path):
+    make_foreign(tmp_path / "good.h5")
+    good, me = read_all(tmp_path / "good.h5"), psutil.Process()
+    before = me.memory_info().rss
+    with pytest.raises(FileFormatError, match=r"hanging\.h5: .* did not finish"):
+        read_field(hanging)
+    assert read_all(tmp_path / "good.h5") == good
+    assert me.memory_info().rss - before < 20e6
+
+
+def test_a_file_that_is_read_for_ever_is_tried_once(hanging, monkeypatch):
+    with pytest.raises(FileFormatError):
+        read_field(hanging)
+    monkeypatch.setattr(decoder, "_ask", None)
+    for _ in range(2):
+        assert is_field_file(hanging), "reading it says what is wrong"
+        with pytest.raises(FileFormatError, match="did not finish"):
+            read_field(hanging)
+
+
+def test_a_file_that_crashes_its_decoder_is_refused(tmp_path):
+    crashing(tmp_path / "a.h5")
+    with pytest.raises(FileFormatError, match=r"a\.h5: not a displacement field that can be read"):
+        read_field(tmp_path / "a.h5")
+
+
+def test_the_shell_says_which_file_is_damaged(hanging, tmp_path, capsys):
+    write_image(tmp_path / "image.png", ImageFile(np.ones((20, 24), np.uint8)))
+    image, out = str(tmp_path / "image.png"), str(tmp_path / "out")
+    for words in (
+        ["apply", str(hanging), image, "-o", out],
+        ["solve", image, "--boundary", str(hanging), "-o", out],
+    ):
+        assert main(words) == 1
+        assert "hanging.h5: not a displacement field" in capsys.readouterr().err
+
+
+def test_the_window_s_reader_says_that_a_file_is_damaged(hanging):
+    read = open_scan(str(hanging))
+    assert read is not None
+    with pytest.raises(FileFormatError, match=r"hanging\.h5: not a displacement field"):
+        read(str(hanging))
+
+
+def test_a_device_or_a_pipe_is_no_field_or_image(tmp_path):
+    if os.name != "posix":
+        pytest.skip("POSIX alone has FIFOs with names")
+    os.mkfifo(tmp_path / "a.mha")
+    os.symlink("/dev/zero", tmp_path / "b.h5")
+    for name in ("a.mha", "b.h5"):
+        for read in (read_field, read_image):
+            with pytest.raises(FileFormatError, match=f"{name}: it is a pipe or a device"):
+                read(tmp_path / name)
+        assert not is_field_file(tmp_path / name)
+
+
+#: Decoders that behave in one way, after they have said that they are ready.
+READY = """
+import json, os, sys, time
+sys.stdin.buffer.readline()
+print('{"ready": true}', flush=True)
+"""
+CLAIM = """
+sys.stdin.buffer.readline()
+print('{"dtype": "<f8", "shape": [99999, 99999]}', flush=True)
+time.sleep(99)
+"""
+ANSWER = 'sys.stdin.buffer.readline(); print("{\\"refused\\": \\"fine\\"}", flush=True)\n'
+
+
+@pytest.mark.parametrize(
+    ("program", "reason"),
+    [
+        ("sys.stdin.buffer.readline(); os.abort()", "crashes"),
+        ("sys.stdin.buffer.readline(); os._exit(0)", "crashes"),
+        ("while True: pass", "did not finish"),
+        ("sys.stdin.buffer.readline(); kept = b'a' * 2**28; time.sleep(99)", "more memory"),
+        ("time.sleep(99)", "does not answer"),
+        (CLAIM, "claims more pixels"),
+        (ANSWER, "fine"),
+    ],
+)
+def test_a_decoder_that_fails_gives_a_reason(program, reason, tmp_path, monkeypatch):
+    script, file = tmp_path / "decoder.py", tmp_path / "file"
+    script.write_text(READY + program)
+    file.write_bytes(b"some")
+    monkeypatch.setattr(itk_decoder, "__file__", str(script))
+    monkeypatch.setattr(decoder_process, "_LEAST_MEMORY", 2**27)
+    if "answer" in reason:
+        monkeypatch.setattr(decoder_process, "_PATIENCE", 0.1)
+    if "memory" in reason:
+        monkeypatch.setattr(decoder_process, "_LEAST_SECONDS", 60.0)
+    process = DecoderProcess()
+    with pytest.raises(Undecodable, match=reason):
+        process.decode(file, "pixels")
+    process.kill()
+
+
+def test_a_request_that_meets_an_idle_decoder_s_exit_is_sent_again(tmp_path, monkeypatch):
+    script, file, other = tmp_path / "decoder.py", tmp_path / "file", tmp_path / "other"
+    script.write_text(READY + ANSWER + "sys.stdin.buffer.readline()")
+    file.write_bytes(b"some")
+    other.write_bytes(b"some")
+    monkeypatch.setattr(itk_decoder, "__file__", str(script))
+    process = DecoderProcess()
+    for each in (file, other):
+        with pytest.raises(Undecodable, match="fine"):
+            process.decode(each, "pixels")
+    process.kill()
+
+
+FORKED = """
+import os, sys
+from pathlib import Path
+from damaged_fields import make_field, read_all
+
+path = Path(sys.argv[1])
+make_field(path)
+before = read_all(path)
+child = os.fork()
+if not child:
+    os._exit(int(read_all(path) != before))
+assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+assert read_all(path) == before
+assert "SimpleITK" not in sys.modules, "100 MB of memory, and no protection"
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
+def test_a_fork_has_a_decoder_of_its_own_and_neither_loads_simpleitk(tmp_path):
+    folders = [os.path.dirname(sys.modules["damaged_fields"].__file__), *sys.path]
+    subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", FORKED, str(tmp_path / "a.h5")],
+        check=True,
+        timeout=120,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(folders)},
+    )
+
+
+def unpacked(path):
+    return gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
+
+
+def packed(path, content):
+    path.write_bytes(gzip.compress(content) if path.suffix == ".gz" else content)
+
+
+@pytest.mark.parametrize("suffix", FIELD_SUFFIXES)
+def test_a_flipped_bit_anywhere_is_told(suffix, tmp_path):
+    path = tmp_path / f"a{suffix}"
+    make_field(path)
+    content = unpacked(path)
+    assert content.count(seal._MARK) == 2
+    for number, at in enumerate(np.linspace(0, len(content) - 1, 50).astype(int)):
+        flipped, changed = tmp_path / f"{number}{suffix}", bytearray(content)
+        changed[at] ^= 1 << number % 8
+        packed(flipped, bytes(changed))
+        with pytest.raises(FileFormatError):
+            read_field(flipped)
+
+
+@pytest.mark.parametrize("suffix", FIELD_SUFFIXES)
+def test_damaged_seals_are_no_missing_seals(suffix, tmp_path):
+    path = tmp_path / f"a{suffix}"
+    make_field(path)
+    content = unpacked(path)
+    worn = seal._MARK.replace(b"napari", b"mapare").replace(b"SHA", b"\0HA")
+    cases = [content.replace(seal._MARK, worn), content.replace(seal._MARK, worn, 1)]
+    if suffix == ".h5":
+        cases.append(content[:-1000] + bytes(1000))
+    for number, changed in enumerate(cases):
+        assert changed != content
+        other = tmp_path / f"{number}{suffix}"
+        packed(other, changed)
+        with pytest.raises(FileFormatError, match="damaged, or was edited after it was written"):
+            read_field(other)
+
+
+@pytest.mark.parametrize("suffix", FIELD_SUFFIXES)
+def test_a_field_that_another_tool_changed_and_saved_is_read(suffix, tmp_path):
+    path, other = tmp_path / f"a{suffix}", tmp_path / f"other{suffix}"
+    case = Case("3-D")
+    case.write(path)
+    if suffix == ".h5":
+        image = sitk.DisplacementFieldTransform(sitk.ReadTransform(str(path)))
+        image = image.GetDisplacementField()
+    else:
+        image = sitk.ReadImage(str(path), sitk.sitkVectorFloat32)
+    halved = sitk.GetImageFromArray(sitk.GetArrayFromImage(image) / 2, isVector=True)
+    halved.CopyInformation(image)
+    for key in image.GetMetaDataKeys():  # all that SimpleITK knows of the file
+        if "UNKNOWN" not in image.GetMetaData(key):
+            halved.SetMetaData(key, image.GetMetaData(key))
+    if suffix == ".h5":
+        sitk.WriteTransform(sitk.DisplacementFieldTransform(halved), str(other))
+    else:
+        sitk.WriteImage(halved, str(other), useCompression=True)
+    before, after = (read_field(each).field.vectors for each in (path, other))
+    np.testing.assert_allclose(after, before / 2, atol=1e-6)
+
+
+def test_what_the_disk_did_not_keep_replaces_no_field(tmp_path, monkeypatch):
+    path = tmp_path / "a.nii.gz"
+    make_field(path)
+    before, write = path.read_bytes(), decoder.write
+
+    def cut(file, *given, **more):
+        write(file, *given, **more)
+        content = file.read_bytes()
+        file.write_bytes(content[:-100] + bytes(100))
+
+    monkeypatch.setattr(decoder, "write", cut)
+    with pytest.raises(OSError, match=f"{CANNOT_SAVE}.*a.nii.gz"):
+        write_field(path, np.ones((4, 5, 2)), spacing=(1, 1), forward=True)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_program_without_a_python_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "frozen", True, raising=False)
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    monkeypatch.setattr(sys, "exec_prefix", str(tmp_path))
+    (tmp_path / "file").write_bytes(b"some")
+    with pytest.raises(itk_files.HmrfError, match="comes without a Python"):
+        DecoderProcess().decode(tmp_path / "file", "pixels")

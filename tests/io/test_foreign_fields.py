@@ -1,0 +1,185 @@
+"""Fields that other tools wrote are read as they meant them, to 1e-4 of a pixel.
+
+What ANTs and elastix write is read back where they are installed (test_ants, test_elastix); here
+are files as they make them.
+"""
+
+import gzip
+import struct
+
+import numpy as np
+import pytest
+from damaged_fields import make_field
+
+from napari_hmrf import FileFormatError
+from napari_hmrf.fields import read_field
+from tests.io.test_fields import PLACES, Case
+
+sitk = pytest.importorskip("SimpleITK")
+
+
+@pytest.fixture(params=PLACES)
+def case(request):
+    return Case(request.param)
+
+
+def check(case, path):
+    """Compare a file of vectors, taken as it is, with the field and place it was made of."""
+    field = read_field(path, forward=True)
+    away = (field.displacement - case.whole) / case.spacing
+    assert np.abs(away).max() < 1e-4
+    np.testing.assert_allclose(field.spacing, case.spacing, rtol=1e-6)
+    np.testing.assert_allclose(field.origin, case.origin, atol=1e-5)
+    np.testing.assert_allclose(field.direction, case.direction, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("suffix", [".nii.gz", ".nii", ".mha", ".mhd", ".nrrd", ".nhdr"])
+def test_an_image_of_vectors_by_simpleitk_is_read(case, suffix, kind, tmp_path):
+    path = tmp_path / f"field{suffix}"
+    sitk.WriteImage(case.vectors(kind), str(path))
+    check(case, path)
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".tfm"])
+@pytest.mark.parametrize("composite", [False, True])
+def test_a_transform_by_simpleitk_is_read(case, suffix, composite, tmp_path):
+    path, transform = tmp_path / f"field{suffix}", sitk.DisplacementFieldTransform(case.vectors())
+    if composite:
+        transform = sitk.CompositeTransform([transform])
+    sitk.WriteTransform(transform, str(path))
+    check(case, path)
+
+
+def test_a_warp_after_an_affine_map_is_read_as_both(case, tmp_path):
+    path, n = tmp_path / "Composite.h5", case.axes
+    shift = sitk.TranslationTransform(n, [0.3, -0.2, 0.1][:n])
+    whole = sitk.CompositeTransform([shift, sitk.DisplacementFieldTransform(case.vectors())])
+    sitk.WriteTransform(whole, str(path))
+    moved = case.whole + (case.direction.T @ shift.GetOffset())[::-1]
+    read = read_field(path, forward=True).displacement
+    assert np.abs((read - moved) / case.spacing).max() < 1e-4
+
+
+@pytest.mark.parametrize("kind", [sitk.AffineTransform, sitk.CompositeTransform])
+def test_a_transform_without_a_field_is_refused(kind, tmp_path):
+    path, affine = tmp_path / "affine.h5", sitk.AffineTransform(2)
+    sitk.WriteTransform(affine if kind is sitk.AffineTransform else kind([affine]), str(path))
+    with pytest.raises(FileFormatError, match=r"affine\.h5: not a displacement field that can be"):
+        read_field(path)
+
+
+#: What transformix writes before the numbers of a deformationField.mha.
+METAIMAGE = """ObjectType = Image
+NDims = {n}
+BinaryData = True
+BinaryDataByteOrderMSB = False
+CompressedData = False
+TransformMatrix = {matrix}
+Offset = {offset}
+CenterOfRotation = {zeros}
+ElementSpacing = {spacing}
+DimSize = {size}
+ElementNumberOfChannels = {n}
+ElementType = MET_FLOAT
+ElementDataFile = LOCAL
+"""
+
+
+def words(values):
+    return " ".join(f"{value:.17g}" for value in np.ravel(values))
+
+
+def test_a_deformation_field_of_transformix_is_read(case, tmp_path):
+    path, vectors = tmp_path / "deformationField.mha", case.vectors(np.float32)
+    header = METAIMAGE.format(
+        n=case.axes,
+        matrix=words(case.direction.T),  # axis by axis
+        offset=words(case.origin),
+        zeros=words(np.zeros(case.axes)),
+        spacing=words(case.spacing[::-1]),
+        size=words(vectors.GetSize()),
+    )
+    path.write_bytes(header.encode() + sitk.GetArrayFromImage(vectors).tobytes())
+    check(case, path)
+
+
+def rotation_as_quaternion(turn):
+    """The last three parts of the quaternion of a rotation, whose first is positive."""
+    real = np.sqrt(1 + np.trace(turn)) / 2
+    skew = turn - turn.T
+    return np.array([skew[2, 1], skew[0, 2], skew[1, 0]]) / (4 * real)
+
+
+def nifti(case, *, by_matrix, order="<"):
+    """The bytes of a field as ITK's own writer lays them out, of intent 1007."""
+    vectors = sitk.GetArrayFromImage(case.vectors(np.float32))
+    steps = np.diag([-1.0, -1, 1]) @ case.direction * case.spacing[::-1]
+    turn, side = steps / case.spacing[::-1], 1.0
+    if np.linalg.det(turn) < 0:
+        turn, side = turn * [1, 1, -1], -1.0
+    origin = np.array(case.origin) * [-1, -1, 1]
+    header = bytearray(352)
+    struct.pack_into(order + "i", header, 0, 348)
+    struct.pack_into(order + "8h", header, 40, 5, *case.shape[::-1], 1, 1, 3, 1, 1)
+    struct.pack_into(order + "4h", header, 68, 1007, 16, 32, 0)
+    struct.pack_into(order + "8f", header, 76, side, *case.spacing[::-1], 1, 1, 0, 0)
+    struct.pack_into(order + "3f", header, 108, 352, 1, 0)
+    struct.pack_into("b", header, 123, 2)
+    struct.pack_into(order + "2h", header, 252, int(not by_matrix), int(by_matrix))
+    struct.pack_into(order + "3f", header, 256, *rotation_as_quaternion(turn))
+    struct.pack_into(order + "3f", header, 268, *origin)
+    struct.pack_into(order + "12f", header, 280, *np.column_stack([steps, origin]).ravel())
+    header[344:348] = b"n+1\0"
+    return bytes(header) + np.moveaxis(vectors, -1, 0).astype(order + "f4").tobytes()
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("by_matrix", [True, False])
+@pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
+def test_one_slice_in_nifti_keeps_its_place_in_the_volume(suffix, by_matrix, order, tmp_path):
+    case, path = Case("slice"), tmp_path / f"deformationField{suffix}"
+    content = nifti(case, by_matrix=by_matrix, order=order)
+    path.write_bytes(gzip.compress(content) if suffix == ".nii.gz" else content)
+    assert sitk.ReadImage(str(path)).GetDimension() == 2, "ITK's reader drops an axis"
+    check(case, path)
+
+
+def test_vectors_that_no_tool_would_take_for_a_field_are_refused(tmp_path):
+    path, case = tmp_path / "field.nii", Case("slice")
+    content = bytearray(nifti(case, by_matrix=True))
+    struct.pack_into("<h", content, 68, 0)  # numbers on a fifth axis, not vectors
+    path.write_bytes(content)
+    with pytest.raises(FileFormatError, match=r"field\.nii: not a displacement field"):
+        read_field(path)
+
+
+@pytest.mark.parametrize("suffix", [".nii.gz", ".nii", ".mha", ".nrrd", ".h5", ".tfm"])
+def test_a_file_that_is_cut_short_is_no_field(suffix, tmp_path):
+    """All kinds of damage, 2,000 of each format: `python benchmarks/damaged_fields.py`."""
+    whole, cut = tmp_path / f"a{suffix}", tmp_path / f"cut{suffix}"
+    make_field(whole)
+    content = whole.read_bytes()
+    whole.unlink()
+    for share in (0, 0.01, 0.3, 0.7, 0.98):
+        cut.write_bytes(content[: int(share * len(content))])
+        with pytest.raises(FileFormatError, match=rf"cut\{suffix}: not a displacement field"):
+            read_field(cut)
+
+
+def test_a_packed_file_with_a_flipped_bit_is_not_said_to_be_cut_short(tmp_path):
+    path = tmp_path / "field.nii.gz"
+    content = bytearray(gzip.compress(nifti(Case("slice"), by_matrix=True)))
+    content[-8] ^= 1  # of the checksum of all bytes, which are there
+    path.write_bytes(content)
+    with pytest.raises(FileFormatError, match=r"it is damaged or cut short"):
+        read_field(path)
+
+
+def test_a_size_that_a_file_cannot_hold_costs_no_memory(tmp_path):
+    path = tmp_path / "field.nii"
+    content = bytearray(nifti(Case("slice"), by_matrix=True))
+    struct.pack_into("<h", content, 46, 32_000)  # slices, of what would be 1 GB
+    path.write_bytes(content)
+    with pytest.raises(FileFormatError, match=r"field\.nii: not a displacement field that can"):
+        read_field(path)

@@ -1,0 +1,335 @@
+"""A saved study comes back, its field is made again bit by bit, and anything else is refused."""
+
+import dataclasses
+import io
+import json
+import os
+import re
+import subprocess
+import sys
+import tracemalloc
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from damaged import MOST_BYTES, damaged, look, plain
+from damaged import STUDIES as KEPT
+
+from napari_hmrf import (
+    ICM,
+    Arrow,
+    BoundaryRule,
+    Drawing,
+    ElasticPrior,
+    FileFormatError,
+    Grid,
+    HmrfError,
+    Landmark,
+    Material,
+    Motion,
+    Multigrid,
+    Pictures,
+    SeilerPrior,
+    Solution,
+    Stroke,
+    Study,
+    Tissue,
+    read_study,
+    replay,
+    solve_study,
+    write_study,
+)
+from napari_hmrf.field.frame import Frame
+from napari_hmrf.fields import is_study_file
+from napari_hmrf.io.material_tables import read_preset
+from napari_hmrf.io.tables import read_materials
+from napari_hmrf.landmarks import read_points
+from napari_hmrf.tissue import StiffnessCurve
+from tests.support.opengl import has_opengl
+
+SHAPE = (20, 24)
+GRID = Grid(SHAPE, (0.5, 0.8), "millimeter", Frame.at((0.5, 0.8), ("mm", "mm")))
+PULL = Drawing(
+    (
+        Arrow(at=(10, 12), by=(0.5, 1), radius=2, components="row"),
+        Landmark((4, 5), (4.5, 6), 1.5, confidence=0.5),
+        Stroke("pin", (((2, 3), (2, 8)),), 1.0),
+    )
+)
+
+
+def picture(seed=3):
+    return np.random.default_rng(seed).integers(1, 255, SHAPE, dtype=np.uint8)
+
+
+def labels():
+    found = np.ones(SHAPE, np.uint8)
+    found[8:12, 8:16] = 2
+    return found
+
+
+def painted():
+    rim = np.zeros(SHAPE, np.int32)
+    rim[0], rim[-1] = 1, 2
+    return rim
+
+
+def by_labels():
+    rows = (Material(1, "liver", 5.0, 0.49), Material(2, "bone", np.inf))
+    rules = (
+        BoundaryRule(1, "fixed", name="holds"),
+        BoundaryRule(2, "move", vector=(0.5, 0.0), confidence=(1.0, 0.25)),
+    )
+    return Study(
+        GRID,
+        Tissue(labels=labels(), materials=rows, unit="kPa", record={"layer": "Tissue"}),
+        Motion(labels=painted(), rules=rules, drawing=PULL),
+        prior=ElasticPrior(plane="strain"),
+        optimizer=Multigrid(1e-2),
+        pictures=Pictures(picture(), labels(), "t1", "Tissue"),
+        names={"image": "t1"},
+        notes=("its first note",),
+    )
+
+
+def by_curve():
+    curve = StiffnessCurve(((0.0, 1.0), (255.0, 10.0)), void_below=0.5)
+    motion = Motion(hold_edge=True, drawing=PULL)
+    return Study(GRID, Tissue(curve=curve), motion, pictures=Pictures(picture(), name="t1"))
+
+
+def by_arrays():
+    c = np.zeros(SHAPE)
+    c[0] = c[-1] = 1
+    y = np.zeros((*SHAPE, 2))
+    y[-1, :, 1] = 0.7
+    return Study(
+        Grid(SHAPE, (1.0, 1.0)),
+        Tissue(stiffness=np.linspace(1, 2, c.size).reshape(SHAPE)),
+        Motion(observed=y, confidence=c),
+        prior=ElasticPrior(np.linspace(0.1, 0.45, c.size).reshape(SHAPE)),
+    )
+
+
+def by_the_paper():
+    motion = Motion(hold_edge=True, drawing=PULL)
+    tissue = Tissue(stiffness=np.ones(SHAPE))
+    prior = SeilerPrior(penalty=1e5, conditional="blanket")
+    return Study(GRID, tissue, motion, prior=prior, optimizer=ICM(12, steps=None))
+
+
+STUDIES = [by_labels, by_curve, by_arrays, by_the_paper]
+
+
+@pytest.fixture(params=STUDIES, ids=lambda make: make.__name__)
+def study(request):
+    return request.param()
+
+
+def test_what_was_saved_comes_back(study, tmp_path):
+    solution = solve_study(study, backend="cpu")
+    saved = read_study(write_study(tmp_path / "case", study, solution))
+    assert plain(saved.study) == plain(study)
+    assert plain(saved.solution.displacement) == plain(solution.displacement)
+    assert saved.solution.provenance.model == study.model_name
+
+
+def test_stiffness_may_be_a_picture_of_whole_numbers(tmp_path):
+    shades = np.arange(1, 481, dtype=np.uint16).reshape(20, 24)
+    for kind in (np.uint8, np.uint16, np.int32, np.float16):
+        study = Study(
+            Grid(shades.shape, (1.0, 1.0)), Tissue(stiffness=shades.astype(kind)), Motion(True)
+        )
+        saved = read_study(write_study(tmp_path / "case", study)).study
+        assert plain(saved.tissue.stiffness) == plain(study.tissue.stiffness)
+
+
+def test_a_study_needs_no_field(study, tmp_path):
+    path = write_study(tmp_path / "case.study", study)
+    assert path.name == "case.study"
+    assert is_study_file(path)
+    saved = read_study(path)
+    assert saved.solution is None
+    assert plain(saved.study) == plain(study)
+
+
+SOLVE = """
+import sys
+from napari_hmrf import read_study, solve_study, write_study
+for path in sys.argv[1:]:
+    study = read_study(path).study
+    write_study(path, study, solve_study(study, backend="cpu"))
+"""
+REPLAY = """
+import sys
+from napari_hmrf import read_study, replay
+for path in sys.argv[1:]:
+    before, now = read_study(path).solution, replay(path)
+    print((before.displacement == now.displacement).all(), before.provenance.backend)
+    assert before.provenance.backend == now.provenance.backend
+"""
+
+
+def test_the_field_is_made_again_bit_by_bit_in_a_fresh_process(tmp_path):
+    paths, solutions = {"cpu": [], "opengl": []}, {}
+    for backend in paths if has_opengl() else ["cpu"]:
+        for make in STUDIES:
+            study = make()
+            solution = solve_study(study, backend=backend)
+            path = write_study(tmp_path / f"{make.__name__}-{backend}", study, solution)
+            paths[backend].append(path)
+            solutions[path] = solution
+    # Who compiles a loop, as this process may have, rounds otherwise than who finds it on disk; one
+    # thread and as many as there are do not.
+    alone = {**os.environ, "NUMBA_NUM_THREADS": "1"}
+    subprocess.run([sys.executable, "-c", SOLVE, *paths["cpu"]], check=True, env=alone)
+    for path in paths["cpu"]:
+        found = read_study(path).solution.displacement
+        np.testing.assert_allclose(found, solutions[path].displacement, atol=1e-5)
+    command = [sys.executable, "-c", REPLAY, *solutions]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    same, renderers = done.stdout.split()[::2], done.stdout.split()[1::2]
+    assert same == ["True"] * len(solutions)
+    for path, renderer in zip(solutions, renderers, strict=True):
+        assert path in paths[renderer.partition(":")[0]]
+
+
+KILLED = Path(__file__).parents[2] / "benchmarks" / "killed.py"
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
+def test_a_study_killed_at_any_step_of_saving_leaves_a_whole_file():
+    """All steps of it, and kills of large files half written: `python benchmarks/killed.py`."""
+    command = [sys.executable, KILLED, "--packing", "5", "--every", "5", "--half", "0"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    told = [" ".join(line.split()) for line in done.stdout.splitlines()]
+    assert "killed while packing 5 times; the file: first" in told
+    for left in ("first", "second"):  # of each there are, as the name changes in one step
+        assert any(re.match(rf"killed while writing \d+ times; the file: {left}", x) for x in told)
+
+
+def test_an_image_may_be_left_out_and_is_given_by_whom_it_is_known(tmp_path):
+    study = by_curve()
+    path = write_study(tmp_path / "case", study, solve_study(study, backend="cpu"), image=False)
+    assert read_study(path).study.pictures.image is None
+    assert plain(read_study(path, image=picture()).study) == plain(study)
+    with pytest.raises(FileFormatError, match=r"case.study: it was made from another image .*'t1'"):
+        read_study(path, image=picture(4))
+    with pytest.raises(HmrfError, match=r"case.study: its tissue is derived from 't1'"):
+        replay(path)
+    again = replay(path, image=picture())
+    assert np.array_equal(again.displacement, read_study(path).solution.displacement)
+
+
+def test_another_file_is_no_study(tmp_path):
+    solution = solve_study(by_arrays(), backend="cpu").write(tmp_path / "result.npz")
+    assert not is_study_file(solution)
+    with pytest.raises(FileFormatError, match=r"not a valid napari-hmrf study: it is another kind"):
+        read_study(solution)
+
+
+def test_an_image_that_no_file_keeps_is_refused_and_the_old_file_stays(tmp_path):
+    study = by_curve()
+    path = write_study(tmp_path / "case", study)
+    strange = Pictures(picture().astype(complex), name="t1")
+    with pytest.raises(ValueError, match=r"cannot be saved: its image is complex128"):
+        write_study(path, dataclasses.replace(study, pictures=strange))
+    assert plain(read_study(path).study) == plain(study)
+
+
+def test_whatever_happens_to_a_file_it_is_what_was_saved_or_refused_for_little_memory(tmp_path):
+    study, path = by_labels(), tmp_path / "damaged.study"
+    content = write_study(path, study, solve_study(study, backend="cpu")).read_bytes()
+    original, outcomes = read_study(path), set()
+    tracemalloc.start()
+    for version in damaged(content, 300):
+        path.write_bytes(version.content)
+        tracemalloc.reset_peak()
+        before = tracemalloc.get_traced_memory()[0]
+        outcomes.add((version.kind, look(path, version, original, KEPT)))
+        assert tracemalloc.get_traced_memory()[1] - before < MOST_BYTES, version.kind
+    tracemalloc.stop()
+    for kind in {kind for kind, _ in outcomes}:
+        assert (kind, "refused") in outcomes
+
+
+def with_members(path, target, **changed):
+    """A copy of an archive in which some members are others."""
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    members |= {f"{name}.npy": data for name, data in changed.items()}
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+    return target
+
+
+def as_npy(array):
+    file = io.BytesIO()
+    np.save(file, array)
+    return file.getvalue()
+
+
+def spoiled_header(path, part, name, value):
+    """The header of a study with another value."""
+    with np.load(path) as archive:
+        header = json.loads(archive["header"].item())
+    header[part][name] = value
+    return as_npy(np.array(json.dumps(header)))
+
+
+@pytest.mark.parametrize("fault", ["shape", "header", "second array"])
+def test_arrays_are_expanded_only_if_header_and_shapes_allow(fault, tmp_path):
+    size = (6000, 6000)
+    study = Study(GRID, Tissue(stiffness=np.ones(SHAPE)), pictures=Pictures(labels=labels()))
+    path = write_study(tmp_path / "good", study)
+    large, changed = as_npy(np.zeros(size, np.uint8)), {}
+    if fault == "shape":
+        changed = {"boundary_labels": large}
+    elif fault == "header":
+        grid = with_members(
+            path, tmp_path / "grid.study", header=spoiled_header(path, "grid", "shape", size)
+        )
+        changed = {
+            "header": spoiled_header(grid, "motion", "rules", [{"label": "none"}]),
+            "stiffness": large,
+        }
+    else:
+        changed = {"image": large, "labels": as_npy(np.zeros(3, np.uint8))}
+    bomb = with_members(path, tmp_path / "bomb.study", **changed)
+    assert bomb.stat().st_size < 1e6
+    tracemalloc.start()
+    with pytest.raises(FileFormatError, match=r"bomb\.study: not a valid napari-hmrf study"):
+        read_study(bomb)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 5e6
+
+
+def test_an_array_is_expanded_into_its_own_memory_alone(tmp_path):
+    image = np.zeros((3000, 3000), np.uint8)
+    path = write_study(tmp_path / "a", Study(Grid(image.shape, (1, 1)), pictures=Pictures(image)))
+    tracemalloc.start()
+    read_study(path)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 1.5 * image.nbytes
+
+
+@pytest.mark.skipif(os.name != "posix", reason="devices and FIFOs are of POSIX")
+def test_devices_and_pipes_are_no_studies_and_no_tables(tmp_path):
+    fifo, device = tmp_path / "a.study", tmp_path / "b.study"
+    os.mkfifo(fifo)
+    device.symlink_to("/dev/zero")
+    for path in (fifo, device):
+        assert not is_study_file(path)
+        for load in (read_study, Solution.read):
+            with pytest.raises(FileFormatError, match=r"\.study: it is a pipe or a device"):
+                load(path)
+    for load, name in ((read_points, "a.csv"), (read_materials, "a.csv"), (read_preset, "a")):
+        endless = tmp_path / f"endless-{load.__name__}-{name}"
+        endless.symlink_to("/dev/zero")
+        with pytest.raises(FileFormatError, match="too large"):
+            load(endless)

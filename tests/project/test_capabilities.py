@@ -1,0 +1,68 @@
+"""What people can do is listed, and each line of the list names tests that are there."""
+
+import ast
+import re
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+TESTS = Path(__file__).resolve().parents[1]
+PAGE = TESTS.parent / "docs" / "development" / "capabilities.md"
+
+pytestmark = pytest.mark.skipif(not PAGE.exists(), reason="looks at a checkout of the repository")
+
+
+@cache
+def in_file(file: str) -> dict[str, ast.FunctionDef]:
+    """The tests of a file, by their names."""
+    tree = ast.parse((TESTS / file).read_text(encoding="utf-8"))
+    return {
+        node.name: node
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")
+    }
+
+
+def looks_behind(test: ast.FunctionDef) -> bool:
+    """Whether a test names something private, of ours or of others."""
+    names = [node.attr for node in ast.walk(test) if isinstance(node, ast.Attribute)]
+    return any(name.startswith("_") and not name.startswith("__") for name in names)
+
+
+def rows() -> list[tuple[str, list[str]]]:
+    """What people can do, and what each row names."""
+    lines = PAGE.read_text(encoding="utf-8").splitlines()
+    cells = [line.strip("|").split(" | ") for line in lines if line.startswith("| ")]
+    return [
+        (what.strip(), re.findall(r"`([^`]+)`", held))
+        for what, held in cells
+        if what.strip() not in ("what people can do", "---")
+    ]
+
+
+def test_every_row_names_tests_that_are_there():
+    assert len(rows()) > 100
+    missing = []
+    for what, named in rows():
+        for each in named:
+            file, _, test = each.partition("::")
+            if not (TESTS / file).is_file() or test not in in_file(file):
+                missing.append(f"{what}: {each}")
+        if not named:
+            missing.append(f"{what}: no test")
+    assert missing == []
+
+
+def test_what_people_can_do_is_held_without_a_look_behind_the_public_face():
+    behind = []
+    for what, named in rows():
+        parts = [each.split("::") for each in named]
+        if all(looks_behind(in_file(file)[test]) for file, test in parts):
+            behind.append(what)
+    assert behind == []
+
+
+def test_nothing_is_listed_twice():
+    listed = [what for what, _ in rows()]
+    assert len(set(listed)) == len(listed)

@@ -1,0 +1,419 @@
+"""Claims about the repository: what it says is true, and its parts know only what they should."""
+
+import ast
+import importlib.util
+import re
+import subprocess
+import sys
+import tomllib
+from functools import cache
+from graphlib import TopologicalSorter
+from importlib.metadata import metadata
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import napari_hmrf
+from napari_hmrf.command_line import parser_of_commands
+from tests.support.public_names import PACKAGES
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "napari_hmrf"
+MODULES = sorted(PACKAGE.rglob("*.py"))
+TESTS = ROOT / "tests"
+TEST_FILES = sorted(file for file in TESTS.rglob("*.py") if file.name != "__init__.py")
+HEAVY = ("napari", "qtpy", "PyQt6", "PySide6", "superqt", "magicgui", "moderngl", "glcontext")
+HEAVY += ("numba", "matplotlib", "vispy", "pandas")
+HEAVY += ("scipy.ndimage", "scipy.optimize", "scipy.linalg", "scipy.sparse")
+
+#: Who imports from whom: from left to right. Public modules are at the top: no other imports them.
+ROOMS = (
+    FACADES := {"cases", "data", "fields", "landmarks", "loads", "random"},
+    {"ui"},
+    {"layers"},
+    {"samples", "augmentation"},
+    {"io"},
+    {"study"},
+    {"tissue", "field"},
+    {"solver"},
+    LEAVES := {
+        *("arguments", "array_file", "atomic_write", "errors", "extras", "regular_file"),
+        *("resources", "wording"),
+    },
+)
+#: Modules that import rooms above their own, in functions or for types only: a `Solution` has the
+#: methods that take a displacement with its spacing and tissue, so that these cannot be forgotten,
+#: and a `Grid` is made from the image that it is the grid of.
+LATE = {
+    "solver/solution.py": {"field", "io", "study"},
+    "study/study.py": {"io"},
+    # Names of a public package, which is a room, too.
+    "tissue/__init__.py": {"field", "io", "tissue"},
+}
+#: What people, napari and other processes start.
+ENTRIES = {"__init__", "__main__", "cli", "command_line", "compiling", "contributions"}
+
+pytestmark = pytest.mark.skipif(
+    not (ROOT / "pyproject.toml").exists(), reason="looks at a checkout of the repository"
+)
+
+
+def tracked_files() -> list[Path]:
+    try:
+        command = ["git", "ls-files", "-z"]
+        listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("this is no git checkout")
+    files = [ROOT / name for name in listed.stdout.split("\0") if name]
+    return [file for file in files if file.is_file()]
+
+
+def imports(module: Path, *, top_level_only: bool = False) -> set[str]:
+    """Full names of what a module imports."""
+    tree = ast.parse(module.read_text(encoding="utf-8"))
+    nodes = ast.walk(tree) if not top_level_only else iter(_run_on_import(tree))
+    found = set()
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{module} imports relatively"
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def _run_on_import(tree: ast.Module) -> list[ast.stmt]:
+    """Statements at module level, also within its conditions, but not those for type checkers."""
+    statements, todo = [], list(tree.body)
+    while todo:
+        statement = todo.pop()
+        statements.append(statement)
+        for_types = isinstance(statement, ast.If) and "TYPE_CHECKING" in ast.unparse(statement.test)
+        if isinstance(statement, ast.If | ast.Try) and not for_types:
+            todo += [child for child in ast.walk(statement) if isinstance(child, ast.stmt)][1:]
+    return statements
+
+
+def is_private(name: str) -> bool:
+    return name.startswith("_") and not name.startswith("__")
+
+
+@cache
+def named_here(module: Path) -> frozenset[str]:
+    """Private names that a module gives: of its functions, classes, attributes and constants."""
+    found = set()
+    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            found.add(node.name)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            found.add(node.id)
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            found |= {node.attr} if ast.unparse(node.value) in ("self", "cls") else set()
+    return frozenset(filter(is_private, found))
+
+
+def private_names_of_others(module: Path) -> list[str]:
+    """What a module uses below the public face of somebody else's objects, as `line: name`.
+
+    A private name is our own if this module gives it, or, behind `self`, if any of ours does: an
+    inherited one. Named tuples have some that are meant for all.
+    """
+    ours = named_here(module) | {"_replace", "_asdict", "_fields", "_make"}
+    inherited = ours.union(*map(named_here, MODULES))
+    found = []
+    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Attribute):
+            own = ast.unparse(node.value) in ("self", "cls", "super()")
+            used = [] if node.attr in (inherited if own else ours) else [node.attr]
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("attr", "attrgetter")):
+            starts = [arg.values[0] if isinstance(arg, ast.JoinedStr) else arg for arg in node.args]
+            words = [str(each.value) for each in starts if isinstance(each, ast.Constant)]
+            used = [word for word in words if word not in ours]
+        elif isinstance(node, ast.ImportFrom) and not str(node.module).startswith("napari_hmrf"):
+            used = str(node.module).split(".") + [alias.name for alias in node.names]
+        elif isinstance(node, ast.Import):
+            used = [name for alias in node.names for name in alias.name.split(".")]
+        else:
+            used = []
+        found += [f"{node.lineno}: {name}" for name in used if is_private(name)]
+    return found
+
+
+def packages(names: set[str]) -> set[str]:
+    return {name.partition(".")[0] for name in names}
+
+
+def part(module: Path) -> str:
+    return module.relative_to(PACKAGE).as_posix()
+
+
+@pytest.mark.parametrize("module", MODULES, ids=part)
+def test_only_the_right_modules_know_of_napari_qt_and_opengl(module):
+    known = packages(imports(module))
+    where = part(module)
+    beside_napari = where.startswith(("layers/", "ui/", "cli.py", "contributions.py"))
+    if not where.startswith("solver/backends/opengl/"):
+        assert not known & {"moderngl", "glcontext"}
+    if not where.startswith("ui/"):
+        assert not known & {"qtpy", "superqt", "vispy"}
+    if not beside_napari:
+        assert not known & {"napari", "magicgui"}
+    assert not known & {"PyQt5", "PyQt6", "PySide2", "PySide6"}, "Qt is reached through qtpy only"
+
+
+@pytest.mark.parametrize("module", MODULES, ids=part)
+def test_private_names_of_napari_vispy_and_qt_are_used_in_one_module_only(module):
+    if part(module).startswith(("layers/", "ui/")) and part(module) != "layers/compat.py":
+        assert private_names_of_others(module) == []
+
+
+@pytest.mark.parametrize("module", MODULES, ids=part)
+def test_a_room_imports_only_from_rooms_further_down(module):
+    def height(room: str) -> int:
+        return next(n for n, level in enumerate(ROOMS) if room in level)
+
+    here = part(module).removesuffix(".py").split("/")[0]
+    late = part(module) in LATE
+    names = imports(module, top_level_only=late)
+    of_ours = {name.split(".")[1] for name in names if name.startswith("napari_hmrf.")}
+    rooms = {name for name in of_ours if (PACKAGE / name).is_dir() or name in LEAVES | FACADES}
+    beside = LEAVES if here in LEAVES else {here}
+    assert here in ENTRIES or not {room for room in rooms - beside if height(room) <= height(here)}
+
+
+@pytest.mark.parametrize("module", LATE)
+def test_late_imports_are_of_the_rooms_that_are_listed(module):
+    path = PACKAGE / module
+    late = imports(path) - imports(path, top_level_only=True)
+    assert {name.split(".")[1] for name in late} == LATE[module]
+
+
+def test_no_file_name_occurs_twice():
+    twins = ("solver/priors/", "solver/backends/")
+    public = {f"{name}.py" for name in FACADES}
+    internal = [each for each in MODULES if part(each) not in public]
+    names = [each.name for each in internal if not part(each).startswith(twins)]
+    assert {name for name in names if names.count(name) > 1} == {"__init__.py"}
+
+
+#: Folders of the backends, each with the modules and folders above it.
+ABOVE = {
+    "opengl/programs": ("opengl.context", "opengl.images", "opengl.volumes", "opengl.backend"),
+    "opengl/context": ("opengl.images", "opengl.volumes", "opengl.backend"),
+    "opengl/images": ("opengl.volumes", "opengl.backend"),
+    "opengl/volumes": ("opengl.images", "opengl.backend"),
+    "cpu": ("host", "opengl", "arrays"),
+    "arrays": ("host", "opengl", "cpu"),
+    "compile_cache": ("cpu", "arrays", "opengl", "host"),
+    "direct": ("rigid", "cpu", "arrays", "opengl", "host"),
+    "rigid": ("direct", "cpu", "arrays", "opengl", "host"),
+}
+
+
+@pytest.mark.parametrize("folder", ABOVE)
+def test_a_folder_of_the_backends_imports_none_above_it(folder):
+    backends = "napari_hmrf.solver.backends."
+    found = {
+        name.removeprefix(backends)
+        for module in (PACKAGE / "solver" / "backends" / folder).glob("*.py")
+        for name in imports(module)
+        if name.startswith(backends)
+    }
+    above = tuple(f"{each}." for each in ABOVE[folder])
+    assert not [name for name in found if f"{name}.".startswith(above)]
+
+
+def test_the_walk_through_the_shaders_names_files_that_exist():
+    text = (ROOT / "shaders" / "README.md").read_text(encoding="utf-8")
+    places = ROOT, ROOT / "shaders", PACKAGE / "solver" / "backends"
+    named = set(re.findall(r"[\w/]+\.(?:glsl|py)\b", text))
+    assert len(named) > 20
+    assert not {name for name in named if not any((place / name).is_file() for place in places)}
+
+
+@pytest.mark.parametrize("package", ["solver", "solver/backends"])
+def test_the_walk_through_a_package_names_modules_of_it(package):
+    folder = PACKAGE / package
+    text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8")))
+    modules = {
+        ".".join(each.relative_to(folder).with_suffix("").parts)
+        for each in MODULES
+        if each.is_relative_to(folder)
+    }
+    modules |= {name.removesuffix(".__init__") for name in modules}
+    names = set(re.findall(r"`([a-z_.]+)`", text))
+    assert len(names & modules) > 9
+    assert names - modules <= {"material", "open_backend"}
+
+
+def test_no_imports_go_round_in_a_circle_not_even_those_for_types():
+    named = {
+        ".".join(module.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): module
+        for module in MODULES
+    }
+    needed = {}
+    for name, module in named.items():
+        names = imports(module, top_level_only=part(module) in LATE)
+        found = {each if each in named else each.rpartition(".")[0] for each in names}
+        needed[name] = found & (named.keys() - {name})
+    TopologicalSorter(needed).prepare()
+
+
+def test_the_commands_start_without_napari():
+    assert "napari" not in packages(imports(PACKAGE / "cli.py", top_level_only=True))
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_importing_a_package_imports_nothing_heavy(package):
+    names = f"from {package} import *"  # the names, too, of which some are loaded on first use
+    code = f"import sys; {names}; print([n for n in {HEAVY!r} if n in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("file", TEST_FILES, ids=lambda file: file.relative_to(TESTS).as_posix())
+def test_tests_wait_for_events_and_never_for_a_time(file):
+    nodes = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+    names = [ast.unparse(node.func) for node in nodes if isinstance(node, ast.Call)]
+    timed = [name for name in names if name.endswith(("sleep", "bot.wait", "qWait"))]
+    assert timed == [], "at_rest(), waitUntil and waitSignal wait for what is to come"
+
+
+@pytest.mark.parametrize("folder", ["benchmarks", "scripts", "examples"])
+def test_what_is_imported_from_the_package_is_there(folder):
+    for file in ROOT.glob(f"{folder}/**/*.py"):
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        modules = {node.module for node in tree.body if isinstance(node, ast.ImportFrom)}
+        for module in {each for each in modules if each and each.startswith("napari_hmrf")}:
+            assert importlib.util.find_spec(module), f"{file.name} imports {module}"
+
+
+def test_what_is_imported_is_declared_and_what_is_declared_is_imported():
+    project = tomllib.loads(read("pyproject.toml"))["project"]
+    extras = project["optional-dependencies"]
+    wanted = [*project["dependencies"], *extras["medical"], *extras["film"]]
+    wanted += [*extras["monai"], *extras["cluster"]]
+    declared = {re.match(r"[\w-]+", requirement)[0].lower() for requirement in wanted}
+    imported = set().union(*(packages(imports(module)) for module in MODULES))
+    others = {name.lower() for name in imported - sys.stdlib_module_names - {"napari_hmrf"}}
+    named = {"skimage": "scikit-image", "pil": "pillow", "imageio_ffmpeg": "imageio-ffmpeg"}
+    assert {named.get(name, name) for name in others} == declared
+
+
+def test_the_lower_bounds_are_the_versions_that_are_tested():
+    bounds = tomllib.loads(read("pyproject.toml"))["project"]["dependencies"]
+    oldest = [line for line in read(".github/oldest.txt").splitlines() if "==" in line]
+    assert [line.replace(">=", "==") for line in bounds] == oldest
+
+
+def test_no_committed_file_names_somebodys_folders():
+    somewhere = re.compile(rb"(/home/\w|/Users/\w|/root\b|[A-Z]:\\Users|/work/\w|/tmp/\w)")
+    for file in tracked_files():
+        if file.resolve() == Path(__file__).resolve():
+            continue
+        found = somewhere.search(file.read_bytes())
+        assert found is None, f"{file.relative_to(ROOT)} names {found[0]!r}"
+
+
+def test_the_version_is_the_same_everywhere():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert project["version"] == napari_hmrf.__version__
+    assert f"\nversion: {napari_hmrf.__version__}\n" in read("CITATION.cff")
+    # Of the environment, which may be older than an edit of pyproject.toml, only the name.
+    assert metadata("napari-hmrf")["Name"] == project["name"]
+
+
+def test_the_citation_names_the_paper_and_its_licence_is_the_project_s():
+    yaml = pytest.importorskip("yaml")
+    citation = yaml.safe_load(read("CITATION.cff"))
+    project = tomllib.loads(read("pyproject.toml"))["project"]
+    assert citation["cff-version"] == "1.2.0"
+    assert {"message", "title", "authors"} <= set(citation)
+    assert citation["license"] == project["license"]
+    paper = citation["preferred-citation"]
+    assert paper["title"] == (
+        "Hierarchical Markov Random Fields Applied to Model Soft Tissue Deformations on "
+        "Graphics Hardware"
+    )
+    assert paper["authors"][0]["family-names"] == "Seiler"
+    assert "BSD 3-Clause" in read("LICENSE")
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", ".ci/run"])
+def test_every_make_command_that_is_mentioned_exists(page):
+    targets = set(re.findall(r"^([a-z-]+):", read("Makefile"), flags=re.MULTILINE))
+    mentioned = set(re.findall(r"\bmake ([a-z][a-z-]+)\b", code_in(page)))
+    assert mentioned
+    assert mentioned <= targets
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md"])
+def test_every_napari_hmrf_command_that_is_mentioned_is_understood(page):
+    lines = re.findall(r"napari-hmrf ((?:demo|selftest)[^`\n#]*)", code_in(page))
+    for line in lines:
+        arguments = [word for word in line.split() if not word.startswith("[")]
+        assert parser_of_commands().parse_args(arguments).command == arguments[0]
+
+
+def test_the_readme_names_the_menus_as_napari_does():
+    yaml = pytest.importorskip("yaml")
+    manifest = yaml.safe_load((PACKAGE / "napari.yaml").read_text(encoding="utf-8"))
+    plugin, what = manifest["display_name"], manifest["contributions"]
+    menus = " ".join(" ".join(re.findall(r"\*\*([^*]+ > [^*]+)\*\*", read("README.md"))).split())
+    for widget in what["widgets"]:
+        assert f"Plugins > {widget['display_name']} ({plugin})" in menus
+    opened = re.findall(r"File > Open Sample > ([^>]+) > (.+?)(?= File| Plugins|$)", menus)
+    assert opened
+    for name, sample in opened:
+        assert name == plugin
+        assert sample in [each["display_name"] for each in what["sample_data"]]
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md"])
+def test_every_file_that_is_linked_exists(page):
+    links = re.findall(r"\]\((?!https?:)([^)#]+)[^)]*\)", read(page))
+    for link in links:
+        assert (ROOT / link).exists(), link
+
+
+def test_the_readme_s_python_example_does_what_it_says():
+    (example,) = re.findall(r"```python\n(.*?)```", read("README.md"), flags=re.DOTALL)
+    names = {}
+    exec(compile(example, "README.md", "exec"), names)
+    displacement = names["solution"].displacement
+    assert displacement[32, 40] == pytest.approx((0, 6), abs=1e-3), "it is pulled"
+    assert np.abs(displacement[:, [0, -1]]).max() < 1e-3, "and its edge is held"
+    assert names["moved"].shape == names["image"].shape
+
+
+def test_the_readme_is_one_screen_and_a_page():
+    assert len(read("README.md").splitlines()) <= 120
+
+
+def read(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def code_in(page: str) -> str:
+    """What stands in code blocks and between backticks; all of a file that is no page."""
+    text = read(page)
+    if not page.endswith(".md"):
+        return text
+    blocks = re.findall(r"```\w*\n(.*?)```|`([^`\n]+)`", text, flags=re.DOTALL)
+    return "\n".join(block or inline for block, inline in blocks)
+
+
+def test_what_mutations_break_is_there_once():
+    sys.path.insert(0, str(ROOT / "scripts"))
+    try:
+        from mutations import MUTATIONS
+    finally:
+        sys.path.pop(0)
+    assert len(MUTATIONS) >= 20
+    for mutation in MUTATIONS:
+        text = (ROOT / "napari_hmrf" / mutation.file).read_text(encoding="utf-8")
+        assert text.count(mutation.right) == 1, f"{mutation.file}: {mutation.right}"
+        assert mutation.right != mutation.wrong
+        for test in mutation.tests.split():
+            assert (TESTS / test.partition("::")[0]).is_file(), test

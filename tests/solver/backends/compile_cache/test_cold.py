@@ -1,0 +1,460 @@
+"""A fresh process whose caches are empty: shaders and NumPy until the loops are compiled."""
+
+import errno
+import importlib.util
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from napari_hmrf import (
+    ICM,
+    BackendError,
+    Cancelled,
+    ElasticPrior,
+    Multigrid,
+    Problem,
+    SeilerPrior,
+    compiling,
+    solve,
+    warp,
+)
+from napari_hmrf.data import phantom
+from napari_hmrf.solver.backends import COMPILING, SolveJob, open_backend
+from napari_hmrf.solver.backends.compile_cache import compiler, kept, loader, loops
+from napari_hmrf.solver.backends.thread import compute_thread
+from tests.support.opengl import require_opengl
+from tests.support.timeouts import LONG
+
+solving = sys.modules["napari_hmrf.solver.solve"]
+
+MODELS = {
+    "schedule": (SeilerPrior(), ICM()),
+    "converged": (SeilerPrior(), Multigrid()),
+    "blanket": (SeilerPrior(conditional="blanket"), Multigrid()),
+    "elastic": (ElasticPrior(0.45), Multigrid()),
+    "slipping": (ElasticPrior(0.45, penalty=100.0), Multigrid()),
+}
+PROBLEM = phantom("expansion", 40).problem
+IMAGE = SolveJob.of(PROBLEM, *MODELS["elastic"])
+
+
+@pytest.fixture
+def cold(monkeypatch, tmp_path):
+    """No loops yet, and nobody who compiles them; the commands that would be started."""
+    started = []
+
+    class Compiler:
+        def __init__(self, command):
+            started.append(command)
+
+        def poll(self):
+            """It goes on for ever."""
+
+        def terminate(self):
+            """Nothing runs."""
+
+    monkeypatch.delenv("NAPARI_HMRF_COMPILE")
+    monkeypatch.setattr(kept, "folder", lambda: tmp_path)
+    monkeypatch.setattr(loops._State, "solver", loops._Part())
+    monkeypatch.setattr(loops._State, "pictures", loops._Part())
+    monkeypatch.setattr(loops._State, "alone", False)
+    monkeypatch.setattr(compiler._State, "compiler", None)
+    monkeypatch.setattr(compiler, "_started", Compiler)
+    monkeypatch.setattr(loader, "_loader", loader._Loader())
+    return started
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_the_field_and_the_picture_are_those_of_the_loops(model, cold, monkeypatch):
+    require_opengl()
+    prior, optimizer = MODELS[model]
+    early = solve(PROBLEM, prior, optimizer=optimizer, backend="opengl")
+    image = np.random.default_rng(0).random(PROBLEM.shape)
+    seen = warp(image, early.displacement, spacing=PROBLEM.spacing, tissue=PROBLEM.tissue)
+    assert not loops.in_use()
+    monkeypatch.setenv("NAPARI_HMRF_COMPILE", "here")
+    late = solve(PROBLEM, prior, optimizer=optimizer, backend="cpu")
+    if early.convergence is not None:
+        sure = early.convergence.error + late.convergence.error
+        off = np.abs(early.displacement - late.displacement).max() / PROBLEM.unit
+        assert off < sure + 1e-5
+    again = warp(image, early.displacement, spacing=PROBLEM.spacing, tissue=PROBLEM.tissue)
+    np.testing.assert_allclose(seen, again, atol=1e-6)
+
+
+def test_a_bone_moves_as_one_before_the_loops_are_compiled(cold, monkeypatch):
+    require_opengl()
+    m = PROBLEM.stiffness.copy()
+    m[18:23, 12:17] = np.inf
+    bony = Problem(PROBLEM.observed, PROBLEM.confidence, m, spacing=PROBLEM.spacing)
+    early = solve(bony, ElasticPrior(0.3), backend="opengl")
+    assert not loops.in_use()
+    monkeypatch.setenv("NAPARI_HMRF_COMPILE", "here")
+    late = solve(bony, ElasticPrior(0.3), backend="cpu")
+    sure = early.convergence.error + late.convergence.error
+    assert np.abs(early.displacement - late.displacement).max() / bony.unit < sure + 1e-5
+
+
+def test_nothing_on_the_way_imports_the_compiler():
+    require_opengl()
+    code = """
+import sys
+import numpy as np
+from napari_hmrf import ElasticPrior, solve
+from napari_hmrf.data import phantom
+problem = phantom("bar", 30).problem
+found = solve(problem, ElasticPrior(0.3), backend="opengl")
+found.warp(np.ones(problem.shape))
+print("numba" in sys.modules)
+"""
+    empty = {**os.environ, "NUMBA_CACHE_DIR": "/nonexistent/cache"}
+    del empty["NAPARI_HMRF_COMPILE"]
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=empty, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "False", done.stderr
+
+
+def opened(name):
+    """Which backend is taken, and why."""
+
+    def job():
+        backend, reason, _ = open_backend(IMAGE, name, lambda: None)
+        backend.close()
+        return backend.name.partition(":")[0], reason
+
+    return compute_thread.submit(job).result()
+
+
+def test_a_rasteriser_in_software_is_taken_until_the_loops_are_compiled(cold):
+    require_opengl()
+    name, reason = opened("auto")
+    if reason == "a GPU is there":
+        pytest.skip("this machine takes its GPU anyhow")
+    assert (name, reason) == ("opengl", COMPILING)
+    assert cold == [[sys.executable, "-m", compiler.COMPILER]]
+    opened("auto")
+    assert len(cold) == 1
+    kept.mark().touch()
+    with loader._loader.step:  # nothing is loaded yet
+        assert opened("auto") == ("opengl", COMPILING)
+    assert loader._loader.done.wait(LONG)
+    name, reason = opened("auto")
+    assert name == "cpu"
+    assert reason.startswith("OpenGL here is software only")
+
+
+class Waiting:
+    """Somebody who asks for loops by name, and is told how far these are."""
+
+    def __init__(self, prior, optimizer, backend="cpu"):
+        self.reports = queue.SimpleQueue()
+        self.cancel = threading.Event()
+        self.answer = ThreadPoolExecutor(1).submit(
+            solve,
+            PROBLEM,
+            prior,
+            optimizer=optimizer,
+            backend=backend,
+            progress=self.reports.put,
+            cancel=self.cancel,
+        )
+
+    def is_told(self, beginning):
+        while not (report := self.reports.get(timeout=LONG)).message.startswith(beginning):
+            pass
+        return report
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_who_asks_for_loops_waits_for_the_ones_it_needs_and_is_told_how_far_they_are(model, cold):
+    prior, optimizer = MODELS[model]
+    somebody = Waiting(prior, optimizer)
+    somebody.is_told("starting to compile")
+    assert cold == [[sys.executable, "-m", compiler.COMPILER]]
+    job = compiler.wanted()
+    assert job == SolveJob.of(PROBLEM, prior.resolved(PROBLEM), optimizer).loops
+    assert job in [each.name for each in compiling.jobs()]
+    compiler.tell(compiler.Stage(job, 3, 10, 2.5))
+    report = somebody.is_told("compiling")
+    assert report.message == "compiling loops (3 of 10), about 18 s left"
+    assert report.fraction == pytest.approx(0.3)
+    kept.mark(job).touch()
+    assert somebody.answer.result(LONG).provenance.backend == "cpu"
+
+
+def test_cancel_is_answered_while_loops_are_compiled_and_the_next_request_is_told_as_much(cold):
+    first = Waiting(*MODELS["elastic"])
+    first.is_told("starting to compile")
+    first.cancel.set()
+    with pytest.raises(Cancelled):
+        first.answer.result(LONG)
+    second = Waiting(*MODELS["schedule"])
+    second.is_told("starting to compile")
+    assert compiler.wanted() == "schedule"
+    kept.mark("schedule").touch()
+    second.answer.result(LONG)
+    assert len(cold) == 1
+
+
+def test_cancel_is_answered_though_this_process_compiles_a_loop_to_its_end(monkeypatch):
+    begun, go_on = threading.Event(), threading.Event()
+    monkeypatch.setattr(solving, "prepare", lambda *_: (begun.set(), go_on.wait(LONG)))
+    somebody = Waiting(*MODELS["elastic"])
+    assert begun.wait(LONG)
+    somebody.cancel.set()
+    with pytest.raises(Cancelled):
+        somebody.answer.result(LONG)
+    waiting = compute_thread.submit(lambda: None)
+    assert compute_thread.delays(waiting).startswith("waiting for what was cancelled")
+    go_on.set()
+    waiting.result(LONG)
+    assert compute_thread.delays(waiting) == ""
+
+
+def test_the_compiler_leaves_what_nobody_waits_for_any_more(cold, monkeypatch):
+    done = []
+
+    def job(name):
+        def run():
+            done.append(f"{name} begun")
+            if name == "schedule" and done.count("schedule begun") == 1:
+                compiler._wanted_file().write_text("converged")
+            current[0](compiler.Stage(name, 1, 2, 1.0))
+            done.append(name)
+
+        return compiling.Job(name, run)
+
+    current = [None]
+
+    def run(job, tell):
+        current[0] = tell
+        job.run()
+
+    monkeypatch.setattr(compiling, "run", run)
+    monkeypatch.setattr(compiler, "give_way", lambda: done.append("gives way"))
+    compiler._wanted_file().write_text("schedule")
+    todo = [job(name) for name in ("elastic", "schedule", "converged")]
+    while todo:
+        compiling._next(todo)
+    assert done == [
+        "schedule begun",
+        "converged begun",
+        "converged",
+        "gives way",
+        "elastic begun",
+        "elastic",
+        "gives way",
+        "schedule begun",
+        "schedule",
+    ]
+    assert kept.mark("converged").exists()
+
+
+def test_where_there_is_no_opengl_the_loops_that_are_needed_come_first(cold, monkeypatch):
+    class Missing:
+        def __init__(self, *_):
+            raise BackendError("no OpenGL here.")
+
+    monkeypatch.setattr("napari_hmrf.solver.backends.opengl.OpenGLBackend", Missing)
+    somebody = Waiting(*MODELS["converged"], "auto")
+    somebody.is_told("starting to compile")
+    assert compiler.wanted() == "converged"
+    kept.mark("converged").touch()
+    assert "no OpenGL here" in somebody.answer.result(LONG).provenance.reason
+
+
+def test_where_no_other_process_can_compile_this_one_does(cold, monkeypatch):
+    monkeypatch.setattr(
+        compiler, "_started", lambda command: subprocess.Popen([sys.executable, "-c", ""])
+    )
+    assert Waiting(*MODELS["elastic"]).answer.result(LONG).provenance.backend == "cpu"
+    assert loops.compile_here()
+
+
+def test_a_request_that_an_ending_compiler_has_missed_is_repeated(cold, monkeypatch):
+    class Ending:
+        """A compiler that is alive when it is asked, and then ends."""
+
+        def __init__(self):
+            self.states = [None, 0]
+
+        def poll(self):
+            return self.states.pop(0) if len(self.states) > 1 else self.states[0]
+
+        def terminate(self):
+            """Nothing runs."""
+
+    def started(command):
+        assert compiler.wanted() == "volume"
+        kept.mark("volume").touch()
+        return Ending()
+
+    monkeypatch.setattr(compiler._State, "compiler", Ending())
+    monkeypatch.setattr(compiler, "_started", started)
+    compiler.provide("volume", lambda stage: None)
+    assert kept.compiled("volume")
+    assert not loops.compile_here()
+
+
+def test_one_process_compiles_at_a_time(cold, tmp_path):
+    assert compiler.begin()
+    compiler.end(compiled=False)
+    assert not kept.mark().exists()
+    parent = os.getppid()
+    compiler._status_file().write_text(json.dumps([parent, compiler._begun(parent)]))
+    assert not compiler.begin()
+    compiler.compile_meanwhile()
+    assert cold == []
+    # Another process has its number by now.
+    compiler._status_file().write_text(json.dumps([parent, "12345"]))
+    assert compiler.begin()
+    compiler._status_file().write_text("no list")
+    assert compiler.begin()
+    compiler.end(compiled=True)
+    assert kept.mark().exists()
+    assert not compiler._status_file().exists()
+    assert loops.ready()
+
+
+@pytest.fixture
+def forgotten():
+    """What is known of the files of loops is read again."""
+    caches = kept._key, kept.sources, kept.folder
+    for each in caches:
+        each.cache_clear()
+    yield
+    for each in caches:
+        each.cache_clear()
+
+
+@pytest.mark.parametrize("module", kept.modules())
+def test_an_edit_of_any_file_of_loops_has_another_mark(module, forgotten, monkeypatch):
+    before, read = kept.mark().name, Path.read_bytes
+    edited = Path(importlib.util.find_spec(module).origin)
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * (path == edited))
+    kept._key.cache_clear()
+    kept.sources.cache_clear()
+    assert kept.mark().name != before
+
+
+def test_optimised_python_has_marks_of_its_own_as_its_loops_are_others():
+    ask = "from napari_hmrf.solver.backends.compile_cache import kept; print(kept.mark())"
+    done = subprocess.run(
+        [sys.executable, "-OO", "-c", ask], capture_output=True, check=True, text=True
+    )
+    marks = str(kept.mark()), done.stdout.strip()
+    assert marks[0] != marks[1]
+    assert all(each.endswith(".compiled") for each in marks)
+
+
+KEEPING = """
+import sys, tempfile
+from pathlib import Path
+from napari_hmrf.solver.backends.compile_cache import kept, loader
+tempfile.tempdir = sys.argv[1]
+there = kept._writable
+kept._writable = lambda folder: str(folder).startswith(sys.argv[1]) and there(folder)
+loader.before_numba()
+from numba.core import caching
+caching.CacheImpl._locator_classes[1:] = []  # what is beside the source, or at home
+sys.path.insert(0, sys.argv[1])
+import one
+print(one.more(1))
+print(any(kept.folder().rglob("*.nbi")) and kept.folder().stat().st_mode & 0o77 == 0)
+"""
+
+
+def test_where_no_folder_can_be_written_to_loops_are_kept_in_a_temporary_one(tmp_path):
+    source = "import numba\n@numba.njit(cache=True)\ndef more(x):\n    return x + 1\n"
+    (tmp_path / "one.py").write_text(source)
+    nowhere = str(tmp_path / "one.py" / "folder")
+    done = subprocess.run(
+        [sys.executable, "-c", KEEPING, tmp_path],
+        env={**os.environ, "NUMBA_CACHE_DIR": nowhere},
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout.split() == ["2", "True"], done.stderr
+
+
+@pytest.mark.parametrize(
+    ("place", "redirected"), [("told", []), ("package", [""]), ("caches", ["here"])]
+)
+def test_a_full_disk_is_no_place_for_loops(place, redirected, tmp_path, monkeypatch):
+    def usage(folder):
+        return SimpleNamespace(free=2**40 if folder.is_relative_to(tmp_path / place) else 0)
+
+    told = []
+    monkeypatch.setattr(kept.shutil, "disk_usage", usage)
+    monkeypatch.setattr(kept, "_LOOPS", tmp_path / "package")
+    monkeypatch.setattr(kept, "_redirect_numba", told.append)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "told"))
+    found = kept.folder.__wrapped__()
+    assert found.is_relative_to(tmp_path / place)
+    assert told == [str(found) if each == "here" else each for each in redirected]
+
+
+def test_a_disk_that_fills_up_costs_the_cache_but_no_result(monkeypatch, caplog):
+    loader.before_numba()
+    import numba
+    from numba.core.caching import IndexDataCacheFile
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def more(number):
+        return number + 1
+
+    monkeypatch.setattr(IndexDataCacheFile, "save", full)
+    monkeypatch.setattr(loader._Unwritable, "is_known", False)
+    loop = numba.njit(cache=True)(more)
+    assert (loop(1), loop(1.5)) == (2, 2.5)
+    (said,) = caplog.messages
+    folder = said.partition(" cannot be written to (No space left on device)")[0]
+    assert Path(loop.stats.cache_path).is_relative_to(folder)
+    assert "set NUMBA_CACHE_DIR to another folder" in said
+    assert not compiling._kept()
+
+
+def test_where_nothing_can_be_kept_shaders_go_on(cold, monkeypatch, tmp_path):
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(kept, "folder", lambda: tmp_path / "file" / "folder")
+    assert not compiler.begin()
+    assert not loops.ready()
+
+
+def test_what_volumes_take_is_done_without_loops_until_those_are_kept(cold):
+    kept.mark().touch()
+    assert loops.ready_for_pictures()
+    assert not loops.ready_for_volumes()
+    kept.mark("volume").touch()
+    assert loops.ready_for_volumes()
+
+
+def test_loops_for_volumes_are_compiled_only_for_who_waits_for_them(cold, monkeypatch):
+    done = []
+    names = ["elastic", "volume"]
+    made = [compiling.Job(name, lambda name=name: done.append(name)) for name in names]
+    monkeypatch.setattr(compiling, "jobs", lambda: list(made))
+    monkeypatch.setattr(compiling, "_kept", lambda: True)
+    monkeypatch.setattr(compiler, "give_way", lambda: None)
+    monkeypatch.setenv("NAPARI_HMRF_COMPILE", "there")
+    assert compiling.main() == 0
+    assert done == ["elastic"]
+    assert kept.compiled("")
+    assert not kept.compiled("volume")
+    compiler._wanted_file().write_text("volume", encoding="utf-8")
+    assert compiling.main() == 0
+    assert done == ["elastic", "volume"]
+    assert kept.compiled("volume")

@@ -1,0 +1,491 @@
+"""The OpenGL device beside everything else: whole solves, cancelling, limits, what stays behind."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from napari_hmrf import ICM, BackendError, Cancelled, Problem, SeilerPrior, solve
+from napari_hmrf.solver.backends import SolveJob, compute_thread, open_backend
+from napari_hmrf.solver.backends.opengl import OpenGLBackend, describe, is_software_renderer
+from napari_hmrf.solver.backends.opengl.context.device import the_device
+from napari_hmrf.solver.backends.opengl.context.pace import Pace
+from napari_hmrf.solver.backends.opengl.programs import source
+from napari_hmrf.solver.backends.opengl.programs.programs import compile_program
+from napari_hmrf.solver.quadtree import levels
+from tests.support.opengl import on_compute_thread, require_opengl
+from tests.support.timeouts import LONG
+
+CLOSED_FORM = ICM(iterations=30, steps=None)
+IMAGE = SolveJob((9, 9), (1.0, 1.0), SeilerPrior(), CLOSED_FORM)
+
+
+@pytest.fixture(params=["fragment", "compute"])
+def stage(request) -> str:
+    require_opengl(request.param)
+    return request.param
+
+
+@pytest.fixture
+def opengl() -> None:
+    require_opengl()
+
+
+def body(size: tuple[int, int] = (45, 61)) -> Problem:
+    """A soft ellipse with a stiff, lopsided core in void, its rim pushed outwards."""
+    place = (np.moveaxis(np.indices(size), 0, -1) + 0.5) / np.array(size) * 2 - 1
+    radius = np.hypot(place[..., 0], place[..., 1])
+    m = np.where(radius < 0.9, 20.0, 0.0)
+    m[np.hypot(place[..., 0] - 0.2, place[..., 1] + 0.1) < 0.3] = 40
+    rim = (radius < 0.9) & (radius > 0.75)
+    return Problem(place * 3, np.repeat(rim[..., None], 2, axis=-1), m)
+
+
+class Ledger:
+    """Every texture and framebuffer that is made, and whether OpenGL still has it."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        import moderngl
+
+        self.made: list[object] = []
+        for kind in ("texture", "framebuffer", "buffer", "renderbuffer", "query"):
+            monkeypatch.setattr(
+                moderngl.Context, kind, self._noted(getattr(moderngl.Context, kind))
+            )
+
+    def _noted(self, make):
+        def noted(ctx, *args, **kwargs):
+            made = make(ctx, *args, **kwargs)
+            self.made.append(made)
+            return made
+
+        return noted
+
+    @property
+    def left(self) -> int:
+        return sum(type(made.mglo).__name__ != "InvalidObject" for made in self.made)
+
+
+@pytest.fixture
+def ledger(opengl, monkeypatch) -> Ledger:
+    on_compute_thread(the_device)
+    return Ledger(monkeypatch)
+
+
+# Solves ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("conditional", ["centred", "blanket"])
+@pytest.mark.parametrize("size", [(45, 61), (2, 9), (1, 30), (64, 64)])
+def test_a_body_moves_alike_on_every_backend(stage, size, conditional):
+    prior = SeilerPrior(conditional=conditional)
+    loops = solve(body(size), prior, optimizer=CLOSED_FORM, backend="cpu")
+    shaders = solve(body(size), prior, optimizer=CLOSED_FORM, backend=f"opengl:{stage}")
+    largest = np.abs(loops.displacement).max()
+    assert largest > 1
+    np.testing.assert_allclose(shaders.displacement, loops.displacement, atol=1e-4 * largest)
+    np.testing.assert_allclose(shaders.energy, loops.energy, rtol=1e-2, atol=1e-6)
+    assert shaders.levels == loops.levels
+    assert shaders.provenance.backend == f"opengl:{stage}"
+
+
+def test_a_body_moves_alike_with_the_candidate_set(stage):
+    loops = solve(body(), SeilerPrior(), backend="cpu")
+    shaders = solve(body(), SeilerPrior(), backend=f"opengl:{stage}")
+    off = shaders.displacement - loops.displacement
+    # Rounding decides between candidates that are equally good: not the same, but as good.
+    assert np.sqrt((off**2).mean()) < 0.01
+    assert shaders.mean_energy == pytest.approx(loops.mean_energy, rel=0.1)
+
+
+def test_the_same_solve_gives_the_same_bits(stage):
+    first, second = (solve(body(), SeilerPrior(), backend=f"opengl:{stage}") for _ in range(2))
+    np.testing.assert_array_equal(first.displacement, second.displacement)
+    np.testing.assert_array_equal(first.energy, second.energy)
+
+
+def test_the_renderer_is_fit_for_a_bug_report(opengl):
+    words = solve(
+        body(), SeilerPrior(), optimizer=CLOSED_FORM, backend="opengl"
+    ).provenance.renderer
+    told = on_compute_thread(describe)
+    assert told["renderer"] in words
+    assert told["version"] in words
+
+
+def test_the_default_stage_is_compute_where_there_is_one(opengl):
+    told = on_compute_thread(describe)
+    expected = "compute" if "compute" in told["stages"] else "fragment"
+    assert told["default_stage"] == expected
+    solution = solve(body((9, 9)), SeilerPrior(), optimizer=CLOSED_FORM, backend="opengl")
+    assert solution.provenance.backend == f"opengl:{expected}"
+
+
+def test_auto_takes_the_shaders_only_on_a_gpu(opengl):
+    def choice() -> tuple[str, str]:
+        backend, reason, _ = open_backend(IMAGE, "auto", lambda: None)
+        backend.close()
+        return backend.name, reason
+
+    name, reason = on_compute_thread(choice)
+    software = on_compute_thread(describe)["software"]
+    assert name.startswith("cpu" if software else "opengl")
+    assert ("software" in reason) == software
+
+
+@pytest.mark.parametrize(
+    ("renderer", "software"),
+    [
+        ("llvmpipe (LLVM 15.0.6, 256 bits), OpenGL 4.5", True),
+        ("softpipe", True),
+        ("GDI Generic", True),
+        ("D3D12 (Microsoft Basic Render Driver)", True),
+        ("Apple Software Renderer", True),
+        ("NVIDIA H100 PCIe/PCIe/SSE2, OpenGL 4.6.0", False),
+        ("Mesa Intel(R) UHD Graphics 620 (KBL GT2)", False),
+        ("AMD Radeon RX 6600 (radeonsi, navi23, LLVM 15.0.6, DRM 3.49)", False),
+        ("Apple M2", False),
+    ],
+)
+def test_software_renderers_are_told_from_gpus(renderer, software):
+    assert is_software_renderer(renderer) is software
+
+
+def test_the_description_says_that_everything_works(opengl):
+    told = on_compute_thread(describe)
+    assert told["render_targets"] == ["R32F", "RG32F", "RGBA32F"]
+    assert set(told["canary"].values()) == {"exact"}
+    assert set(told["canary"]) == set(told["stages"])
+    assert told["limits"]["GL_MAX_TEXTURE_SIZE"] >= 1024
+    assert told["context_seconds"] > 0
+
+
+# What stays behind ----------------------------------------------------------------------------
+
+
+def test_a_solve_leaves_no_texture_behind(ledger):
+    solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend="opengl")
+    assert len(ledger.made) > 20
+    assert ledger.left == 0
+
+
+def test_an_error_leaves_no_texture_behind(ledger):
+    def fail(_):
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        solve(body(), SeilerPrior(), backend="opengl", progress=fail)
+    on_compute_thread(lambda: None)
+    assert ledger.left == 0
+
+
+def _batches(stage: str, stop_at: int | None = None) -> int:
+    """Run a schedule, cancelled at one of its looks; how many looks there were."""
+    looks = 0
+
+    def look() -> None:
+        nonlocal looks
+        if looks == stop_at:
+            raise Cancelled
+        looks += 1
+
+    def job() -> int:
+        backend = OpenGLBackend(look, stage)
+        try:
+            ICM(iterations=12).run(body(), SeilerPrior(), backend, lambda _: None)
+        finally:
+            backend.close()
+        return looks
+
+    return on_compute_thread(job)
+
+
+@pytest.mark.parametrize("where", [0.0, 0.03, 0.2, 0.5, 0.8, 0.999])
+def test_a_cancel_at_any_batch_leaves_nothing_and_spoils_nothing(
+    stage, ledger, where, every_pass_a_batch
+):
+    before = solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend=f"opengl:{stage}")
+    looks = _batches(stage)
+    assert looks > len(levels((45, 61)))
+    with pytest.raises(Cancelled):
+        _batches(stage, stop_at=int(where * looks))
+    assert ledger.left == 0
+    after = solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend=f"opengl:{stage}")
+    np.testing.assert_array_equal(after.displacement, before.displacement)
+
+
+def test_one_context_serves_all_solves(opengl):
+    device = on_compute_thread(the_device)
+    solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend="opengl")
+    assert on_compute_thread(the_device) is device
+
+
+def test_the_default_context_of_moderngl_stays_everybodys(opengl):
+    import moderngl
+
+    on_compute_thread(the_device)
+    assert moderngl._store.default_context is None
+
+
+def test_a_compute_thread_that_ends_takes_the_context_with_it(opengl):
+    device = on_compute_thread(the_device)
+    assert compute_thread.stop(timeout=LONG)
+    assert device.lost
+    before = threading.active_count()
+    assert solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend="opengl").mean_energy >= 0
+    assert threading.active_count() <= before + 1
+    assert on_compute_thread(the_device) is not device
+
+
+class FakeContext:
+    """A context that was opened, and whether it was given back."""
+
+    def __init__(self, renderer: str) -> None:
+        self.ctx = self
+        self.info = {"GL_RENDERER": renderer}
+        self.released = False
+
+    def release(self) -> None:
+        self.released = True
+
+
+@pytest.mark.parametrize(
+    ("devices", "taken", "released"),
+    [
+        (["AMD"], "AMD", []),
+        (["llvmpipe"], "llvmpipe", []),
+        (["llvmpipe", "NVIDIA"], "NVIDIA", ["llvmpipe"]),
+        (["NVIDIA", "llvmpipe"], "NVIDIA", []),
+        ([None, "Intel"], "Intel", []),
+        (["llvmpipe", None], "llvmpipe", ["llvmpipe"]),
+        (["llvmpipe", "softpipe"], "llvmpipe", ["llvmpipe", "softpipe"]),
+    ],
+)
+def test_a_gpu_is_taken_before_a_program_that_plays_one(monkeypatch, devices, taken, released):
+    from napari_hmrf.solver.backends.opengl.context import context
+
+    opened = []
+
+    def way(index: int):
+        return context._Way(f"device {index}", lambda: None, {}, others=len(devices) > 1)
+
+    def fake_open(this):
+        renderer = devices[int(this.name.split()[1])]
+        if renderer is None:
+            raise RuntimeError("eglInitialize failed (0x3001)")
+        opened.append(FakeContext(renderer))
+        return opened[-1]
+
+    monkeypatch.setattr(context, "_ways", lambda: map(way, range(len(devices))))
+    monkeypatch.setattr(context, "_open", fake_open)
+    chosen = context.open_context()
+    assert chosen.info["GL_RENDERER"] == taken
+    assert not chosen.released
+    assert [each.info["GL_RENDERER"] for each in opened if each.released] == released
+
+
+# Refusals -------------------------------------------------------------------------------------
+
+
+def test_opengl_is_refused_off_the_compute_thread(opengl):
+    with pytest.raises(RuntimeError, match="compute thread"):
+        OpenGLBackend(lambda: None)
+    assert not threading.current_thread().name.startswith("napari-hmrf")
+
+
+def test_an_unknown_stage_is_refused():
+    with pytest.raises(BackendError, match="geometry"):
+        OpenGLBackend(lambda: None, "geometry")
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_an_image_beyond_the_limit_is_refused_before_anything_is_made(ledger, axis):
+    def job() -> int:
+        backend = OpenGLBackend(lambda: None)
+        largest = backend._device.largest
+        shape = [2, 2]
+        shape[axis] = largest + 1
+        canary = len(ledger.made)
+        try:
+            with pytest.raises(BackendError) as raised:
+                backend.upload(np.zeros((*shape, 2), np.float32))
+        finally:
+            backend.close()
+        for word in (str(largest + 1), str(largest), "GiB", "Downsample", 'backend="cpu"'):
+            assert word in str(raised.value)
+        return len(ledger.made) - canary
+
+    assert on_compute_thread(job) == 0
+
+
+def test_running_out_of_memory_is_an_error_not_zeros(opengl):
+    def job() -> None:
+        device = the_device()
+        device.largest = 2**30  # so that it is the driver who refuses
+        with pytest.raises(BackendError, match="failed while making an image"):
+            device.texture((2**20, 2**20), 4)
+        assert device.lost
+
+    on_compute_thread(job)
+    assert solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend="opengl").mean_energy >= 0
+
+
+def test_an_opengl_error_drops_the_result_and_the_context(opengl):
+    device = on_compute_thread(the_device)
+    broken = False
+
+    def stray_error() -> None:
+        nonlocal broken
+        if not broken:
+            device.ctx.texture((-1, 5), 1)  # OpenGL notes GL_INVALID_VALUE, nobody raises
+            broken = True
+
+    def job() -> None:
+        backend = OpenGLBackend(stray_error)
+        try:
+            ICM(iterations=3).run(body(), SeilerPrior(), backend, lambda _: None)
+        finally:
+            backend.close()
+
+    with pytest.raises(BackendError, match="GL_INVALID_VALUE") as raised:
+        on_compute_thread(job)
+    assert "next solve" in str(raised.value)
+    assert device.lost
+    assert on_compute_thread(the_device) is not device
+    assert solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend="opengl").mean_energy >= 0
+
+
+def test_a_device_that_computes_nonsense_is_refused(stage):
+    class Lazy:
+        def run(self, *_args: object) -> None:
+            """Draw nothing."""
+
+        def release(self) -> None:
+            """Nothing to free."""
+
+    def job() -> None:
+        device = the_device()
+        device.ensure(stage)
+        key = ("canary", stage, device.rows)
+        device._programs.pop(key).release()
+        device._programs[key] = Lazy()
+        with pytest.raises(BackendError, match="cannot be trusted"):
+            device.canary(stage)
+        assert device.lost
+
+    on_compute_thread(job)
+    solution = solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend=f"opengl:{stage}")
+    assert np.isfinite(solution.displacement).all()
+
+
+def test_a_shader_that_does_not_compile_is_shown_with_its_lines(stage, monkeypatch):
+    original = source._text
+    broken = original("sum").replace("total += along;", "total += alone;")
+    line = broken.splitlines().index("        total += alone;") + 1
+    monkeypatch.setattr(source, "_text", lambda name: broken if name == "sum" else original(name))
+
+    def job() -> None:
+        with pytest.raises(BackendError) as raised:
+            compile_program(the_device().ctx, "sum", stage, {"BLOCK": 8})
+        words = str(raised.value)
+        assert "alone" in words
+        assert f"sum.glsl:{line} |         total += alone;" in words
+        log = words.split("#version")[0]
+        assert f"sum.glsl:{line}" in log or f"sum.glsl({line})" in log
+
+    on_compute_thread(job)
+
+
+@pytest.mark.parametrize(
+    ("file", "right", "wrong"),
+    [
+        pytest.param("cliques", "ratio.y * s + u", "ratio.y * s - u", marks=pytest.mark.campaign),
+        pytest.param(
+            "cliques",
+            "steep.y * first + steep.x * second",
+            "steep.x * first + steep.y * second",
+            marks=pytest.mark.campaign,
+        ),
+        ("icm", "0.5 * share", "1.0 * share"),
+        ("ratios", "exists ? m * inverse", "true ? m * inverse"),
+        ("ratios", "in_image(site, size) ? inverse : 0.0", "inverse"),
+        pytest.param(
+            "common", "VERTICAL = ivec2(0, 1)", "VERTICAL = ivec2(1, 0)", marks=pytest.mark.campaign
+        ),
+        pytest.param("common", "row[2] = both.zw", "row[2] = both.xy", marks=pytest.mark.campaign),
+        pytest.param("cliques", "here = below", "here = above", marks=pytest.mark.campaign),
+    ],
+)
+def test_a_wrong_sign_or_border_would_be_noticed(stage, monkeypatch, file, right, wrong):
+    original = source._text
+    assert right in original(file)
+    problem = body((21, 26))
+    stiff = problem.stiffness.copy()
+    stiff[5:9, :] *= 3  # different on both sides of a site, and at the image's border
+    problem = Problem(problem.observed, problem.confidence, np.where(stiff > 0, stiff, 5))
+    prior = SeilerPrior(penalty=5.0)  # so that what was seen and what is stiff compete
+    loops = solve(problem, prior, optimizer=CLOSED_FORM, backend="cpu")
+    monkeypatch.setattr(
+        source,
+        "_text",
+        lambda name: original(name).replace(right, wrong) if name == file else original(name),
+    )
+    largest = np.abs(loops.displacement).max()
+    try:
+        on_compute_thread(lambda: the_device().release())
+        shaders = solve(problem, prior, optimizer=CLOSED_FORM, backend=f"opengl:{stage}")
+        noticed = np.abs(shaders.displacement - loops.displacement).max() > 1e-3 * largest
+    except BackendError as error:
+        noticed = "not numbers" in str(error)  # so wrong that solve() itself sees it
+    finally:
+        on_compute_thread(lambda: the_device().release())
+    assert noticed
+
+
+# Pace -----------------------------------------------------------------------------------------
+
+
+def _pace(seconds_per_site: float, looks: list[float], monkeypatch) -> Pace:
+    """A pace on a device that takes so long, and a clock that knows."""
+    clock = [0.0]
+    queued = [0]
+
+    def finish() -> None:
+        clock[0] += queued[0] * seconds_per_site
+        queued[0] = 0
+
+    from napari_hmrf.solver.backends.opengl.context import pace as module
+
+    monkeypatch.setattr(module.time, "perf_counter", lambda: clock[0])
+    pace = Pace(finish, lambda: looks.append(clock[0]))
+    pace.queued = queued
+    return pace
+
+
+@pytest.mark.parametrize("seconds_per_site", [1e-10, 2e-8, 1e-6, 1e-5])
+def test_a_look_comes_about_every_batch_whatever_the_devices_speed(seconds_per_site, monkeypatch):
+    looks: list[float] = []
+    pace = _pace(seconds_per_site, looks, monkeypatch)
+    grid = (300, 300)
+    for _ in range(400):
+        for rows in pace.strips(grid):
+            begin, end = rows or (0, grid[0])
+            pace.queued[0] += (end - begin) * grid[1]
+    # The first passes are those from which the device's speed is learned.
+    gaps = np.diff(looks)[8:]
+    assert gaps.size == 0 or gaps.max() < 0.3
+    assert gaps.size < 10 or gaps.mean() > 0.02
+
+
+def test_strips_cover_every_row_once(monkeypatch):
+    looks: list[float] = []
+    pace = _pace(1e-5, looks, monkeypatch)
+    covered = np.zeros(997, int)
+    for rows in pace.strips((997, 4000)):
+        begin, end = rows or (0, 997)
+        pace.queued[0] += (end - begin) * 4000
+        covered[begin:end] += 1
+    assert (covered == 1).all()
+    assert len(looks) > 100

@@ -1,0 +1,151 @@
+"""What is said where OpenGL is missing, broken or old; each in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from napari_hmrf.solver.backends.opengl import describe
+from tests.support.opengl import on_compute_thread, require_opengl
+
+_OPEN = """
+import json
+import os
+import sys
+
+import numba  # which all children would import
+
+from napari_hmrf import BackendError, ElasticPrior, Multigrid
+from napari_hmrf.solver.backends import SolveJob, compute_thread, open_backend
+
+image = SolveJob((9, 9), (1.0, 1.0), ElasticPrior(), Multigrid())
+
+def job():
+    backend, reason, _ = open_backend(image, "auto", lambda: None)
+    print("auto:", backend.name, reason)
+    backend.close()
+    try:
+        open_backend(image, "opengl", lambda: None).backend.close()
+    except BackendError as error:
+        print("opengl:", error)
+
+for name, variables in json.loads(sys.argv[1]).items():
+    child = os.fork()
+    if not child:
+        os.environ.update(variables)
+        print("case:", name)
+        compute_thread.submit(job).result()
+        sys.stdout.flush()
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0, name
+"""
+
+_SOLVE = """
+import numpy as np
+from napari_hmrf import ICM, BackendError, ElasticPrior, Problem, SeilerPrior, solve
+from napari_hmrf.solver.backends.opengl.images import relaxing
+
+relaxing.WORTH_AGAIN = 0  # shaders visit small levels as often as loops do
+random = np.random.default_rng(0)
+m = np.ones((14, 11)); m[4:8, 3:7] = 3; m[0, :4] = 0
+held = np.zeros((14, 11, 2)); held[[0, -1]] = 1
+problem = Problem(random.normal(size=held.shape), held, m)
+for steps in (None, ICM().steps):
+    plan = ICM(iterations=20, steps=steps)
+    loops = solve(problem, SeilerPrior(), optimizer=plan, backend="cpu")
+    shaders = solve(problem, SeilerPrior(), optimizer=plan, backend="opengl")
+    print(shaders.provenance.backend, shaders.provenance.renderer)
+    print("off", np.abs(loops.displacement - shaders.displacement).max())
+    print("energies", loops.mean_energy, shaders.mean_energy)
+loops, shaders = (solve(problem, ElasticPrior(), backend=name) for name in ("cpu", "opengl"))
+print(shaders.provenance.backend, shaders.provenance.renderer)
+print("elastic", np.abs(loops.displacement - shaders.displacement).max(), shaders.iterations)
+try:
+    solve(problem, SeilerPrior(), backend="opengl:compute")
+except BackendError as error:
+    print("compute:", error)
+"""
+
+
+@pytest.fixture(autouse=True)
+def mesa() -> None:
+    """These variables are Mesa's and glvnd's."""
+    require_opengl()
+    if not sys.platform.startswith("linux"):
+        pytest.skip("the variables that break OpenGL are Linux's")
+    if "Mesa" not in on_compute_thread(describe)["version"]:
+        pytest.skip("the variables that break OpenGL are Mesa's")
+
+
+def run(script: str, *arguments: str, **variables: str) -> str:
+    """What a process with these arguments and environment variables prints."""
+    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    done = subprocess.run(
+        [sys.executable, "-c", script, *arguments],
+        env=environment | variables,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+#: What is in the way of OpenGL, as variables of the environment, and what is to be said of it.
+_MISSING = {
+    "no vendor": (
+        {"__EGL_VENDOR_LIBRARY_FILENAMES": "/dev/null"},
+        ["no driver offers OpenGL through EGL", "libegl1", "NVIDIA_DRIVER_CAPABILITIES"],
+    ),
+    "no driver": (
+        {"LIBGL_DRIVERS_PATH": "/nonexistent"},
+        ["does not load", "LIBGL_DRIVERS_PATH", "/dev/dri", "0x3001"],
+    ),
+    "too old": (
+        {"MESA_GL_VERSION_OVERRIDE": "3.2"},
+        ["no OpenGL 3.3", "MESA_GL_VERSION_OVERRIDE", "0x3009"],
+    ),
+    "no such device": (
+        {"GLCONTEXT_DEVICE_INDEX": "7"},
+        ["GLCONTEXT_DEVICE_INDEX", "does not exist", "EGL device 7"],
+    ),
+    "no library": (
+        {"GLCONTEXT_LINUX_LIBEGL": "libnone.so"},
+        ["libraries are missing", "libegl1"],
+    ),
+}
+
+
+def test_what_is_missing_is_said_with_the_cure():
+    said = run(_OPEN, json.dumps({name: variables for name, (variables, _) in _MISSING.items()}))
+    parts = dict(part.split("\n", 1) for part in said.split("case: ")[1:])
+    assert parts.keys() == _MISSING.keys()
+    for name, (_, words) in _MISSING.items():
+        assert "auto: cpu no usable OpenGL" in parts[name], name
+        message = parts[name].split("opengl: ")[1]
+        for word in (*words, 'backend="cpu"'):
+            assert word in message, name
+
+
+def test_nothing_above_opengl_3_3_is_needed():
+    said = run(_SOLVE, GALLIUM_DRIVER="softpipe")
+    assert said.count("opengl:fragment softpipe") == 3
+    elastic = next(line.split() for line in said.splitlines() if line.startswith("elastic"))
+    assert float(elastic[1]) < 1e-4
+    assert int(elastic[2]) > 1
+    offs = [float(line.split()[1]) for line in said.splitlines() if line.startswith("off")]
+    closed_form, candidates = offs
+    assert closed_form < 1e-4
+    assert candidates < 0.2  # where two candidates are equal, rounding takes one
+    for line in said.splitlines():
+        if line.startswith("energies"):
+            loops, shaders = (float(word) for word in line.split()[1:])
+            assert shaders == pytest.approx(loops, rel=0.05)
+    message = said.split("compute: ")[1]
+    for word in ("OpenGL 4.3", "softpipe", 'backend="opengl:fragment"'):
+        assert word in message

@@ -1,0 +1,440 @@
+"""Multigrid of the paper's prior as shaders: every step is that of the compiled loops."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from napari_hmrf import Cancelled, Multigrid, Problem, SeilerPrior, solve
+from napari_hmrf.data import phantom
+from napari_hmrf.solver.backends.opengl import OpenGLBackend, is_software_renderer
+from napari_hmrf.solver.backends.opengl.context.device import the_device
+from napari_hmrf.solver.backends.opengl.images.seiler import GLSeilerModel
+from napari_hmrf.solver.optimizers import refinement
+from napari_hmrf.solver.optimizers.cycle import AVERAGING, BENDING, Cycle, chebyshev
+from tests.support.linear_levels import (
+    Example,
+    assert_corrections_come_up_alike,
+    assert_loads_go_down_alike,
+    assert_same,
+    assert_the_coarsest_is_alike,
+    cycles,
+    host_levels,
+    random_example,
+    torn,
+    with_levels,
+)
+from tests.support.opengl import left, on_compute_thread, require_opengl
+
+#: Odd, even, two sites wide, small enough to be the only level.
+SHAPES = [(31, 37), (64, 48), (2, 9), (4, 5)]
+SPACINGS = [(1.0, 1.0), (2.0, 0.5)]
+CENTRED, BLANKET = SeilerPrior(), SeilerPrior(conditional="blanket")
+#: Each shape, and contrasts, pixels and readings so that any two of them meet.
+CASES = [
+    ((31, 37), 4.0, SPACINGS[0], CENTRED),
+    ((31, 37), 4.0, SPACINGS[1], BLANKET),
+    pytest.param((64, 48), 1e3, SPACINGS[0], BLANKET, marks=pytest.mark.campaign),
+    pytest.param((64, 48), 1e3, SPACINGS[1], CENTRED, marks=pytest.mark.campaign),
+    ((2, 9), 4.0, SPACINGS[1], CENTRED),
+    ((2, 9), 1e3, SPACINGS[0], BLANKET),
+    ((4, 5), 1e3, SPACINGS[1], BLANKET),
+]
+STEPS = chebyshev(0.5, 2.0, 3)
+
+readings = pytest.mark.parametrize("prior", [CENTRED, BLANKET], ids=["centred", "blanket"])
+
+
+@pytest.fixture(params=["fragment", "compute"])
+def stage(request) -> str:
+    require_opengl(request.param)
+    return request.param
+
+
+@pytest.fixture
+def by_cycles(monkeypatch):
+    """Shaders solve whatever runs them: a program that plays a GPU would take factors."""
+    monkeypatch.setattr(GLSeilerModel, "slow", False)
+
+
+# Each step -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("shape", "ratio", "spacing", "prior"), CASES)
+def test_what_is_left_of_a_load_goes_down_alike(stage, shape, ratio, spacing, prior):
+    given = random_example(shape, prior, spacing, ratio)
+    assert_loads_go_down_alike(stage, given, (STEPS[:1], STEPS))
+
+
+@pytest.mark.parametrize(("shape", "ratio", "spacing", "prior"), CASES[:-1])
+def test_a_coarse_correction_comes_up_alike(stage, shape, ratio, spacing, prior):
+    assert_corrections_come_up_alike(stage, random_example(shape, prior, spacing, ratio), STEPS)
+
+
+@readings
+def test_all_steps_of_the_coarsest_level_at_once_are_those_one_by_one(stage, prior):
+    given = random_example((31, 37), prior)
+    assert_the_coarsest_is_alike(stage, given, lambda level, steps: level.descend(steps, None))
+
+
+@pytest.mark.parametrize(("shape", "ratio", "spacing", "prior"), CASES)
+def test_the_tissue_pulls_alike(stage, shape, ratio, spacing, prior):
+    given = random_example(shape, prior, spacing, ratio)
+    (host, *_) = host_levels(given)
+    values = given.planes(host)
+
+    def job(level, _):
+        image = level.vector()
+        work = level.apply(level.vector(values.copy()), image)
+        return [level.planes(image).copy(), np.array(level.read(work))]
+
+    loops, shaders = with_levels(stage, given, job)
+    assert_same(shaders, loops)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_step_of_stabilised_gradients_is_the_same_everywhere(stage, shape):
+    given = random_example(shape, CENTRED, (1.0, 2.0))
+    (host, *_) = host_levels(given)
+    first = [given.planes(host) for _ in range(4)]
+    first[1] *= 1e-9  # as small as scalars come that are multiplied
+
+    def job(level, _):
+        found, rest, direction, image = (level.vector(each.copy()) for each in first)
+        along, against = level.product(rest, rest), level.product(rest, direction)
+        length = level.quotient(along, against)
+        stride = level.quotient(against, level.product(image, image))
+        share = level.quotient(level.times(along, length), level.times(against, stride))
+        none = level.quotient(along, level.largest(level.vector()))
+        level.lean(rest, direction, image, length, stride)
+        square = level.advance(found, rest, direction, image, length)
+        scalars = level.read(along, length, stride, share, none, square)
+        return [np.array([each]) for each in scalars] + [
+            level.planes(vector).copy() for vector in (found, rest, direction)
+        ]
+
+    loops, shaders = with_levels(stage, given, job)
+    assert_same(shaders, loops, 1e-4)  # one of the scalars is a sum of either sign
+    assert shaders[4] == 0
+
+
+def test_a_step_goes_back_where_its_length_is_negative(stage):
+    given = random_example((9, 8), CENTRED)
+    (host, *_) = host_levels(given)
+    values = given.planes(host)
+
+    def job(level, _):
+        d, direction, rest, image = (level.vector(values.copy()) for _ in range(4))
+        length = level.quotient(
+            level.product(direction, rest), level.product(rest, level.vector(-2 * values))
+        )
+        level.advance(d, rest, direction, image, length)
+        return [level.planes(d).copy(), level.planes(rest).copy(), np.array(level.read(length))]
+
+    for d, rest, length in with_levels(stage, given, job):
+        assert length == -0.5
+        np.testing.assert_array_equal(d, 0.5 * values)
+        np.testing.assert_array_equal(rest, 1.5 * values)
+
+
+@readings
+def test_a_whole_cycle_is_the_same_everywhere(stage, prior):
+    given = random_example((70, 55), prior, (1.0, 1.5))
+    loops, shaders = cycles(stage, given, AVERAGING if prior is CENTRED else BENDING)
+    assert_same(shaders, loops, 3e-5)
+    np.testing.assert_array_equal(*shaders)
+
+
+# Whole solves ----------------------------------------------------------------------------------
+
+
+@readings
+@pytest.mark.parametrize(
+    "spacing", [pytest.param(SPACINGS[0], marks=pytest.mark.campaign), SPACINGS[1]]
+)
+def test_torn_tissue_moves_alike_everywhere(by_cycles, stage, spacing, prior):
+    problem = torn(20.0, (52, 70), spacing)
+    loops = solve(problem, prior, optimizer=Multigrid(5e-4), backend="cpu")
+    shaders = solve(problem, prior, optimizer=Multigrid(5e-4), backend=f"opengl:{stage}")
+    off = np.abs(shaders.displacement - loops.displacement) / np.array(spacing)
+    assert off.max() < 2e-3
+    assert (shaders.displacement[~problem.tissue] == 0).all()
+    assert shaders.mean_energy == pytest.approx(loops.mean_energy, rel=1e-4)
+    assert shaders.convergence.error <= 5e-4
+    # Whether cycles can be believed is a close call here: rounding decides who takes factors.
+    if {loops.convergence.way, shaders.convergence.way} == {"cycles"}:
+        assert abs(shaders.iterations - loops.iterations) <= max(2, loops.iterations // 4)
+
+
+@readings
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [("expansion", 64), pytest.param("mass-effect", 96, marks=pytest.mark.campaign)],
+)
+def test_a_phantom_moves_alike_everywhere(by_cycles, stage, name, size, prior):
+    problem = phantom(name, size).problem
+    loops = solve(problem, prior, optimizer=Multigrid(), backend="cpu")
+    shaders = solve(problem, prior, optimizer=Multigrid(), backend=f"opengl:{stage}")
+    assert np.abs(shaders.displacement - loops.displacement).max() < 2e-3
+    assert abs(shaders.iterations - loops.iterations) <= 1
+
+
+def test_a_tumour_that_swims_in_soft_tissue_moves_alike(stage):
+    # Ten times stiffer, and rounding decides whether single precision finds it at all.
+    problem = torn(ratio=1e3)
+    loops = solve(problem, CENTRED, optimizer=Multigrid(1e-3), backend="cpu")
+    shaders = solve(problem, CENTRED, optimizer=Multigrid(1e-3), backend=f"opengl:{stage}")
+    assert np.abs(shaders.displacement - loops.displacement).max() < 2e-3
+
+
+@readings
+def test_observations_that_slip_are_the_same_everywhere(by_cycles, stage, prior):
+    problem = torn(ratio=5.0)
+    graded = np.linspace(0.1, 1, problem.shape[0])[:, None, None] * problem.confidence
+    problem = Problem(problem.observed, graded, problem.stiffness)
+    prior = SeilerPrior(penalty=3.0, conditional=prior.conditional)
+    loops = solve(problem, prior, optimizer=Multigrid(1e-3), backend="cpu")
+    shaders = solve(problem, prior, optimizer=Multigrid(1e-3), backend=f"opengl:{stage}")
+    slipped = np.abs(loops.displacement - problem.observed)[problem.confidence > 0] > 0.01
+    assert 0 < slipped.sum() < slipped.size
+    assert np.abs(shaders.displacement - loops.displacement).max() < 4e-3
+
+
+def test_the_blanket_reading_is_factorised_where_a_program_plays_the_gpu():
+    require_opengl()
+    problem = phantom("expansion", 64).problem
+    loops, shaders = (
+        solve(problem, BLANKET, optimizer=Multigrid(), backend=name) for name in ("cpu", "opengl")
+    )
+    software = is_software_renderer(shaders.provenance.renderer)
+    assert shaders.convergence.way == ("factors" if software else "cycles")
+    assert np.abs(shaders.displacement - loops.displacement).max() < 2e-3
+
+
+def test_where_blanket_observations_slip_factors_are_taken_once():
+    # Each set of those that slip is a system of its own.
+    require_opengl()
+    problem = torn(5.0, (52, 70))
+    graded = np.linspace(0.1, 1, problem.shape[0])[:, None, None] * problem.confidence
+    problem = Problem(problem.observed, graded, problem.stiffness)
+    prior = SeilerPrior(penalty=0.3, conditional="blanket")
+    told = []
+    found = solve(problem, prior, optimizer=Multigrid(), backend="opengl", progress=told.append)
+    words = [monitor.message for monitor in told]
+    assert any(message.startswith("cycle") for message in words)
+    if is_software_renderer(found.provenance.renderer):
+        assert words.count("factorising, 0%") == 1
+    loops = solve(problem, prior, optimizer=Multigrid(), backend="cpu")
+    assert np.abs(found.displacement - loops.displacement).max() < 4e-3
+
+
+def test_a_real_gpu_takes_the_shaders_by_itself(monkeypatch):
+    from napari_hmrf.solver.backends import opengl
+
+    require_opengl()
+    monkeypatch.setattr(opengl, "is_software_renderer", lambda _: False)
+    provenance = solve(torn(20.0), CENTRED, optimizer=Multigrid(), backend="auto").provenance
+    assert provenance.backend.startswith("opengl:")
+    assert provenance.reason == "a GPU is there"
+
+
+# What stays behind -----------------------------------------------------------------------------
+
+
+def test_an_iteration_allocates_nothing(stage, made):
+    given = random_example((70, 55), CENTRED)
+    (host, *_) = host_levels(given)
+    load = given.planes(host)
+
+    def job():
+        backend = OpenGLBackend(lambda: None, stage)
+        try:
+            model = given.model(backend)
+            level, cycle = model.levels[0], Cycle(model, AVERAGING)
+            counts = []
+            rest, found, direction, image = level.vector(load), *(level.vector() for _ in "123")
+            along = level.product(rest, rest)
+            for _ in range(6):
+                steepest = cycle.run(rest)
+                level.apply(steepest, image)
+                length = level.quotient(along, level.product(rest, image))
+                level.advance(found, rest, steepest, image, length)
+                share = level.quotient(level.times(along, length), level.times(along, along))
+                level.lean(rest, direction, image, share, length)
+                level.read(level.largest(rest), share)
+                counts.append(len(made))
+            return counts
+        finally:
+            backend.close()
+
+    counts = on_compute_thread(job)
+    assert counts[3:] == [counts[3]] * 3
+    assert left(made) == 0
+
+
+def _batches(stage: str, prior: SeilerPrior, stop_at: int | None = None) -> int:
+    """Solve, cancelled at one of the looks; how many looks there were."""
+    looks = 0
+
+    def look() -> None:
+        nonlocal looks
+        if looks == stop_at:
+            raise Cancelled
+        looks += 1
+
+    def job() -> int:
+        backend = OpenGLBackend(look, stage)
+        try:
+            Multigrid().run(torn(20.0), prior.resolved(torn(20.0)), backend, lambda _: None)
+        finally:
+            backend.close()
+        return looks
+
+    return on_compute_thread(job)
+
+
+@cache
+def _undisturbed(stage: str, prior: SeilerPrior):
+    """What is found if nobody cancels, and how many looks there are, once all is compiled."""
+    found = solve(torn(20.0), prior, optimizer=Multigrid(), backend=f"opengl:{stage}")
+    return found, _batches(stage, prior)
+
+
+@pytest.mark.parametrize(
+    ("where", "prior"),
+    [
+        (0.0, CENTRED),
+        (0.5, CENTRED),
+        (0.999, CENTRED),
+        pytest.param(0.0, BLANKET, marks=pytest.mark.campaign),
+        pytest.param(0.999, BLANKET, marks=pytest.mark.campaign),
+    ],
+)
+def test_a_cancel_at_any_batch_leaves_nothing_and_the_same_solve_gives_the_same_bits(
+    by_cycles, stage, made, where, prior, every_pass_a_batch, monkeypatch
+):
+    monkeypatch.setattr(refinement, "_FEW", 0)  # so few sites would have factors, not batches
+    before, looks = _undisturbed(stage, prior)
+    assert looks > 10 * before.iterations
+    with pytest.raises(Cancelled):
+        _batches(stage, prior, stop_at=int(where * looks))
+    assert left(made) == 0
+    after = solve(torn(20.0), prior, optimizer=Multigrid(), backend=f"opengl:{stage}")
+    np.testing.assert_array_equal(after.displacement, before.displacement)
+    assert left(made) == 0
+
+
+def test_a_pass_cut_into_strips_changes_nothing(stage, monkeypatch):
+    from napari_hmrf.solver.backends.opengl import backend
+    from napari_hmrf.solver.backends.opengl.programs import regions
+
+    whole = solve(
+        torn(20.0), CENTRED, optimizer=Multigrid(), backend=f"opengl:{stage}"
+    ).displacement
+    monkeypatch.setattr(backend, "MAX_PASS_SECONDS", 1e-4)
+    monkeypatch.setattr(backend, "BATCH_SECONDS", 1e-4)
+    monkeypatch.setattr(regions, "_ACROSS", 2)
+    cut = solve(torn(20.0), CENTRED, optimizer=Multigrid(), backend=f"opengl:{stage}").displacement
+    np.testing.assert_array_equal(cut, whole)
+
+
+# A wrong shader --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("file", "right", "wrong"),
+    [
+        pytest.param(
+            "pulls",
+            "force[1] = answer(site + HORIZONTAL, 2)",
+            "force[1] = answer(site, 2)",
+            marks=pytest.mark.campaign,
+        ),
+        pytest.param("cliques", "ratio.x * u + s", "ratio.y * u + s", marks=pytest.mark.campaign),
+        pytest.param(
+            "ends",
+            "ratio = end > 0 ? ratio : ratio.yx",
+            "ratio = ratio.yx",
+            marks=pytest.mark.campaign,
+        ),
+        pytest.param(
+            "ends", "middle + end * line", "middle - end * line", marks=pytest.mark.campaign
+        ),
+        ("begin", "taken = first_scale * inverses", "taken = first_scale"),
+        ("begin", "greaterThan(inverses, vec4(0.0))", "bvec4(true)"),
+        pytest.param(
+            "residual",
+            "texelFetch(load, at, 0) - pulls",
+            "texelFetch(load, at, 0) + pulls",
+            marks=pytest.mark.campaign,
+        ),
+        ("gather", "(before + first.zw)", "(first.zw + first.zw)"),
+        ("gather", "fine - VERTICAL", "fine"),
+        pytest.param(
+            "smooth",
+            "pulls += texelFetch(springs",
+            "pulls -= texelFetch(springs",
+            marks=pytest.mark.campaign,
+        ),
+        ("apply", "share = dot(image,", "share = 1.01 * dot(image,"),
+    ],
+)
+def test_a_wrong_sign_or_border_would_be_noticed(monkeypatch, file, right, wrong):
+    from napari_hmrf.solver.backends.opengl.programs import source
+
+    require_opengl("compute")
+    text = source._text
+
+    def broken(name):
+        if name != file:
+            return text(name)
+        assert right in text(name)
+        return text(name).replace(right, wrong)
+
+    monkeypatch.setattr(source, "_text", broken)
+    given = random_example((33, 47), BLANKET, (1.0, 1.5))
+    hosts = host_levels(given)
+    loads = [given.planes(host) for host in hosts]
+    device = on_compute_thread(the_device)
+    monkeypatch.setattr(device, "_programs", {})
+    monkeypatch.setattr(device, "rows", 4)
+    loops, shaders = [], []
+    for number in (0, 1):  # the first holds, the others have springs
+        below = hosts[number + 1].inverse
+
+        def job(level, coarse, number=number, below=below):
+            level.load = level.vector(loads[number].copy())
+            level.descend(STEPS, coarse)
+            given_down = np.where(below > 0, coarse.planes(coarse.load), 0)
+            coarse.correction = coarse.vector(loads[number + 1].copy())
+            level.ascend(STEPS, coarse)
+            image = level.vector()
+            work = level.read(level.apply(level.correction, image))
+            return [level.planes(level.correction).copy(), given_down, np.array(work)]
+
+        of_loops, of_shaders = with_levels("compute", given, job, number)
+        loops += of_loops
+        shaders += of_shaders
+    with pytest.raises(AssertionError):
+        assert_same(shaders, loops)
+
+
+def test_a_load_that_is_a_mean_stays_one_at_the_border_of_tissue(monkeypatch):
+    require_opengl()
+    given: Example = random_example((33, 47), CENTRED)
+    hosts = host_levels(given)
+    load = given.planes(hosts[0])
+
+    def job(level, coarse):
+        level.load = level.vector(load.copy())
+        level.descend(STEPS, coarse)
+        return [np.where(hosts[1].inverse > 0, coarse.planes(coarse.load), 0)]
+
+    loops, shaders = with_levels(None, given, job)
+    assert_same(shaders, loops)
+    monkeypatch.setattr("napari_hmrf.solver.backends.cpu.seiler.even_out", lambda *_: None)
+    loops, shaders = with_levels(None, given, job)
+    with pytest.raises(AssertionError):
+        assert_same(shaders, loops)

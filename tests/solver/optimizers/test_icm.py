@@ -1,0 +1,311 @@
+"""The schedule finds what the paper's algorithm finds, and tissue behaves like tissue."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from literal import solve_literally
+
+from napari_hmrf import ICM, Problem, SeilerPrior, solve
+from napari_hmrf.solver.quadtree import levels
+from tests.support.paper_oracle import centred_fixed_point, local_energy
+
+CONVERGED = ICM(iterations=20000, steps=None, energy_change=1e-9)
+
+
+def frame_problem(shape, seed=0, ratio=4.0, amplitude=2.0, spacing=(1.0, 1.0)):
+    """Random tissue whose border is held at random displacements."""
+    rng = np.random.default_rng(seed)
+    m = ratio ** rng.random(shape)
+    y = rng.normal(scale=amplitude, size=(*shape, 2))
+    c = np.zeros((*shape, 2))
+    c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
+    return Problem(y, c, m, spacing=spacing)
+
+
+def bar(length, ratio, width=5):
+    """Two halves end to end, the left `ratio` times stiffer; pulled by a tenth of the length."""
+    shape = (width, length)
+    m = np.ones(shape)
+    m[:, : length // 2] = ratio
+    y = np.zeros((*shape, 2))
+    c = np.zeros((*shape, 2))
+    c[:, [0, -1]] = 1
+    c[[0, -1], :, 0] = 1  # the sides do not bulge
+    y[:, -1, 1] = length / 10
+    return Problem(y, c, m)
+
+
+@pytest.mark.parametrize("conditional", ["centred", "blanket"])
+def test_one_sweep_takes_the_best_of_all_candidates(conditional):
+    # On the single level of a one-sweep schedule the sites start from rest.
+    shape = (3, 2)  # levels 3x2, 2x1, 1x1: only the finest has cliques
+    rng = np.random.default_rng(5)
+    steps = ICM().steps
+    moves = [(0.0, 0.0)]
+    for e in steps:
+        moves += [(i * e, j * e) for i, j in itertools.product((0, 1, -1), repeat=2) if i or j]
+    for _ in range(8):
+        m = rng.choice([10.0, 20, 40], size=shape)
+        problem = Problem(rng.normal(size=(*shape, 2)), rng.random((*shape, 2)), m)
+        prior = SeilerPrior(penalty=2.0, conditional=conditional, damping=1.0)
+        before = solve(problem, prior, optimizer=ICM(iterations=1, steps=steps), backend="cpu")
+        start = coarse_start(problem, prior, steps)
+        for site in itertools.product(*map(range, shape)):
+            energy = local_energy(problem, start, 2.0, site, conditional == "blanket")
+            values = [energy(start[site] + move) for move in moves]
+            taken = energy(before.displacement[site].astype(float))
+            assert taken == pytest.approx(min(values), abs=1e-4)
+
+
+def coarse_start(problem, prior, steps):
+    """What the finest level of a small grid starts from, by the same schedule without it."""
+    finest, *coarser = levels(problem.shape)
+    at = np.ix_(
+        *[[min(2 * i + 1, size - 1) for i in range(-(-size // 2))] for size in finest.shape]
+    )
+    coarse = Problem(problem.observed[at], problem.confidence[at], problem.stiffness[at])
+    assert coarse.shape == coarser[0].shape
+    d = solve(coarse, prior, optimizer=ICM(iterations=1, steps=steps), backend="cpu").displacement
+    start = np.zeros((*problem.shape, 2))
+    for i, j in itertools.product(*map(range, problem.shape)):
+        for a, b in itertools.product(range(2), repeat=2):
+            near = [
+                k // 2 if o == 0 else k // 2 + (1 if k % 2 else -1) for k, o in ((i, a), (j, b))
+            ]
+            site = tuple(
+                min(max(n, 0), size - 1) for n, size in zip(near, coarse.shape, strict=True)
+            )
+            start[i, j] += (0.25 if a else 0.75) * (0.25 if b else 0.75) * d[site]
+    return start
+
+
+def test_the_loops_do_what_the_literal_program_does():
+    # Rounding decides between candidates of equal energy, so single sites part by a small step.
+    problem = frame_problem((48, 37))
+    literal = solve_literally(problem, optimizer=ICM(iterations=30))
+    ours = solve(problem, SeilerPrior(), optimizer=ICM(iterations=30), backend="cpu").displacement
+    assert np.sqrt(np.mean((literal - ours) ** 2)) < 0.01
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_converged_field_is_the_fixed_point(seed):
+    problem = frame_problem((64, 64), seed=seed)
+    solution = solve(
+        problem, SeilerPrior(), optimizer=ICM(iterations=20000, steps=None), backend="cpu"
+    )
+    off = np.abs(solution.displacement - centred_fixed_point(problem))
+    assert off.max() < 0.01
+
+
+def test_the_converged_field_honours_void():
+    rng = np.random.default_rng(2)
+    shape = (64, 60)
+    i, j = np.mgrid[:64, :60]
+    r = np.hypot(i - 32, j - 30)
+    m = np.where(r < 27, 10.0 * 2 ** rng.integers(0, 3, shape), 0)
+    ring = (r >= 24) & (r < 27)
+    y = np.stack([(i - 32) / 10, (j - 30) / 15], axis=-1) * ring[..., None]
+    problem = Problem(y, np.repeat(ring[..., None], 2, -1), m)
+    solution = solve(
+        problem, SeilerPrior(), optimizer=ICM(iterations=20000, steps=None), backend="cpu"
+    )
+    assert (solution.displacement[~problem.tissue] == 0).all()
+    inside = problem.tissue
+    off = np.abs(solution.displacement - centred_fixed_point(problem))[inside]
+    assert off.max() < 0.01
+
+
+@pytest.mark.parametrize(("ratio", "expected"), [(2.0, 2.04), (5.0, 5.7)])
+@pytest.mark.parametrize("length", [32, 128])
+def test_a_bar_strains_where_it_is_soft_whatever_the_number_of_pixels(ratio, expected, length):
+    solution = solve(bar(length, ratio), SeilerPrior(), optimizer=CONVERGED, backend="cpu")
+    along = solution.displacement[2, :, 1]
+    strain = np.diff(along)
+    stiff = strain[length // 8 : length // 4].mean()
+    soft = strain[-length // 4 : -length // 8].mean()
+    assert soft / stiff == pytest.approx(expected, rel=0.05)
+
+
+def test_uniform_tissue_follows_its_border_linearly():
+    i, j = np.mgrid[:40, :33]
+    affine = np.stack([0.02 * i - 0.05 * j, 0.03 * j + 0.01 * i], axis=-1)
+    c = np.zeros((40, 33, 2))
+    c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
+    for spacing in [(1, 1), (0.5, 1.5)]:
+        problem = Problem(affine, c, np.ones((40, 33)), spacing=spacing)
+        found = solve(problem, SeilerPrior(), optimizer=CONVERGED, backend="cpu").displacement
+        assert np.abs(found - affine).max() < 2e-3
+
+
+def test_nothing_moves_when_the_boundary_is_fixed():
+    problem = frame_problem((30, 30), amplitude=0)
+    for optimizer in (ICM(), ICM(steps=None)):
+        assert (
+            solve(problem, SeilerPrior(), optimizer=optimizer, backend="cpu").displacement == 0
+        ).all()
+
+
+def test_only_ratios_of_stiffness_matter():
+    problem = frame_problem((33, 20))
+    scaled = Problem(problem.observed, problem.confidence, problem.stiffness * 1024)
+    first = solve(problem, SeilerPrior(), optimizer=ICM(steps=None), backend="cpu").displacement
+    second = solve(scaled, SeilerPrior(), optimizer=ICM(steps=None), backend="cpu").displacement
+    np.testing.assert_allclose(first, second, atol=1e-5)
+
+
+def test_the_unit_of_length_does_not_matter():
+    problem = frame_problem((24, 30), spacing=(1, 2))
+    inches = Problem(
+        problem.observed / 25.4, problem.confidence, problem.stiffness, spacing=(1 / 25.4, 2 / 25.4)
+    )
+    first = solve(problem, SeilerPrior(), optimizer=ICM(steps=None), backend="cpu")
+    second = solve(inches, SeilerPrior(), optimizer=ICM(steps=None), backend="cpu")
+    np.testing.assert_allclose(first.displacement, second.displacement * 25.4, atol=1e-4)
+    np.testing.assert_allclose(first.energy, second.energy, rtol=1e-3)
+
+
+@pytest.mark.parametrize("shape", [(32, 32), (64, 16)])
+def test_flipped_tissue_moves_the_flipped_way(shape):
+    # Powers of two: the quadtree itself is not symmetric on other grids.
+    problem = frame_problem(shape)
+    sides = Problem(
+        problem.observed[:, ::-1] * (1, -1), problem.confidence[:, ::-1], problem.stiffness[:, ::-1]
+    )
+    first = solve(problem, SeilerPrior(), optimizer=CONVERGED, backend="cpu").displacement
+    second = solve(sides, SeilerPrior(), optimizer=CONVERGED, backend="cpu").displacement[
+        :, ::-1
+    ] * (1, -1)
+    np.testing.assert_allclose(first, second, atol=0.01)
+
+
+def test_more_confidence_brings_tissue_closer_to_what_was_observed():
+    shape = (17, 17)
+    off = []
+    for confidence in (0.01, 0.1, 1.0):
+        c = np.zeros((*shape, 2))
+        c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
+        c[8, 8] = confidence
+        y = np.zeros((*shape, 2))
+        y[8, 8] = (0, 2)
+        prior = SeilerPrior(penalty=100)
+        problem = Problem(y, c, np.ones(shape))
+        found = solve(problem, prior, optimizer=CONVERGED, backend="cpu").displacement
+        off.append(2 - found[8, 8, 1])
+        assert found[8, 8, 0] == pytest.approx(0, abs=1e-4)
+    assert off[0] > off[1] > off[2]
+    assert off[2] < 1e-3
+
+
+def test_the_recorded_energy_is_that_of_the_field():
+    problem = frame_problem((50, 41))
+    for prior in (SeilerPrior(penalty=50), SeilerPrior(conditional="blanket")):
+        solution = solve(problem, prior, backend="cpu")
+        expected = prior.mean_energy(problem, solution.displacement)
+        assert solution.mean_energy == pytest.approx(expected, rel=1e-4)
+
+
+def test_the_history_has_every_iteration_coarse_to_fine():
+    problem = frame_problem((50, 41))
+    solution = solve(problem, SeilerPrior(), optimizer=ICM(iterations=13), backend="cpu")
+    assert [run.shape for run in solution.levels] == [
+        level.shape for level in reversed(levels((50, 41)))
+    ]
+    assert [run.iterations for run in solution.levels] == [13] * 7
+    assert len(solution.energy) == solution.iterations == 13 * 7
+    assert np.isfinite(solution.energy).all()
+
+
+def test_a_tolerance_leaves_each_level_when_its_energy_has_settled():
+    problem = frame_problem((64, 64))
+    fixed = solve(problem, SeilerPrior(), optimizer=ICM(iterations=500, steps=None), backend="cpu")
+    loose = solve(
+        problem,
+        SeilerPrior(),
+        optimizer=ICM(iterations=500, steps=None, energy_change=1e-3),
+        backend="cpu",
+    )
+    assert loose.iterations < fixed.iterations / 2
+    assert all(run.iterations <= 500 for run in loose.levels)
+    assert loose.mean_energy == pytest.approx(fixed.mean_energy, rel=0.05)
+
+
+def test_blanket_with_its_damping_lowers_the_energy_with_every_sweep():
+    problem = frame_problem((40, 40), ratio=50)
+    prior = SeilerPrior(conditional="blanket")
+    solution = solve(problem, prior, optimizer=ICM(iterations=200, steps=None), backend="cpu")
+    finest = solution.energy[-200:]
+    assert (np.diff(finest) <= 1e-6 * finest[0]).all()
+
+
+def test_blanket_without_damping_diverges():
+    problem = frame_problem((40, 40))
+    undamped = SeilerPrior(conditional="blanket", damping=1.0)
+    finest = solve(
+        problem, undamped, optimizer=ICM(iterations=20, steps=None), backend="cpu"
+    ).energy[-20:]
+    assert finest[-1] > 1e3 * finest[0]
+
+
+@pytest.mark.parametrize("ratio", [1.0, 40.0, 1000.0])
+@pytest.mark.parametrize("optimizer", [ICM(), ICM(steps=None)])
+def test_a_thin_plate_goes_where_it_is_pushed_however_stiff_it_is(ratio, optimizer):
+    shape = (64, 64)
+    m = np.ones(shape)
+    m[:, 32] = ratio
+    y, c = np.zeros((*shape, 2)), np.zeros((*shape, 2))
+    c[[0, -1]] = c[:, [0, -1]] = 1
+    c[20:44, 32] = 1
+    y[20:44, 32, 1] = 8
+    found = solve(Problem(y, c, m), SeilerPrior(), optimizer=optimizer, backend="cpu").displacement
+    np.testing.assert_allclose(found[20:44, 32, 1], 8, atol=0.002)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    height=st.integers(1, 33),
+    width=st.integers(1, 33),
+    seed=st.integers(0, 2**16),
+    decades=st.floats(0, 5),
+    void=st.booleans(),
+)
+def test_tissue_never_moves_further_than_something_pushes_it(height, width, seed, decades, void):
+    # The centred update is a weighted mean with positive weights: a maximum principle.
+    if height * width == 1:
+        return
+    rng = np.random.default_rng(seed)
+    m = 10 ** (decades * rng.random((height, width)))
+    if void:
+        m *= rng.random((height, width)) < 0.8
+    c = (rng.random((height, width, 2)) < 0.3).astype(float)
+    m[0, 0], c[0, 0] = 1, 1
+    y = rng.normal(size=(height, width, 2))
+    problem = Problem(y, c, m)
+    found = solve(
+        problem, SeilerPrior(), optimizer=ICM(iterations=20, steps=None), backend="cpu"
+    ).displacement
+    held = np.where((c > 0) & (m > 0)[..., None], problem.observed, 0)
+    for k in (0, 1):
+        assert found[..., k].max() <= max(0, held[..., k].max()) + 1e-4
+        assert found[..., k].min() >= min(0, held[..., k].min()) - 1e-4
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"iterations": 0},
+        {"iterations": 2.5},
+        {"iterations": float("inf")},
+        {"iterations": float("nan")},
+        {"iterations": None},
+        {"steps": ()},
+        {"steps": (1, -1)},
+        {"energy_change": 0},
+        {"energy_change": float("nan")},
+    ],
+)
+def test_a_schedule_that_makes_no_sense_is_refused(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        ICM(**wrong)

@@ -1,0 +1,186 @@
+"""The energies mean what the paper's equations and examples say."""
+
+import numpy as np
+import pytest
+
+from napari_hmrf import Problem, SeilerPrior
+from napari_hmrf.solver.priors import line_steps, line_weights
+from tests.support.paper_oracle import cliques, local_energy, total_energy
+
+
+def random_problem(shape=(7, 9), seed=0, void=True, **more):
+    rng = np.random.default_rng(seed)
+    m = rng.choice([0.0, 10, 20, 40] if void else [10.0, 20, 40], size=shape)
+    m[0, 0] = 10
+    c = rng.random((*shape, 2)) * (rng.random((*shape, 2)) < 0.3)
+    c[0, 0] = 1
+    return Problem(rng.normal(size=(*shape, 2)), c, m, **more), rng.normal(size=(*shape, 2))
+
+
+def three_in_a_row(first, second, third, m):
+    """Three sites along a col; the fourth and far one makes a problem of it."""
+    d = np.array([[first], [second], [third]], dtype=float)
+    m = np.array(m, dtype=float)[:, None]
+    return Problem(np.zeros_like(d), np.ones_like(d), m), d
+
+
+def test_example_1_of_the_paper_has_no_energy_in_its_first_term():
+    # m_t / m_u = 2 and the strain doubles from s-t to t-u; V's second term is (1 * -2 + 1)^2 = 1,
+    # the contradiction of eq. 7 that the documentation explains.
+    problem, d = three_in_a_row((1, 0), (2, 0), (4, 0), (20, 20, 10))
+    observed = 5.0 * np.abs(d).sum()
+    energy = SeilerPrior(penalty=5.0).site_energy(problem, d).sum() - observed
+    assert energy == pytest.approx(0 + 1)
+
+
+def test_example_2_of_the_paper_is_8_not_2_8():
+    # Eq. 13 for (1, 1), (2, 2), (1, 1): 2^2 + 2^2 = 8 (the paper prints its square root). On a
+    # diagonal line both components count; V has the mirrored term as well, equal here.
+    d = np.zeros((3, 3, 2))
+    d[0, 0], d[1, 1], d[2, 2] = 1, 2, 1
+    m = np.zeros((3, 3))
+    m[np.diag_indices(3)] = 10
+    problem = Problem(d, np.ones_like(d), m)
+    assert SeilerPrior().site_energy(problem, d).sum() == pytest.approx(2 * 8)
+
+
+@pytest.mark.parametrize("conditional", ["centred", "blanket"])
+def test_the_total_is_the_sum_over_all_cliques(conditional):
+    problem, d = random_problem()
+    prior = SeilerPrior(penalty=3.5, conditional=conditional)
+    shares = prior.site_energy(problem, d)
+    assert shares.sum() == pytest.approx(total_energy(problem, d, 3.5), rel=1e-9)
+    assert prior.mean_energy(problem, d) == pytest.approx(shares.sum() / problem.tissue.sum())
+
+
+def test_up_to_twelve_cliques_contain_a_site():
+    m = np.ones((5, 5))
+    centre = [clique for clique in cliques(m) if (2, 2) in clique[:3]]
+    assert len(centre) == 12
+
+
+@pytest.mark.parametrize("conditional", ["centred", "blanket"])
+def test_the_parabola_is_the_energy_a_site_sees(conditional):
+    problem, d = random_problem((5, 6), seed=3)
+    prior = SeilerPrior(conditional=conditional)
+    parabola = prior.site_parabola(problem, d)
+    for site in [(0, 0), (2, 2), (1, 4), (4, 5), (3, 1)]:
+        if not problem.tissue[site]:
+            continue
+        energy = local_energy(problem, d, 0.0, site, conditional == "blanket")
+        for value in np.random.default_rng(1).normal(size=(4, 2)):
+            a, q = parabola.curvature[site], parabola.lowest[site]
+            rise = (a * ((value - q) ** 2 - (d[site] - q) ** 2)).sum()
+            assert energy(value) - energy(d[site]) == pytest.approx(rise, abs=1e-8)
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.7, 2.0)])
+def test_uniform_tissue_stretches_evenly_at_no_cost(spacing):
+    i, j = np.mgrid[:6, :8]
+    d = np.stack([0.1 * i - 0.3 * j + 1, 0.2 * i + 0.05 * j - 2], axis=-1)
+    problem = Problem(d, np.ones_like(d), np.full((6, 8), 3.0), spacing=spacing)
+    assert SeilerPrior().site_energy(problem, problem.observed).sum() == pytest.approx(0, abs=1e-6)
+
+
+def test_only_ratios_of_stiffness_matter():
+    problem, d = random_problem()
+    scaled = Problem(problem.observed, problem.confidence, problem.stiffness * 1000)
+    prior = SeilerPrior()
+    np.testing.assert_allclose(prior.site_energy(scaled, d), prior.site_energy(problem, d))
+
+
+def test_the_unit_of_length_does_not_matter():
+    problem, d = random_problem()
+    metres = Problem(
+        problem.observed * 1e-3, problem.confidence, problem.stiffness, spacing=(1e-3, 1e-3)
+    )
+    prior = SeilerPrior()
+    np.testing.assert_allclose(
+        prior.site_energy(metres, d * 1e-3), prior.site_energy(problem, d), rtol=1e-4
+    )
+
+
+def test_the_energy_has_no_preferred_direction():
+    problem, d = random_problem((6, 6))
+    prior = SeilerPrior()
+    expected = prior.site_energy(problem, d)
+    flipped = Problem(
+        problem.observed[::-1] * (-1, 1), problem.confidence[::-1], problem.stiffness[::-1]
+    )
+    np.testing.assert_allclose(prior.site_energy(flipped, d[::-1] * (-1, 1)), expected[::-1])
+    turn = (1, 0, 2)
+    turned = Problem(
+        problem.observed.transpose(turn)[..., ::-1],
+        problem.confidence.transpose(turn)[..., ::-1],
+        problem.stiffness.T,
+    )
+    swapped = d.transpose(turn)[..., ::-1]
+    np.testing.assert_allclose(prior.site_energy(turned, swapped), expected.T)
+
+
+def test_void_belongs_to_no_clique():
+    problem, d = random_problem(void=False)
+    m = problem.stiffness.copy()
+    m[3, 3] = 0
+    energy = SeilerPrior().site_energy(Problem(problem.observed, problem.confidence, m), d)
+    wild = d.copy()
+    wild[3, 3] = 1e6  # whatever is there
+    np.testing.assert_array_equal(
+        SeilerPrior().site_energy(Problem(problem.observed, problem.confidence, m), wild), energy
+    )
+    assert energy[3, 3] == 0
+
+
+def test_square_pixels_weigh_as_the_paper_does():
+    np.testing.assert_allclose(
+        line_weights((3.0, 3.0)), [[1, 0], [0, 1], [1, 1], [1, 1]], atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.5, 2.0), (3.0, 1.0), (1.0, 1.2)])
+def test_the_continuum_does_not_depend_on_the_shape_of_pixels(spacing):
+    # Second moments of the lines, in physical lengths: 3 along the component, 2 across, no shear.
+    weights = line_weights(spacing)
+    assert (weights >= 0).all()
+    steps = np.array(line_steps(2)) * spacing
+    for component in (0, 1):
+        moment = np.einsum("l,li,lj->ij", weights[:, component], steps, steps)
+        along, across = moment[component, component], moment[1 - component, 1 - component]
+        assert along / across == pytest.approx(1.5)
+        assert moment[0, 1] == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"penalty": 0},
+        {"penalty": np.inf},
+        {"penalty": "a"},
+        {"penalty": 1e39},
+        {"conditional": "middle"},
+        {"damping": 0},
+        {"damping": 2},
+        {"damping": "none"},
+    ],
+)
+def test_a_prior_that_makes_no_sense_is_refused(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        SeilerPrior(**wrong)
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.5, 2.0)])
+def test_the_penalty_grows_with_what_pulls_at_a_boundary(spacing):
+    shape = (16, 16)
+    c = np.zeros((*shape, 2))
+    c[8, 8] = 1
+    y = np.zeros((*shape, 2))
+    uniform = SeilerPrior().resolved(Problem(y, c, np.ones(shape), spacing=spacing))
+    assert uniform.penalty == pytest.approx(1e4)
+    m = np.ones(shape)
+    m[8, 8] = 50
+    stiff = SeilerPrior().resolved(Problem(y, c, m, spacing=spacing))
+    assert stiff.penalty > 100 * uniform.penalty
+    m[8, 8], m[0, 0] = 1, 50  # elsewhere it pulls at nothing that was observed
+    far = SeilerPrior().resolved(Problem(y, c, m, spacing=spacing))
+    assert far.penalty == pytest.approx(1e4)
+    assert SeilerPrior(penalty=7).resolved(Problem(y, c, m, spacing=spacing)).penalty == 7

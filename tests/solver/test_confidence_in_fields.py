@@ -1,0 +1,107 @@
+"""What a solution says of its error is true, whatever the tissue."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from napari_hmrf import Cancelled, ElasticPrior, Multigrid, Problem, solve
+from napari_hmrf.data import phantom
+from tests.support.cancel_flags import During
+from tests.support.elastic_oracle import direct_solution
+from tests.support.opengl import require_opengl
+
+PRIOR = ElasticPrior(0.3)
+
+
+def pushed(m):
+    """Tissue whose first row is held, and whose last row is pushed by 4 pixels."""
+    y, c = np.zeros((*m.shape, 2)), np.zeros((*m.shape, 2))
+    c[0] = c[-1] = 1
+    y[-1, :, 0] = 4
+    return Problem(y, c, m)
+
+
+def two_phases(n, sigma, contrast, seed=0):
+    """Smoothed noise, cut at its mean."""
+    noise = ndimage.gaussian_filter(
+        np.random.default_rng(seed).normal(size=(n, n)), sigma, mode="wrap"
+    )
+    return np.where(noise > 0, contrast, 1.0)
+
+
+def fibres(n, contrast):
+    """Lines one pixel wide."""
+    i, j = np.indices((n, n))
+    return np.where((i + 2 * j) % 9 == 0, contrast, 1.0)
+
+
+TISSUES = {
+    "lumps": lambda contrast: two_phases(65, 5, contrast),
+    "large lumps": lambda contrast: two_phases(97, 10, contrast, seed=4),
+    "fibres": lambda contrast: fibres(65, contrast),
+}
+
+
+@pytest.mark.parametrize("contrast", [1e2, 1e4, 1e5, 1e7])
+@pytest.mark.parametrize("tissue", TISSUES.values(), ids=TISSUES)
+def test_irregular_tissue_is_as_close_as_it_is_said_to_be(tissue, contrast):
+    problem = pushed(tissue(contrast))
+    solution = solve(problem, PRIOR, optimizer=Multigrid(), backend="cpu")
+    off = np.abs(solution.displacement - direct_solution(problem, PRIOR)).max()
+    assert off <= 3 * solution.convergence.error + 1e-4
+    assert off <= 3e-3
+
+
+def test_so_it_is_by_shaders():
+    require_opengl()
+    problem = pushed(two_phases(65, 5, 1e5))
+    solution = solve(problem, PRIOR, optimizer=Multigrid(), backend="opengl")
+    assert np.abs(solution.displacement - direct_solution(problem, PRIOR)).max() <= 1e-3
+
+
+def test_it_is_said_that_the_whole_system_had_to_be_factorised():
+    said = []
+    problem = pushed(fibres(65, 1e6))
+    solution = solve(
+        problem,
+        PRIOR,
+        optimizer=Multigrid(),
+        backend="cpu",
+        progress=lambda m: said.append(m.message),
+    )
+    assert solution.convergence.way == "factors"
+    assert any("factorising" in message for message in said)
+
+
+@pytest.mark.parametrize("kind", ["expansion", "mass-effect"])
+def test_soft_tissue_needs_cycles_only(kind):
+    solution = solve(phantom(kind, 128).problem, PRIOR, optimizer=Multigrid(), backend="cpu")
+    assert solution.convergence.way == "cycles"
+    assert solution.iterations <= 7
+
+
+def test_stiff_tissue_turns_freely_where_pixels_are_oblong():
+    m = np.ones((40, 40))
+    m[15:25, 10:30] = 1e6
+    y, c = np.zeros((40, 40, 2)), np.zeros((40, 40, 2))
+    c[0] = c[-1] = 1
+    y[-1, :, 1] = 3
+    problem = Problem(y, c, m, spacing=(0.28, 1.0))
+    solution = solve(problem, PRIOR, optimizer=Multigrid(), backend="cpu")
+    assert np.abs(solution.displacement - direct_solution(problem, PRIOR)).max() < 1e-3
+
+
+@pytest.mark.parametrize("contrast", [1.0, 1e2, 1e4])
+def test_nearly_incompressible_tissue_takes_forty_cycles_at_most(contrast):
+    i, j = np.indices((97, 97))
+    m = np.where((i - 48) ** 2 + (j - 48) ** 2 < 400, contrast, 1.0)
+    solution = solve(
+        pushed(m), ElasticPrior(0.499, plane="strain"), optimizer=Multigrid(), backend="cpu"
+    )
+    assert solution.iterations <= 40
+
+
+def test_a_cancel_during_factors_is_answered():
+    flag = During("factorising")
+    with pytest.raises(Cancelled):
+        solve(pushed(fibres(129, 1e6)), PRIOR, optimizer=Multigrid(), backend="cpu", cancel=flag)

@@ -1,0 +1,349 @@
+"""The tissue follows the hand: whatever the order and the timing, the last edit is what is seen."""
+
+import threading
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, ProblemError, SeilerPrior, solve
+from napari_hmrf.solver import live_solver as live_module
+from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.live_solver import LiveSolver
+from tests.support.timeouts import LONG
+
+SIZE = 20
+
+
+def pulled(vector=(2.0, -1.0), at=(10, 8), stiff=30.0, size=SIZE, radius=2.5):
+    """A body held at its border, with a stiff lump, of which a patch is pulled."""
+    m = np.full((size, size), 10.0)
+    m[size // 4 : size // 2, size // 2 : -3] = stiff
+    y, c = np.zeros((size, size, 2)), np.zeros((size, size, 2))
+    c[0] = c[-1] = 1
+    c[:, 0] = c[:, -1] = 1
+    rows, cols = np.indices((size, size))
+    patch = np.hypot(rows - at[0], cols - at[1]) <= radius
+    y[patch], c[patch] = vector, 1
+    return Problem(y, c, m)
+
+
+def unheld():
+    """Nothing holds the right half."""
+    problem = pulled()
+    m = np.array(problem.stiffness)
+    m[:, 10] = 0
+    return Problem(problem.observed, problem.confidence * (np.arange(SIZE) < 9)[:, None], m)
+
+
+def unreadable():
+    raise ProblemError("observed", "cannot be read")
+
+
+@pytest.fixture
+def updates():
+    return []
+
+
+@pytest.fixture
+def live(updates):
+    with LiveSolver(updates.append, backend="cpu") as made:
+        yield made
+
+
+@pytest.fixture
+def pause():
+    """Keep the compute thread from working until told."""
+    go = threading.Event()
+    compute_thread.submit(lambda: go.wait(30))
+    yield go
+    go.set()
+
+
+def cold(problem, prior=None):
+    return solve(problem, prior or ElasticPrior(), optimizer=Multigrid(1e-4), backend="cpu")
+
+
+def furthest(one, other):
+    return float(np.abs(one.displacement - other.displacement).max())
+
+
+#: So many solves there are between two edits, each a turn of the compute thread.
+turns = st.sampled_from([0, 0, 0, 1, 2])
+
+
+def let_pass(turns):
+    for _ in range(turns):
+        compute_thread.submit(lambda: None).result(LONG)
+
+
+edits = st.lists(
+    st.tuples(
+        st.sampled_from(["move", "move", "move", "elsewhere", "stiffen", "grid", "bad", "forget"]),
+        st.tuples(st.floats(-4, 4), st.floats(-4, 4)),
+        st.booleans(),
+        turns,
+    ),
+    min_size=1,
+    max_size=12,
+)
+
+
+@settings(max_examples=20, deadline=None)
+@given(edits, st.sampled_from([0.0, 0.004, 0.1]), st.sampled_from([np.inf, 0.05]))
+def test_the_last_edit_is_shown_in_the_end_as_if_nothing_had_come_before(edits, patience, penalty):
+    updates, latest = [], {}
+    prior = ElasticPrior(poisson=0.4, penalty=penalty)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(live_module, "PATIENCE", patience)
+        with LiveSolver(updates.append, prior, backend="cpu") as live:
+            state = {}
+            for kind, vector, late, later in [*edits, ("move", (1.0, 2.0), True, 0)]:
+                state["vector"] = vector
+                if kind == "elsewhere":
+                    state["at"] = (8 + vector[0], 10 + vector[1])
+                elif kind == "stiffen":
+                    state["stiff"] = 10.0 * 2 ** vector[0]
+                elif kind == "grid":
+                    state["size"] = 16 if state.get("size", SIZE) == SIZE else SIZE
+                elif kind == "forget":
+                    live.forget()
+                if kind == "bad":
+                    live.submit(unreadable)
+                else:
+                    latest = dict(state)
+                    live.submit((lambda s=latest: pulled(**s)) if late else pulled(**latest))
+                let_pass(later)
+            number = live.submit(pulled(**latest))
+            assert live.wait(LONG)
+    last = updates[-1]
+    assert (last.number, last.final, last.error) == (number, True, None)
+    assert furthest(last.solution, cold(pulled(**latest), prior)) <= 0.02
+    numbers = [update.number for update in updates]
+    assert numbers == sorted(numbers)
+
+
+def test_of_edits_that_wait_only_the_newest_is_looked_at(live, updates, pause):
+    read = []
+
+    def reading(vector):
+        read.append(vector)
+        return pulled(vector)
+
+    for row in range(6):
+        live.submit(lambda row=row: reading((row, 0.0)))
+    pause.set()
+    assert live.wait(LONG)
+    assert read == [(5, 0.0)]
+    assert [(update.number, update.final) for update in updates] == [(6, True)]
+
+
+@pytest.mark.parametrize("patience", [0.0, 60.0])
+def test_the_tissue_follows_a_drag_that_never_pauses(monkeypatch, patience):
+    """Each result finds the next edit waiting already; none is thrown away for it."""
+    monkeypatch.setattr(live_module, "PATIENCE", patience)
+    updates = []
+
+    def next_edit(update):
+        updates.append(update)
+        if update.number < 8:
+            live.submit(pulled((update.number / 4, 1.0)))
+
+    with LiveSolver(next_edit, backend="cpu") as live:
+        live.submit(pulled((0.0, 1.0)))
+        assert live.wait(LONG)
+    assert {update.number for update in updates} == set(range(1, 9))
+    assert [update.final for update in updates if update.number == 8][-1]
+
+
+def test_a_patch_that_was_moved_before_takes_hardly_a_cycle(live, updates):
+    for step in range(8):
+        live.submit(pulled((0.4 * step, 0.1 * step**2)))
+        assert live.wait(LONG)
+    cycles = [update.solution.iterations for update in updates]
+    assert max(cycles[4:]) < max(cycles[:2])
+
+
+def test_a_glance_comes_first_where_a_solve_takes_long(monkeypatch, live, updates):
+    monkeypatch.setattr(live_module, "PATIENCE", 0.0)
+    live.submit(pulled())
+    assert live.wait(LONG)
+    glance, answer = updates
+    assert (glance.final, answer.final) == (False, True)
+    assert (glance.number, answer.number) == (1, 1)
+    exact = cold(pulled())
+    assert furthest(glance.solution, exact) <= live_module.GLANCE
+    assert furthest(answer.solution, exact) <= live_module.TOLERANCE
+
+
+def test_without_a_glance_what_follows_oblivion_is_a_solve_bit_by_bit(monkeypatch, live, updates):
+    monkeypatch.setattr(live_module, "PATIENCE", 0.0)
+    live.submit(pulled((3.0, 0.0)))
+    assert live.wait(LONG)
+    live.forget()
+    updates.clear()
+    live.submit(pulled(), glance=False)
+    assert live.wait(LONG)
+    (answer,) = updates
+    cold = solve(pulled(), live.prior, optimizer=live.optimizer, backend="cpu")
+    assert np.array_equal(answer.solution.displacement, cold.displacement)
+
+
+def test_after_a_glance_a_newer_edit_goes_first(monkeypatch):
+    monkeypatch.setattr(live_module, "PATIENCE", 0.0)
+    updates = []
+
+    def edit_during_the_first(update):
+        updates.append(update)
+        if len(updates) == 1:
+            live.submit(pulled((-3.0, 0.0)))
+
+    with LiveSolver(edit_during_the_first, backend="cpu") as live:
+        live.submit(pulled((3.0, 0.0)))
+        assert live.wait(LONG)
+    assert [(u.number, u.final) for u in updates] == [(1, False), (2, True)]
+
+
+@pytest.mark.parametrize(("patience", "answered"), [(None, [1, 2]), (0.0, [2])])
+def test_what_has_had_its_time_is_given_up_for_a_newer_edit(live, updates, patience, answered):
+    def edited_meanwhile():
+        live.submit(pulled((-3.0, 0.0)))
+        return pulled((3.0, 0.0))
+
+    live.submit(edited_meanwhile, glance=False, patience=patience)
+    assert live.wait(LONG)
+    assert [update.number for update in updates] == answered
+
+
+def test_what_is_wrong_is_delivered_and_the_next_edit_is_answered(live, updates):
+    for problem in (unreadable, unheld, lambda: Problem(1, 2, 3), pulled):
+        live.submit(problem)
+        assert live.wait(LONG)
+    assert [type(update.error) for update in updates] == [ProblemError] * 3 + [type(None)]
+    assert [update.problem is None for update in updates] == [True, False, True, False]
+    assert all((update.solution is None) != (update.error is None) for update in updates)
+
+
+def test_what_nobody_meant_is_delivered_too_and_logged(live, updates, caplog):
+    live.submit(lambda: 1 / 0)
+    assert live.wait(LONG)
+    assert isinstance(updates[0].error, ZeroDivisionError)
+    assert "a live solve failed" in caplog.text
+
+
+def test_an_error_that_has_been_put_right_is_not_shown(live, updates):
+    def hesitating():
+        live.submit(pulled())  # comes while this one is looked at
+        unreadable()
+
+    live.submit(hesitating)
+    assert live.wait(LONG)
+    assert [update.error for update in updates] == [None]
+
+
+@pytest.mark.parametrize("end", ["forget", "close"])
+def test_what_is_dropped_is_never_shown(updates, pause, end):
+    live = LiveSolver(updates.append, backend="cpu")
+    live.submit(pulled())
+    assert live.busy
+    getattr(live, end)()
+    assert not live.busy, "nothing is to come, whatever the thread does"
+    pause.set()
+    assert live.wait(LONG)
+    assert updates == []
+
+
+def test_what_is_being_solved_when_all_is_forgotten_is_not_shown(live, updates):
+    def interrupted():
+        live.forget()
+        return pulled()
+
+    live.submit(interrupted)
+    assert live.wait(LONG)
+    assert updates == []
+    live.submit(pulled())
+    assert live.wait(LONG)
+    assert [update.number for update in updates] == [2]
+
+
+def test_nothing_is_taken_after_the_end(updates):
+    live = LiveSolver(updates.append)
+    live.close()
+    live.close()
+    with pytest.raises(RuntimeError, match="closed"):
+        live.submit(pulled())
+
+
+def test_another_image_may_follow(live, updates):
+    for size in (SIZE, 28, SIZE):
+        live.submit(pulled(size=size))
+        assert live.wait(LONG)
+    for update, size in zip(updates, (SIZE, 28, SIZE), strict=True):
+        assert furthest(update.solution, cold(pulled(size=size))) <= 0.02
+
+
+@pytest.mark.parametrize(
+    ("prior", "optimizer"), [(SeilerPrior(), ICM(iterations=5)), (SeilerPrior(), Multigrid(0.01))]
+)
+def test_the_papers_prior_lives_too(updates, prior, optimizer):
+    with LiveSolver(updates.append, prior, optimizer=optimizer, backend="cpu") as live:
+        for row in (1.0, 2.0):
+            live.submit(pulled((row, 0.0)))
+            assert live.wait(LONG)
+    expected = solve(pulled((2.0, 0.0)), prior, optimizer=optimizer, backend="cpu")
+    assert furthest(updates[-1].solution, expected) <= 0.02
+
+
+def test_the_backend_may_change_with_the_edits(live, updates):
+    for backend in ("abacus", "cpu"):
+        live.backend = backend
+        live.submit(pulled())
+        assert live.wait(LONG)
+    assert "abacus" in str(updates[0].error)
+    assert updates[1].error is None
+
+
+def test_the_prior_may_change_with_the_edits(live, updates):
+    softer, flat = ElasticPrior(0.1), ElasticPrior(0.3, plane="strain")
+    live.prior = softer
+    live.submit(pulled())
+    assert live.wait(LONG)
+    live.submit((pulled(), flat))
+    assert live.wait(LONG)
+    for update, prior in zip(updates, (softer, flat), strict=True):
+        assert furthest(update.solution, cold(pulled(), prior)) <= 0.02
+
+
+def test_results_come_on_the_compute_thread_and_there_is_no_other():
+    came = []
+    solve(pulled(), ElasticPrior(), backend="cpu")
+    before = set(threading.enumerate())
+    with LiveSolver(lambda _: came.append(compute_thread.is_current()), backend="cpu") as live:
+        live.submit(pulled())
+        assert live.wait(LONG)
+        assert set(threading.enumerate()) <= before
+    assert came == [True]
+
+
+def test_a_window_that_fails_to_show_does_not_end_it(caplog):
+    seen = []
+
+    def fragile(update):
+        seen.append(update.number)
+        raise RuntimeError("the window is gone")
+
+    with LiveSolver(fragile, backend="cpu") as live:
+        for _ in range(2):
+            live.submit(pulled())
+            assert live.wait(LONG)
+    assert seen == [1, 2]
+    assert "could not be shown" in caplog.text
+
+
+def test_what_is_being_done_is_said(updates):
+    said = []
+    with LiveSolver(updates.append, backend="cpu", progress=said.append) as live:
+        live.submit(pulled())
+        assert live.wait(LONG)
+    assert said[0].message.startswith("preparing")

@@ -1,0 +1,553 @@
+"""Tissue that grows, is heavy, is pressed and is pulled: as mechanics has it in closed form."""
+
+import itertools
+
+import numpy as np
+import pytest
+import scipy.sparse.linalg as spl
+from report import calculix, load_cases
+
+from napari_hmrf import (
+    ArgumentError,
+    BackendError,
+    ElasticPrior,
+    LiveSolver,
+    Multigrid,
+    Problem,
+    ProblemError,
+    SeilerPrior,
+    Solution,
+    solve,
+)
+from napari_hmrf.loads import Loads, growth, pressure, reactions, traction, weight
+from tests.support.elastic_oracle import stiffness_matrix
+from tests.support.opengl import require_opengl
+
+EXACTLY = Multigrid(1e-6)
+OBLONG = {2: (0.5, 0.8), 3: (0.5, 0.8, 1.3)}
+
+
+def places(shape, spacing):
+    return np.moveaxis(np.indices(shape), 0, -1) * np.array(spacing)
+
+
+def barely_held(shape):
+    """Tissue that is held in one corner, and in two others so that it cannot turn, but stretch."""
+    axes = len(shape)
+    c = np.zeros((*shape, axes))
+    c[(0,) * axes] = 1
+    for first, second in itertools.combinations(range(axes), 2):
+        end = [0] * axes
+        end[second] = -1
+        c[(*end, first)] = 1
+    return c
+
+
+def held(m, where, loads, spacing):
+    """Tissue of which some sites stay where they are."""
+    c = np.zeros((*np.shape(m), np.ndim(m)))
+    c[where] = 1
+    return Problem(0 * c, c, m, spacing=spacing, loads=loads)
+
+
+def found(problem, prior, optimizer=EXACTLY, **more):
+    return solve(problem, prior, optimizer=optimizer, backend="cpu", **more)
+
+
+def anything(axes, seed=0, penalty=np.inf):
+    """Random tissue with a hole and a ratio of its own everywhere, under all loads at once."""
+    rng, shape, spacing = np.random.default_rng(seed), (24, 20, 8)[-axes:], OBLONG[axes]
+    m = 10 ** rng.random(shape) * 50
+    m[(5, 4, 3)[-axes:]] = 0
+    side = np.zeros(shape, bool)
+    side[..., :2] = True
+    strain = 0.1 * rng.normal(size=shape)
+    loads = growth(strain, along=np.arange(axes) + 1) + growth(strain / 3)
+    loads += weight(m, np.arange(axes) + 0.5, density=rng.random(shape), spacing=spacing)
+    loads += pressure(m, side, 3.0, spacing=spacing)
+    loads += traction(m, side, np.arange(axes) - 1.0, spacing=spacing)
+    y, c = np.zeros((*shape, axes)), np.zeros((*shape, axes))
+    c[-1], c[0, 0], y[0, 0] = 1, 1, 0.2
+    nu = rng.uniform(0.1, 0.45, shape)
+    problem = Problem(y, c, m, spacing=spacing, loads=loads)
+    return problem, ElasticPrior(nu, plane="strain", penalty=penalty)
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+@pytest.mark.parametrize("along", ["all", "one"])
+def test_free_tissue_grows_by_its_strain_and_nothing_in_it_pulls(axes, along):
+    shape, spacing = (8, 9, 7)[:axes], OBLONG[axes]
+    way = np.array([2.0, 1.0, -1.0])[:axes]
+    strain = 0.1 * (np.eye(axes) if along == "all" else np.outer(way, way) / (way @ way))
+    loads = growth(np.full(shape, 0.1), along=None if along == "all" else way)
+    m = 5 ** np.random.default_rng(0).random(shape)
+    problem = Problem(
+        places(shape, spacing) @ strain, barely_held(shape), m, spacing=spacing, loads=loads
+    )
+    prior = ElasticPrior(0.3)
+    moved = found(problem, prior).displacement
+    np.testing.assert_allclose(moved, places(shape, spacing) @ strain, atol=1e-5)
+    assert abs(prior.energy(problem, moved)) < 1e-9
+    assert np.abs(prior.forces(problem, moved)).max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("across", "longer"), [("with the rest", 0.1 * 1.3), ("none", 0.1), ("alone", 0.03)]
+)
+def test_a_slice_that_cannot_thicken_takes_growth_across_it_in_its_plane(across, longer):
+    shape = (9, 12)
+    strain = np.zeros((*shape, 3, 3))
+    strain[..., 0, 0] = 0.1 * (across != "none")
+    strain[..., 1, 1] = strain[..., 2, 2] = 0.1 * (across != "alone")
+    problem = Problem(
+        places(shape, (1, 1)) * longer,
+        barely_held(shape),
+        np.ones(shape),
+        loads=Loads(growth=strain),
+    )
+    moved = found(problem, ElasticPrior(0.3, plane="strain")).displacement
+    np.testing.assert_allclose(moved, places(shape, (1, 1)) * longer, atol=1e-5)
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+def test_a_bar_that_hangs_gets_longer_by_its_weight(axes):
+    shape, spacing = (25, 4, 4)[:axes], OBLONG[axes]
+    young, heavy, long = 30.0, 0.04, 24 * spacing[0]
+    m = np.full(shape, young)
+    loads = weight(m, (heavy / 2, 0, 0)[:axes], density=2.0, spacing=spacing)
+    moved = found(held(m, 0, loads, spacing), ElasticPrior(0.0)).displacement
+    at = places(shape, spacing)[..., 0]
+    np.testing.assert_allclose(moved[..., 0], heavy / young * (long * at - at**2 / 2), atol=1e-5)
+    assert np.abs(moved[..., 1:]).max() < 1e-6
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+@pytest.mark.parametrize("by", ["pressure", "traction"])
+def test_a_bar_that_is_pulled_by_its_end_is_strained_evenly(axes, by, tmp_path):
+    shape, spacing, young, nu = (5, 6, 9)[-axes:], OBLONG[axes], 30.0, 0.3
+    m, end = np.full(shape, young), np.zeros(shape, bool)
+    end[..., -1] = True
+    if by == "pressure":
+        loads = pressure(m, end, -1.5, spacing=spacing)
+    else:
+        loads = traction(m, end, np.eye(axes)[-1] * 1.5, spacing=spacing)
+    strain = 1.5 / young * np.diag([*[-nu] * (axes - 1), 1.0])
+    exact = places(shape, spacing) @ strain
+    c = barely_held(shape)
+    c[..., 0, -1] = 1
+    problem = Problem(exact, c, m, spacing=spacing, loads=loads)
+    moved = found(problem, ElasticPrior(nu))
+    np.testing.assert_allclose(moved.displacement, exact, atol=1e-5)
+    pulls = reactions(problem, moved, ElasticPrior(nu))
+    area = np.prod((np.array(shape) - 1) * spacing) / ((shape[-1] - 1) * spacing[-1])
+    again = Solution.read(moved.write(tmp_path / "field.npz"))
+    np.testing.assert_array_equal(reactions(problem, again, ElasticPrior(nu)), pulls)
+    np.testing.assert_allclose(pulls[..., 0, :].sum(axis=tuple(range(axes - 1)))[-1], -1.5 * area)
+
+
+def ring(size, plane):
+    """Lame's annulus under inner pressure, cut along pixels; its error in parts of the field."""
+    young, nu, presses, inner = 3.0, 0.3, 0.2, 0.3
+    step = 1.4 / size
+    at = (np.moveaxis(np.indices((size + 1,) * 2), 0, -1) - size / 2) * step
+    square = np.maximum((at**2).sum(axis=-1), 0.01)
+    even = presses * inner**2 / (1 - inner**2)
+    uneven = even / square
+    bulk = (1 - nu) if plane == "stress" else (1 + nu) * (1 - 2 * nu)
+    exact = at * ((bulk * even + (1 + nu) * uneven) / young)[..., None]
+    out = at / np.sqrt(square)[..., None]
+    stress = even * np.eye(2) + uneven[..., None, None] * (
+        np.eye(2) - 2 * out[..., :, None] * out[..., None, :]
+    )
+    m = np.where((np.abs(at) < 0.35 - step / 2).all(axis=-1), 0, young)
+    loads, low, high = Loads(), size // 4, 3 * size // 4
+    for axis, (edge, outward) in itertools.product(
+        (0, 1), ((0, -1), (size, 1), (low, 1), (high, -1))
+    ):
+        face = np.zeros(m.shape, bool)
+        whole = edge in (0, size)
+        np.moveaxis(face, axis, 0)[edge, slice(None) if whole else slice(low, high + 1)] = True
+        loads += traction(m, face, outward * stress[..., axis], spacing=(step, step))
+    c = np.zeros_like(exact)
+    c[size // 2, :, 0] = c[:, size // 2, 1] = 1
+    problem = Problem(0 * c, c, m, spacing=(step, step), loads=loads)
+    apart = found(problem, ElasticPrior(nu, plane=plane)).displacement - exact
+    return np.linalg.norm(apart[m > 0]) / np.linalg.norm(exact[m > 0])
+
+
+@pytest.mark.parametrize("plane", ["stress", "strain"])
+def test_an_annulus_under_pressure_is_approached_with_the_square_of_the_pixel(plane):
+    coarse, fine = ring(16, plane), ring(64, plane)
+    assert fine < 2e-3
+    assert np.log(coarse / fine) / np.log(4) == pytest.approx(2, abs=0.1)
+
+
+def inside(size, radius, axes, parts=6):
+    """Which part of each pixel is nearer to the middle than so far."""
+    fine = (np.arange((size + 1) * parts) + 0.5) / parts - 0.5 - size / 2
+    squares = sum(np.ix_(*[(fine * 2 / size) ** 2] * axes))
+    share = (squares < radius**2).astype(float)
+    for axis in range(axes):
+        share = share.reshape(*share.shape[:axis], size + 1, parts, *share.shape[axis + 1 :])
+        share = share.mean(axis=axis + 1)
+    return share
+
+
+def grown(size, axes, plane, radius=0.4, strain=0.1, nu=0.3):
+    """Eshelby's disc, or ball, in tissue of its own kind: error where it does not end."""
+    step = 2 / size
+    at = (np.moveaxis(np.indices((size + 1,) * axes), 0, -1) - size / 2) * step
+    r = np.linalg.norm(at, axis=-1)
+    share = (1 + nu) / 2 if plane == "stress" else (1 + nu) / (axes * (1 - nu))
+    exact = at * (share * strain * (radius / np.maximum(r, radius)) ** axes)[..., None]
+    loads = growth(strain * inside(size, radius, axes))
+    c = np.repeat((r > 0.9)[..., None], axes, axis=-1)
+    problem = Problem(exact, c, np.ones(r.shape), spacing=(step,) * axes, loads=loads)
+    prior = ElasticPrior(nu, plane=plane)
+    apart = found(problem, prior, Multigrid(1e-4)).displacement - exact
+    some = (r < 0.9) & (np.abs(r - radius) > 0.1)
+    return np.linalg.norm(apart[some]) / np.linalg.norm(exact[some])
+
+
+@pytest.mark.parametrize(("plane", "sizes"), [("stress", (24, 96)), ("strain", (24, 96))])
+def test_a_disc_that_grows_in_its_matrix_moves_both_as_eshelby_has_it(plane, sizes):
+    coarse, fine = (grown(size, 2, plane) for size in sizes)
+    assert fine < 2e-3
+    assert np.log(coarse / fine) / np.log(sizes[1] / sizes[0]) > 1.7
+
+
+def test_a_ball_that_grows_in_its_matrix_moves_both_as_eshelby_has_it():
+    coarse, fine = (grown(size, 3, "strain") for size in (12, 24))
+    assert fine < 0.02
+    assert coarse / fine > 3
+
+
+@pytest.mark.parametrize(("axes", "penalty"), [(2, np.inf), (2, 0.06), (3, np.inf), (3, 0.2)])
+def test_what_holds_and_pulls_balances_all_loads_and_no_more_than_it_can(axes, penalty):
+    problem, prior = anything(axes, penalty=penalty)
+    solution = found(problem, prior)
+    holds = reactions(problem, solution, prior)
+    assert not holds[~problem.known].any()
+    total = holds.reshape(-1, axes).sum(axis=0)
+    given = problem.loads.force.reshape(-1, axes).sum(axis=0, dtype=float)
+    np.testing.assert_allclose(total, -given, rtol=1e-4)
+    most = penalty * prior.force_unit(problem)
+    assert (np.abs(holds) <= most * (1 + 1e-6)).all()
+    missing = problem.observed - solution.displacement
+    slips = problem.known & (np.abs(missing) > 1e-5)
+    assert slips.any() == (penalty < np.inf)
+    np.testing.assert_allclose(holds[slips], most * np.sign(missing[slips]), rtol=1e-6)
+    assert np.abs(prior.forces(problem, solution.displacement)[~problem.known]).max() < 1e-5
+    energy = solution.mean_energy * problem.tissue.sum()
+    missed = np.abs(missing)[problem.known].sum() / problem.unit
+    lost = 0 if penalty == np.inf else penalty * missed
+    assert energy == pytest.approx(prior.energy(problem, solution.displacement) + lost, rel=1e-4)
+
+
+def exact_field(problem, prior):
+    """The field of no force, by a direct solve in double precision."""
+    matrix = stiffness_matrix(problem, prior)
+    field = np.where(problem.known, problem.observed, 0).astype(float)
+    free = ~problem.known.ravel() & (matrix.diagonal() > 0)
+    rest = prior.forces(problem, field).ravel()[free]
+    field.ravel()[free] -= problem.unit * spl.spsolve(matrix[free][:, free].tocsc(), rest)
+    return field
+
+
+def large():
+    """Soft and stiff tissue of a size that takes cycles."""
+    rng = np.random.default_rng(3)
+    m = 20 ** np.kron(rng.random((8, 8)), np.ones((12, 12)))
+    loads = growth(0.2 * (m > 5)) + weight(m, (0.001, -0.0005), spacing=1)
+    return held(m, 0, loads, (1.0, 1.0))
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-4])
+def test_the_error_that_is_reported_holds_with_loads(tolerance):
+    problem, prior = large(), ElasticPrior(0.4)
+    solution = found(problem, prior, Multigrid(tolerance))
+    off = np.abs(solution.displacement - exact_field(problem, prior)).max()
+    assert off <= solution.convergence.error <= tolerance
+    assert solution.iterations > 2
+
+
+def test_tissue_of_any_kind_is_where_a_direct_solve_has_it():
+    problem, prior = anything(2)
+    moved = found(problem, prior).displacement
+    np.testing.assert_allclose(moved, exact_field(problem, prior), atol=1e-5)
+
+
+def test_loads_that_are_the_same_take_no_cycle_and_others_begin_with_the_last_field():
+    problem, prior = large(), ElasticPrior(0.4)
+    first = found(problem, prior, Multigrid())
+    again = Loads(growth=problem.loads.growth, force=problem.loads.force)
+    same = held(problem.stiffness, 0, again, (1.0, 1.0))
+    assert found(same, prior, Multigrid(), initial=first).iterations == 0
+    slightly = Loads(growth=problem.loads.growth, force=problem.loads.force * 1.001)
+    heavier = held(problem.stiffness, 0, slightly, (1.0, 1.0))
+    warm, cold = (found(heavier, prior, Multigrid(), initial=each) for each in (first, None))
+    assert 0 < warm.iterations < cold.iterations
+    assert np.abs(warm.displacement - cold.displacement).max() < 2e-3
+
+
+def test_loads_between_two_that_were_solved_take_no_cycle():
+    problem, prior = large(), ElasticPrior(0.4)
+    grows, pulls = problem.loads.growth, problem.loads.force
+
+    def at(one, two):
+        loads = Loads(growth=one * grows, force=two * pulls)
+        return held(problem.stiffness, 0, loads, (1.0, 1.0))
+
+    known = [found(at(*shares), prior, Multigrid()) for shares in ((1, 1), (0.5, 1), (1, 0.6))]
+    between = found(at(0.8, 0.9), prior, Multigrid(), initial=known)
+    assert between.iterations == 0
+    exact = exact_field(at(0.8, 0.9), prior)
+    assert np.abs(between.displacement - exact).max() <= between.convergence.error <= 1e-3
+    of_other_kind = held(problem.stiffness, 0, growth(0.1 * grows, along=(1, 0)), (1.0, 1.0))
+    assert found(of_other_kind, prior, Multigrid(), initial=known).iterations > 0
+
+
+def test_a_patch_that_is_dragged_under_weight_takes_no_cycle_once_its_directions_are_known():
+    m, c, y = np.ones((48, 48)), np.zeros((48, 48, 2)), np.zeros((48, 48, 2))
+    c[:2], c[30:33, 20:23] = 1, 1
+    loads = weight(m, (0.003, 0), spacing=1)
+    earlier = []
+    for step in range(4):
+        y[30:33, 20:23] = (step, 0)
+        problem = Problem(y, c, m, loads=loads)
+        last = found(problem, ElasticPrior(), Multigrid(), initial=earlier or None)
+        earlier = [last, *earlier]
+    assert last.iterations == 0
+    exact = exact_field(problem, ElasticPrior())
+    assert np.abs(last.displacement - exact).max() < 5e-3
+
+
+def test_tissue_that_is_watched_follows_its_loads():
+    said = []
+    with LiveSolver(said.append, ElasticPrior(0.4), backend="cpu") as live:
+        for share in (0.0, 0.1, 0.2):
+            live.submit(held(np.ones((40, 40)), 0, growth(np.full((40, 40), share)), (1, 1)))
+            assert live.wait()
+    moved = [float(np.abs(each.solution.displacement).max()) for each in said]
+    assert moved[0] == 0
+    assert moved[2] == pytest.approx(2 * moved[1], abs=0.05)
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+def test_a_rigid_body_is_as_heavy_as_one_that_is_next_to_rigid(axes):
+    shape = (14, 12, 10)[:axes]
+    block = np.zeros(shape, bool)
+    block[(slice(5, 9),) * axes] = True
+    moved = []
+    for stiff in (np.inf, 1e6):
+        m = np.where(block, stiff, 1.0)
+        loads = weight(m, (0, 0.01, 0)[:axes], density=1 + 9.0 * block, spacing=1)
+        problem = held(m, 0, loads, (1,) * axes)
+        solution = found(problem, ElasticPrior(0.3))
+        moved.append(solution.displacement)
+        total = reactions(problem, solution, ElasticPrior(0.3)).reshape(-1, axes).sum(axis=0)
+        given = problem.loads.force.reshape(-1, axes).sum(axis=0)
+        np.testing.assert_allclose(total, -given, atol=1e-3 * np.abs(given).max())
+    np.testing.assert_allclose(*moved, atol=1e-4 * np.abs(moved).max())
+
+
+def test_what_holds_a_rigid_body_carries_it():
+    m, c, y = np.ones((12, 12)), np.zeros((12, 12, 2)), np.zeros((12, 12, 2))
+    m[4:8, 4:8] = np.inf
+    c[0] = c[5, 4:6] = 1
+    y[5, 4:6, 0] = 1
+    problem = Problem(y, c, m, loads=weight(m, (0, 0.1), spacing=1))
+    solution = found(problem, ElasticPrior(0.3))
+    holds = reactions(problem, solution, ElasticPrior(0.3))
+    np.testing.assert_allclose(
+        holds.sum(axis=(0, 1)), -problem.loads.force.sum(axis=(0, 1)), atol=1e-4
+    )
+    assert holds[5, 4:6, 0].sum() > 0.2, "it is pulled down"
+
+
+def test_what_is_held_too_weakly_for_its_load_is_refused_and_what_slips_is_in_balance():
+    shape = (10, 8)
+    m, loads = np.ones(shape), weight(np.ones(shape), (0.01, 0), spacing=1)
+    problem = held(m, 0, loads, (1, 1))
+    heavy = 0.01 * 9 * 7
+    exactly = found(problem, ElasticPrior(0.3)).displacement
+    firmly = found(problem, ElasticPrior(0.3, penalty=heavy)).displacement
+    np.testing.assert_allclose(firmly, exactly, atol=1e-5)
+    barely = ElasticPrior(0.3, penalty=1.02 * heavy / 8)
+    solution = found(problem, barely)
+    holds = reactions(problem, solution, barely)[0, :, 0]
+    assert holds.sum() == pytest.approx(-heavy, rel=1e-5)
+    assert np.abs(solution.displacement[0]).max() > 1e-3
+    with pytest.raises(ProblemError, match="more than what is observed can hold"):
+        solve(problem, ElasticPrior(0.3, penalty=0.98 * heavy / 8), backend="cpu")
+
+
+def disc(radius):
+    """Sites of the elements of a disc."""
+    at = np.indices((2 * radius + 10,) * 2) - (radius + 4.5)
+    inside = np.hypot(*at) < radius
+    sites = np.zeros((2 * radius + 11,) * 2, bool)
+    for i, j in itertools.product((0, 1), repeat=2):
+        sites[i : i + len(inside), j : j + len(inside)] |= inside
+    return sites
+
+
+def test_pressure_on_all_of_a_surface_is_in_balance_and_presses_in():
+    tissue = disc(12)
+    loads = pressure(tissue, np.ones_like(tissue), 2.0, spacing=1)
+    assert np.abs(loads.force.sum(axis=(0, 1))).max() < 1e-5
+    at = np.indices(tissue.shape) - 17.0
+    outwards = (np.moveaxis(at, 0, -1) * loads.force).sum()
+    assert outwards == pytest.approx(-2 * 2 * np.pi * 12**2, rel=0.02)
+
+
+@pytest.mark.parametrize("radius", [10, 20])
+def test_traction_counts_the_area_of_a_surface_without_its_steps(radius):
+    tissue = disc(radius)
+    force = traction(tissue, np.ones_like(tissue), (1.0, -2.0), spacing=1).force.sum(axis=(0, 1))
+    np.testing.assert_allclose(force, np.array([1, -2]) * 2 * np.pi * radius, rtol=0.01)
+
+
+def test_the_unit_of_stiffness_and_of_length_is_that_of_forces():
+    """The same tissue in kPa and mm, and in Pa and m."""
+    shape = (16, 12)
+    m, side = np.full(shape, 2.0), np.zeros(shape, bool)
+    m[4:9, 3:7] = 6.0
+    side[:, -1] = True
+
+    def at(stiffness, step):
+        loads = pressure(stiffness, side, 0.05 * stiffness[0, 0], spacing=(step, step))
+        loads += weight(stiffness, (0.01 * stiffness[0, 0] / step, 0), spacing=(step, step))
+        return held(stiffness, 0, loads, (step, step))
+
+    one, other = at(m, 0.5), at(1000 * m, 0.0005)
+    first, second = (found(each, ElasticPrior()) for each in (one, other))
+    np.testing.assert_allclose(first.displacement, 1000 * second.displacement, atol=1e-5)
+    np.testing.assert_allclose(
+        reactions(one, first), reactions(other, second), atol=1e-4 * np.abs(one.loads.force).max()
+    )
+
+
+@pytest.mark.skipif(not calculix.is_there(), reason="CalculiX is not installed")
+@pytest.mark.parametrize(("axes", "plane", "nu"), [(2, "stress", 0.3), (3, "strain", 0.0)])
+def test_what_grows_is_heavy_and_is_pressed_is_where_calculix_has_it(axes, plane, nu):
+    case = load_cases.tissue((16, 8)[axes - 2], axes)
+    off, most, unbalanced = load_cases.to_calculix(case, plane, nu)
+    assert off < 1e-5 * most
+    assert unbalanced < 1e-6
+
+
+def test_shaders_bear_loads_too():
+    require_opengl()
+    problem, prior = large(), ElasticPrior(0.4)
+    shaded = solve(problem, prior, optimizer=Multigrid(1e-3), backend="opengl")
+    assert shaded.convergence.error <= 1e-3
+    assert np.abs(shaded.displacement - exact_field(problem, prior)).max() <= 1e-3
+
+
+def test_what_cannot_bear_loads_says_so():
+    problem, _ = anything(3)
+    with pytest.raises(BackendError, match="volumes with loads"):
+        solve(problem, backend="opengl")
+    with pytest.raises(ProblemError, match="no forces"):
+        solve(problem, SeilerPrior())
+    loose = held(np.ones((6, 6)), (0, 0), weight(np.ones((6, 6)), (1, 0), spacing=1), (1, 1))
+    with pytest.raises(ProblemError, match="could still move by turning"):
+        solve(loose)
+
+
+def test_loads_of_a_wrong_unit_are_refused():
+    m = np.ones((40, 40))
+    with pytest.raises(ProblemError, match="units that go together"):
+        solve(held(m, 0, weight(m, (1e4, 0), spacing=1), (1, 1)), backend="cpu")
+
+
+MASK = np.ones((6, 6), bool)
+
+
+@pytest.mark.parametrize(
+    ("what", "make"),
+    [
+        ("no direction", lambda m: growth(np.ones((6, 6)), along=(0, 0))),
+        ("one number is needed", lambda m: growth(0.1)),
+        ("not symmetric", lambda m: Loads(growth=np.arange(144).reshape(6, 6, 2, 2))),
+        ("above -1", lambda m: growth(-np.ones((6, 6)))),
+        ("no numbers", lambda m: growth(np.full((6, 6), np.nan))),
+        ("has shape", lambda m: growth(np.ones((5, 6)))),
+        ("rigid tissue", lambda m: growth(np.ones((6, 6)))),
+        ("has shape", lambda m: Loads(force=np.ones((6, 6)))),
+        ("could bear it", lambda m: Loads(force=np.ones((6, 6, 2)))),
+        ("type float", lambda m: 0.1),
+        ("one grid", lambda m: growth(np.ones((6, 6))) + growth(np.ones((6, 5)), along=(1, 0))),
+        ("no face of", lambda m: pressure(m, MASK & False, 1.0, spacing=1)),
+        ("same pixel grid", lambda m: pressure(m, MASK[1:], 1.0, spacing=1)),
+        ("Give one number", lambda m: pressure(m, MASK, (1.0, 2.0), spacing=1)),
+        ("Give 2 components", lambda m: traction(m, MASK, 1.0, spacing=1)),
+        ("Give 2 components", lambda m: weight(m, (1.0, 0, 0), spacing=1)),
+        ("no numbers", lambda m: weight(m, (np.nan, 0), spacing=1)),
+        ("nowhere two pixels wide", lambda m: weight(np.eye(6), (1.0, 0), spacing=1)),
+    ],
+)
+def test_loads_that_make_no_sense_are_refused_in_a_sentence(what, make):
+    m = np.ones((6, 6))
+    m[0, 0], m[2:4, 2:4] = 0, np.inf
+    with pytest.raises(ProblemError, match=what):
+        held(m, -1, make(m), (1, 1))
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda m, sizes: weight(m, (0, 0.1), spacing=sizes),
+        lambda m, sizes: pressure(m, MASK, 0.1, spacing=sizes),
+        lambda m, sizes: traction(m, MASK, (0, 0.1), spacing=sizes),
+    ],
+)
+def test_forces_of_another_spacing_are_refused_with_both(make):
+    m = np.ones((6, 6))
+    loads = make(m, (2.0, 0.5))
+    held(m, -1, loads + growth(0.1 * m), (2.00001, 0.5))
+    with pytest.raises(ProblemError, match=r"for pixels of 2 x 0\.5, but .* has pixels of 1 x 1\."):
+        held(m, -1, growth(0.1 * m) + loads, (1, 1))
+    with pytest.raises(ProblemError, match=r"for pixels of 2 x 0\.5 and of 1 x 1\. Make both"):
+        loads + make(m, 1)
+    held(m, -1, Loads(force=loads.force), (1, 1))  # nothing states a spacing
+    with pytest.raises(ProblemError, match=r"spacing: is \(2, 0\)"):
+        Loads(force=loads.force, spacing=(2, 0))
+
+
+def test_loads_are_frozen_told_in_a_line_and_part_of_what_a_result_was_made_of():
+    m = np.ones((6, 6))
+    loads = growth(0.1 * m, along=(1, 0)) + weight(m, (0, 0.1), spacing=1)
+    with pytest.raises(AttributeError):
+        loads.force = None
+    problem, other = (held(m, 0, each, (1, 1)) for each in (loads, None))
+    assert "growth from 0 to 0.1, force of (0, 2.5) altogether" in repr(problem)
+    made = found(problem, ElasticPrior())
+    assert set(made.provenance.inputs) == {
+        "observed",
+        "confidence",
+        "stiffness",
+        "growth",
+        "force",
+    }
+    assert set(other.digests) == {"observed", "confidence", "stiffness"}
+    with pytest.raises(ArgumentError, match="another problem"):
+        reactions(other, made)
+    with pytest.raises(ArgumentError, match="made by"):
+        reactions(problem, made, ElasticPrior(0.2))
+    with pytest.raises(ArgumentError, match="no forces"):
+        reactions(problem, made, SeilerPrior())
+
+
+@pytest.mark.parametrize("make", [pressure, traction, weight])
+def test_forces_need_the_size_of_a_pixel(make):
+    m, arguments = np.ones((6, 6)), {"acceleration": (1.0, 0.0)}
+    if make is not weight:
+        arguments = {"surface": MASK, "vector" if make is traction else "amount": 1.0}
+    arguments |= {"vector": (1.0, 0.0)} if make is traction else {}
+    with pytest.raises(TypeError, match="spacing"):
+        make(m, **arguments)
+    even, both = make(m, **arguments, spacing=0.5), make(m, **arguments, spacing=(0.5, 0.5))
+    assert even.same_as(both)
+    assert not even.same_as(make(m, **arguments, spacing=1))

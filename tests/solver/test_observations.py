@@ -1,0 +1,227 @@
+"""What is observed with some confidence only: the L1 data term of elastic tissue, exactly."""
+
+import numpy as np
+import pytest
+import scipy.sparse.linalg as spl
+
+from napari_hmrf import ElasticPrior, Multigrid, Problem, ProblemError, SeilerPrior, solve
+from napari_hmrf.data import phantom
+from tests.support.elastic_oracle import direct_solution, stiffness_matrix
+
+
+def reference(problem, prior):
+    """Least elastic energy plus sum of p |y - d|, in float64: exact minimisation, one at a time.
+
+    What is not observed is eliminated first, so that only observed components are left.
+    """
+    matrix = stiffness_matrix(problem, prior)
+    solid = matrix.diagonal() > 0
+    seen = (problem.confidence.ravel() > 0) & solid
+    free = ~seen & solid
+    inner = spl.splu(matrix[free][:, free].tocsc())
+    across = matrix[free][:, seen].toarray()
+    schur = matrix[seen][:, seen].toarray() - across.T @ inner.solve(across)
+    y = (problem.observed.astype(float) / problem.unit).ravel()[seen]
+    p = prior.limit(problem).ravel()[seen]
+    x = y.copy()
+    pull = schur @ x
+    for _ in range(20_000):
+        most = 0.0
+        for k in range(len(x)):
+            aim = x[k] - pull[k] / schur[k, k] - y[k]
+            target = y[k] + np.sign(aim) * max(abs(aim) - p[k] / schur[k, k], 0)
+            if target != x[k]:
+                pull += schur[:, k] * (target - x[k])
+                most = max(most, abs(target - x[k]))
+                x[k] = target
+        if most < 1e-7:
+            break
+    field = np.zeros(seen.size)
+    field[seen] = x
+    field[free] = -inner.solve(across @ x)
+    return field.reshape(*problem.shape, 2) * problem.unit
+
+
+def doubtful(seed=0, spacing=(1.0, 1.0)):
+    """Soft and stiff tissue, some of whose sites are observed, more or less surely."""
+    rng = np.random.default_rng(seed)
+    shape = (15, 18)
+    m = np.where(rng.random(shape) < 0.5, 1.0, 10.0)
+    m[7:9, 5:8] = 0
+    c = np.zeros((*shape, 2))
+    c[0] = rng.uniform(0.05, 1, (18, 2))
+    c[-1, ::2] = rng.uniform(0.05, 1, (9, 2))
+    c[4:6, 10:14, 1] = 0.5
+    return Problem(rng.normal(size=(*shape, 2)), c, m, spacing=spacing)
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0), (2.0, 0.5)])
+@pytest.mark.parametrize("penalty", [3.0, 0.5, 0.05])
+def test_the_field_is_that_of_least_energy(penalty, spacing):
+    problem, prior = doubtful(spacing=spacing), ElasticPrior(0.4, penalty=penalty)
+    found = solve(problem, prior, optimizer=Multigrid(1e-4))
+    expected = reference(problem, prior)
+    assert np.abs(found.displacement - expected).max() < 1e-3
+    slipped = np.abs(expected - problem.observed)[problem.confidence > 0] > 1e-4
+    assert 0.02 < slipped.mean() < 1  # or this would show nothing
+    cost = (prior.limit(problem) * np.abs(problem.observed - expected)).sum() / problem.unit
+    energy = (prior.energy(problem, expected) + cost) / problem.tissue.sum()
+    assert found.mean_energy == pytest.approx(energy, rel=1e-3)
+
+
+def test_confidence_is_what_the_force_of_an_observation_is_in_proportion_to():
+    # A bar that is pulled at one end with half and with full confidence.
+    y, c = np.zeros((2, 9, 41, 2))
+    c[:, 0] = 1
+    y[:, -1, 1] = 4
+    strain = []
+    for confidence in (0.5, 1.0):
+        c[:, -1, 1] = confidence
+        prior = ElasticPrior(0.0, penalty=0.05)  # too weak for 4 pixels
+        found = solve(
+            Problem(y, c, np.ones((9, 41))), prior, optimizer=Multigrid(1e-4)
+        ).displacement
+        strain.append(found[4, 30, 1] - found[4, 10, 1])
+    assert strain[1] == pytest.approx(2 * strain[0], rel=1e-3)
+    assert strain[1] == pytest.approx(20 * 0.05 * 9 / 8, rel=1e-3)
+
+
+def test_a_great_penalty_holds_exactly():
+    problem = phantom("mass-effect", 64).problem
+    held = solve(problem, ElasticPrior()).displacement
+    strongly = solve(problem, ElasticPrior(penalty=1e4)).displacement
+    np.testing.assert_allclose(strongly, held, atol=2e-3)
+
+
+def test_the_scale_of_stiffness_does_not_matter():
+    problem = doubtful()
+    prior = ElasticPrior(penalty=0.5)
+    harder = Problem(problem.observed, problem.confidence, problem.stiffness * 1000)
+    np.testing.assert_allclose(
+        solve(harder, prior).displacement, solve(problem, prior).displacement, atol=2e-3
+    )
+
+
+def test_tissue_that_slips_as_a_whole_comes_to_rest_where_most_want_it():
+    # A bar with its left half observed at 0 and its right end far away, both too weak to strain it.
+    y, c = np.zeros((2, 8, 20, 2))
+    c[:, :5, 1] = c[:, -1, 1] = 1
+    c[3, 10, 0] = 1
+    y[:, -1, 1] = 30
+    found = solve(
+        Problem(y, c, np.ones((8, 20))), ElasticPrior(penalty=1e-3), optimizer=Multigrid(1e-4)
+    )
+    assert np.abs(found.displacement[:, :5]).max() < 0.02
+    y[:, :5, 1], y[:, -1, 1] = 30, 0
+    found = solve(
+        Problem(y, c, np.ones((8, 20))), ElasticPrior(penalty=1e-3), optimizer=Multigrid(1e-4)
+    )
+    assert np.abs(found.displacement[:, :5, 1] - 30).max() < 0.02
+
+
+@pytest.mark.parametrize("penalty", [0.05, 0.03])
+def test_a_patch_pulled_far_by_little_force_slips_to_where_forces_balance(penalty):
+    shape, firm = (96, 96), 1e4
+    place = np.indices(shape) - 47.5
+    patch, edge = np.hypot(*place) < 12, np.abs(place).max(axis=0) > 47
+    y, c = np.zeros((2, *shape, 2))
+    c[edge] = 1
+    y[patch], c[patch] = (0, 35), penalty / firm
+    m = np.where(np.hypot(*(place - 12)) < 24, 4.0, 1.0)
+    problem, prior = Problem(y, c, m), ElasticPrior(0.45, penalty=firm)
+    found = solve(problem, prior, optimizer=Multigrid(1e-4))
+    # About fifty cycles find which components slip; the rest make sure, to a billionth of a pixel.
+    assert found.iterations < 450
+    d = found.displacement.astype(float)
+    forces = -(stiffness_matrix(problem, prior) @ d.ravel()).reshape(d.shape)
+    off, limit = (y - d)[patch], prior.limit(problem)[patch]
+    slips, near = np.abs(off) > 1e-3, 0.02 * limit.max()
+    assert 0.1 < slips.mean() < 0.9
+    assert np.abs(forces[patch] + np.sign(off) * limit)[slips].max() < near
+    assert (np.abs(forces[patch]) - limit).max() < near
+    assert np.abs(forces[~patch & ~edge]).max() < near
+
+
+def test_a_known_field_makes_a_small_edit_cheap_and_changes_nothing():
+    problem = phantom("mass-effect", 128).problem
+    before = solve(problem, ElasticPrior(), optimizer=Multigrid(0.01))
+    y = problem.observed.copy()
+    y[..., 0] += np.where(y[..., 0] > 0, 0.2, 0).astype(np.float32)
+    edited = Problem(y, problem.confidence, problem.stiffness)
+    cold = solve(edited, ElasticPrior(), optimizer=Multigrid(0.01))
+    warm = solve(edited, ElasticPrior(), optimizer=Multigrid(0.01), initial=before)
+    assert warm.iterations < cold.iterations
+    np.testing.assert_allclose(warm.displacement, cold.displacement, atol=0.02)
+    again = solve(edited, ElasticPrior(), optimizer=Multigrid(0.01), initial=warm)
+    assert again.iterations <= 1
+
+
+@pytest.mark.parametrize("penalty", [0.05, 0.5])
+def test_a_known_field_is_a_good_start_where_observations_slip_too(penalty):
+    problem, prior = doubtful(), ElasticPrior(0.4, penalty=penalty)
+    cold = solve(problem, prior, optimizer=Multigrid(1e-4))
+    warm = solve(problem, prior, optimizer=Multigrid(1e-4), initial=cold)
+    assert warm.iterations < cold.iterations / 2
+    np.testing.assert_allclose(warm.displacement, cold.displacement, atol=5e-4)
+
+
+def test_a_patch_that_was_moved_before_is_known_to_move_in_proportion():
+    problem = phantom("mass-effect", 128).problem
+    patch = (np.arange(128)[:, None, None] < 40) & (problem.confidence > 0)
+    moved = [
+        Problem(problem.observed + k * patch, problem.confidence, problem.stiffness)
+        for k in (0, 1, 3)
+    ]
+    known = [solve(each, ElasticPrior(), optimizer=Multigrid(1e-3)) for each in moved[:2]]
+    cold = solve(moved[2], ElasticPrior(), optimizer=Multigrid(0.01))
+    warm = solve(moved[2], ElasticPrior(), optimizer=Multigrid(0.01), initial=known)
+    assert warm.iterations <= 1
+    np.testing.assert_allclose(warm.displacement, cold.displacement, atol=0.02)
+
+
+def test_a_start_of_another_grid_is_refused():
+    small, large = (phantom("bar", size).problem for size in (32, 48))
+    with pytest.raises(ValueError, match="initial is of a grid"):
+        solve(large, ElasticPrior(), initial=solve(small, ElasticPrior()))
+    with pytest.raises(ValueError, match="initial is for Multigrid"):
+        solve(small, SeilerPrior(), initial=solve(small, SeilerPrior()))
+
+
+def test_poissons_ratio_may_differ_from_site_to_site():
+    problem = phantom("mass-effect", 48).problem
+    uniform = solve(problem, ElasticPrior(0.3)).displacement
+    as_map = solve(problem, ElasticPrior(np.full(problem.shape, 0.3))).displacement
+    np.testing.assert_allclose(as_map, uniform, atol=1e-4)
+    nu = np.where(np.arange(48) < 24, 0.1, 0.49) * np.ones((48, 1))
+    for plane in ("stress", "strain"):
+        prior = ElasticPrior(nu, plane=plane)
+        found = solve(problem, prior, optimizer=Multigrid(1e-4)).displacement
+        assert np.abs(found - direct_solution(problem, prior))[problem.tissue].max() < 1e-3
+        assert np.abs(found - uniform)[problem.tissue].max() > 0.05
+
+
+def test_a_map_of_poissons_ratios_must_fit_the_tissue():
+    problem = phantom("bar", 32).problem
+    with pytest.raises(ProblemError, match=r"poisson: has shape \(3, 3\)"):
+        solve(problem, ElasticPrior(np.full((3, 3), 0.3)))
+    wrong = np.full(problem.shape, 0.3)
+    wrong[5, 16] = 0.6
+    with pytest.raises(ProblemError, match=r"poisson: has 1 values .* first at \(5, 16\)"):
+        solve(problem, ElasticPrior(wrong))
+    with pytest.raises(ValueError, match="one for each pixel"):
+        ElasticPrior(np.full(3, 0.3))
+
+
+def test_a_solution_says_how_close_it_is(tmp_path):
+    problem = phantom("expansion", 64).problem
+    solution = solve(problem, ElasticPrior(), optimizer=Multigrid(0.01))
+    assert 0 < solution.convergence.error <= 0.01
+    assert 0 < solution.convergence.residual < 0.01
+    closer = solve(problem, ElasticPrior(), optimizer=Multigrid(1e-4))
+    assert closer.convergence.residual < solution.convergence.residual
+    assert closer.convergence.error < solution.convergence.error / 10
+    assert np.abs(solution.displacement - closer.displacement).max() < 0.01
+    assert np.all(np.diff(solution.energy) <= 0)
+    loaded = type(solution).read(solution.write(tmp_path / "a.npz"))
+    assert loaded.convergence == solution.convergence
+    assert solve(problem, SeilerPrior()).convergence is None

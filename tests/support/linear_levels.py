@@ -1,0 +1,201 @@
+"""Levels of a linear model, as compiled loops and as shaders, and what both make of the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from napari_hmrf import ElasticPrior, Problem
+from napari_hmrf.solver.backends.cpu import CpuBackend
+from napari_hmrf.solver.backends.opengl import OpenGLBackend
+from napari_hmrf.solver.optimizers.cycle import Cycle, chebyshev
+from napari_hmrf.solver.priors import Prior
+from tests.support.opengl import on_compute_thread
+
+
+@dataclass
+class Example:
+    """Random tissue with holes, some components of it held, and random vectors on it."""
+
+    problem: Problem
+    prior: Prior
+
+    def __post_init__(self) -> None:
+        self._random = np.random.default_rng(1)
+
+    def model(self, backend):
+        elastic = isinstance(self.prior, ElasticPrior)
+        make = backend.elastic_model if elastic else backend.seiler_model
+        made = make(self.prior.material(self.problem))
+        shape = self.problem.shape
+        held = np.zeros((len(shape), *(size + 4 for size in shape)), bool)
+        inside = (slice(None), *(slice(2, -2) for _ in shape))
+        held[inside] = np.moveaxis(self.problem.confidence > 0, -1, 0)
+        made.hold(held)
+        return made
+
+    def planes(self, host_level) -> np.ndarray:
+        """Random values wherever something moves."""
+        values = self._random.normal(size=host_level.inverse.shape)
+        return np.where(host_level.inverse > 0, values, 0).astype(np.float32)
+
+
+def random_example(shape, prior, spacing=(1.0, 1.0), ratio=4.0) -> Example:
+    """Random tissue of a ratio of stiffnesses, with holes, a tenth of it held."""
+    random = np.random.default_rng([*shape, int(ratio)])
+    m = ratio ** -random.random(shape)
+    m[random.random(shape) < 0.05] = 0
+    m[(0,) * len(shape)] = 1
+    sites = (*shape, len(shape))
+    held = (random.random(sites) < 0.1) & (m > 0)[..., None]
+    return Example(Problem(random.normal(size=sites), held, m, spacing=spacing), prior)
+
+
+def with_levels(stage, given: Example, job, number=0):
+    """What a job makes of a level and the next coarser one, on the processor and as shaders."""
+
+    def both():
+        answers = []
+        for backend in (CpuBackend(lambda: None), OpenGLBackend(lambda: None, stage)):
+            try:
+                model = given.model(backend)
+                coarse = model.levels[number + 1] if number + 1 < len(model.levels) else None
+                answers.append(job(model.levels[number], coarse))
+            finally:
+                backend.close()
+        return answers
+
+    return on_compute_thread(both)
+
+
+def host_levels(given: Example):
+    """The levels of the compiled loops, to know their grids and what moves."""
+
+    def job():
+        backend = CpuBackend(lambda: None)
+        try:
+            return given.model(backend).levels
+        finally:
+            backend.close()
+
+    return on_compute_thread(job)
+
+
+def assert_same(actual, expected, relative=1e-5):
+    """Equal to a fraction of the largest value, as float32 arithmetic allows."""
+    for ours, theirs in zip(actual, expected, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=relative * np.abs(theirs).max())
+
+
+def assert_loads_go_down_alike(stage, given: Example, choices: Sequence, again=False):
+    """What is left of a load on each level, and on the next one, by each choice of steps."""
+    for number, (host, below) in enumerate(pairwise([*host_levels(given), None])):
+        load = given.planes(host)
+        for steps in choices:
+
+            def job(level, coarse, load=load, steps=steps, below=below):
+                level.load = level.vector(load.copy())
+                level.descend(steps, coarse)
+                made = [level.planes(level.correction).copy()]
+                if coarse is not None:
+                    made.append(np.where(below.inverse > 0, coarse.planes(coarse.load), 0))
+                if again:
+                    level.descend(steps, coarse, again=True)
+                    made.append(level.planes(level.correction).copy())
+                return made
+
+            loops, shaders = with_levels(stage, given, job, number)
+            assert_same(shaders, loops)
+
+
+def assert_corrections_come_up_alike(stage, given: Example, steps):
+    """What each level makes of a correction of the next one."""
+    for number, (host, below) in enumerate(pairwise(host_levels(given))):
+        random = [given.planes(each) for each in (host, host, below)]
+
+        def job(level, coarse, random=random):
+            load, correction, of_coarse = random
+            level.load = level.vector(load.copy())
+            level.correction = level.vector(correction.copy())
+            coarse.correction = coarse.vector(of_coarse.copy())
+            level.ascend(steps, coarse)
+            return [level.planes(level.correction).copy()]
+
+        loops, shaders = with_levels(stage, given, job, number)
+        assert_same(shaders, loops)
+
+
+def assert_the_coarsest_is_alike(stage, given: Example, take_steps):
+    """What many steps, as `take_steps(level, steps)` takes them, make on the coarsest level."""
+    hosts = host_levels(given)
+    load = given.planes(hosts[-1])
+
+    def job(level, _):
+        level.load = level.vector(load.copy())
+        made = []
+        for steps in (chebyshev(0.05, 2.5, 20), chebyshev(0.1, 5.0, 11)):
+            take_steps(level, steps)
+            made.append(level.planes(level.correction).copy())
+        return made
+
+    loops, shaders = with_levels(stage, given, job, len(hosts) - 1)
+    assert_same(shaders, loops, 3e-5)
+
+
+def assert_a_ratio_is_nothing_unless_both_are_positive(stage, given: Example):
+    """Of scalar products of both signs and of 0, as a step uses them."""
+    (host, *_) = host_levels(given)
+    values = given.planes(host)
+
+    def job(level, _):
+        vector, opposite, zero = level.vector(values.copy()), level.vector(-values), level.vector()
+        square, negative = level.product(vector, vector), level.product(vector, opposite)
+        none = level.largest(zero)
+        over = [(square, square), (square, negative), (negative, square), (square, none)]
+        ratios = [level.ratio(*each) for each in over]
+        used = []
+        for share in ratios:
+            direction = level.vector(values.copy())
+            level.turn(vector, direction, share)
+            used.append(level.planes(direction).copy())
+        return level.read(*ratios), used
+
+    for numbers, used in with_levels(stage, given, job):
+        assert numbers == (1, 0, 0, 0)
+        for number, turned in zip(numbers, used, strict=True):
+            np.testing.assert_array_equal(turned, (1 + number) * values)
+
+
+def torn(ratio, shape=(67, 90), spacing=(1.0, 1.0)) -> Problem:
+    """A stiff lump in soft tissue with a hole, held at its left edge and pulled at its right."""
+    rows, cols = np.indices(shape)
+    m = np.where(np.hypot(rows - 45, cols - 60) < 14, ratio, 1.0)
+    m[np.hypot(rows - 30, cols - 30) < 9] = 0
+    m[:6, 20:] = 0
+    y, c = np.zeros((*shape, 2)), np.zeros((*shape, 2))
+    c[:, :2] = c[:, -2:] = 1
+    y[:, -2:] = (1.5, 4)
+    return Problem(y * spacing, c, m, spacing=spacing)
+
+
+def cycles(stage, given: Example, smoothing):
+    """What the first and the second run of a V-cycle make of a load, as loops and as shaders."""
+    (host, *_) = host_levels(given)
+    load = given.planes(host)
+
+    def both():
+        answers = []
+        for backend in (CpuBackend(lambda: None), OpenGLBackend(lambda: None, stage)):
+            try:
+                model = given.model(backend)
+                cycle, finest = Cycle(model, smoothing), model.levels[0]
+                vector = finest.vector(load.copy())
+                answers.append([finest.planes(cycle.run(vector)).copy() for _ in range(2)])
+            finally:
+                backend.close()
+        return answers
+
+    return on_compute_thread(both)

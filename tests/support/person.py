@@ -1,0 +1,85 @@
+"""Somebody before a window, for tests of what the mouse and the keys do."""
+
+from qtpy.QtCore import QEvent, QPoint, QPointF, Qt
+from qtpy.QtGui import QMouseEvent
+from qtpy.QtTest import QTest
+from qtpy.QtWidgets import QApplication
+
+from tests.support.timeouts import LONG_MS
+
+LEFT, NO_BUTTON = Qt.MouseButton.LeftButton, Qt.MouseButton.NoButton
+PLAIN, CTRL = Qt.KeyboardModifier.NoModifier, Qt.KeyboardModifier.ControlModifier
+SHIFT = Qt.KeyboardModifier.ShiftModifier
+
+
+class Person:
+    """Somebody before a window: moves the mouse to pixels of the image, and presses keys."""
+
+    def __init__(self, viewer, qtbot):
+        self.viewer = viewer
+        self._qtbot = qtbot
+        self._canvas = viewer.window._qt_viewer.canvas
+
+    @property
+    def canvas(self):
+        """What the image is drawn on."""
+        return self._canvas.native
+
+    def where(self, row, col):
+        view = self._canvas.view
+        x, y = (view.transform * view.scene.transform).map([col, row])[:2]
+        return QPoint(round(x), round(y))
+
+    def press(self, row, col):
+        QTest.mousePress(self._canvas.native, LEFT, PLAIN, self.where(row, col))
+
+    def move(self, row, col, button=LEFT):
+        place = QPointF(self.where(row, col))
+        native = self._canvas.native
+        there = QPointF(native.mapToGlobal(place.toPoint()))
+        event = QMouseEvent(QEvent.Type.MouseMove, place, there, NO_BUTTON, button, PLAIN)
+        QApplication.sendEvent(native, event)
+
+    def release(self, row, col):
+        QTest.mouseRelease(self._canvas.native, LEFT, PLAIN, self.where(row, col))
+
+    def pick(self, row, col):
+        QTest.mouseClick(self._canvas.native, LEFT, SHIFT, self.where(row, col))
+
+    def drag(self, *places):
+        self.press(*places[0])
+        for place in places[1:]:
+            self.move(*place)
+        self.release(*places[-1])
+
+    def paint(self, *places, between=lambda: None):
+        """A drag whose every move is felt: vispy and napari drop moves that follow closely."""
+        self.press(*places[0])
+        for place in places[1:]:
+            self._canvas.native._last_time = 0.0
+            self.move(*place)
+            self._qtbot.waitUntil(lambda place=place: self._is_at(*place), timeout=LONG_MS)
+            between()
+        self.release(*places[-1])
+
+    def _is_at(self, row, col):
+        """Whether napari knows that the pointer is there, to a pixel of the screen."""
+        at = self.where(*self.viewer.cursor.position[-2:]) - self.where(row, col)
+        return at.manhattanLength() <= 2
+
+    def key(self, key, modifiers=PLAIN):
+        self._canvas.native.setFocus()
+        QTest.keyClick(self._canvas.native, key, modifiers)
+
+
+def only(widget):
+    (mark,) = widget.drawing.marks
+    return mark
+
+
+def by_name(viewer, name):
+    return viewer.layers[name]
+
+
+def settle_moves(person, widget):
+    person._qtbot.waitUntil(lambda: not widget.busy, timeout=LONG_MS)

@@ -1,0 +1,100 @@
+"""From layers to a problem: the one place where tests of recorded studies know who reads them.
+
+Another reader is tried by changing `read`; nothing else of those tests has to change.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, SeilerPrior
+from napari_hmrf.layers.landmarks import read_landmarks
+from napari_hmrf.layers.read import Request, study_from_layers
+from napari_hmrf.layers.slice_view import View, frame_of
+from napari_hmrf.study.ground import Ground, build_problem
+from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
+from tests.support.studies import Study
+
+
+class Read(NamedTuple):
+    """What is solved: as `solve(*read)`."""
+
+    problem: Problem
+    prior: Any
+    optimizer: Any
+
+
+def read(study: Study) -> Read:
+    """Read a study's layers, tables and drawing as the window does."""
+    prior, optimizer = _model(**study.model)
+    view = View.of(study.viewer.dims)
+    curve = None if study.curve is None else StiffnessCurve.from_dict(study.curve)
+    drawing = None
+    if study.drawing is not None:
+        drawing = Drawing.from_dict({"version": 1, "marks": study.drawing})
+    hold_edge = study.hold_edge and drawing is not None
+    if study.where is not None:
+        reference = study.image if study.image is not None else study.tissue
+        frame = frame_of(reference, view)
+        shape = tuple(reference.data.shape[axis] for axis in frame.plane)
+        how = study.landmarks
+        marks = read_landmarks(study.where, study.should, frame, shape, view, **how)
+        drawing = Drawing((*marks, *(drawing.marks if drawing else ())))
+    request = Request(
+        tissue=study.tissue,
+        boundary=study.boundary,
+        image=study.image,
+        confidence=study.confidence,
+        view=view,
+        hold_edge=hold_edge,
+        drawing=drawing,
+        curve=curve,
+    )
+    stated = build_problem(replace(study_from_layers(request), prior=prior, optimizer=optimizer))
+    return Read(stated.problem, stated.prior, stated.optimizer)
+
+
+def read_ground(image: Any, tissue: Any = None, boundary: Any = None, **how: Any) -> Ground:
+    """Read what is drawn on; by default its edge is held."""
+    chosen = {"hold_edge": True, "drawing": Drawing(), **how}
+    return Ground.of(study_from_layers(Request(tissue, boundary, image, **chosen)))
+
+
+class Stated(NamedTuple):
+    """A request, read and stated."""
+
+    problem: Problem
+    prior: Any
+    frame: Any
+    pictures: Any
+    notes: tuple[str, ...]
+
+
+def read_layers(request: Request, prior: Any = None, optimizer: Any = None) -> Stated:
+    """Read chosen layers to the end; by default for the paper's prior and schedule."""
+    model = {"prior": prior or SeilerPrior(), "optimizer": optimizer or ICM()}
+    study = replace(study_from_layers(request), **model)
+    ground = Ground.of(study)
+    stated = ground.statement()
+    return Stated(
+        problem=stated.problem,
+        prior=stated.prior,
+        frame=study.grid.place,
+        pictures=study.pictures,
+        notes=ground.notes_on(stated),
+    )
+
+
+def _model(
+    energy: str,
+    schedule: str = "paper",
+    poisson: float = 0.45,
+    plane: str = "stress",
+    grip: float | None = None,
+    penalty: float | None = None,
+) -> tuple[Any, Any]:
+    if energy == "elastic":
+        return ElasticPrior(poisson, plane=plane, penalty=grip), Multigrid()
+    return SeilerPrior(penalty=penalty), ICM() if schedule == "paper" else Multigrid()

@@ -1,0 +1,123 @@
+"""A dock beside a viewer without a window, and somebody who pulls there."""
+
+from types import SimpleNamespace
+
+from napari.components import ViewerModel
+from napari.utils._proxies import ReadOnlyWrapper
+from napari.utils.interactions import (
+    mouse_move_callbacks,
+    mouse_press_callbacks,
+    mouse_release_callbacks,
+)
+from napari.utils.key_bindings import KeymapHandler
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import QVBoxLayout, QWidget
+
+from napari_hmrf.ui.soft_tissue import SoftTissue
+from tests.support.person import CTRL, PLAIN, SHIFT
+
+#: Pixels of the screen for one of the image, as in a window of the usual size.
+_ZOOM = 8.0
+#: How napari calls keys that write no letter.
+_KEYS = {
+    Qt.Key.Key_Delete: "Delete",
+    Qt.Key.Key_Backspace: "Backspace",
+    Qt.Key.Key_Escape: "Escape",
+    Qt.Key.Key_Space: "Space",
+}
+
+
+class Touch:
+    """Somebody beside a viewer without a window: moves a pointer to places of the world.
+
+    What a canvas tells the viewer and its active layer of the mouse and the keys, they are told by
+    the same functions of napari's. That costs a test a fifth of what a window does; what Qt, the
+    canvas and the screen have a part in takes a `Person`.
+    """
+
+    def __init__(self, viewer, frame=None):
+        self.viewer, self.frame = viewer, frame
+        self._keys = KeymapHandler()
+
+    def press(self, row, col, modifiers=()):
+        self._tell(mouse_press_callbacks, "mouse_press", row, col, modifiers)
+
+    def move(self, row, col):
+        self._tell(mouse_move_callbacks, "mouse_move", row, col)
+
+    def release(self, row, col):
+        self._tell(mouse_release_callbacks, "mouse_release", row, col)
+
+    def pick(self, row, col):
+        self.press(row, col, ("Shift",))
+        self.release(row, col)
+
+    def drag(self, *places, between=lambda: None):
+        self.press(*places[0])
+        for place in places[1:]:
+            self.move(*place)
+            between()
+        self.release(*places[-1])
+
+    paint = drag
+
+    def key(self, key, modifiers=PLAIN):
+        name = _KEYS.get(key) or chr(int(key))
+        for modifier, called in ((SHIFT, "Shift"), (CTRL, "Control")):
+            name = f"{called}-{name}" if modifier & modifiers else name
+        active = self.viewer.layers.selection.active
+        self._keys.keymap_providers = [each for each in (active, self.viewer) if each is not None]
+        self._keys.press_key(name)
+        self._keys.release_key(name)
+
+    def _tell(self, callbacks, kind, row, col, modifiers=()):
+        dims = self.viewer.dims
+        place = list(dims.point)
+        for axis, at in zip(dims.displayed, (row, col), strict=True):
+            place[axis] = at
+        event = SimpleNamespace(
+            type=kind,
+            position=tuple(place),
+            button=1,
+            modifiers=modifiers,
+            is_dragging=True,
+            dims_displayed=list(dims.displayed),
+            dims_point=list(dims.point),
+            camera_zoom=_ZOOM,
+            handled=False,
+        )
+        self.viewer.cursor.position = event.position
+        for told in (self.viewer, self.viewer.layers.selection.active):
+            if told is not None:
+                callbacks(told, ReadOnlyWrapper(event))
+
+
+class Frame:
+    """A viewer without a canvas, and the frame that a dock is put into, and taken out of again.
+
+    Parameters
+    ----------
+    qtbot
+    """
+
+    def __init__(self, qtbot):
+        self.viewer = ViewerModel()
+        self._qtbot = qtbot
+        self._around = QWidget()
+        self._around.setLayout(QVBoxLayout())
+        qtbot.addWidget(self._around)
+
+    def open(self):
+        """Put a new dock into the frame."""
+        dock = SoftTissue(self.viewer)
+        self._around.layout().addWidget(dock.native)
+        return dock
+
+    def show(self):
+        """Have what is in the frame be seen, and pressed by a mouse where it is seen."""
+        with self._qtbot.waitExposed(self._around):
+            self._around.show()
+
+    def close(self, dock):
+        """Take a dock out, as napari does with one that is closed."""
+        dock.native.setParent(None)

@@ -1,0 +1,208 @@
+"""Which part of an image is the air around it."""
+
+import numpy as np
+import pytest
+
+from napari_hmrf import Grid, Study, Tissue
+from napari_hmrf.samples.phantoms import sample
+from napari_hmrf.study.ground import Ground
+from napari_hmrf.study.study import Pictures
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.surroundings import (
+    air_that_is_tissue,
+    background_of,
+    void_threshold,
+)
+from tests.support.screen import Screen
+
+
+def head(dtype=np.float32, low=0.0, high=1.0):
+    """A bright disc with a dark hole that does not reach the edge, in noise."""
+    row, col = np.indices((60, 80))
+    radius = np.hypot(row - 30, col - 40)
+    inside = radius < 25
+    noise = np.random.default_rng(0).normal(0, 0.05, inside.shape)
+    bright = inside & (radius > 6)
+    return (low + (high - low) * np.clip(bright + noise, 0, 1)).astype(dtype), inside
+
+
+@pytest.mark.parametrize(
+    ("dtype", "low", "high"), [(np.float32, 0, 1), (np.int16, -1000, 300), (np.uint8, 3, 250)]
+)
+def test_air_is_the_dark_that_reaches_the_edge(dtype, low, high):
+    picture, inside = head(dtype, low, high)
+    np.testing.assert_array_equal(background_of(picture), ~inside)
+
+
+def test_colours_and_holes_in_the_numbers_do_not_matter():
+    picture, inside = head()
+    np.testing.assert_array_equal(background_of(np.stack([picture] * 3, axis=-1)), ~inside)
+    picture[0, :9] = np.nan
+    np.testing.assert_array_equal(background_of(picture), ~inside)
+
+
+def test_fat_beneath_the_skin_is_no_air():
+    # A CT in Hounsfield units: air, a rim of fat, organs.
+    picture, inside = head(np.int16, -1000, 60)
+    row, col = np.indices(inside.shape)
+    rim = inside & (np.hypot(row - 30, col - 40) > 18)
+    picture[rim] = -100 + picture[rim] % 7
+    np.testing.assert_array_equal(background_of(picture), ~inside)
+    # Stretched for the screen, as in a PNG, fat is dark as well.
+    shown = np.clip((picture.astype(float) + 250) / 2, 0, 255).astype(np.uint8)
+    shown[rim] = 70
+    np.testing.assert_array_equal(background_of(shown), ~inside)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0, 1), (-1000, 300)])
+def test_a_threshold_void_threshold(low, high):
+    picture, inside = head(low=low, high=high)
+    picture[np.hypot(*(np.indices(inside.shape) - np.array([30, 40])[:, None, None])) < 7] = high
+    threshold = void_threshold(picture)
+    assert (picture > threshold)[inside].all()
+    assert (picture > threshold)[~inside].mean() < 0.02
+    assert void_threshold(picture[20:40, 30:50]) is None, "it fills the picture"
+    volume = np.stack([np.full_like(picture, low), *(3 * [picture]), np.full_like(picture, low)])
+    assert low < void_threshold(volume) < high, "a volume is no colour picture"
+
+
+def test_the_sample_brain_lies_in_air():
+    found = background_of(sample("mass-effect").image)
+    void = ~sample("mass-effect").problem.tissue
+    assert (found != void).mean() < 0.01
+
+
+@pytest.mark.parametrize("value", [0.0, 7.0, np.nan])
+def test_an_image_of_one_value_has_no_background(value):
+    assert not background_of(np.full((5, 6), value)).any()
+
+
+# Where it is no tissue
+
+
+def air_and_block(inside=False):
+    """A bright block in dark air; with a dark hole in it."""
+    picture = np.zeros((30, 40), np.uint8)
+    picture[8:22, 10:30] = 200
+    if inside:
+        picture[13:16, 18:22] = 0
+    return picture, picture > 0
+
+
+def of_labels(labels, without_border=True, picture=None):
+    """A study of what is painted on a block in air."""
+    return Study(
+        Grid(labels.shape, (1.0, 1.0)),
+        Tissue(
+            labels=labels,
+            materials=(Material(0, "everything unpainted", 20.0), Material(2, "fat", 5.0)),
+            without_border=without_border,
+        ),
+        pictures=Pictures(image=air_and_block()[0] if picture is None else picture),
+    )
+
+
+def test_the_dark_border_that_nobody_painted_is_no_tissue_unless_it_is_meant():
+    block = air_and_block()[1]
+    unpainted = np.zeros(block.shape, np.uint8)
+    np.testing.assert_array_equal(Ground.of(of_labels(unpainted)).stiffness, 20.0 * block)
+    assert (Ground.of(of_labels(unpainted, without_border=False)).stiffness == 20).all()
+
+
+def test_what_is_painted_in_the_dark_is_tissue():
+    painted = np.zeros((30, 40), np.uint8)
+    painted[:3, :3] = 2
+    found = Ground.of(of_labels(painted)).stiffness
+    assert (found[:3, :3] == 5).all()
+    assert not found[:3, 3:].any()
+
+
+def test_what_is_dark_inside_is_tissue():
+    picture, _ = air_and_block(inside=True)
+    found = Ground.of(of_labels(np.zeros((30, 40), np.uint8), picture=picture)).stiffness
+    assert (found[13:16, 18:22] == 20).all()
+    assert not found[0].any()
+
+
+def test_a_photograph_whose_shadows_reach_the_edge_is_tissue_everywhere():
+    picture = np.full((30, 40), 200, np.uint8)
+    picture[:10, :12] = 0
+    found = Ground.of(of_labels(np.zeros((30, 40), np.uint8), picture=picture)).stiffness
+    assert (found == 20).all()
+
+
+@pytest.fixture
+def scanned(widget):
+    """The dock with a bright block in air, and layers to paint on, whose block is pushed."""
+    widget._viewer.add_image(air_and_block()[0], name="CT")
+    widget.make_layers()
+    widget.boundary.data[8:22, 10] = 1
+    widget.boundary.data[8:22, 29] = 3
+    widget.rules = (*widget.rules, BoundaryRule(3, "move", vector=(0.0, 2.0)))
+    return widget
+
+
+def test_air_around_the_image_does_not_move_unless_somebody_says_so(scanned, run):
+    block = air_and_block()[1]
+    moved = run(scanned).solution
+    np.testing.assert_array_equal(moved.tissue, block)
+    assert "dark surroundings" not in scanned.warning
+    Screen(scanned).tick("the dark border is no tissue", on=False)
+    assert not scanned.without_border
+    moved = run(scanned).solution
+    assert moved.tissue.all()
+    assert "The dark surroundings of the image move as tissue does, too" in scanned.warning
+    scanned.without_border = True
+    np.testing.assert_array_equal(run(scanned).solution.tissue, block)
+
+
+def test_that_air_is_no_tissue_is_followed_at_once(scanned, settle):
+    scanned.live = True
+    settle(scanned)
+    assert not scanned.solution.tissue[0, 0]
+    scanned.without_border = False
+    settle(scanned)
+    assert scanned.solution.tissue[0, 0]
+
+
+def test_paint_in_the_air_makes_it_tissue_and_undo_takes_it_back(scanned, settle):
+    scanned.live = True
+    settle(scanned)
+    tissue = scanned.tissue
+    tissue.data_setitem((np.array([8, 8]), np.array([30, 31])), 1)
+    settle(scanned)
+    assert scanned.solution.tissue[8, 30:32].all()
+    tissue.undo()
+    settle(scanned)
+    assert not scanned.solution.tissue[8, 30:32].any()
+
+
+def test_whether_air_is_tissue_is_said_for_each_image_apart(scanned):
+    first = scanned.image
+    scanned.without_border = False
+    scanned.image = scanned._viewer.add_image(np.ones((12, 14)), name="gel")
+    assert scanned.without_border
+    scanned.image = first
+    assert not scanned.without_border
+
+
+def test_the_air_of_each_slice_is_its_own(widget, run):
+    picture = np.zeros((9, 30, 40), np.uint8)
+    picture[:, 8:22, 10:30] = 200
+    picture[6, 4:26, 5:35] = 200
+    viewer = widget._viewer
+    viewer.add_image(picture, name="CT")
+    widget.make_layers()
+    widget.boundary.data[:, 8:22, 10] = 1
+    for at in (4, 6):
+        viewer.dims.set_current_step(0, at)
+        found = run(widget).solution
+        np.testing.assert_array_equal(found.tissue, picture[at] > 0)
+
+
+def test_air_that_was_taken_for_tissue_is_spoken_of():
+    picture, inside = head()
+    everywhere = np.ones_like(inside)
+    assert "dark surroundings" in air_that_is_tissue(picture, everywhere)
+    assert air_that_is_tissue(picture, inside) == ""
+    assert air_that_is_tissue(picture[20:40, 30:50], everywhere[20:40, 30:50]) == ""

@@ -1,0 +1,632 @@
+"""Tissue that is pulled: in a real window, with real mouse and key events, and without one."""
+
+import numpy as np
+import pytest
+from qtpy.QtCore import Qt
+from qtpy.QtTest import QTest
+
+from napari_hmrf.layers.metadata import METADATA, TISSUE, described
+from napari_hmrf.tissue.boundary_rules import Material
+from napari_hmrf.tissue.drawing import Arrow, Drawing
+from napari_hmrf.ui.soft_tissue import SoftTissue
+from tests.support.person import CTRL, SHIFT, by_name, only, settle_moves
+from tests.support.screen import Screen
+from tests.support.timeouts import LONG_MS
+
+#: What napari shows of each layer beside the canvas has no part in what is claimed.
+bare = pytest.mark.usefixtures("without_controls")
+
+
+def test_tissue_follows_while_the_mouse_moves(pulling, settle, qtbot):
+    person, widget = pulling
+    still = by_name(person.viewer, "MR deformed, elastic").data.copy()
+    seen, drawn = [], []
+    widget.seen.connect(seen.append)
+    widget.followed.connect(drawn.append)
+    person.press(30, 30)
+    for step in range(1, 5):
+        person.move(30 + step, 30 + 2 * step)
+        qtbot.waitUntil(lambda step=step: len(seen) >= step, timeout=LONG_MS)
+    assert widget.study_model.drawing_in_progress, "the button is still down"
+    moved = by_name(person.viewer, "MR deformed, elastic").data
+    assert (moved != still).mean() > 0.05
+    person.release(34, 38)
+    settle(widget)
+    arrow = only(widget)
+    assert arrow.at == pytest.approx((30, 30), abs=0.6)
+    assert arrow.by == pytest.approx((4, 8), abs=0.6)
+    field = seen[-1].solution.displacement
+    at = tuple(round(along) for along in arrow.at)
+    assert field[at] == pytest.approx(arrow.by, abs=0.02)
+    assert not field[0].any(), "the edge is held"
+    assert 0.5 < np.linalg.norm(field[20, 20]) < 8
+    assert np.array_equal(drawn[-1].solution.displacement, field)
+    assert person.viewer.layers.selection.active.name == "Motion"
+    assert by_name(person.viewer, "MR arrows, elastic").metadata[METADATA]["solution"] is not None
+    assert widget.study_model.next_undo.word == "drew an arrow"
+
+
+def test_an_arrow_is_picked_up_again_by_its_head_and_by_its_base(pulling_beside, settle):
+    person, widget = pulling_beside
+    person.drag((30, 30), (34, 34), (36, 36))
+    settle(widget)
+    person.drag((36, 36), (36, 40))
+    assert only(widget).by == pytest.approx((6, 10), abs=0.8)
+    person.drag((30, 30), (28, 30))
+    assert only(widget).at == pytest.approx((28, 30), abs=0.6)
+    assert only(widget).by == pytest.approx((8, 10), abs=0.8)
+
+
+def test_tissue_that_has_moved_is_taken_hold_of_where_it_is_seen(pulling_beside, settle):
+    person, widget = pulling_beside
+    person.drag((30, 30), (36, 36))
+    settle(widget)
+    person.drag((40, 44), (40, 44))
+    settle(widget)
+    held = widget.drawing.marks[1]
+    assert held.at[0] < 39.5, "it has come from further up"
+    assert np.add(held.at, held.by) == pytest.approx((40, 44), abs=0.6)
+    assert widget.study_model.next_undo.word == "drew an arrow"
+
+
+@bare
+def test_keys_remove_undo_and_redo(pulling, settle):
+    person, widget = pulling
+    person.drag((30, 30), (34, 34))
+    drawn = widget.drawing
+    person.key(Qt.Key.Key_Delete)
+    assert widget.drawing == Drawing()
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert widget.drawing == drawn
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert widget.drawing == Drawing()
+    person.key(Qt.Key.Key_Z, CTRL | SHIFT)
+    assert widget.drawing == drawn
+    person.drag((34, 34), (34, 34))
+    person.key(Qt.Key.Key_Backspace)
+    assert widget.drawing == Drawing()
+    settle(widget)
+    image = by_name(person.viewer, "MR").data
+    assert np.array_equal(by_name(person.viewer, "MR deformed, elastic").data, image)
+
+
+def test_escape_gives_a_drag_up(pulling_beside):
+    person, widget = pulling_beside
+    person.press(30, 30)
+    person.move(35, 35)
+    assert widget.drawing.marks
+    person.key(Qt.Key.Key_Escape)
+    person.move(40, 40)
+    person.release(40, 40)
+    assert (widget.drawing, widget.study_model.next_undo) == (Drawing(), None)
+    assert widget.status == "Cancelled; everything is as before."
+
+
+@bare
+def test_the_view_stays_while_tissue_is_pulled_and_moves_while_space_is_held(pulling):
+    person, widget = pulling
+    before = person.where(0, 0)
+    person.drag((30, 30), (34, 34))
+    assert person.where(0, 0) == before
+    layer = by_name(person.viewer, "Motion")
+    assert not layer.mouse_pan
+    native = person.viewer.window._qt_viewer.canvas.native
+    QTest.keyPress(native, Qt.Key.Key_Space)
+    assert layer.mouse_pan
+    person.drag((50, 50), (54, 54))
+    QTest.keyRelease(native, Qt.Key.Key_Space)
+    assert not layer.mouse_pan
+    assert len(widget.drawing.marks) == 1
+    assert layer.cursor == "circle"
+    assert layer.cursor_size == pytest.approx(2 * widget.fields.radius.value)
+
+
+def test_another_active_layer_pauses_the_tool(pulling_beside):
+    person, widget = pulling_beside
+    person.viewer.layers.selection.active = by_name(person.viewer, "MR")
+    assert not widget.active
+    assert not Screen(widget).button("Pull").isChecked()
+    assert "To draw on" in widget.status
+    person.drag((30, 30), (34, 34))
+    assert not widget.drawing.marks
+    Screen(widget).press("Pull")
+    assert widget.active
+    Screen(widget).press("Pull")
+    assert not widget.active
+
+
+@bare
+def test_labels_keep_their_own_undo(pulling):
+    person, widget = pulling
+    person.drag((30, 30), (34, 34))
+    labels = person.viewer.add_labels(np.zeros((64, 64), np.uint8), name="paint")
+    labels.paint((10, 10), 3)
+    assert labels.data.any()
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert not labels.data.any()
+    assert widget.drawing.marks, "ours was not touched"
+    person.viewer.layers.selection.active = by_name(person.viewer, "MR")
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert not widget.drawing.marks, "an image has no undo of its own"
+
+
+def test_fields_change_the_selected_arrow_and_the_next_ones(pulling_beside, settle):
+    person, widget = pulling_beside
+    fields, screen = widget.fields, Screen(widget)
+    fields.components.value = "row"
+    person.drag((30, 30), (34, 36))
+    assert only(widget).by == pytest.approx((4, 0), abs=0.6)
+    fields.radius.value = 6.0
+    fields.confidence.value = 0.5
+    assert (only(widget).radius, only(widget).confidence) == (6.0, 0.5)
+    screen.press("Undo")
+    assert only(widget).confidence == 1.0
+    settle(widget)
+    person.drag((10, 10), (10, 10))
+    assert widget.drawing.marks[1].radius == 6.0
+    screen.press("Remove all")
+    assert widget.drawing == Drawing()
+    assert not screen.button("Remove all").isEnabled()
+
+
+def test_arrows_deleted_in_mid_drag_come_back(pulling, settle):
+    person, widget = pulling
+    person.press(30, 30)
+    person.move(34, 34)
+    person.viewer.layers.remove("Motion")
+    person.move(40, 40)
+    person.release(40, 40)
+    assert only(widget).by == pytest.approx((4, 4), abs=0.6)
+    assert not widget.study_model.drawing_in_progress
+    assert not widget.active
+    assert "is gone" in widget.status
+    settle(widget)
+    Screen(widget).press("Pull")
+    assert len(by_name(person.viewer, "Motion").data) > 10
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert not widget.drawing.marks
+
+
+@bare
+def test_the_image_deleted_in_mid_drag_ends_it(pulling, at_rest):
+    person, widget = pulling
+    person.press(30, 30)
+    person.move(34, 34)
+    person.viewer.layers.remove("MR")
+    person.move(40, 40)
+    person.release(40, 40)
+    at_rest()
+    assert widget.image is None
+    assert not widget.drawing.marks
+    assert widget.status.startswith("'MR' is gone, and the drawing on it")
+    assert "Motion" not in person.viewer.layers, "nobody would answer it"
+
+
+def test_layers_renamed_or_deleted_in_mid_drag_do_not_matter(pulling, settle):
+    person, widget = pulling
+    person.press(30, 30)
+    person.move(32, 32)
+    settle_moves(person, widget)
+    by_name(person.viewer, "MR").name = "T1"
+    by_name(person.viewer, "Motion").name = "mine"
+    person.viewer.layers.remove("MR deformed, elastic")
+    person.move(34, 34)
+    person.release(34, 34)
+    settle(widget)
+    assert only(widget).by == pytest.approx((4, 4), abs=0.6)
+    assert "T1 deformed, elastic" in person.viewer.layers, "it is made again, by the new name"
+    assert by_name(person.viewer, "mine") is person.viewer.layers.selection.active
+
+
+@bare
+def test_another_image_on_the_same_pixels_is_shown_as_itself(pulling, settle):
+    person, widget = pulling
+    person.drag((30, 30), (33, 33))
+    settle(widget)
+    moved = by_name(person.viewer, "MR deformed, elastic")
+    before = moved.data.copy()
+    dark = (by_name(person.viewer, "MR").data // 8).astype(np.uint8)
+    other = person.viewer.add_image(dark, name="CT", colormap="magma", contrast_limits=(0, 30))
+    widget.image = other
+    settle(widget)
+    widget.start()
+    person.drag((20, 20), (22, 22))
+    settle(widget)
+    shown = by_name(person.viewer, "CT deformed, elastic")
+    assert shown.metadata[METADATA]["source"] == "CT"
+    assert (shown.colormap.name, shown.contrast_limits) == ("magma", [0, 30])
+    shown.gamma = 0.7
+    person.drag((40, 40), (42, 42))
+    settle(widget)
+    assert shown.gamma == 0.7, "how somebody has it drawn stays"
+    assert np.array_equal(moved.data, before), "the other's result stays"
+
+
+def test_a_slice_that_was_only_visited_leaves_no_layers(open_beside, settle):
+    stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
+    person, widget = open_beside(stack, scale=(5, 1, 1))
+    viewer = person.viewer
+    widget.start()
+    settle(widget)
+    for step in (1, 2, 0):
+        viewer.dims.set_current_step(0, step)
+        settle(widget)
+    made = [layer.name for layer in viewer.layers if layer.name.startswith("MR ")]
+    assert made == ["MR deformed, elastic (slice 0)"]
+
+
+@bare
+def test_each_slice_has_its_own_drawing(open_window, settle, at_rest):
+    stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
+    person, widget = open_window(stack, scale=(5, 1, 1))
+    viewer = person.viewer
+    viewer.dims.set_current_step(0, 1)
+    widget.start()
+    settle(widget)
+    person.press(20, 30)
+    person.move(24, 30)
+    viewer.dims.set_current_step(0, 2)
+    person.move(30, 30)
+    person.release(30, 30)
+    settle(widget)
+    assert not widget.drawing.marks, "nothing is drawn on this slice"
+    assert by_name(viewer, "Motion").data.shape[0] == 0
+    here = by_name(viewer, "MR deformed, elastic (slice 2)").metadata[METADATA]["slice"]
+    assert by_name(viewer, "Motion").metadata[METADATA]["slice"] == here
+    viewer.dims.set_current_step(0, 1)
+    settle(widget)
+    assert only(widget).by == pytest.approx((4, 0), abs=0.6), "the drag ended with the slice"
+    assert (by_name(viewer, "Motion").data[:, 0, 0] == 1).all()
+    assert by_name(viewer, "MR deformed, elastic (slice 1)").data.shape == (1, 48, 64)
+    assert "MR deformed, elastic (slice 2)" not in viewer.layers, "nothing has moved there"
+    how = widget.status
+    viewer.dims.ndisplay = 3
+    at_rest()
+    assert "two dimensions" in widget.status
+    viewer.dims.ndisplay = 2
+    settle(widget)
+    assert (widget.status, len(widget.drawing.marks)) == (how, 1)
+
+
+def test_a_viewer_with_nothing_drawn_yet_can_show_three_dimensions(pulling_beside, qtbot, at_rest):
+    person, widget = pulling_beside
+    person.viewer.dims.ndisplay = 3
+    at_rest()
+    assert "two dimensions" in widget.status
+    person.viewer.dims.ndisplay = 2
+    qtbot.waitUntil(lambda: widget.active, timeout=LONG_MS)
+
+
+def test_void_cannot_be_taken_hold_of(open_beside, settle):
+    person, widget = open_beside()
+    labels = np.zeros((64, 64), np.uint8)
+    labels[10:50, 10:50] = 1
+    materials = (Material(0, "air", 0.0), Material(1, "gel", 20.0))
+    person.viewer.add_labels(labels, name="T", metadata=described(TISSUE, materials, "kPa"))
+    assert widget.tissue is by_name(person.viewer, "T")
+    assert widget.start()
+    settle(widget)
+    person.drag((58, 58), (50, 50))
+    assert not widget.drawing.marks
+    assert "no tissue" in widget.status
+    person.drag((30, 30), (33, 30))
+    settle(widget)
+    assert only(widget).by[0] == pytest.approx(3, abs=0.6)
+
+
+@bare
+@pytest.mark.campaign  # test_live_mode.py has two viewers, too
+def test_two_viewers_pull_their_own_tissue(open_window, settle):
+    one, mine = open_window()
+    other, its = open_window()
+    for widget in (mine, its):
+        assert widget.start()
+        settle(widget)
+    one.drag((30, 30), (34, 30))
+    other.drag((40, 40), (40, 36))
+    settle(mine)
+    settle(its)
+    assert only(mine).by == pytest.approx((4, 0), abs=0.6)
+    assert only(its).by == pytest.approx((0, -4), abs=0.6)
+    one.key(Qt.Key.Key_Z, CTRL)
+    assert not mine.drawing.marks
+    assert its.drawing.marks
+
+
+@bare
+def test_a_window_closed_in_mid_drag_ends_everything(pulling, at_rest):
+    person, _ = pulling
+    person.press(30, 30)
+    person.move(34, 34)
+    person.viewer.close()
+    at_rest()
+
+
+@bare
+def test_a_closed_dock_leaves_no_arrows_that_nobody_answers(pulling, settle):
+    person, widget = pulling
+    person.drag((30, 30), (34, 34))
+    drawn = widget.drawing
+    window = person.viewer.window
+    window.remove_dock_widget(widget.native)
+    assert "Motion" not in person.viewer.layers
+    person.key(Qt.Key.Key_Z, CTRL)
+    again = SoftTissue(person.viewer)
+    window.add_dock_widget(again.native, name="Soft tissue")
+    assert again.start()
+    settle(again)
+    assert again.drawing == drawn
+    assert len(by_name(person.viewer, "Motion").data) > 10
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert not again.drawing.marks
+
+
+def test_scripts_draw_without_a_mouse(open_beside, settle):
+    person, widget = open_beside()
+    seen = []
+    widget.seen.connect(seen.append)
+    assert widget.start()
+    widget.drawing = Drawing((Arrow((30, 30), (3, -3), 5.0),))
+    settle(widget)
+    assert seen[-1].solution.displacement[30, 30] == pytest.approx((3, -3), abs=0.02)
+    kept = by_name(person.viewer, "Motion").metadata[METADATA]["drawing"]
+    assert Drawing.from_dict(kept) == widget.drawing
+    solution = by_name(person.viewer, "MR arrows, elastic").metadata[METADATA]["solution"]
+    assert Drawing.from_dict(solution.frame["drawing"]) == widget.drawing
+
+
+def test_a_sample_brings_its_tissue_and_hides_the_paint(open_beside, settle):
+    person, widget = open_beside()
+    person.viewer.layers.clear()
+    person.viewer.open_sample("napari-hmrf", "mass-effect")
+    layers = person.viewer.layers
+    assert (widget.image, widget.tissue) == (layers["Brain"], layers["Tissue"])
+    assert widget.start()
+    assert not layers["Tissue"].visible
+    assert not layers["Boundary"].visible
+    settle(widget)
+    assert "Hidden, to show 'Brain': 'Tissue', 'Boundary'. Click an eye" in widget.status
+    widget.boundary = layers["Boundary"]
+    settle(widget)
+    painted = layers["Boundary"].data == 2
+    seen = []
+    widget.seen.connect(seen.append)
+    widget.drawing = Drawing((Arrow((60, 100), (2, 0), 8.0),))
+    settle(widget)
+    field = seen[-1].solution.displacement
+    assert field[60, 100] == pytest.approx((2, 0), abs=0.02)
+    assert np.linalg.norm(field[painted], axis=-1).min() > 1, "the boundary moves, too"
+
+
+def test_each_tool_has_a_button_a_key_and_its_name_on_the_canvas(pulling_beside, settle):
+    person, widget = pulling_beside
+    screen, badge = Screen(widget), person.viewer.canvas.overlays.text
+    assert (widget.tool, badge.text, badge.visible) == ("pull", "Pull", True)
+    screen.press("Hold")
+    assert (widget.tool, badge.text) == ("pin", "Hold")
+    assert screen.button("Hold").isChecked()
+    assert not screen.button("Pull").isChecked()
+    person.key(Qt.Key.Key_L)
+    assert (widget.tool, badge.text) == ("landmark", "Landmark")
+    person.key(Qt.Key.Key_M)
+    assert widget.fields.by_row.native.isVisibleTo(widget.native)
+    assert not widget.fields.amount.native.isVisibleTo(widget.native)
+    screen.press("Push")
+    assert not widget.active, "its button puts it down"
+    assert not badge.visible
+    with pytest.raises(ValueError, match="no tool 'saw'"):
+        widget.tool = "saw"
+
+
+def test_an_edit_of_another_slice_is_taken_back_there(open_beside, settle):
+    stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
+    person, widget = open_beside(stack, scale=(5, 1, 1))
+    viewer = person.viewer
+    viewer.dims.set_current_step(0, 1)
+    widget.start()
+    settle(widget)
+    person.drag((20, 30), (24, 30))
+    viewer.dims.set_current_step(0, 2)
+    settle(widget)
+    person.drag((20, 40), (20, 44))
+    settle(widget)
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert not widget.drawing.marks
+    assert Screen(widget).button("Undo").toolTip() == "Take back: drew an arrow (Ctrl+Z)"
+    person.key(Qt.Key.Key_Z, CTRL)
+    settle(widget)
+    assert viewer.dims.current_step[0] == 1, "it goes to where it happened"
+    assert not widget.drawing.marks
+    assert widget.status == "Took back: drew an arrow."
+    assert not Screen(widget).button("Undo").isEnabled()
+    person.key(Qt.Key.Key_Y, CTRL)
+    assert only(widget).by == pytest.approx((4, 0), abs=0.6)
+    person.key(Qt.Key.Key_Z, CTRL | SHIFT)
+    settle(widget)
+    assert viewer.dims.current_step[0] == 2
+    assert only(widget).by == pytest.approx((0, 4), abs=0.6)
+
+
+@bare
+def test_keys_work_wherever_the_keyboard_is_in_the_dock(pulling):
+    person, widget = pulling
+    labels = person.viewer.add_labels(np.zeros((64, 64), np.uint8), name="paint")
+    person.viewer.layers.selection.active = by_name(person.viewer, "Motion")
+    person.drag((30, 30), (34, 34))
+    drawn = widget.drawing
+    labels.paint((10, 10), 3)
+    person.viewer.layers.selection.active = labels
+    box = Screen(widget).button("Pull")
+    box.setFocus()
+    QTest.keyClick(box, Qt.Key.Key_Z, CTRL)
+    assert widget.drawing == Drawing()
+    assert labels.data.any(), "what napari painted stays"
+    QTest.keyClick(box, Qt.Key.Key_Y, CTRL)
+    assert widget.drawing == drawn
+
+
+@bare
+def test_undo_keys_work_in_a_field_whose_number_is_taken_and_leave_what_is_being_typed(pulling):
+    person, widget = pulling
+    person.drag((30, 30), (34, 34))
+    drawn, field = widget.drawing, widget.fields.radius.native
+    field.setFocus()
+    QTest.keyClicks(field, "1")
+    QTest.keyClick(field, Qt.Key.Key_Z, CTRL)
+    assert widget.drawing == drawn, "that was of the field's own text"
+    QTest.keyClick(field, Qt.Key.Key_Return)
+    before = widget.drawing
+    QTest.keyClick(field, Qt.Key.Key_Z, CTRL)
+    assert widget.drawing != before
+
+
+@bare
+def test_keys_of_the_tools_work_after_a_choice_from_a_menu(pulling, settle):
+    person, widget = pulling
+    person.drag((30, 30), (34, 34))
+    settle(widget)
+    window, radius = widget.native.window().windowHandle(), widget.fields.radius
+    widget.make_layers()
+    assert widget.start()
+    settle(widget)
+    for entry in ("grid", "moves", "nothing"):
+        person.key(Qt.Key.Key_BracketLeft)
+        Screen(widget).pick(entry)
+        settle(widget)
+        before = radius.value
+        QTest.keyClick(window, Qt.Key.Key_BracketRight)
+        assert radius.value > before, entry
+    assert widget.overlay == "nothing"
+    assert widget.rules[0].action == "move"
+    QTest.keyClick(window, Qt.Key.Key_M)
+    assert widget.tool == "move"
+
+
+def test_an_image_that_is_removed_takes_its_steps_along(pulling_beside, at_rest):
+    person, widget = pulling_beside
+    person.drag((30, 30), (34, 34))
+    assert Screen(widget).button("Undo").isEnabled()
+    person.viewer.layers.remove("MR")
+    at_rest()
+    assert not Screen(widget).button("Undo").isEnabled()
+    widget.undo()
+    assert widget.status == "There is nothing to take back."
+
+
+def test_a_table_that_is_edited_is_followed_and_a_step_among_the_others(open_beside, settle):
+    person, widget = open_beside()
+    viewer = person.viewer
+    viewer.layers.clear()
+    viewer.open_sample("napari-hmrf", "mass-effect")
+    seen = []
+    widget.seen.connect(seen.append)
+    assert widget.start()
+    settle(widget)
+    before = seen[-1].ground.stiffness.max()
+    rows = widget.materials
+    widget.materials = (*rows[:-1], Material(rows[-1].label, "scar", 2 * before))
+    settle(widget)
+    assert seen[-1].ground.stiffness.max() == 2 * before
+    widget.drawing = Drawing((Arrow((60, 100), (2, 0), 8.0),))
+    widget.undo()
+    widget.undo()
+    assert widget.materials == rows, "one order of steps for all that is edited"
+    settle(widget)
+    assert seen[-1].ground.stiffness.max() == before
+
+
+def test_what_is_drawn_goes_along_when_the_image_gets_another_unit(pulling_beside, settle):
+    person, widget = pulling_beside
+    person.drag((30, 30), (34, 34))
+    settle(widget)
+    image = widget.image
+    image.scale = (0.5, 0.5)
+    image.units = ("mm", "mm")
+    settle(widget)
+    for name in ("Motion", "MR deformed, elastic", "MR arrows, elastic"):
+        layer = by_name(person.viewer, name)
+        assert layer.units == image.units
+        np.testing.assert_array_equal(layer.scale, image.scale)
+    assert "mm" in widget.fields.radius.label
+
+
+def test_a_drag_may_begin_at_any_edge_of_the_image(pulling_beside, settle):
+    person, widget = pulling_beside
+    widget.hold_edge = False
+    widget.fields.radius.value = 12.0
+    rows, cols = widget.image.data.shape
+    for place in ((3, 30), (30, 3), (rows - 4, 30), (30, cols - 4), (3, 3)):
+        settle(widget)
+        before = len(widget.drawing.marks)
+        person.press(*place)
+        for step in (2, 4, 6):
+            person.move(place[0] + step / 2, place[1] + step)
+            settle(widget)
+        person.release(place[0] + 3, place[1] + 6)
+        assert len(widget.drawing.marks) == before + 1
+        assert widget.drawing.marks[-1].by == pytest.approx((3, 6), abs=0.8)
+        widget.clear()
+
+
+def test_air_cannot_be_taken_hold_of_and_does_not_fold(open_beside, settle):
+    rows, cols = np.indices((96, 96))
+    noise = np.random.default_rng(0).integers(0, 6, (96, 96))
+    disc = np.hypot(rows - 48, cols - 48) < 26
+    person, widget = open_beside((noise + 150 * disc).astype(np.uint8))
+    assert widget.start()
+    settle(widget)
+    person.drag((10, 48), (20, 48))
+    assert widget.status == "There is no tissue to take hold of there."
+    assert not widget.drawing.marks
+    widget.hold_edge = False
+    # Air is squeezed between the body and the edge of the image, and nobody minds.
+    widget.drawing = Drawing((Arrow((48, 48), (0, 30), 20.0), Arrow((90, 90), (0, 0), 2.0)))
+    settle(widget)
+    assert "folds" not in widget.warning
+    solution = by_name(person.viewer, "MR arrows, elastic").metadata[METADATA]["solution"]
+    assert np.array_equal(solution.tissue, disc)
+    assert not solution.displacement[~disc].any()
+
+
+def test_three_dimensions_are_spoken_of_until_there_are_two_again(open_beside, at_rest, settle):
+    person, widget = open_beside()
+    settle(widget)
+    person.viewer.dims.ndisplay = 3
+    assert not widget.start()
+    assert "two dimensions" in widget.status
+    person.viewer.dims.ndisplay = 2
+    at_rest()
+    assert widget.status == widget.invitation
+    assert "rag tissue" in widget.status
+
+
+def test_what_is_said_and_whether_the_mouse_pulls_agree(pulling_beside, settle):
+    person, widget = pulling_beside
+    how = widget.status
+    person.drag((30, 30), (34, 34))
+    settle(widget)
+    layers = person.viewer.layers
+    layers.selection.active = layers["MR"]
+    assert "To draw on" in widget.status
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert widget.status.startswith("Took back: drew an arrow. To draw on")
+    layers.selection.active = layers["Motion"]
+    layers.selection.active = layers["MR"]
+    assert widget.status.startswith("To draw on")
+    layers.selection.active = layers["Motion"]
+    assert (widget.active, widget.status) == (True, how)
+
+
+def test_air_that_a_tissue_layer_calls_tissue_is_spoken_of(open_beside, settle):
+    rows, cols = np.indices((64, 64))
+    disc = np.hypot(rows - 32, cols - 32) < 18
+    person, widget = open_beside((150 * disc).astype(np.uint8))
+    widget.without_border = False
+    labels = person.viewer.add_labels(np.zeros((64, 64), np.uint8), name="T")
+    labels.metadata.update(described(TISSUE, (Material(0, "unpainted", 1.0),), "kPa"))
+    for tissue, speaks in ((labels, True), (None, False)):
+        widget.tissue = tissue
+        assert widget.start()
+        widget.drawing = Drawing((Arrow((32, 32), (3, -3), 5.0),))
+        settle(widget)
+        assert ("dark surroundings" in widget.warning) == speaks

@@ -1,0 +1,828 @@
+"""Brushes and landmarks: in a real window, with real mouse and key events, and beside a viewer."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from napari.layers import Image
+from qtpy.QtCore import Qt
+from qtpy.QtTest import QTest
+
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.deformation import jacobian_determinant
+from napari_hmrf.layers.metadata import METADATA, TISSUE, described, known_of
+from napari_hmrf.layers.paint_layer import number_of
+from napari_hmrf.tissue.boundary_rules import Material
+from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
+from napari_hmrf.ui.motion.motion_messages import NO_WAY
+from napari_hmrf.ui.soft_tissue import SoftTissue
+from tests.conftest import dock_in
+from tests.support.person import CTRL, SHIFT, by_name, only
+from tests.support.screen import Screen
+from tests.support.timeouts import LONG_MS
+from tests.support.windowless import Touch
+
+PIN, FREE, MOVE, EXPAND = Qt.Key.Key_P, Qt.Key.Key_F, Qt.Key.Key_M, Qt.Key.Key_E
+CONFIDENCE, MATERIAL, LANDMARK = Qt.Key.Key_C, Qt.Key.Key_T, Qt.Key.Key_L
+
+#: What napari shows of each layer beside the canvas is seen where tissue is pulled, in test_grab.
+pytestmark = pytest.mark.usefixtures("without_controls")
+
+
+def displacement(widget):
+    """How the tissue that is seen moves."""
+    return widget._pointer.display.moved.solution.displacement
+
+
+def seen_paint(person):
+    """The picture of what was painted; there is no layer of nothing."""
+    layers = person.viewer.layers
+    return layers["Motion, painted"].data if "Motion, painted" in layers else np.zeros((64, 64))
+
+
+def ring(middle, radius, count=16):
+    turn = np.linspace(0, 2 * np.pi, count + 1)
+    rows, cols = middle[0] + radius * np.sin(turn), middle[1] + radius * np.cos(turn)
+    return list(zip(rows.tolist(), cols.tolist(), strict=True))
+
+
+def outward(widget):
+    """How far a ring of radius 12 around the middle moves along its normal, on average."""
+    places = ring((32, 32), 12)
+    moved = [displacement(widget)[round(row), round(col)] for row, col in places]
+    normals = (np.array(places) - 32) / 12
+    return (np.array(moved) * normals).sum(axis=1).mean()
+
+
+@pytest.fixture
+def narrow(settle):
+    """Give somebody a narrow brush, and have a wide patch pulled to the right before."""
+
+    def given(person, widget):
+        widget.drawing = Drawing((Arrow((44, 40), (0, 5), 6.0),))
+        widget.fields.radius.value = 3.0
+        settle(widget)
+        return person, widget
+
+    return given
+
+
+@pytest.fixture
+def brushing(pulling, narrow):
+    """Somebody before a window, with a narrow brush."""
+    return narrow(*pulling)
+
+
+@pytest.fixture
+def brushing_beside(pulling_beside, narrow):
+    """The same without a window."""
+    return narrow(*pulling_beside)
+
+
+def test_what_is_painted_is_seen_before_anything_is_solved(brushing, busy_thread, qtbot):
+    person, _ = brushing
+    person.key(PIN)
+    person.press(20, 20)
+    assert seen_paint(person)[20, 20] == number_of("pin"), "at once"
+    person.move(20, 36)
+    qtbot.waitUntil(lambda: seen_paint(person)[20, 28] == number_of("pin"), timeout=LONG_MS)
+    assert not busy_thread.is_set()
+    person.release(20, 36)
+
+
+def test_what_is_pinned_stays(brushing_beside, settle):
+    person, widget = brushing_beside
+    before = displacement(widget)[20, 30]
+    assert np.linalg.norm(before) > 0.3
+    person.key(PIN)
+    person.press(20, 20)
+    person.move(20, 36)
+    person.release(20, 36)
+    settle(widget)
+    assert displacement(widget)[20, 22:35] == pytest.approx(0, abs=0.02)
+    assert seen_paint(person)[20, 28] == number_of("pin")
+    assert seen_paint(person)[26, 28] == 0
+    assert widget.study_model.next_undo.word == "held tissue"
+
+
+def test_what_is_freed_is_held_by_nothing(brushing_beside, settle):
+    person, widget = brushing_beside
+    person.key(FREE)
+    widget.fields.radius.value = 9.0
+    person.paint((44, 40), (44, 46))
+    settle(widget)
+    assert np.abs(displacement(widget)).max() < 0.02, "the arrow says nothing any more"
+    assert set(np.unique(seen_paint(person))) == {0, number_of("free")}, "stripes"
+
+
+def test_what_is_moved_moves_and_its_paint_goes_along(brushing_beside, settle):
+    person, widget = brushing_beside
+    person.key(MOVE)
+    widget.fields.by_row.value = -4.0
+    person.paint((20, 20), (20, 26))
+    settle(widget)
+    assert displacement(widget)[20, 22] == pytest.approx((-4, 0), abs=0.02)
+    assert seen_paint(person)[16, 22] == number_of("move")
+    assert seen_paint(person)[22, 22] == 0, "it was painted there, and has left"
+    widget.fields.by_row.value = 2.0
+    settle(widget)
+    assert displacement(widget)[20, 22] == pytest.approx((2, 0), abs=0.02), "of the stroke painted"
+
+
+def test_a_ring_expands_or_shrinks(brushing_beside, settle):
+    person, widget = brushing_beside
+    widget.drawing = Drawing()
+    person.key(EXPAND)
+    widget.fields.amount.value = 2.0
+    person.paint(*ring((32, 32), 12))
+    settle(widget)
+    assert outward(widget) == pytest.approx(2, abs=0.2)
+    widget.fields.amount.value = -2.0
+    settle(widget)
+    assert outward(widget) == pytest.approx(-2, abs=0.2)
+
+
+@pytest.mark.parametrize("amount", [2.0, -2.0])
+def test_a_patch_grows_without_a_tear(pulling_beside, settle, amount):
+    person, widget = pulling_beside
+    widget.fields.radius.value = 10.0
+    person.key(EXPAND)
+    widget.fields.amount.value = amount
+    person.paint((32, 32), (32, 33))
+    settle(widget)
+    area = jacobian_determinant(displacement(widget), spacing=1)
+    assert area[26:39, 26:40] == pytest.approx((1 + amount / 10) ** 2, rel=0.15)
+    assert not widget.warning
+    assert seen_paint(person)[32, 32], "all that was painted is seen"
+
+
+def test_what_is_taken_back_and_done_again_is_selected_and_its_fields_say_so(
+    pulling_beside, settle
+):
+    person, widget = pulling_beside
+    person.key(EXPAND)
+    amount = widget.fields.amount
+    amount.value = 2.0
+    person.paint((32, 32), (32, 33))
+    amount.value = -1.5
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert (only(widget).amount, amount.value) == (2.0, 2.0)
+    person.key(Qt.Key.Key_Y, CTRL)
+    assert (only(widget).amount, amount.value) == (-1.5, -1.5)
+    for _ in range(2):
+        person.key(Qt.Key.Key_Z, CTRL)
+    assert not widget.drawing.marks
+    assert not Screen(widget).button("Remove").isEnabled()
+    person.key(Qt.Key.Key_Y, CTRL)
+    assert Screen(widget).button("Remove").isEnabled(), "it is selected"
+    amount.value = 1.0
+    assert only(widget).amount == 1.0, "and the field changes it"
+    person.key(PIN)
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert not Screen(widget).button("Remove").isEnabled(), "of another tool nothing is"
+    settle(widget)
+
+
+def test_an_open_line_cannot_expand_and_says_so(pulling_beside, settle):
+    person, widget = pulling_beside
+    person.key(EXPAND)
+    widget.fields.radius.value = 1.0
+    widget.fields.amount.value = 2.0
+    person.paint(*((row, 30) for row in range(10, 50, 4)))
+    settle(widget)
+    assert not widget.drawing.marks
+    assert "no outside" in widget.status
+    assert not seen_paint(person).any()
+
+
+def test_a_ring_that_is_removed_before_it_is_closed_leaves_nothing(pulling_beside, settle):
+    person, widget = pulling_beside
+    person.key(EXPAND)
+    widget.fields.radius.value = 1.0
+    person.press(10, 30)
+    person.move(40, 30)
+    person.key(Qt.Key.Key_Delete)
+    person.move(44, 30)
+    person.release(44, 30)
+    settle(widget)
+    assert not widget.drawing.marks
+    assert not widget.study_model.drawing_in_progress
+    assert not seen_paint(person).any()
+
+
+def test_confidence_is_painted_softly_over_what_moves(brushing_beside, settle):
+    person, widget = brushing_beside
+    person.key(CONFIDENCE)
+    fields = widget.fields
+    fields.sure.value, fields.softness.value, fields.radius.value = 0.0, 1.0, 5.0
+    person.paint((44, 45), (44, 45))
+    settle(widget)
+    stroke = widget.drawing.marks[1]
+    assert (stroke.action, stroke.confidence, stroke.softness) == ("confidence", 0.0, 1.0)
+    sure = widget.drawing.render(widget._pointer.display.moved.ground.base).confidence[44, 40:46, 0]
+    assert sure[0] == pytest.approx(0, abs=0.15)
+    assert (np.diff(sure) > 0).all(), "it fades out"
+    shown = by_name(person.viewer, "Confidence").data
+    assert shown[44, 45] == pytest.approx(0, abs=0.2)
+    assert len(np.unique(shown[shown < 1].round(3))) > 12, "and is seen to, evenly"
+    assert not seen_paint(person).any()
+
+
+def test_with_the_last_stroke_the_layer_of_what_is_painted_goes_and_comes_again(
+    pulling_beside, settle
+):
+    person, widget = pulling_beside
+    layers = person.viewer.layers
+    person.key(PIN)
+    person.paint((20, 20), (20, 26))
+    settle(widget)
+    for _ in range(2):
+        person.key(Qt.Key.Key_Z, CTRL)
+        settle(widget)
+        assert "Motion, painted" not in layers
+        assert widget.active, "the tool stays in the hand"
+        person.key(Qt.Key.Key_Y, CTRL)
+        settle(widget)
+        assert seen_paint(person)[20, 22] == number_of("pin")
+    person.key(Qt.Key.Key_Z, CTRL)
+    person.key(CONFIDENCE)
+    person.paint((30, 30), (30, 34))
+    settle(widget)
+    assert "Motion, painted" not in layers, "confidence has a layer of its own"
+    assert "Confidence" in layers
+
+
+def test_stiffness_motion_and_confidence_are_each_painted_and_seen_as_a_layer(pulling, settle):
+    person, widget = pulling
+    viewer, fields = person.viewer, widget.fields
+    fields.radius.value = 4.0
+    person.key(MATERIAL)
+    fields.material.value = 0
+    person.paint((50, 10), (50, 20))
+    settle(widget)
+    assert seen_paint(person)[50, 15] == number_of("tissue", label=0)
+    person.key(MOVE)
+    person.paint((30, 28), (30, 34))
+    person.paint((30, 31), (26, 31))
+    settle(widget)
+    assert seen_paint(person)[26, 31] == number_of("move"), "where it has gone"
+    steps = by_name(viewer, "Motion").data[:, 1]
+    assert steps[:, 0].min() == pytest.approx(-4, abs=0.6), "by how much, in arrows"
+    assert "Confidence" not in viewer.layers
+    person.key(CONFIDENCE)
+    fields.sure.value = 0.5
+    person.paint((26, 31), (26, 31))
+    settle(widget)
+    confidence = by_name(viewer, "Confidence")
+    assert isinstance(confidence, Image)
+    assert tuple(confidence.contrast_limits) == (0, 1)
+    assert confidence.colorbar.visible
+    moved = displacement(widget)[30, 31, 0]
+    assert confidence.data[round(30 + moved), 31] == pytest.approx(0.5, abs=0.01)
+    assert confidence.data[0, 30] == 1, "the edge is held"
+    assert confidence.data[40, 50] == 0, "nobody says anything of this"
+    assert not confidence.colormap.map([0.0])[0, 3], "which the image shows through"
+    names = [layer.name for layer in viewer.layers]
+    assert names.index("Confidence") == names.index("Motion, painted") - 1
+    Screen(widget).choose("Jacobian")
+    settle(widget)
+    (overlay,) = (layer for layer in viewer.layers if "Jacobian" in layer.name)
+    assert overlay.colorbar.visible
+    assert overlay.colorbar.position != confidence.colorbar.position, "each scale has its corner"
+    if hasattr(overlay, "name_overlay"):  # of napari 0.9
+        assert confidence.name_overlay.position == confidence.colorbar.position
+
+
+def test_what_speaks_of_one_direction_says_so_on_the_canvas_and_where_it_is_drawn(
+    pulling_beside, settle
+):
+    person, widget = pulling_beside
+    text, fields = person.viewer.canvas.overlays.text, widget.fields
+    fields.components.value = "row"
+    assert text.text == "Pull, up and down only"
+    person.key(MOVE)
+    fields.by_row.value, fields.by_col.value = 2.0, 3.0
+    assert text.text == "Push 2 down, up and down only"
+    fields.components.value = "col"
+    person.key(PIN)
+    assert text.text == "Hold, left and right only"
+    fields.radius.value = 5.0
+
+    person.paint((20, 20), (20, 40))
+    person.key(Qt.Key.Key_Escape)
+    settle(widget)
+    steps = by_name(person.viewer, "Motion").data[:, 1]
+    longest = steps[np.abs(steps).sum(axis=1) > 1]
+    assert len(longest), "double arrows"
+    assert not longest[:, 0].any(), "to the sides alone"
+    fields.components.value = "both"
+    assert text.text == "Hold"
+    widget.clear()
+    person.paint((20, 20), (20, 40))
+    person.key(Qt.Key.Key_Escape)
+    settle(widget)
+    assert by_name(person.viewer, "Motion").data[:, 1].all(), "crosses"
+
+
+def test_painted_confidence_is_undone_and_redone_with_its_layer(brushing_beside, settle):
+    person, widget = brushing_beside
+    layers = person.viewer.layers
+    person.key(CONFIDENCE)
+    widget.fields.sure.value = 0.4
+    person.paint((40, 42), (40, 46))
+    settle(widget)
+    seen = by_name(person.viewer, "Confidence").data.copy()
+    assert widget.study_model.next_undo.word == "painted confidence"
+    person.key(Qt.Key.Key_Z, CTRL)
+    settle(widget)
+    assert "Confidence" not in layers
+    person.key(Qt.Key.Key_Z, CTRL | SHIFT)
+    settle(widget)
+    assert by_name(person.viewer, "Confidence").data == pytest.approx(seen, abs=0.02)
+    person.pick(40, 46)
+    assert widget.fields.sure.value == 0.4
+    person.key(Qt.Key.Key_Delete)
+    settle(widget)
+    assert "Confidence" not in layers
+
+
+def test_the_layer_of_confidence_moves_on_with_the_tissue(brushing_beside, settle):
+    person, widget = brushing_beside
+    person.key(CONFIDENCE)
+    widget.fields.sure.value, widget.fields.softness.value = 0.6, 0.0
+    person.paint((44, 45), (44, 46))
+    settle(widget)
+    layer = by_name(person.viewer, "Confidence")
+    assert layer.data[40, 42] == 1
+    arrow, stroke = widget.drawing.marks
+    widget.drawing = Drawing((replace(arrow, by=(-4, 2)), stroke))
+    settle(widget)
+    assert by_name(person.viewer, "Confidence") is layer
+    assert layer.data[40, 42] == pytest.approx(0.6)
+    assert set(np.unique(layer.data)) == {0, np.float32(0.6), 1}, "nothing in between is made up"
+
+
+def test_paint_is_seen_where_all_of_the_motion_has_led_it_and_hidden_with_less(
+    brushing_beside, settle
+):
+    person, widget = brushing_beside
+    layers = person.viewer.layers
+    person.key(PIN)
+    person.paint((20, 20), (20, 26))
+    person.key(CONFIDENCE)
+    person.paint((44, 45), (44, 46))
+    settle(widget)
+    paint = layers["Motion, painted"], layers["Confidence"]
+    for percent, seen in ((60, False), (100, True), (0, False)):
+        widget.percent = percent
+        settle(widget)
+        assert [each.visible for each in paint] == [seen, seen]
+    person.key(PIN)
+    person.paint((12, 20), (12, 26))
+    settle(widget)
+    assert [layers[each.name].visible for each in paint] == [True, True], "a new result"
+    layers["Confidence"].visible = False
+    for percent in (50, 100):
+        widget.percent = percent
+        settle(widget)
+    assert [each.visible for each in paint] == [True, False], "as somebody wants it"
+
+
+def test_confidence_is_of_its_slice_and_goes_with_its_image_and_its_dock(open_beside, settle):
+    stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
+    person, widget = open_beside(stack)
+    viewer = person.viewer
+    viewer.dims.set_current_step(0, 1)
+    widget.start()
+    settle(widget)
+    marks = Arrow((24, 32), (0, 5), 6.0), Stroke("confidence", (((24, 30),),), 9.0, confidence=0.3)
+    widget.drawing = Drawing(marks)
+    settle(widget)
+    layer = by_name(viewer, "Confidence")
+    assert layer.data.shape == (1, 48, 64)
+    assert layer.data.max() == 1
+    assert layer.data_to_world((0, 0, 0))[0] == 1
+    viewer.dims.set_current_step(0, 2)
+    settle(widget)
+    assert "Confidence" not in viewer.layers, "here none is painted"
+    viewer.dims.set_current_step(0, 1)
+    settle(widget)
+    assert "Confidence" in viewer.layers
+    viewer.layers.remove("MR")
+    settle(widget)
+    assert "Confidence" not in viewer.layers
+
+
+def test_confidence_is_no_input_and_is_hidden_while_the_image_is_seen_as_it_was(
+    brushing_beside, settle
+):
+    person, widget = brushing_beside
+    person.key(CONFIDENCE)
+    widget.fields.sure.value = 0.4
+    person.paint((44, 45), (44, 46))
+    settle(widget)
+    layer = by_name(person.viewer, "Confidence")
+    boundary, form = widget._form.motion.boundary, widget._form
+    for choice in (form.image, form.tissue.choice, boundary.choice, boundary.confidence):
+        assert layer not in choice.choices
+    widget.before = True
+    assert not layer.visible
+    widget.before = False
+    assert layer.visible
+    widget.make_layers()
+    widget.hand_brush(widget.boundary)
+    assert not layer.visible
+    person.viewer.layers.selection.active = widget.image
+    settle(widget)
+    assert by_name(person.viewer, "Confidence").visible
+
+
+def test_tissue_is_painted_from_the_presets_where_there_is_no_table(brushing_beside, settle):
+    person, widget = brushing_beside
+    before = displacement(widget)[44, 14, 1]
+    person.key(MATERIAL)
+    assert 0 in widget.fields.material.choices, "what is cut away is no tissue"
+    material = widget.fields.material.native
+    said = [material.itemText(at) for at in range(material.count())]
+    assert said[-1] == "bone or implant (rigid)"
+    assert material.currentText() == "tumour (40)", "rigid is no first guess"
+    widget.fields.material.value = 0
+    person.paint((30, 22), (36, 22), (42, 22), (48, 22), (54, 22))
+    settle(widget)
+    after = displacement(widget)
+    assert after[44, 14, 1] < 0.8 * before, "a gap passes nothing on"
+    assert not after[44, 22].any()
+    assert widget.study_model.next_undo.word == "painted tissue"
+    person.key(Qt.Key.Key_Z, CTRL)
+    settle(widget)
+    assert displacement(widget)[44, 14, 1] == pytest.approx(before, abs=0.02)
+
+
+def test_tissue_is_painted_from_the_table_of_its_layer(open_beside, settle):
+    person, widget = open_beside()
+    labels = np.ones((64, 64), np.uint8)
+    materials = (Material(1, "gel", 1.0), Material(7, "bone", 1000.0))
+    person.viewer.add_labels(labels, name="T", metadata=described(TISSUE, materials, "kPa"))
+    assert widget.start()
+    settle(widget)
+    person.key(MATERIAL)
+    material = widget.fields.material
+    assert tuple(material.choices) == (1, 7)
+    material.value = 7
+    assert person.viewer.canvas.overlays.text.text == "Tissue"
+    widget.fields.radius.value = 6.0
+    person.paint((32, 20), (32, 32), (32, 44))
+    widget.drawing = Drawing((*widget.drawing.marks, Arrow((32, 20), (0, 4), 3.0)))
+    settle(widget)
+    moved = displacement(widget)
+    assert moved[32, 42, 1] > 3.5, "a bone moves as a whole"
+    assert (by_name(person.viewer, "T").data == 1).all(), "the layer itself is as it was"
+    material.value = 1
+    assert widget.drawing.marks[0].label == 7, "that is for what is painted next"
+    person.pick(32, 44)
+    assert material.value == 7
+    material.value = 1
+    assert widget.drawing.marks[0].label == 1, "of what was picked up it is changed"
+
+
+def test_a_drag_is_a_landmark_and_escape_gives_one_up(pulling, settle):
+    person, widget = pulling
+    person.key(LANDMARK)
+    person.press(30, 30)
+    person.move(34, 32)
+    person.key(Qt.Key.Key_Escape)
+    person.release(34, 32)
+    assert not widget.drawing.marks
+    person.drag((30, 30), (34, 32))
+    settle(widget)
+    mark = only(widget)
+    assert isinstance(mark, Landmark)
+    assert displacement(widget)[30, 30] == pytest.approx((4, 2), abs=0.6)
+    person.paint((34, 32), (36, 32))
+    assert only(widget).target == pytest.approx((36, 32), abs=0.6), "its head is taken up again"
+    person.key(Qt.Key.Key_Delete)
+    assert not widget.drawing.marks
+
+
+def test_a_click_is_a_landmark_that_holds_and_says_so(pulling_beside, settle):
+    person, widget = pulling_beside
+    person.key(LANDMARK)
+    assert "or click what stays there" in widget.status
+    person.drag((30, 30), (30, 30))
+    assert only(widget).source == only(widget).target == (30, 30)
+    assert widget.status == NO_WAY
+    person.drag((30, 30), (30, 34))
+    assert only(widget).target == (30, 34), "it is dragged to where it should be"
+    assert widget.status != NO_WAY
+    settle(widget)
+    person.drag((50, 50), (50, 50))
+    assert widget.status == NO_WAY, "of tissue that has moved, too"
+    person.drag((30, 34), (30, 34))
+    assert widget.status != NO_WAY, "an old one leads where it did"
+
+
+def test_points_are_landmarks_beside_those_that_are_drawn(pulling_beside, settle):
+    person, widget = pulling_beside
+    viewer = person.viewer
+    person.key(LANDMARK)
+    person.drag((50, 50), (50, 52))
+    settle(widget)
+    where = viewer.add_points([[30, 30], [40, 20]], name="is")
+    should = viewer.add_points([[33, 30]], name="ought")
+    with pytest.raises(HmrfError, match="'ought' has 1 point, but 'is' has 2"):
+        widget.take_landmarks(where, should)
+    should.add([40, 22])
+    widget.take_landmarks(where, should)
+    settle(widget)
+    assert displacement(widget)[30, 30] == pytest.approx((3, 0), abs=0.02)
+    assert displacement(widget)[40, 20] == pytest.approx((0, 2), abs=0.02)
+    assert displacement(widget)[50, 50] == pytest.approx((0, 2), abs=0.6)
+    should.data = [[34, 30], [40, 22]]
+    widget.take_landmarks(where, should)
+    settle(widget)
+    assert displacement(widget)[30, 30] == pytest.approx((4, 0), abs=0.02)
+    assert len(widget.drawing.marks) == 3, "those that were taken before are replaced"
+
+
+def test_brushes_do_something_from_the_first_stroke_or_say_why_not(pulling_beside, settle):
+    person, widget = pulling_beside
+    fields = widget.fields
+    person.key(EXPAND)
+    assert fields.amount.value == 1.3, "a third of the radius"
+    person.key(MOVE)
+    person.paint((30, 28), (30, 34))
+    assert "Now drag it to where it goes" in widget.status
+    fields.by_col.value = 3
+    assert fields.words == "Push 3 right"
+    settle(widget)
+    assert displacement(widget)[30, 31] == pytest.approx((0, 3), abs=0.02), "as it is told now"
+
+
+def test_the_stiffness_that_is_read_is_that_of_the_tissue_that_was_brushed(
+    widget, small_sample, settle
+):
+    small_sample(widget._viewer, (48, 64))
+    widget.model, widget.live = "elastic", True
+    settle(widget)
+    stiff = replace(widget.materials[1], label=9, name="lump", stiffness=77.0)
+    widget.materials = (*widget.materials, stiff)
+    lump = Stroke("tissue", (((20, 20), (20, 24)),), 4.0, label=9)
+    pull = Arrow((30, 40), (0, 3), 4.0)
+    for drawing, said in ((Drawing((lump, pull)), True), (Drawing((pull,)), False)):
+        widget.drawing = drawing
+        settle(widget)
+        line = widget._view.cursor.line_at((20, 22))
+        assert ("lump" in line) == said
+        assert "stiffness" in line
+
+
+def test_undo_and_redo_go_through_all_tools(pulling, settle):
+    person, widget = pulling
+    widget.fields.radius.value = 3.0
+    states = [widget.drawing]
+
+    def done():
+        assert widget.drawing != states[-1]
+        states.append(widget.drawing)
+
+    person.drag((30, 30), (34, 34))
+    done()
+    for key in (PIN, MOVE, FREE, CONFIDENCE, MATERIAL):
+        person.key(key)
+        person.paint((10, 10), (10, 20))
+        done()
+    person.key(LANDMARK)
+    person.drag((50, 50), (52, 50))
+    done()
+    person.pick(10, 12)
+    assert (widget.tool, widget._pointer.hand.selected) == ("tissue", 5)
+    person.key(Qt.Key.Key_Delete)
+    done()
+    for state in reversed(states[:-1]):
+        person.key(Qt.Key.Key_Z, CTRL)
+        assert widget.drawing == state
+    for state in states[1:]:
+        person.key(Qt.Key.Key_Z, CTRL | SHIFT)
+        assert widget.drawing == state
+    settle(widget)
+    widget.clear()
+    settle(widget)
+    assert not seen_paint(person).any()
+    assert not by_name(person.viewer, "Motion").data.any()
+
+
+def test_what_was_painted_is_picked_up_again_changed_and_removed(brushing_beside, settle):
+    person, widget = brushing_beside
+    person.key(MOVE)
+    widget.fields.by_row.value = -4.0
+    person.paint((20, 20), (20, 26))
+    settle(widget)
+    person.key(Qt.Key.Key_G)
+    widget.fields.by_row.value = 1.0
+    person.pick(16, 22)
+    assert widget.tool == "move", "it is found where it has gone"
+    assert widget.fields.by_row.value == -4.0
+    assert "Delete removes it" in widget.status
+    person.key(Qt.Key.Key_Delete)
+    assert len(widget.drawing.marks) == 1
+    person.pick(60, 60)
+    assert "Nothing is drawn there" in widget.status
+
+
+def test_keys_change_the_size_of_the_brush(pulling_beside):
+    person, widget = pulling_beside
+    person.key(PIN)
+    widget.fields.radius.value = 4.0
+    person.key(Qt.Key.Key_BracketRight)
+    assert widget.fields.radius.value == 5.0
+    assert by_name(person.viewer, "Motion").cursor_size == pytest.approx(10.0)
+    person.key(Qt.Key.Key_BracketLeft)
+    assert widget.fields.radius.value == 4.0
+
+
+def test_escape_gives_a_stroke_up(brushing_beside, settle):
+    person, widget = brushing_beside
+    before = widget.drawing
+    person.key(PIN)
+    person.press(20, 20)
+    person.move(20, 30)
+    person.key(Qt.Key.Key_Escape)
+    person.move(20, 40)
+    person.release(20, 40)
+    settle(widget)
+    assert (widget.drawing, widget.status) == (before, "Cancelled; everything is as before.")
+    assert not seen_paint(person).any()
+
+
+def test_another_slice_in_mid_stroke_ends_it_there(open_beside, settle):
+    stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
+    person, widget = open_beside(stack)
+    viewer = person.viewer
+    viewer.dims.set_current_step(0, 1)
+    widget.start()
+    person.key(PIN)
+    settle(widget)
+    person.press(20, 30)
+    person.move(24, 30)
+    viewer.dims.set_current_step(0, 2)
+    person.move(30, 30)
+    person.release(30, 30)
+    settle(widget)
+    assert not widget.drawing.marks
+    assert not seen_paint(person).any()
+    viewer.dims.set_current_step(0, 1)
+    settle(widget)
+    assert only(widget).lines[0][-1] == pytest.approx((24, 30), abs=0.6)
+    assert seen_paint(person).shape == (1, 48, 64)
+    assert seen_paint(person)[0, 22, 30] == number_of("pin")
+
+
+def test_layers_deleted_or_renamed_in_mid_stroke_do_not_matter(brushing, settle):
+    person, widget = brushing
+    person.key(PIN)
+    image, arrows = by_name(person.viewer, "MR"), by_name(person.viewer, "Motion")
+    for number, gone in enumerate(["Motion, painted", "image", "arrows"], 1):
+        row = 8 * number - 4
+        person.press(row, 20)
+        person.move(row, 24)
+        image.name, arrows.name = f"T{number}", f"mine {number}"
+        (layer,) = (
+            each for each in person.viewer.layers if gone in (each.name, known_of(each).get("kind"))
+        )
+        person.viewer.layers.remove(layer)
+        person.move(row, 30)
+        person.release(row, 30)
+        settle(widget)
+        assert widget.drawing.marks[number].lines[0][-1] == pytest.approx((row, 30), abs=0.6), gone
+        assert seen_paint(person)[row, 25] == number_of("pin"), gone
+
+
+@pytest.mark.parametrize(
+    ("gone", "said"), [("Motion", "The layer 'Motion' is gone"), ("MR", "'MR' is gone")]
+)
+def test_layers_that_are_needed_and_deleted_in_mid_stroke_end_it(
+    brushing_beside, at_rest, gone, said
+):
+    person, widget = brushing_beside
+    person.key(PIN)
+    person.press(20, 20)
+    person.move(20, 24)
+    person.viewer.layers.remove(gone)
+    person.move(20, 30)
+    person.release(20, 30)
+    at_rest()
+    assert not widget.study_model.drawing_in_progress
+    assert widget.status.startswith(said)
+    assert not person.viewer.canvas.overlays.text.visible
+
+
+def test_two_viewers_have_tools_of_their_own(open_beside, settle):
+    one, mine = open_beside()
+    other, its = open_beside()
+    for widget in (mine, its):
+        assert widget.start()
+        settle(widget)
+    one.key(PIN)
+    other.key(LANDMARK)
+    assert (mine.tool, its.tool) == ("pin", "landmark")
+    one.drag((20, 20), (20, 30))
+    other.drag((20, 20), (22, 30))
+    settle(mine)
+    settle(its)
+    assert isinstance(only(mine), Stroke)
+    assert isinstance(only(its), Landmark)
+    assert "Motion, painted" not in other.viewer.layers
+
+
+def test_a_closed_dock_takes_its_paint_and_its_words_along(unstyled, make_napari_viewer, settle):
+    viewer = make_napari_viewer()
+    viewer.add_image(np.full((64, 64), 100, np.uint8), name="MR")
+    person, widget = Touch(viewer), dock_in(viewer)
+    assert widget.start()
+    settle(widget)
+    widget.drawing = Drawing((Arrow((44, 40), (0, 5), 6.0),))
+    person.key(PIN)
+    person.paint((20, 20), (20, 30))
+    settle(widget)
+    window = person.viewer.window
+    window.remove_dock_widget(widget.native)
+    assert "Motion, painted" not in person.viewer.layers
+    assert not person.viewer.canvas.overlays.text.visible
+    again = SoftTissue(person.viewer)
+    window.add_dock_widget(again.native, name="Soft tissue")
+    settle(again)
+    assert len(again.drawing.marks) == 2, "what was drawn stays"
+
+
+def test_text_of_others_on_the_canvas_stays(open_beside):
+    person, widget = open_beside()
+    text = person.viewer.canvas.overlays.text
+    text.text, text.visible = "patient 7", True
+    widget.start()
+    assert text.text == "patient 7"
+    widget.stop()
+    assert text.visible
+
+
+def test_scripts_paint_without_a_mouse(open_beside, settle):
+    person, widget = open_beside()
+    assert widget.start()
+    widget.tool = "pin"
+    strokes = (
+        Stroke("move", (((20, 20), (20, 40)),), 4.0, by=(3, 0)),
+        Stroke("pin", (((44, 20), (44, 40)),), 4.0),
+    )
+    widget.drawing = Drawing(strokes)
+    settle(widget)
+    field = by_name(person.viewer, "MR arrows, elastic").metadata[METADATA]["solution"].displacement
+    assert field[20, 30] == pytest.approx((3, 0), abs=0.02)
+    assert field[44, 30] == pytest.approx((0, 0), abs=0.02)
+    kept = by_name(person.viewer, "Motion").metadata[METADATA]["drawing"]
+    assert Drawing.from_dict(kept) == widget.drawing
+
+
+def test_the_presets_offer_their_tissues_and_the_first_is_what_is_not_painted(
+    brushing_beside, settle
+):
+    person, widget = brushing_beside
+    person.key(MATERIAL)
+    fields = widget.fields
+    assert fields.preset.native.isVisibleTo(widget.native)
+    fields.preset.value = next(each for each in fields.preset.choices if each.unit == "kPa")
+    settle(widget)
+    before = displacement(widget)
+    names = [row.name for row in fields.preset.value.materials]
+    assert names[0] in person.viewer.canvas.overlays.text.text + str(
+        fields.material.native.itemText(1)
+    )
+    fields.material.value = fields.preset.value.materials[0].label
+    person.paint((20, 20), (30, 20))
+    settle(widget)
+    assert displacement(widget) == pytest.approx(before, abs=0.02), "it was that already"
+
+
+def test_a_radius_that_is_typed_is_one_step(pulling_beside, settle):
+    person, widget = pulling_beside
+    person.drag((30, 30), (34, 34))
+    settle(widget)
+    field = widget.fields.radius.native
+    field.setFocus()
+    field.selectAll()
+    QTest.keyClicks(field, "12.5")
+    QTest.keyClick(field, Qt.Key.Key_Return)
+    settle(widget)
+    assert widget.drawing.marks[0].radius == 12.5
+    widget.undo()
+    assert widget.drawing.marks[0].radius != 12.5
+    assert widget.study_model.next_undo.word == "drew an arrow"
+
+
+def test_the_brush_of_tissue_begins_with_one_that_is_tissue(open_beside, settle):
+    person, widget = open_beside()
+    labels = person.viewer.add_labels(np.ones((64, 64), np.uint8), name="T")
+    rows = (Material(0, "x", 1.0), Material(1, "gel", 2.0), Material(2, "air", 0.0))
+    labels.metadata.update(described(TISSUE, rows, "kPa"))
+    widget.tissue = labels
+    assert widget.start()
+    settle(widget)
+    assert widget.fields.material.value == 1

@@ -1,0 +1,912 @@
+"""What the user sees of a result."""
+
+from dataclasses import replace
+from functools import partial
+from itertools import count
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from napari.layers import Image, Labels, Vectors
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import QApplication
+from vispy.visuals import AxisVisual
+
+from napari_hmrf import Problem, SeilerPrior, solve
+from napari_hmrf.contributions import open_solution
+from napari_hmrf.field.colormaps import reach_of
+from napari_hmrf.field.directions import Directions
+from napari_hmrf.field.quantities import coloured
+from napari_hmrf.field.strain import green_lagrange_strain
+from napari_hmrf.field.tissue_point import Probe, at_point
+from napari_hmrf.field.warp import warp
+from napari_hmrf.io.figures import jacobian_picture, magnitude_picture, strain_picture
+from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.solver.optimizers import ICM
+from napari_hmrf.tissue.boundary_rules import BoundaryRule
+from napari_hmrf.ui.result.cursor import stiffness_of
+from napari_hmrf.ui.result.result_messages import how_far
+from tests.conftest import dock_in, quick
+from tests.support.person import SHIFT, Person
+from tests.support.windowless import Touch
+
+
+def names(viewer):
+    return [layer.name for layer in viewer.layers]
+
+
+def viewer_of(widget):
+    return widget._viewer
+
+
+@pytest.fixture
+def deformed(widget, small_sample, run):
+    """The dock with a result: a block of gel, held left, pushed 3 px right at the right."""
+    small_sample(viewer_of(widget))
+    widget.settings = replace(widget.settings, sweeps=60)
+    run(widget)
+    return widget
+
+
+@pytest.fixture
+def look(deformed, wait_for):
+    """The same, when all of the result is drawn."""
+    wait_for(lambda: not deformed.busy)
+    return deformed
+
+
+@pytest.fixture
+def set_to(wait_for):
+    """Set what the user can set, and wait until it is seen."""
+
+    def set_and_wait(look, **choices):
+        for name, choice in choices.items():
+            setattr(look, name, choice)
+        wait_for(lambda: not look.busy)
+
+    return set_and_wait
+
+
+def column_of_edge(layer, row=10):
+    """Where the tissue ends to the right, in labels that have moved."""
+    return int(np.flatnonzero(layer.data[row]).max())
+
+
+# Finding a result
+
+
+def test_the_newest_result_is_looked_at_and_the_image_it_came_from(look):
+    viewer = viewer_of(look)
+    assert look.result is viewer.layers["MR arrows, paper"]
+    assert look.image is viewer.layers["MR"]
+    assert look.percent == 100
+    assert "100 %: tissue moved up to 3 px" in look._form.result.how_far.value
+
+
+def test_without_a_result_it_says_how_to_get_one_and_looks_at_it_when_it_comes(
+    widget, small_sample, run, wait_for
+):
+    small_sample(viewer_of(widget))
+    look = widget
+    assert look.result is None
+    assert not look._form.result.slider.enabled
+    look.play()
+    assert look.status.startswith("There is no result to look at yet: drag tissue, or press Deform")
+    look.percent = 30
+    look.overlay = "jacobian"
+    assert not look.playing
+    run(widget)
+    wait_for(lambda: not look.busy)
+    assert look.result is viewer_of(widget).layers["MR arrows, paper"]
+    assert look._form.result.slider.enabled
+    assert look.status.startswith("Tissue moved up to 3")
+    assert look.overlay == "jacobian", "what was asked for before there was a result is kept"
+    assert "MR Jacobian (area ratio), paper" in names(viewer_of(widget))
+
+
+def test_a_renamed_image_is_the_one_that_moves(look, set_to):
+    viewer = viewer_of(look)
+    viewer.layers["MR"].name = "T1"
+    viewer.add_image(np.zeros((7, 7)), name="small")
+    set_to(look, percent=0)
+    np.testing.assert_array_equal(
+        viewer.layers["MR deformed, paper"].data, viewer.layers["T1"].data
+    )
+
+
+# The slider
+
+
+def test_half_of_the_deformation_is_the_image_moved_by_half_the_displacement(look, set_to):
+    viewer = viewer_of(look)
+    solution = known_of(look.result)["solution"]
+    image, moved = viewer.layers["MR"], viewer.layers["MR deformed, paper"]
+    whole, layers = moved.data.copy(), names(viewer)
+    set_to(look, percent=50)
+    expected = warp(image.data, solution.displacement / 2, spacing=1, tissue=solution.tissue)
+    np.testing.assert_array_equal(moved.data, expected)
+    assert known_of(moved)["percent"] == 50
+    assert "50 %: tissue moved up to 1.5 px" in look._form.result.how_far.value
+    set_to(look, percent=0)
+    np.testing.assert_array_equal(moved.data, image.data)
+    set_to(look, percent=100)
+    np.testing.assert_array_equal(moved.data, whole)
+    assert names(viewer) == layers
+
+
+def end_of(grid):
+    """The column in which a grid ends to the right."""
+    return grid.data.sum(axis=1)[:, 1].max()
+
+
+def test_labels_and_grid_move_along(look, set_to):
+    viewer = viewer_of(look)
+    set_to(look, overlay="labels")
+    labels = viewer.layers["Tissue deformed, paper"]
+    assert column_of_edge(labels) == 24 - 1  # pushed 3 px, to where the image ends
+    set_to(look, percent=0)
+    assert column_of_edge(labels) == 21
+    set_to(look, overlay="grid")
+    assert labels not in viewer.layers, "one thing at a time"
+    grid = viewer.layers["MR grid, paper"]
+    assert end_of(grid) == 21, "as much of it as of the image"
+    set_to(look, percent=100)
+    assert end_of(grid) == pytest.approx(21 + 3, abs=0.1)
+    set_to(look, overlay="nothing", percent=0)
+    assert grid not in viewer.layers
+    set_to(look, overlay="grid")
+    set_to(look, percent=100)
+    assert end_of(viewer.layers["MR grid, paper"]) == pytest.approx(21 + 3, abs=0.1)
+
+
+def test_playing_goes_back_and_forth_until_it_is_stopped(look, wait_for, monkeypatch):
+    # A clock that goes on by a tenth of the way whenever it is looked at, however slow the machine.
+    clock = SimpleNamespace(monotonic=partial(next, count(0.0, 0.1)))
+    monkeypatch.setattr("napari_hmrf.ui.result.moving_layers.time", clock)
+    monkeypatch.setattr("napari_hmrf.ui.result.moving_layers.SECONDS", 1.0)
+    seen = []
+    look._view.player.moved.connect(seen.append)
+    look._form.result.play.native.click()
+    assert look.playing
+    assert look._form.result.play.text == "Pause"
+    wait_for(lambda: len(seen) > 8 and min(seen) < 30 and max(seen[seen.index(min(seen)) :]) > 60)
+    assert np.abs(np.diff([100, *seen])).max() <= 12, "it turns round at either end"
+    look._form.result.play.native.click()
+    assert not look.playing
+    assert look._form.result.play.text == "Play"
+    wait_for(lambda: not look.busy)
+    assert (
+        known_of(viewer_of(look).layers["MR deformed, paper"])["percent"]
+        == look.percent
+        == seen[-1]
+    )
+
+
+def test_the_slider_in_the_hand_stops_playing(look, wait_for):
+    look.play()
+    wait_for(lambda: look.percent < 100)
+    look.percent = 70
+    wait_for(lambda: not look.busy)
+    assert not look.playing
+    assert look.percent == 70
+
+
+def test_an_image_that_was_not_moved_yet_is_moved_now(look, set_to):
+    viewer = viewer_of(look)
+    whole = viewer.layers["MR deformed, paper"].data.copy()
+    viewer.layers.remove("MR deformed, paper")
+    set_to(look, percent=99)
+    assert "MR deformed, paper" in names(viewer)
+    set_to(look, percent=100)
+    np.testing.assert_array_equal(viewer.layers["MR deformed, paper"].data, whole)
+
+
+def test_a_slow_computation_does_not_hold_up_the_window(look, busy_thread, wait_for):
+    before = viewer_of(look).layers["MR deformed, paper"].data
+    for percent in (10, 20, 30, 40):
+        look.percent = percent  # which would never end if it waited for the thread
+        QApplication.processEvents()
+    assert viewer_of(look).layers["MR deformed, paper"].data is before
+    assert look.busy
+    busy_thread.set()
+    wait_for(lambda: not look.busy)
+    assert known_of(viewer_of(look).layers["MR deformed, paper"])["percent"] == 40
+
+
+def test_a_new_result_is_shown_whole_and_nothing_of_the_old_one_comes_back(
+    look, run, set_to, wait_for
+):
+    set_to(look, percent=50, overlay="magnitude")
+    look.rules = (look.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
+    outputs = run(look)
+    wait_for(lambda: not look.busy and look.percent == 100)
+    moved = viewer_of(look).layers["MR deformed, paper"]
+    np.testing.assert_array_equal(moved.data, outputs.layers["image"].data)
+    assert "up to 1 px" in look._form.result.how_far.value
+    assert viewer_of(look).layers["MR displacement (px), paper"].contrast_limits == [0, 1]
+    set_to(look, percent=99)
+    set_to(look, percent=100)
+    np.testing.assert_array_equal(moved.data, outputs.layers["image"].data)
+
+
+# Before and after
+
+
+def test_before_is_seen_as_long_as_the_button_is_held(look, set_to, qtbot):
+    viewer = viewer_of(look)
+    image, moved, arrows = (
+        viewer.layers[name] for name in ("MR", "MR deformed, paper", "MR arrows, paper")
+    )
+    set_to(look, overlay="labels")
+    labels = viewer.layers["Tissue deformed, paper"]
+    labels.visible = False
+    button = look._form.result.before.native
+    qtbot.mousePress(button, Qt.MouseButton.LeftButton)
+    assert look.before
+    assert image.visible
+    assert not moved.visible
+    assert not arrows.visible
+    qtbot.mouseRelease(button, Qt.MouseButton.LeftButton)
+    assert not look.before
+    assert moved.visible
+    assert arrows.visible
+    assert not labels.visible
+
+
+def test_an_overlay_is_hidden_as_long_as_the_image_is_seen_as_it_was(look, set_to):
+    viewer = viewer_of(look)
+    set_to(look, overlay="grid")
+    layer = viewer.layers["MR grid, paper"]
+    look.before = True
+    assert not layer.visible
+    look.before = False
+    assert (look.overlay, layer.visible) == ("grid", True)
+    set_to(look, overlay="magnitude")
+    layer = viewer.layers["MR displacement (px), paper"]
+    look.before = True
+    set_to(look, overlay="jacobian")
+    assert layer.name == "MR Jacobian (area ratio), paper"
+    assert layer.visible, "what is chosen is to be seen"
+    assert not look.before
+
+
+def test_a_moment_that_is_still_to_be_drawn_is_not_drawn_over_what_came_since(look, set_to):
+    viewer = viewer_of(look)
+    set_to(look, overlay="grid", percent=50)
+    look.percent = 20
+    set_to(look, overlay="labels")
+    labels = viewer.layers["Tissue deformed, paper"]
+    assert known_of(labels)["percent"] == look.percent == 20
+    assert "MR grid, paper" not in names(viewer)
+
+
+def test_an_overlay_that_is_deleted_is_no_longer_chosen(look, run, set_to):
+    viewer = viewer_of(look)
+    set_to(look, overlay="grid")
+    viewer.layers.remove("MR grid, paper")
+    assert look.overlay == "nothing"
+    run(look)
+    set_to(look)
+    assert "MR grid, paper" not in names(viewer)
+
+
+def test_an_overlay_that_is_hidden_by_hand_is_drawn_anew_and_stays_hidden(look, run, set_to):
+    viewer = viewer_of(look)
+    set_to(look, overlay="magnitude")
+    layer = viewer.layers["MR displacement (px), paper"]
+    layer.visible = False
+    look.rules = (look.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
+    run(look)
+    set_to(look)
+    assert (look.overlay, layer.visible) == ("magnitude", False)
+    assert np.nanmax(layer.data) == pytest.approx(1, abs=0.01), "whoever opens its eye sees no lie"
+    set_to(look, overlay="jacobian")
+    assert layer.visible, "what is chosen is seen"
+
+
+def test_before_is_on_a_key_as_well(look):
+    viewer = viewer_of(look)
+    (action,) = [held for key, held in viewer.keymap.items() if str(key) == "Shift+B"]
+    holding = action(viewer)
+    next(holding)
+    assert look.before
+    next(holding, None)
+    assert not look.before
+
+
+# Arrows and colours
+
+
+def test_arrows_are_as_long_as_their_layer_s_own_control_says(look, run, wait_for):
+    arrows = look.result
+    arrows.length = 4
+    look.rules = (look.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
+    run(look)
+    wait_for(lambda: not look.busy)
+    assert look.result is arrows
+    assert arrows.length == 4, "those of the next result, too"
+
+
+def test_colours_show_how_far_how_the_area_changes_and_the_strain(look, set_to):
+    viewer = viewer_of(look)
+    solution = known_of(look.result)["solution"]
+    set_to(look, overlay="magnitude")
+    layer = viewer.layers["MR displacement (px), paper"]
+    assert layer.data.dtype == np.float32
+    np.testing.assert_allclose(layer.data, lengths_of(solution, 1.0))
+    assert layer.contrast_limits == [0, 3]
+    set_to(look, overlay="jacobian")
+    assert layer.name == "MR Jacobian (area ratio), paper"
+    inside = layer.data[10, 5:19]
+    assert ((inside > 1.02) & (inside < 1.4)).all(), "the block is pulled apart"
+    low, high = layer.contrast_limits
+    assert low + high == pytest.approx(2), "no change is in the middle"
+    set_to(look, overlay="columns")
+    assert layer.name == "MR in-plane strain from column to column (%), paper"
+    np.testing.assert_allclose(layer.data[10, 5:19], 50 * (inside**2 - 1), atol=2)
+    layer.name = "mine"
+    set_to(look, overlay="equivalent")
+    assert layer.name == "mine"
+    assert layer.contrast_limits[0] == 0
+    set_to(look, overlay="nothing")
+    assert layer in viewer.layers, "what somebody has named is theirs"
+    assert not layer.visible
+    with pytest.raises(ValueError, match=r"'heat' is not a valid choice.*'nothing', 'magnitude'"):
+        look.overlay = "heat"
+
+
+@pytest.mark.parametrize("overlay", ["jacobian", "labels"])
+def test_paint_tints_no_colours_of_a_result_whenever_it_comes(look, run, set_to, overlay):
+    viewer = viewer_of(look)
+    for paint in ("Tissue", "Boundary"):
+        viewer.layers[paint].visible = True
+    set_to(look, overlay=overlay)
+    for paint in ("Tissue", "Boundary"):
+        assert not viewer.layers[paint].visible, "where colours are clear the image is seen"
+    (name,) = {"MR Jacobian (area ratio), paper", "Tissue deformed, paper"} & set(names(viewer))
+    assert names(viewer)[-2:] == [name, "MR arrows, paper"], "arrows are seen on colours, too"
+    for layer in (viewer.layers["Tissue"], viewer.layers["Boundary"]):
+        viewer.layers.move(viewer.layers.index(layer), len(viewer.layers))
+    look.rules = (look.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
+    run(look)
+    set_to(look)
+    assert names(viewer)[-1] == name
+
+
+def test_one_thing_at_a_time_lies_over_the_image(look, set_to):
+    viewer = viewer_of(look)
+    before = names(viewer)
+    for name, shown in (
+        ("grid", "MR grid, paper"),
+        ("stiffness", "MR stiffness (kPa), paper"),
+        ("jacobian", "MR Jacobian (area ratio), paper"),
+        ("labels", "Tissue deformed, paper"),
+        ("observed", "MR motion given where tissue was, paper"),
+        ("confidence", "MR confidence (0 to 1), paper"),
+    ):
+        set_to(look, overlay=name)
+        assert set(names(viewer)) - set(before) == {shown}
+        assert viewer.layers[shown].visible
+        assert look.overlay == name
+    limits = viewer.layers["MR confidence (0 to 1), paper"].contrast_limits
+    assert limits == [0, 1], "its own scale, not that of what was seen before"
+    set_to(look, overlay="nothing")
+    assert names(viewer) == before
+
+
+def test_what_a_result_does_not_have_is_not_seen_and_said(look, set_to):
+    viewer = viewer_of(look)
+    before = names(viewer)
+    set_to(look, overlay="jacobian")
+    set_to(look, overlay="folds")
+    assert look.status == "The tissue folds nowhere."
+    assert names(viewer) == before
+
+
+def test_arrows_end_where_the_tissue_is_seen(look, set_to):
+    arrows = look.result
+    stored = arrows.data.copy()
+    set_to(look, percent=28)
+    assert arrows.length == pytest.approx(0.28)
+    arrows.length = 0.56  # by napari's control, as it is seen
+    set_to(look, percent=50)
+    assert arrows.length == pytest.approx(1)
+    set_to(look, percent=0)
+    assert arrows.length == 0
+    set_to(look, percent=100)
+    assert arrows.length == pytest.approx(2)
+    np.testing.assert_array_equal(arrows.data, stored)
+    set_to(look, percent=50)
+    look._view.rest()
+    assert arrows.length == pytest.approx(2)
+
+
+@pytest.mark.parametrize("largest", [0.00042, 0.0123, 0.43, 0.49, 0.8, 0.97, 8.3, 44, 72, 96, 450])
+def test_numbers_can_be_read_beside_a_scale_to_both_sides(largest):
+    """Napari's bar asks vispy for its numbers, which may leave 0 alone between the ends."""
+    reach = reach_of(np.array([largest]), signed=True, least=1e-6)
+    assert largest <= reach <= 1.5 * largest
+    bar = AxisVisual(pos=np.array([[1, 1], [1, 0]]), domain=(-reach, reach))
+    bar.transforms.dpi = 96.0
+    assert len(bar.ticker._get_tick_frac_labels()[2]) >= 3
+
+
+def test_colours_move_with_the_tissue(look, set_to):
+    set_to(look, overlay="magnitude")
+    layer = viewer_of(look).layers["MR displacement (px), paper"]
+    assert column_of_edge_of_colours(layer) == 23
+    set_to(look, percent=0)
+    assert column_of_edge_of_colours(layer) == 21
+
+
+def column_of_edge_of_colours(layer):
+    return int(np.flatnonzero(np.isfinite(layer.data[10])).max())
+
+
+def test_colours_are_those_of_the_moment_that_is_seen_on_one_scale(look, set_to):
+    set_to(look, overlay="magnitude")
+    layer = viewer_of(look).layers["MR displacement (px), paper"]
+    solution = known_of(look.result)["solution"]
+    for percent in (50, 10, 0, 100):
+        set_to(look, percent=percent)
+        np.testing.assert_allclose(layer.data, lengths_of(solution, percent / 100), rtol=1e-5)
+        assert layer.contrast_limits == [0, 3], "what grows is seen to grow"
+    set_to(look, overlay="columns", percent=50)
+    values = viewer_of(look).layers["MR in-plane strain from column to column (%), paper"].data
+    half = replace(solution, displacement=solution.displacement / 2)
+    assert np.nanmax(values) == np.nanmax(coloured(half, "columns").values)
+
+
+def lengths_of(solution, part):
+    """How far tissue has gone after a part of its way, where it is seen then."""
+    lengths = part * np.linalg.norm(solution.displacement, axis=-1)
+    lengths[~solution.tissue] = np.nan
+    d = part * solution.displacement
+    return warp(lengths, d, spacing=1, tissue=solution.tissue, order=0, fill=np.nan)
+
+
+def test_what_was_given_lies_where_its_tissue_is_seen(look, set_to):
+    for overlay, name in (
+        ("stiffness", "MR stiffness (kPa), paper"),
+        ("confidence", "MR confidence"),
+    ):
+        set_to(look, overlay=overlay, percent=100)
+        (layer,) = (each for each in viewer_of(look).layers if each.name.startswith(name))
+        moved = layer.data
+        set_to(look, percent=0)
+        problem = known_of(look.result)["answer"].problem
+        given = problem.stiffness if overlay == "stiffness" else problem.confidence.max(axis=-1)
+        tissue = problem.stiffness > 0
+        np.testing.assert_array_equal(layer.data[tissue], given[tissue])
+        assert not np.array_equal(moved, layer.data)
+
+
+def test_the_canvas_says_what_colours_and_marks_show_and_in_which_unit(look, set_to):
+    set_to(look, overlay="equivalent")
+    layer = viewer_of(look).layers["MR equivalent in-plane strain (%), paper"]
+    if not hasattr(layer, "name_overlay"):
+        pytest.skip("napari before 0.9 writes no layer's name on the canvas")
+    assert layer.name_overlay.visible
+    assert layer.name_overlay.position == layer.colorbar.position
+    set_to(look, overlay="observed")
+    assert viewer_of(look).layers["MR motion given where tissue was, paper"].name_overlay.visible
+
+
+def test_folds_are_told_and_marked(widget, small_sample, run, set_to):
+    small_sample(viewer_of(widget))
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -40.0)))
+    widget.settings = replace(widget.settings, sweeps=60)
+    outputs = run(widget)
+    set_to(widget, overlay="jacobian")
+    assert f"at {outputs.folds} pixels" in widget.warning
+    assert "(it folds)" in widget.warning
+    layer = viewer_of(widget).layers["MR Jacobian (area ratio), paper"]
+    solution = outputs.solution
+    folded = coloured(solution, "jacobian").values <= 0
+    assert folded.sum() == outputs.folds
+    moved = warp(folded, solution.displacement, spacing=1, tissue=solution.tissue, order=0)
+    np.testing.assert_array_equal(layer.data <= 0, moved)
+    assert layer.contrast_limits == [0, 2], "folds, and nothing else, are at the lower limit"
+    values = coloured(solution, "jacobian").values
+    said = f". Colours end at 0 (values to {np.nanmin(values):.3g})"
+    assert said in widget._form.result.how_far.value
+    set_to(widget, overlay="nothing")
+    assert "Colours end" not in widget._form.result.how_far.value
+    np.testing.assert_allclose(layer.colormap.low_color, (1, 0.933, 0, 1), atol=0.01)
+    assert layer.colormap.map(np.array([1.0]))[0, :3] == pytest.approx((0.5, 0.23, 0.03), abs=0.05)
+
+
+# Under the cursor
+
+
+def test_the_status_bar_tells_what_is_under_the_cursor(look):
+    viewer = viewer_of(look)
+    viewer.layers.selection.active = viewer.layers["MR"]
+    viewer.mouse_over_canvas = True
+    viewer.cursor.position = (10, 5.2)
+    status = viewer.status["coordinates"]
+    assert status.startswith("[10"), "what napari says stays"
+    assert status.count("Jacobian") == 1
+    assert " right)" in status, "words, not the sign of a number"
+    assert "stiffness 20 kPa (gel)" in status
+    viewer.cursor.position = (0, 0)
+    assert "Jacobian" not in str(viewer.status)
+    viewer.layers.selection.clear()
+    viewer.cursor.position = (10, 6)
+    assert "stiffness 20 kPa (gel)" in viewer.status
+
+
+@pytest.mark.parametrize("jacobian", [-0.25, 0.25])
+def test_at_a_fold_it_is_said_of_what_the_jacobian_is(jacobian):
+    probe = Probe((1, 2), (0.0, 3.0), 3.0, jacobian, 5.0)
+    said = at_point("px", probe, Directions())
+    assert f"Jacobian {jacobian:.3f}" in said
+    assert said.endswith("(folds: that of the worst corner)") == (jacobian < 0)
+
+
+def test_rigid_tissue_under_the_cursor_is_a_word():
+    assert stiffness_of("skull", np.inf, "kPa") == "rigid (skull)"
+    assert stiffness_of("", np.inf, "kPa") == "rigid", "of an image of stiffness"
+
+
+def test_lengths_under_the_cursor_are_rounded_to_what_matters():
+    def said(down, right):
+        found = Probe((3, 4), (down, right), float(np.hypot(down, right)), 1.0, 0.0)
+        return at_point("px", found, Directions())
+
+    assert said(6.37e-05, -2.3e-04) == "moves 0 px, Jacobian 1.000"
+    assert said(-3e-5, 1.2345) == "moves 1.23 px (1.23 right), Jacobian 1.000"
+    assert said(-12.345, 0.0067) == "moves 12.3 px (12.3 up, 0.01 right), Jacobian 1.000"
+
+
+def test_a_point_of_the_moved_image_is_asked_where_its_tissue_came_from(look, set_to):
+    # Where the right border of the tissue is seen, it has come from 3 px further left.
+    found = look.at((10, 23.49))
+    assert found.site[1] == 21
+    assert found.displacement[1] == pytest.approx(3, abs=0.05)
+    set_to(look, percent=50)
+    assert look.at((10, 22.5)).site[1] == 21
+    set_to(look, percent=0)
+    assert look.at((10, 22.5)) is None
+    assert look.at((10, 21)).length == pytest.approx(3, abs=0.05)
+    viewer_of(look).layers["MR deformed, paper"].visible = False
+    assert look.at((-5, 3)) is None
+
+
+def test_the_strain_that_is_shown_is_read_as_well(look, set_to):
+    def said():
+        return look._view.cursor.line_at((10, 12))
+
+    set_to(look, overlay="columns")
+    solution = known_of(look.result)["solution"]
+    along = green_lagrange_strain(
+        solution.displacement, spacing=solution.spacing, tissue=solution.tissue
+    )
+    col = look.at((10, 12)).site[1]
+    assert f"in-plane strain from column to column {100 * along[10, col, 1, 1]:.3g} %" in said()
+    assert along[10, col, 1, 1] > 0.05, "it is pulled out"
+    for other in ("magnitude", "labels", "grid", "nothing"):
+        set_to(look, overlay=other)
+        assert "strain" not in said()
+
+
+def test_what_is_read_says_that_it_is_of_the_whole_deformation(look, set_to):
+    def said():
+        return look._view.cursor.line_at((10, 20))
+
+    assert said().startswith("moves")
+    set_to(look, percent=30)
+    assert said().startswith("at 100 %: moves")
+
+
+def test_reading_under_the_cursor_waits_for_nothing(look, busy_thread):
+    look.percent = 50
+    line = look._view.cursor.line_at((10.0, 12.0))
+    assert line.startswith("moves"), "the whole is seen as long as the half is not drawn"
+    assert look.busy
+
+
+# Stacks, files, colours
+
+
+def test_a_slice_of_a_stack_moves_in_its_place(make_stack, set_to):
+    look, outputs = make_stack
+    viewer = viewer_of(look)
+    set_to(look, percent=50, overlay="jacobian")
+    assert "MR Jacobian (area ratio), paper (z = 2)" in names(viewer)
+    moved = viewer.layers["MR deformed, paper (z = 2)"]
+    assert moved.data.shape == (1, 20, 24)
+    solution = outputs.solution
+    expected = warp(
+        viewer.layers["MR"].data[2],
+        solution.displacement / 2,
+        spacing=solution.spacing,
+        tissue=solution.tissue,
+    )
+    np.testing.assert_array_equal(moved.data[0], expected)
+    assert look._form.result.how_far.value.endswith("mm in z = 2")
+    assert look.at((6, 20, 2.5)) is not None
+    assert look.at((3, 20, 2.5)) is None, "that is another slice"
+
+
+def test_a_result_says_of_which_slice_it_is(make_stack, wait_for):
+    look, _ = make_stack
+    viewer = viewer_of(look)
+    wait_for(lambda: not look.busy)
+    line = look._form.result.how_far
+    viewer.dims.set_current_step(0, 1)
+    assert line.value.endswith("mm in z = 2")
+    look.percent = 50
+    assert line.value.startswith("50 %")
+    assert line.value.endswith("mm in z = 2")
+
+
+def test_the_result_of_a_slice_may_go_at_any_time(make_stack, wait_for):
+    look, _ = make_stack
+    viewer = viewer_of(look)
+    wait_for(lambda: not look.busy)
+    viewer.layers.remove("MR arrows, paper (z = 2)")
+    wait_for(lambda: not look.busy)
+    assert look.result is None
+    assert look._form.result.how_far.value == ""
+
+
+@pytest.fixture
+def make_stack(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    place = {"scale": (3.0, 2.0, 0.5), "units": ("mm",) * 3, "axis_labels": ("z", "y", "x")}
+    small_sample(viewer, (4, 20, 24), **place)
+    viewer.dims.set_current_step(0, 2)
+    return widget, run(widget)
+
+
+def test_a_saved_result_can_be_looked_at_with_and_without_an_image(
+    widget, tmp_path, set_to, wait_for
+):
+    y, c = np.zeros((8, 9, 2)), np.zeros((8, 9, 2))
+    c[:, 0] = c[:, -1] = 1
+    y[:, -1] = (0, 2)
+    path = str(
+        solve(
+            Problem(y, c, np.ones((8, 9))), SeilerPrior(), optimizer=ICM(20), backend="cpu"
+        ).write(tmp_path / "kept.npz")
+    )
+    ((data, attributes, _),) = open_solution(path)(path)
+    viewer = viewer_of(widget)
+    viewer.add_vectors(data, **attributes)
+    look = widget
+    wait_for(lambda: not look.busy)
+    look.percent = 50
+    assert look.status.startswith("There is no image on the pixels of this result")
+    set_to(look, overlay="stiffness")
+    assert look.status.startswith("The given stiffness, motion and confidence are not in the file")
+    set_to(look, overlay="magnitude")
+    assert "displacement (px), paper" in names(viewer)
+    set_to(look, percent=40)
+    viewer.add_image(np.arange(72.0).reshape(8, 9), name="late")
+    set_to(look, percent=50)
+    assert known_of(viewer.layers["late deformed, paper"])["percent"] == 50
+
+
+def test_a_photograph_moves_in_colour(widget, small_sample, run, set_to):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    colours = np.random.default_rng(0).integers(0, 255, (20, 24, 3)).astype(np.uint8)
+    widget.image = viewer.add_image(colours, name="photo", rgb=True)
+    widget.tissue, widget.boundary = viewer.layers["Tissue"], viewer.layers["Boundary"]
+    run(widget)
+    set_to(widget, percent=50)
+    assert viewer.layers["photo deformed, paper"].rgb
+    assert viewer.layers["photo deformed, paper"].data.shape == (20, 24, 3)
+
+
+# Pictures
+
+
+def test_a_picture_has_the_scale_that_the_viewer_shows(look):
+    result = look._view.shown.answer
+    for quantity, drawn in (
+        ("jacobian", jacobian_picture),
+        ("equivalent", strain_picture),
+        ("magnitude", magnitude_picture),
+    ):
+        (map_, *_) = drawn(result.solution).axes[0].images
+        seen = coloured(result.solution, quantity).limits
+        assert map_.get_clim() == pytest.approx(seen)
+
+
+def test_pictures_are_saved_without_holding_up_the_window(look, busy_thread, tmp_path, wait_for):
+    got = []
+    look.saved.connect(got.append)
+    look.save_pictures(tmp_path)
+    assert not got
+    busy_thread.set()
+    wait_for(lambda: bool(got))
+    assert sorted(path.stem for path in got[0]) == sorted(
+        ["displacement", "warped", "grid", "magnitude", "jacobian", "strain", "energy"]
+    )
+    assert all(path.stat().st_size > 5000 for path in got[0])
+    assert look.status.startswith(f"Saved in {tmp_path}")
+
+
+def test_a_folder_that_is_missing_is_named(look, tmp_path, wait_for):
+    look.save_pictures(tmp_path / "nowhere")
+    wait_for(lambda: not look.busy)
+    assert "nowhere" in look.status
+
+
+# Layers and windows that go
+
+
+def test_where_there_is_no_result_nothing_is_seen_as_it_was(frame):
+    viewer, look = frame.viewer, quick(frame.open())
+    image = viewer.add_image(np.zeros((8, 9)), visible=False)
+    Touch(viewer).key(Qt.Key.Key_B, SHIFT)
+    look.before = True
+    assert not look.before
+    assert not image.visible
+
+
+def test_a_result_that_is_not_looked_at_is_not_hidden(look):
+    viewer = viewer_of(look)
+    look.result = None
+    seen = [layer.visible for layer in viewer.layers]
+    look.before = True
+    assert [layer.visible for layer in viewer.layers] == seen
+
+
+def test_layers_may_go_at_any_time(look, set_to, wait_for):
+    viewer = viewer_of(look)
+    look.play()
+    wait_for(lambda: look.percent < 98)
+    viewer.layers.remove("MR deformed, paper")
+    QApplication.processEvents()
+    viewer.layers.remove("MR")
+    look.overlay = "jacobian"
+    viewer.layers.remove("MR arrows, paper")
+    wait_for(lambda: not look.busy)
+    assert look.result is None
+    assert not look.playing
+    assert look.at((10, 10)) is None
+
+
+def test_whoever_deletes_the_arrows_is_told_that_the_result_was_in_them(look, run, wait_for):
+    viewer_of(look).layers.remove("MR arrows, paper")
+    wait_for(lambda: not look.busy)
+    told = look.status
+    assert "The result was in the layer 'MR arrows, paper', which was deleted" in told
+    assert "Press Deform" in told
+    assert "eye" in told
+    run(look)
+    wait_for(lambda: not look.busy)
+    assert look.status.startswith("Tissue moved up to")
+    assert look.result is viewer_of(look).layers["MR arrows, paper"]
+
+
+@pytest.fixture
+def framed(frame, small_sample, run, wait_for):
+    """A dock that can be closed, with a result."""
+    look = quick(frame.open())
+    small_sample(frame.viewer)
+    run(look)
+    wait_for(lambda: not look.busy)
+    return frame.viewer, look
+
+
+def test_closing_the_dock_leaves_the_whole_deformation_behind(framed, frame, set_to, at_rest):
+    viewer, look = framed
+    moved = viewer.layers["MR deformed, paper"]
+    whole = moved.data.copy()
+    set_to(look, percent=20)
+    assert not np.array_equal(moved.data, whole)
+    look.play()
+    frame.close(look)
+    at_rest()
+    np.testing.assert_array_equal(moved.data, whole)
+    assert known_of(moved)["percent"] == 100
+    viewer.layers.clear()
+    at_rest()
+
+
+def test_a_dock_that_was_closed_says_nothing_and_can_be_opened_again(
+    framed, frame, wait_for, at_rest
+):
+    viewer, closed = framed
+    frame.close(closed)
+    at_rest()
+    assert "Shift+B" not in [str(key) for key in viewer.keymap]
+    viewer.status = "Ready"
+    viewer.mouse_over_canvas = True
+    viewer.cursor.position = (10, 12)
+    assert "Jacobian" not in str(viewer.status)
+    again = quick(frame.open())
+    wait_for(lambda: not again.busy)
+    assert again.result is viewer.layers["MR arrows, paper"]
+    assert "Shift+B" in [str(key) for key in viewer.keymap]
+    viewer.status = "Ready"
+    viewer.status = "looked again"
+    assert "Jacobian" in viewer.status
+
+
+def test_what_others_drew_since_is_not_put_back(look, set_to):
+    moved = viewer_of(look).layers["MR deformed, paper"]
+    set_to(look, percent=20)
+    newer = np.zeros_like(moved.data)
+    moved.data = newer
+    look._view._put_back()
+    assert moved.data is newer
+
+
+def test_nothing_stays_of_the_circle_around_the_cursor(
+    unstyled, without_controls, make_napari_viewer, qtbot, at_rest
+):
+    viewer = make_napari_viewer(show=True)
+    viewer.add_image(np.ones((40, 60)), contrast_limits=(0, 1))
+    dock_in(viewer)
+    at_rest()
+    arrows = viewer.add_vectors(np.array([[[2.0, 2.0], [0.0, 1.0]]]))
+    viewer.mouse_over_canvas = True
+    arrows.cursor_size, arrows.cursor = 2, "circle"  # as something to be taken hold of
+    person = Person(viewer, qtbot)
+    person.move(20, 30, Qt.MouseButton.NoButton)
+    at_rest()
+
+    def white_at_the_cursor():
+        place, picture = person.where(20, 30), viewer.screenshot(flash=False)
+        rows, cols = (slice(at - 15, at + 15) for at in (place.y(), place.x()))
+        return (picture[rows, cols] == 255).all()
+
+    assert not white_at_the_cursor(), "the circle is there"
+    arrows.cursor = "standard"
+    assert white_at_the_cursor(), "napari's own square stayed there"
+
+
+def test_the_user_picks_where_and_a_new_folder_is_made(look, tmp_path, wait_for, monkeypatch):
+    monkeypatch.setattr("qtpy.QtWidgets.QFileDialog.getExistingDirectory", lambda *_: str(tmp_path))
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda *_, **__: None)
+    got = []
+    look.saved.connect(got.append)
+    for _ in range(2):
+        got.clear()
+        look._form.result.save.native.click()
+        wait_for(lambda: bool(got))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["MR pictures", "MR pictures 2"]
+
+
+def test_closing_the_window_while_playing_is_quiet(docked, small_sample, run, wait_for, at_rest):
+    viewer = viewer_of(docked)
+    small_sample(viewer)
+    run(docked)
+    wait_for(lambda: not docked.busy)
+    docked.play()
+    viewer.close()
+    at_rest()
+
+
+def test_what_is_added_says_what_it_is(look, set_to):
+    viewer = viewer_of(look)
+    for name, kind in (("grid", Vectors), ("labels", Labels), ("stretch", Image)):
+        set_to(look, overlay=name)
+        (layer,) = (each for each in viewer.layers if known_of(each).get("kind") == name)
+        assert type(layer) is kind
+    facts = viewer.layers["MR largest in-plane stretch (%), paper"].metadata[METADATA]
+    assert facts["source"] == "MR"
+    assert "percent" not in facts, "all of the deformation"
+    set_to(look, percent=30)
+    facts = viewer.layers["MR largest in-plane stretch (%), paper"].metadata[METADATA]
+    assert facts["percent"] == 30
+
+
+def test_what_was_deformed_is_not_offered_as_stiffness(deformed):
+    offered = deformed._form.tissue.choice.offered
+    image = viewer_of(deformed).layers["MR deformed, paper"]
+    assert image not in offered
+    assert viewer_of(deformed).layers["MR"] in offered
+
+
+def test_a_slice_without_a_name_is_called_one_once():
+    frame = SimpleNamespace(slice_seen="slice 7")
+    result = SimpleNamespace(unit="mm", frame=frame, solution=SimpleNamespace(spacing=(1.0, 1.0)))
+    assert how_far(result, 3.0, 100) == "100 %: tissue moved up to 3 mm in slice 7"
+    frame.slice_seen = ""
+    assert how_far(result, 3.4e-7, 100) == "100 %: tissue moved up to 0 mm"

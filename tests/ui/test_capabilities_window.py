@@ -1,0 +1,513 @@
+"""What people can do in the window, by the words they read there: no test looks behind them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from qtpy.QtCore import Qt
+from qtpy.QtTest import QTest
+from qtpy.QtWidgets import QFileDialog, QTableView
+
+from napari_hmrf.contributions import open_solution, phantom_layers, write_solution
+from napari_hmrf.field.warp import warp
+from napari_hmrf.io.material_tables import read_preset
+from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.samples.phantoms import PHANTOM_NAMES, sample
+from napari_hmrf.study.ground import Ground
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.drawing import Arrow, Drawing, Stroke
+from napari_hmrf.tissue.material_presets import PRESETS
+from napari_hmrf.ui.messages import MODELS
+from napari_hmrf.ui.soft_tissue import SoftTissue
+from napari_hmrf.ui.tissue_tables import BoundaryTable
+from tests.conftest import dock_in, quick
+from tests.support.person import Person
+from tests.support.screen import Screen, head
+from tests.support.timeouts import LONG_MS
+
+GEL = "gel"
+
+
+@pytest.fixture
+def viewer():
+    from napari.components import ViewerModel
+
+    return ViewerModel()
+
+
+@pytest.fixture
+def deform(viewer, qtbot):
+    """The dock, told when to deform, and what is seen of it."""
+    dock = SoftTissue(viewer)
+    qtbot.addWidget(dock.native)
+    dock.settings = replace(dock.settings, device="cpu")
+    dock.live = False
+    return dock, Screen(dock)
+
+
+@pytest.fixture
+def grab(viewer, qtbot, wait_for):
+    """The dock with *Pull* in the hand, beside a chequered image; `pulled` draws and waits."""
+    rows, cols = np.indices((48, 56))
+    viewer.add_image((120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8), name="MR")
+    dock = SoftTissue(viewer)
+    qtbot.addWidget(dock.native)
+    screen = Screen(dock)
+    screen.press("Pull")
+    assert dock.active
+    wait_for(lambda: not dock.busy)
+    return dock, screen
+
+
+@pytest.fixture
+def pulled(wait_for):
+    """Draw marks, and wait for the tissue: where it goes."""
+
+    def draw(dock, *marks):
+        seen = []
+        dock.seen.connect(seen.append)
+        if marks:
+            dock.drawing = Drawing(marks)
+        wait_for(lambda: bool(seen) and not dock.busy)
+        dock.seen.disconnect(seen.append)
+        return seen[-1].solution.displacement
+
+    return draw
+
+
+@pytest.fixture
+def look(deform, viewer, small_sample, run, wait_for):
+    """The result of a block of gel that is pushed 3 px to the right."""
+    small_sample(viewer)
+    dock, screen = deform
+    run(dock)
+    wait_for(lambda: not dock.busy)
+    return dock, screen
+
+
+def layer(viewer, beginning):
+    (found,) = (each for each in viewer.layers if each.name.startswith(beginning))
+    return found
+
+
+# The dock
+
+
+def test_one_dock_has_the_tissue_its_motion_and_what_comes_of_it(
+    unstyled, without_controls, make_napari_viewer, qtbot
+):
+    viewer = make_napari_viewer(show=True)
+    _, dock = viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
+    qtbot.waitUntil(dock.native.isVisible, timeout=LONG_MS)
+    screen = Screen(dock)
+    for words in (
+        "1  Tissue",
+        "Tissue from brightness",
+        "2  Motion",
+        "Pull",
+        "3  Result",
+        "Play",
+        "Deform",
+    ):
+        assert screen.button(words).isVisible(), words
+    _, again = viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
+    assert again is dock
+
+
+# Tissue
+
+
+def test_layers_to_paint_on_are_made_and_painted_by_a_click_on_a_row(deform, viewer):
+    dock, screen = deform
+    image = viewer.add_image(np.zeros((30, 40)), name="T1", scale=(0.5, 2.0))
+    screen.press("Layers to paint on")
+    tissue, boundary = viewer.layers["Tissue"], viewer.layers["Boundary"]
+    for made in (tissue, boundary):
+        assert made.data.shape == image.data.shape
+        np.testing.assert_array_equal(made.scale, image.scale)
+    for row, painted in (("holds", boundary), ("tumour", tissue), ("grows", boundary)):
+        screen.click_row(row)
+        assert viewer.layers.selection.active is painted
+        assert painted.mode == "paint"
+        rows = (*dock.materials, *dock.rules)
+        assert painted.selected_label == next(each.label for each in rows if each.name == row)
+    screen.press("Add tissue")
+    assert viewer.layers.selection.active is tissue
+    assert tissue.selected_label == dock.materials[-1].label
+
+
+def test_a_number_typed_in_a_table_is_taken_over_and_nonsense_is_put_back(
+    deform, viewer, small_sample, wait_for
+):
+    dock, screen = deform
+    small_sample(viewer)
+    screen.cell(GEL, "Stiffness").write("12,5")
+    assert dock.materials[1].stiffness == 12.5
+    for nonsense in ("stiff", "-3", "nan", "1e39", ""):
+        screen.cell(GEL, "Stiffness").write(nonsense)
+        assert screen.cell(GEL, "Stiffness").text() == "12.5"
+        assert "kept 12.5" in screen.words
+    screen.cell(GEL, "Stiffness").write("rigid")
+    assert dock.materials[1].is_rigid
+    screen.choose(MODELS["paper"])
+    refused = f"has rigid tissue ('{GEL}'), which the paper's model cannot have"
+    wait_for(lambda: refused in screen.words)
+    screen.choose(MODELS["elastic"])
+    wait_for(lambda: refused not in screen.words)
+
+
+def test_stiffness_has_a_unit_only_where_one_is_known(deform, viewer):
+    dock, screen = deform
+    viewer.add_image(np.full((30, 40), 200, np.uint8), name="MR")
+    screen.press("Layers to paint on")
+    table = dock.native.findChildren(QTableView)[0]
+    assert head(table, 2) == "Relative\nstiffness", "the paper's 20, 10 and 40 are ratios"
+    dock.take_materials(next(each for each in PRESETS if each.unit == "kPa"))
+    assert head(table, 2) == "Stiffness (kPa)"
+    dock.undo()
+    assert head(table, 2) == "Relative\nstiffness"
+    for name in PHANTOM_NAMES:
+        _, (_, tissue, _), _ = phantom_layers(sample(name))
+        assert "unit" not in tissue["metadata"][METADATA]
+
+
+def test_what_is_dark_around_the_image_is_no_tissue_unless_it_is_unticked(deform, viewer, run):
+    dock, screen = deform
+    picture = np.zeros((30, 40), np.uint8)
+    picture[8:22, 10:30] = 200
+    viewer.add_image(picture, name="CT")
+    dock.drawing = Drawing((Arrow((15, 20), (0, 2), 3.0),))
+    np.testing.assert_array_equal(run(dock).solution.tissue, picture > 0)
+    screen.press("Layers to paint on")
+    viewer.layers["Tissue"].data[2:4, 2:4] = dock.materials[1].label
+    counted = run(dock).solution.tissue
+    assert counted[2:4, 2:4].all(), "what is painted is tissue, dark as it may be"
+    assert counted[8:22, 10:30].all()
+    assert not counted[5, 15]
+    screen.tick("the dark border is no tissue", False)
+    assert run(dock).solution.tissue.all()
+
+
+def test_tissue_comes_from_brightness_by_one_button(deform, viewer, wait_for):
+    dock, screen = deform
+    rows, cols = np.indices((24, 30))
+    inside = np.hypot((rows - 12) / 10, (cols - 15) / 12) < 1
+    viewer.add_image(np.where(inside, 60 + 5 * cols, 2).astype(np.uint8), name="MR")
+    screen.press("Tissue from brightness")
+    stiffness = layer(viewer, "MR stiffness")
+    assert dock.tissue == "brightness"
+    np.testing.assert_array_equal(stiffness.data > 0, inside)
+    assert (np.diff(stiffness.data[12, 5:25]) >= 0).all(), "the brighter, the stiffer"
+    screen.choose("smooth, linear")
+    assert (dock.curve.between, dock.curve.logarithmic) == ("smooth", False)
+    expected = dock.curve(viewer.layers["MR"].data)
+    wait_for(lambda: np.array_equal(stiffness.data, expected))
+    np.testing.assert_array_equal(Ground.of(dock.study).stiffness, expected)
+
+
+def test_materials_are_taken_from_layers_and_files_and_saved(
+    deform, viewer, small_sample, monkeypatch, tmp_path
+):
+    dock, screen = deform
+    small_sample(viewer)
+    tissue, before = dock.tissue, dock.materials
+    path = str(tmp_path / "table.json")
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (path, ""))
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (path, ""))
+    screen.entry("Materials", "Save to file").trigger()
+    assert read_preset(path).materials == before
+    viewer.add_labels(np.ones((20, 24), int), name="other")
+    dock.tissue = viewer.layers["other"]
+    dock.materials = (Material(1, "jelly", 7.0),)
+    dock.tissue = tissue
+    screen.entry("Materials", "Take from layer", "other").trigger()
+    assert dock.materials[1] == Material(1, "jelly", 7.0)
+    screen.entry("Materials", "Load from file").trigger()
+    assert dock.materials == before
+    screen.entry("Materials", "Liver 5.4").trigger()
+    assert dock.materials[1] == Material(1, "liver", 5.4, 0.49)
+
+
+def test_a_result_brings_the_materials_it_was_made_with(
+    deform, viewer, small_sample, run, tmp_path
+):
+    dock, _ = deform
+    small_sample(viewer)
+    arrows = run(dock).layers["arrows"]
+    (path,) = write_solution(str(tmp_path / "gel.npz"), arrows.data, arrows.attributes)
+    viewer.layers.clear()
+    small_sample(viewer)
+    dock.materials = (Material(0, "x", 1.0), Material(1, "y", 2.0))
+    (again,) = open_solution(path)(path)
+    dock.take_materials(viewer.add_vectors(again[0], **again[1]))
+    assert dock.materials[1] == Material(1, GEL, 20.0)
+
+
+# What is known of the motion
+
+
+def test_tissue_follows_the_table_of_what_moves_at_once(deform, viewer, small_sample, wait_for):
+    dock, screen = deform
+    small_sample(viewer)
+    screen.tick("Live")
+    wait_for(lambda: dock.solution is not None and not dock.busy)
+    pushed = viewer.layers["Boundary"].data == 2
+    assert np.abs(dock.solution.displacement[pushed] - (0, 3)).max() < 1e-3
+    screen.cell("2", "down").write("2")
+    screen.cell("2", "right").write("0")
+    wait_for(lambda: not dock.busy)
+    assert np.abs(dock.solution.displacement[pushed] - (2, 0)).max() < 1e-3
+
+
+@pytest.fixture
+def points(deform, viewer, small_sample):
+    """Two landmarks on the sample, as layers: where they are, and where they should be."""
+    small_sample(viewer)
+    where = viewer.add_points([[8.0, 8.0], [14.0, 14.0]], name="is", size=1)
+    should = viewer.add_points([[10.0, 8.0], [14.0, 15.0]], name="ought", size=1)
+    return where, should
+
+
+def test_pairs_of_points_are_taken_as_landmarks_and_a_missing_partner_is_said(
+    deform, points, viewer, wait_for
+):
+    where, should = points
+    dock, screen = deform
+    screen.tick("Live")
+    screen.choose("is")
+    screen.press("Take as landmarks")
+    wait_for(lambda: dock.solution is not None and not dock.busy)
+    assert dock.solution.displacement[8, 8] == pytest.approx((2, 0), abs=0.02)
+    where.add([5.0, 5.0])
+    screen.press("Take as landmarks")
+    assert "'ought' has 2 points, but 'is' has 3" in dock.status
+    assert dock.status in screen.words
+    should.add([6.0, 6.0])
+    screen.press("Take as landmarks")
+    wait_for(lambda: not dock.busy)
+    assert dock.solution.displacement[5, 5] == pytest.approx((1, 1), abs=0.02)
+    assert "but 'is' has 3" not in screen.words
+    screen.press("Undo")
+    wait_for(lambda: not dock.busy)
+    assert len(dock.drawing.marks) == 2
+
+
+# The result
+
+
+def test_a_large_image_is_not_followed_unasked(viewer, qtbot, wait_for):
+    dock = SoftTissue(viewer)
+    qtbot.addWidget(dock.native)
+    viewer.add_image(np.zeros((1200, 1200), np.uint8), name="MR")
+    wait_for(lambda: not dock.busy)
+    assert dock.live
+    viewer.layers.clear()
+    viewer.add_image(np.zeros((1201, 1200), np.uint8), name="MR")
+    wait_for(lambda: not dock.live)
+
+
+# Pulling
+
+
+def test_a_click_holds_tissue_and_while_space_is_held_the_view_moves(
+    without_controls, pulling, settle
+):
+    person, widget = pulling
+    seen = person.where(0, 0)
+    person.drag((30, 30), (30, 30))
+    assert person.where(0, 0) == seen
+    QTest.keyPress(person.canvas, Qt.Key.Key_Space)
+    person.drag((50, 50), (54, 54))
+    QTest.keyRelease(person.canvas, Qt.Key.Key_Space)
+    assert person.where(0, 0) != seen
+    settle(widget)
+    (mark,) = widget.drawing.marks
+    assert mark.at == pytest.approx((30, 30), abs=1)
+    assert mark.by == pytest.approx((0, 0), abs=1e-9)
+
+
+def test_the_edge_of_the_tissue_is_held_unless_it_is_unticked(grab, pulled, wait_for):
+    dock, screen = grab
+    pull, hold = Arrow((24, 28), (0, 4), 4.0), Arrow((10, 10), (0, 0), 2.0)
+    moved = pulled(dock, pull, hold)
+    assert np.abs(moved[24, -1]).max() < 1e-6
+    screen.tick("hold the edge of the tissue", False)
+    assert pulled(dock)[24, -1, 1] > 1
+
+
+def test_a_painted_boundary_lies_under_what_is_pulled(grab, pulled, viewer, wait_for):
+    dock, _ = grab
+    walls = np.zeros((48, 56), np.uint8)
+    walls[:, 38:41] = 1
+    walls[24:30, 8:12] = 1
+    dock.boundary = viewer.add_labels(walls, name="Walls")
+    wait_for(lambda: not dock.busy)
+    moved = pulled(dock, Arrow((24, 28), (0, 4), 4.0), Arrow((27, 10), (2, 0), 4.0))
+    assert np.abs(moved[walls > 0][:, 1]).max() < 1e-4
+    assert moved[27, 10] == pytest.approx((2, 0), abs=1e-3), "what is drawn comes on top"
+    assert np.abs(moved[4:-4, 36]).max() > 0.05
+
+
+def test_all_that_is_drawn_is_removed_by_one_press_and_comes_back_by_undo(grab, pulled):
+    dock, screen = grab
+    pulled(dock, Arrow((24, 28), (0, 4), 4.0), Stroke("pin", (((10, 10), (10, 20)),), 2.0))
+    drawing = dock.drawing
+    screen.press("Remove all")
+    assert not dock.drawing.marks
+    assert not screen.button("Remove all").isEnabled()
+    screen.press("Undo")
+    assert dock.drawing == drawing
+
+
+def test_points_of_two_layers_lead_tissue_beside_what_is_pulled(grab, pulled, viewer):
+    dock, _ = grab
+    pulled(dock, Arrow((8, 44), (0, 2), 2.0))
+    viewer.add_points([[20, 20], [30, 34]], name="is")
+    viewer.add_points([[23, 20], [30, 36]], name="ought")
+    dock.take_landmarks(viewer.layers["is"], viewer.layers["ought"])
+    moved = pulled(dock)
+    assert moved[20, 20] == pytest.approx((3, 0), abs=0.02)
+    assert moved[30, 34] == pytest.approx((0, 2), abs=0.02)
+    assert moved[8, 44] == pytest.approx((0, 2), abs=0.02)
+
+
+def test_a_pulled_result_is_saved_with_its_drawing(grab, pulled, viewer, wait_for, tmp_path):
+    dock, _ = grab
+    moved = pulled(dock, Arrow((24, 28), (0, 4), 4.0))
+    wait_for(lambda: any(each.name.startswith("MR arrows, elastic") for each in viewer.layers))
+    arrows = layer(viewer, "MR arrows, elastic")
+    attributes = {"name": arrows.name, "metadata": arrows.metadata}
+    (path,) = write_solution(str(tmp_path / "pulled.npz"), arrows.data, attributes)
+    (again,) = open_solution(path)(path)
+    solution = again[1]["metadata"]["napari-hmrf"]["solution"]
+    np.testing.assert_array_equal(solution.displacement, moved)
+    assert Drawing.from_dict(solution.frame["drawing"]) == dock.drawing
+
+
+def test_edits_of_tables_and_drawings_are_taken_back_in_one_order(
+    deform, viewer, small_sample, wait_for
+):
+    dock, screen = deform
+    small_sample(viewer)
+    screen.cell(GEL, "Stiffness").write("33")
+    dock.drawing = Drawing((Arrow((10, 12), (1, 0), 3.0),))
+    screen.cell(GEL, "Stiffness").write("44")
+    wait_for(lambda: "changed label 1" in screen.button("Undo").toolTip())
+    screen.press("Undo")
+    assert (dock.materials[1].stiffness, len(dock.drawing.marks)) == (33, 1)
+    assert "Took back: changed label 1" in screen.words
+    screen.press("Undo")
+    assert (dock.materials[1].stiffness, len(dock.drawing.marks)) == (33, 0)
+    screen.press("Undo")
+    assert dock.materials[1].stiffness == 20
+    assert "changed label 1" in screen.button("Redo").toolTip()
+    screen.press("Redo")
+    screen.press("Redo")
+    assert (dock.materials[1].stiffness, len(dock.drawing.marks)) == (33, 1)
+
+
+# Looking
+
+
+def test_a_slider_shows_a_part_of_the_deformation(look, viewer, wait_for):
+    dock, screen = look
+    solution = layer(viewer, "MR arrows").metadata["napari-hmrf"]["solution"]
+    assert "100 %: tissue moved up to 3 px" in screen.words
+    screen.slider.setValue(50)
+    wait_for(lambda: not dock.busy)
+    assert dock.percent == 50
+    half = warp(
+        viewer.layers["MR"].data, solution.displacement / 2, spacing=1, tissue=solution.tissue
+    )
+    shown = layer(viewer, "MR deformed").data
+    assert np.abs(shown[4:16, 4:20].astype(int) - half[4:16, 4:20]).max() <= 1
+    assert "50 %: tissue moved up to 1.5 px" in screen.words
+
+
+def test_the_deformation_is_played_until_it_is_stopped(look, viewer, wait_for):
+    dock, screen = look
+    moved = layer(viewer, "MR deformed")
+    whole = moved.data.copy()
+    screen.press("Play")
+    assert dock.playing
+    wait_for(lambda: dock.percent < 60)
+    screen.press("Pause")
+    assert not dock.playing
+    wait_for(lambda: not dock.busy)
+    assert dock.percent < 100
+    assert not np.array_equal(moved.data, whole)
+    assert f"{dock.percent} %: tissue moved" in screen.words
+
+
+def test_before_is_seen_while_a_button_is_held(look, viewer):
+    _, screen = look
+    image, moved, arrows = viewer.layers["MR"], layer(viewer, "MR deformed"), layer(viewer, "MR a")
+    screen.hold("Hold: before")
+    assert (image.visible, moved.visible, arrows.visible) == (True, False, False)
+    screen.let_go("Hold: before")
+    assert moved.visible
+    assert arrows.visible
+
+
+def test_what_was_given_is_seen_as_layers(look, viewer, wait_for):
+    dock, screen = look
+    given = {}
+    for words, kind in (
+        ("given: stiffness", "stiffness (kPa)"),
+        ("given: motion", "motion given where tissue was"),
+        ("given: confidence", "confidence (0 to 1)"),
+    ):
+        screen.choose(words)
+        wait_for(lambda: not dock.busy)
+        found = layer(viewer, f"MR {kind}")
+        given[found.name.split(" ")[1]] = found.data
+    stiffness, confidence = given["stiffness"], given["confidence"]
+    assert set(np.unique(stiffness[np.isfinite(stiffness)])) == {0, 20}, "air and gel"
+    assert set(np.unique(confidence[np.isfinite(confidence)])) == {0, 1}
+    assert given["motion"][:, 1].max() == 3
+    screen.choose("nothing")
+    wait_for(lambda: not any("MR confidence" in layer.name for layer in viewer.layers))
+
+
+def test_the_first_image_is_pulled_without_a_press(
+    unstyled, without_controls, make_napari_viewer, chequered, qtbot, at_rest
+):
+    viewer = make_napari_viewer(show=True)
+    viewer.add_image(chequered, name="MR")
+    dock = dock_in(viewer)
+    at_rest.until(lambda: dock.active and not dock.busy)
+    person = Person(viewer, qtbot)
+    person.drag((30, 30), (34, 34), (36, 36))
+    at_rest.until(lambda: dock.solution is not None and not dock.busy)
+    assert dock.solution.displacement[30, 30] == pytest.approx((6, 6), abs=0.7)
+    assert not dock.solution.displacement[0].any(), "the edge is held"
+
+
+def test_what_was_painted_is_pushed_by_a_drag(
+    unstyled, without_controls, make_napari_viewer, qtbot, at_rest
+):
+    viewer = make_napari_viewer(show=True)
+    viewer.add_image(np.full((64, 64), 100, np.uint8), name="MR")
+    dock, person = dock_in(viewer), Person(viewer, qtbot)
+    at_rest.until(lambda: dock.active and not dock.busy)
+    Screen(dock).press("Push")
+    person.paint((30, 28), (30, 30), (30, 32))
+    at_rest.until(lambda: not dock.busy)
+    person.paint((30, 30), (32, 33), (34, 36))
+    at_rest.until(lambda: not dock.busy)
+    assert dock.solution.displacement[30, 30] == pytest.approx((4, 6), abs=0.7)
+    assert len(dock.drawing.marks) == 1
+
+
+def test_all_columns_of_the_table_of_boundaries_are_seen(make_napari_viewer, small_sample, at_rest):
+    viewer = make_napari_viewer(show=True)
+    viewer.window.resize(1300, 800)
+    dock = quick(dock_in(viewer))
+    small_sample(viewer)
+    dock.rules = (*dock.rules, BoundaryRule(3, "expand", amount=-2.5))
+    at_rest(thread=False)
+    table = dock.native.findChild(BoundaryTable)
+    seen = [at for at in range(table.columnCount()) if not table.isColumnHidden(at)]
+    assert len(seen) == 7
+    at_rest.until(lambda: table.columnWidth(1) < 60)
+    assert table.horizontalScrollBar().maximum() == 0

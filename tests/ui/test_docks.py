@@ -1,0 +1,332 @@
+"""The dock finds its place in the window, and napari's menus and command palette find the dock."""
+
+import numpy as np
+import pytest
+from napari.components import ViewerModel
+from npe2 import PluginManifest
+from qtpy.QtCore import Qt
+from qtpy.QtTest import QTest
+from qtpy.QtWidgets import QApplication, QDockWidget, QStyle, QStyleOptionComboBox
+
+from napari_hmrf.contributions import dock
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.tissue.drawing import Arrow, Drawing
+from napari_hmrf.ui.motion.tools import TOOLS
+from napari_hmrf.ui.soft_tissue import SoftTissue
+from tests.support.screen import Screen
+from tests.support.timeouts import LONG_MS
+
+CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
+#: Of a small screen, what the bars of the desktop and of the window leave.
+ROOM = (1366, 700)
+#: What napari calls with a path, not without one.
+WITH_A_FILE = tuple(
+    f"napari-hmrf.{what}" for what in ("open", "open_study", "open_scan", "open_landmarks", "save")
+)
+COMMANDS = PluginManifest.from_distribution("napari-hmrf").contributions.commands
+
+
+@pytest.fixture
+def choose(at_rest):
+    """Choose a command in a menu or in the command palette."""
+    from napari._app_model import get_app_model
+
+    def chosen(name):
+        get_app_model().commands.execute_command(f"napari-hmrf.{name}").result()
+        at_rest()
+
+    return chosen
+
+
+@pytest.fixture
+def window(unstyled, without_controls, styled_window):
+    """The same without what is not ours, for claims that are not about looks."""
+    return styled_window
+
+
+@pytest.fixture
+def styled_window(make_napari_viewer, at_rest):
+    """A window on a small screen, with an image, as people see it."""
+    viewer = make_napari_viewer(show=True)
+    viewer.window.resize(*ROOM)
+    viewer.add_image(np.full((40, 40), 100, np.uint8), name="MR")
+    at_rest()
+    return viewer.window
+
+
+def docks_of(window):
+    return [inner for inner in window.dock_widgets.values() if isinstance(inner, SoftTissue)]
+
+
+def is_seen(inner):
+    frame = frame_of(inner)
+    return frame.isVisible() and not frame.visibleRegion().isEmpty()
+
+
+def frame_of(inner):
+    frame = inner.native.parent()
+    assert isinstance(frame, QDockWidget)
+    return frame
+
+
+def test_the_dock_fits_on_a_small_screen(styled_window, at_rest):
+    dock()
+    at_rest()
+    assert styled_window._qt_window.minimumSizeHint().height() <= ROOM[1]
+    assert (styled_window._qt_window.width(), styled_window._qt_window.height()) == ROOM
+
+
+def test_words_take_no_more_room_than_they_need_and_move_no_button(
+    styled_window, at_rest, wait_for
+):
+    found = dock()
+    wait_for(lambda: not found.busy)
+    at_rest()
+    footer = found._form.footer
+    found.say("One line.")
+    wait_for(lambda: footer.height() == footer.sizeHint().height())
+    deform, least = footer.deform.native, footer.height()
+    place = deform.mapTo(styled_window._qt_window, deform.rect().topLeft())
+    found.say("So much has to be said that it takes many lines. " * 20)
+    footer.warn("It folds.", "Folds at 300 pixels")
+    wait_for(lambda: footer.height() == footer.sizeHint().height() > least)
+    assert deform.mapTo(styled_window._qt_window, deform.rect().topLeft()) == place
+    assert footer.height() < 250, "however much there is to say"
+    found.say("One line.")
+    footer.warn("")
+    wait_for(lambda: footer.height() == least)
+
+
+def test_no_word_of_the_curve_or_of_the_paper_s_tissues_is_cut_off(
+    styled_window, at_rest, wait_for
+):
+    found = dock()
+    found._viewer.layers["MR"].data = np.arange(1600, dtype=np.float32).reshape(40, 40)
+    Screen(found).press("Tissue from brightness")
+    found.tool = "tissue"
+    found.start()
+    wait_for(lambda: not found.busy)
+    at_rest()
+    editor, preset = found._form.tissue.editor, found.fields.preset.native
+    assert found.native.width() < 360, "as wide as it usually is"
+    for box in (editor.joined.native, preset):
+        looks = QStyleOptionComboBox()
+        box.initStyleOption(looks)
+        style = QStyle.ComplexControl.CC_ComboBox, looks, QStyle.SubControl.SC_ComboBoxEditField
+        room = box.style().subControlRect(*style, box).width()
+        assert box.fontMetrics().horizontalAdvance(box.currentText()) <= room, box.currentText()
+    points = editor.points.native
+    assert points.fontMetrics().horizontalAdvance(points.text()) + 4 <= points.width()
+
+
+def test_what_is_opened_is_scrolled_to(window, at_rest, wait_for):
+    found = dock()
+    at_rest()
+    screen = Screen(found)
+    slice_is = found._form.model.plane.native
+    assert slice_is.visibleRegion().isEmpty()
+    screen.press("Model")
+    wait_for(lambda: slice_is.visibleRegion().boundingRect() == slice_is.rect())
+
+
+def corners_seen(viewer):
+    """The least and the greatest row and column of the image that are on the canvas."""
+    canvas = viewer.window._qt_viewer.canvas
+    view = canvas.view
+    mapped = (view.transform * view.scene.transform).imap([[0, 0], list(canvas.size[::-1])])
+    (left, top), (right, bottom) = mapped[:, :2] / mapped[:, 3:]
+    return top, bottom, left, right
+
+
+def test_an_image_that_was_seen_whole_is_seen_whole_beside_a_dock(
+    unstyled, make_napari_viewer, at_rest
+):
+    viewer = make_napari_viewer(show=True)
+    viewer.window.resize(*ROOM)
+    at_rest()
+    viewer.add_image(np.full((40, 80), 100, np.uint8), name="MR")
+    at_rest()
+    dock(viewer)
+    at_rest()
+    _, _, left, right = corners_seen(viewer)
+    assert left < 0
+    assert right > 79
+
+
+def test_a_view_that_somebody_chose_stays_beside_a_dock(window, at_rest):
+    viewer = window._qt_viewer.viewer
+    camera = viewer.scene.camera
+    camera.zoom *= 3
+    camera.center = (0, 10, 12)
+    chosen = (camera.zoom, camera.center)
+    dock()
+    at_rest()
+    assert (camera.zoom, camera.center) == chosen
+
+
+def test_the_dock_lists_its_keys_until_a_click(qtbot):
+    made = SoftTissue(ViewerModel())
+    qtbot.addWidget(made.native)
+    made.native.show()
+    Screen(made).press("?")
+    (shown,) = (each for each in QApplication.topLevelWidgets() if each.inherits("QWhatsThat"))
+    for words in ("Ctrl+Z: undo", "Shift+B: the image as it was", "G: pull"):
+        assert words in Screen(made).button("?").toolTip()
+    QTest.mouseClick(shown, Qt.MouseButton.LeftButton)
+    assert not shown.isVisible()
+
+
+def test_each_tool_has_a_picture_a_word_and_a_key_and_the_one_in_the_hand_is_seen(qtbot):
+    viewer = ViewerModel()
+    viewer.add_image(np.full((40, 40), 100, np.uint8))
+    made = SoftTissue(viewer)
+    qtbot.addWidget(made.native)
+    made.tool = "pin"
+    made.start()
+    screen, pictures = Screen(made), set()
+    for tool in TOOLS:
+        button = screen.button(tool.title)
+        pictures.add(button.icon().pixmap(20).toImage().constBits().asstring(1600))
+        assert button.toolTip().startswith(tool.how)
+        assert button.toolTip().endswith(f"({tool.key})")
+        assert button.isChecked() == (tool.name == "pin")
+    assert len(pictures) == len(TOOLS)
+
+
+def test_the_menu_hides_the_dock_that_is_seen_and_shows_it_again(window, choose):
+    choose("soft_tissue")
+    (inner,) = docks_of(window)
+    assert is_seen(inner)
+    choose("soft_tissue")
+    assert not is_seen(inner), "as napari does with every dock"
+    choose("soft_tissue")
+    assert docks_of(window) == [inner]
+    assert is_seen(inner)
+
+
+def test_the_menu_and_the_palette_find_the_same_dock(window, choose):
+    choose("live")
+    (inner,) = docks_of(window)
+    choose("soft_tissue")
+    assert docks_of(window) == [inner]
+
+
+def test_a_dock_that_was_put_elsewhere_stays_there(window, choose):
+    choose("soft_tissue")
+    frame_of(dock()).setFloating(True)
+    choose("live")
+    assert frame_of(dock()).isFloating()
+    assert len(docks_of(window)) == 1
+
+
+def test_a_closed_dock_can_be_opened_again(window, choose, at_rest):
+    choose("soft_tissue")
+    window.remove_dock_widget(frame_of(dock()))
+    at_rest()
+    assert not docks_of(window)
+    choose("soft_tissue")
+    (inner,) = docks_of(window)
+    assert is_seen(inner)
+    assert inner.image.name == "MR"
+
+
+def test_each_viewer_has_a_dock_of_its_own(unstyled, without_controls, make_napari_viewer):
+    one, other = make_napari_viewer(), make_napari_viewer()
+    assert dock(one) is dock(one)
+    assert dock(other) is not dock(one)
+
+
+@pytest.mark.campaign
+def test_each_command_runs_in_a_window(window, choose, qtbot):
+    samples = {"sample_mass_effect": "mass-effect"}
+    words = [
+        each.id.removeprefix("napari-hmrf.") for each in COMMANDS if each.id not in WITH_A_FILE
+    ]
+    for word in sorted(words, key=lambda word: "sample" in word):
+        if "sample" in word:  # which brings large images
+            for inner in docks_of(window):
+                window.remove_dock_widget(inner.native)
+        choose(samples.get(word, word.removeprefix("sample_")))
+        for inner in docks_of(window):
+            qtbot.waitUntil(lambda inner=inner: not inner.busy, timeout=LONG_MS)
+
+
+def test_commands_do_what_they_say(window, choose, qtbot):
+    choose("pull")
+    inner = dock()
+    assert inner.active
+    qtbot.waitUntil(lambda: not inner.busy, timeout=LONG_MS)
+    choose("pull")
+    assert not inner.active
+    before = inner.live
+    choose("live")
+    assert inner.live != before
+    with qtbot.waitSignal(inner.finished, timeout=LONG_MS):
+        choose("deform_now")
+    inner.drawing = Drawing((Arrow((20, 20), (2, 0), 3.0),))
+    with qtbot.waitSignal(inner.finished, timeout=LONG_MS):
+        choose("deform_now")
+    choose("play")
+    assert inner.playing
+    choose("play")
+    assert not inner.playing
+
+
+def test_the_palette_offers_each_command_that_needs_no_file(window):
+    from napari._app_model import get_app_model
+
+    app = get_app_model()
+    offered = {
+        item.command.id: item.command
+        for item in app.menus.get_menu(app.menus.COMMAND_PALETTE_ID)
+        if item.command.id.startswith("napari-hmrf.")
+    }
+    for each in COMMANDS:
+        if "sample" in each.id:
+            continue
+        enabled = offered[each.id].enablement
+        assert (enabled is None or enabled.eval({})) == (each.id not in WITH_A_FILE)
+
+
+TYPED = {
+    "soft tissue": "soft_tissue",
+    "deform now": "deform_now",
+    "live mode": "live",
+    "pull tissue": "pull",
+    "undo tissue": "undo",
+    "redo tissue": "redo",
+    "play deformation": "play",
+}
+
+
+def test_the_palette_finds_commands_by_what_people_type(window, at_rest):
+    main = window._qt_window
+    QTest.keyClick(main, Qt.Key.Key_P, CTRL | SHIFT)
+    at_rest()
+    palette = main._command_palette
+    if not palette.isVisible():  # where no window manager gives the window the keyboard
+        window._toggle_command_palette()
+    for typed, command in TYPED.items():
+        palette._line.clear()
+        QTest.keyClicks(palette._line, typed)
+        found = [each.id for each in palette._list.iter_command()]
+        assert f"napari-hmrf.{command}" in found, typed
+    palette.hide()
+
+
+def test_undo_of_the_palette_takes_back_what_was_drawn(window, choose, qtbot):
+    choose("pull")
+    inner = dock()
+    qtbot.waitUntil(lambda: not inner.busy, timeout=LONG_MS)
+    drawn = Drawing((Arrow((20, 20), (2, 0), 3.0),))
+    inner.drawing = drawn
+    choose("undo")
+    assert inner.drawing == Drawing()
+    choose("redo")
+    assert inner.drawing == drawn
+
+
+def test_without_a_window_a_command_says_so(monkeypatch):
+    monkeypatch.setattr("napari.current_viewer", lambda: None)
+    with pytest.raises(HmrfError, match="no napari window"):
+        dock()

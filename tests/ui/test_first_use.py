@@ -1,0 +1,346 @@
+"""What somebody does who sees the dock for the first time, by the mouse, is what they meant."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from napari.components import ViewerModel
+from qtpy.QtCore import QPoint, QPointF, Qt
+from qtpy.QtGui import QWheelEvent
+from qtpy.QtTest import QTest
+from qtpy.QtWidgets import QApplication
+
+from napari_hmrf import Arrow, Drawing
+from napari_hmrf.ui.soft_tissue import SoftTissue
+from tests.conftest import quick
+from tests.support.screen import Screen
+from tests.support.timeouts import LONG_MS
+
+LEFT = Qt.MouseButton.LeftButton
+
+
+@pytest.fixture
+def click(at_rest):
+    """Click a button of a dock, in its middle."""
+
+    def clicked(widget, words):
+        QTest.mouseClick(Screen(widget).button(words), LEFT)
+        at_rest.pass_through()
+
+    return clicked
+
+
+@pytest.fixture
+def deformed(frame, small_sample, run, settle):
+    """The dock, seen, and a result: gel, held left, pushed 3 px right at the right."""
+    small_sample(frame.viewer)
+    widget = quick(frame.open())
+    frame.show()
+    run(widget)
+    settle(widget)
+    return frame.viewer, widget
+
+
+def groove(widget, part):
+    """Where the slider's groove is clicked to have so much of the deformation."""
+    slider = Screen(widget).slider
+    return slider, QPoint(round(part * (slider.width() - 1)), slider.height() // 2)
+
+
+def slide(widget, part):
+    slider, place = groove(widget, part)
+    QTest.mouseClick(slider, LEFT, Qt.KeyboardModifier.NoModifier, place)
+
+
+def test_pull_stays_in_the_hand_of_who_presses_it_after_it_was_taken_up_by_itself(
+    pulling_beside, settle, click
+):
+    _, widget = pulling_beside
+    click(widget, "Pull")
+    assert widget.active, "the message said to press it"
+    click(widget, "Pull")
+    assert not widget.active, "and once more puts it down"
+
+
+def test_pull_that_was_used_is_put_down_by_the_first_press(pulling_beside, settle, click):
+    person, widget = pulling_beside
+    person.drag((30, 30), (30, 36))
+    click(widget, "Pull")
+    assert not widget.active
+
+
+def test_whoever_asks_for_a_result_behind_paint_sees_it(deformed, settle, click):
+    viewer, widget = deformed
+    screen, moved = Screen(widget), viewer.layers["MR deformed, paper"]
+    asked = {
+        "slider": lambda: slide(widget, 0.5),
+        "play": lambda: click(widget, "Play"),
+        "overlay": lambda: screen.choose("grid"),
+    }
+    for what, ask in asked.items():
+        screen.click_row("gel")
+        screen.cell("gel", "Stiffness").write("nonsense")
+        assert not moved.visible, "paint is put on the image as it was"
+        ask()
+        widget.pause()
+        settle(widget)
+        assert moved.visible, what
+
+
+def test_a_click_in_the_groove_of_the_slider_moves_it_there(deformed, settle):
+    _, widget = deformed
+    for part in (0.25, 0.75):
+        slide(widget, part)
+        settle(widget)
+        assert widget.percent == pytest.approx(100 * part, abs=4)
+
+
+def test_what_is_read_of_the_cursor_follows_what_is_seen(widget, small_sample, settle, run):
+    viewer = widget._viewer
+    small_sample(viewer)
+    widget.settings = replace(widget.settings, sweeps=60)
+    run(widget)
+    settle(widget)
+    viewer.mouse_over_canvas = True
+    viewer.cursor.position = (10, 12)
+    assert "Jacobian" in str(viewer.status)
+    slide(widget, 0.5)
+    settle(widget)
+    assert "at 100 %: moves" in str(viewer.status)
+    widget.rules = (widget.rules[0], replace(widget.rules[1], vector=(0.0, 0.0)))
+    run(widget)
+    settle(widget)
+    assert "moves 0 px" in str(viewer.status)
+    widget.undo()
+    run(widget)
+    settle(widget)
+    assert " right)" in str(viewer.status)
+    viewer.status = ""  # as napari does when the mouse leaves the canvas, before it knows it has
+    viewer.mouse_over_canvas = False
+    assert not viewer.status, "of the place the mouse has left there is nothing to say"
+    slide(widget, 0.5)
+    settle(widget)
+    assert not viewer.status
+
+
+def test_of_another_image_no_result_is_told_until_it_is_chosen_again(deformed, settle):
+    viewer, widget = deformed
+    screen = Screen(widget)
+    assert "tissue moved up to 3" in screen.words
+    other = viewer.add_image(np.full((30, 30), 9.0), name="other")
+    widget.image = other
+    settle(widget)
+    assert "moved up to" not in screen.words
+    assert widget.result is None
+    assert widget.solution is None
+    widget.image = viewer.layers["MR"]
+    settle(widget)
+    assert "100 %: tissue moved up to 3" in screen.words
+    assert widget.result is viewer.layers["MR arrows, paper"]
+    assert widget.solution is not None
+
+
+def test_a_model_and_tissue_by_brightness_are_undone_step_by_step(widget, small_sample):
+    viewer = widget._viewer
+    _, tissue, _ = small_sample(viewer)
+    widget.settings = replace(widget.settings, sweeps=7)
+    whole = widget.settings
+    widget.model = "elastic"
+    widget.tissue_from_intensity()
+    widget.plane = "strain"
+    widget.model = "paper"
+    assert widget.settings != whole
+    widget.undo()
+    assert (widget.model, widget.plane, widget.curve is None) == ("elastic", "strain", False)
+    widget.undo()
+    assert (widget.plane, widget.curve is None) == ("stress", False)
+    widget.undo()
+    assert (widget.tissue, widget.curve) == (tissue, None)
+    for _ in range(3):
+        widget.redo()
+    assert (widget.model, widget.plane, widget.tissue) == ("paper", "strain", "brightness")
+    widget.undo()
+    assert widget.model == "elastic"
+
+
+def test_what_goes_with_an_image_is_undone_step_by_step_in_whichever_image(widget, small_sample):
+    viewer = widget._viewer
+    image, tissue, boundary = small_sample(viewer)
+    other = viewer.add_image(image.data[::-1].copy(), name="other")
+    stiffness = viewer.add_image(np.ones_like(image.data), name="stiff")
+    widget.image = image
+    widget.hold_edge = True
+    widget.tissue = stiffness
+    widget.without_border = False
+    widget.boundary = None
+    widget.image = other
+    widget.hold_edge = not widget.hold_edge
+    held = widget.hold_edge
+    widget.undo()
+    assert (widget.image, widget.hold_edge) == (other, not held)
+    widget.undo()
+    assert (widget.image, widget.boundary) == (image, boundary), (
+        "of the other image, and goes there"
+    )
+    widget.undo()
+    assert widget.without_border
+    widget.undo()
+    assert widget.tissue is tissue
+    widget.undo()
+    assert not widget.hold_edge, "what came painted says all that is held"
+    for _ in range(4):
+        widget.redo()
+    chosen = widget.hold_edge, widget.tissue, widget.without_border, widget.boundary
+    assert chosen == (True, stiffness, False, None)
+
+
+def test_a_layer_that_becomes_the_boundary_and_a_typed_ratio_are_steps(widget, small_sample):
+    viewer = widget._viewer
+    _, tissue, boundary = small_sample(viewer)
+    widget.boundary = tissue
+    widget.undo()
+    assert widget.status == "Took back: chose another boundary."
+    assert widget.boundary is boundary
+    widget.poisson = 0.3
+    widget.undo()
+    assert widget.status == "Took back: changed Poisson's ratio."
+
+
+def test_the_edge_of_a_new_image_is_held_whatever_was_chosen_for_those_that_are_gone(
+    widget, small_sample
+):
+    viewer = widget._viewer
+    small_sample(viewer)
+    widget.boundary = None
+    assert widget.hold_edge
+    widget.undo()
+    assert not widget.hold_edge
+    viewer.layers.clear()
+    viewer.add_image(np.zeros((30, 30)), name="new")
+    assert widget.hold_edge
+
+
+def test_a_ratio_beyond_a_half_is_refused_in_words_and_not_turned_into_another(
+    pulling_beside, settle
+):
+    _, widget = pulling_beside
+    widget.drawing = Drawing((Arrow((20, 20), (2, 0), 4.0),))
+    settle(widget)
+    before = widget.solution
+    field = widget._form.model.poisson
+    field.native.selectAll()
+    QTest.keyClicks(field.native, "0.6")
+    QTest.keyClick(field.native, Qt.Key.Key_Return)
+    settle(widget)
+    assert field.value == 0.6
+    assert "0.499" in widget.status
+    assert widget.solution is before
+
+
+def test_the_wheel_scrolls_the_dock_and_changes_nothing_that_was_not_clicked(
+    frame, chequered, settle, at_rest
+):
+    frame.viewer.add_image(chequered, name="MR")
+    widget = frame.open()
+    widget.make_layers()
+    settle(widget)
+    frame.show()
+    model = widget._form.model.model.native
+    before = widget.model, widget.fields.radius.value, widget.percent, widget.rules
+    screen = Screen(widget)
+    action = screen.cell("holds", "Action").box
+    for field in (model, widget.fields.radius.native, screen.slider, action):
+        turn = QWheelEvent(
+            QPointF(5, 5), QPointF(field.mapToGlobal(QPoint(5, 5))), QPoint(0, -120),
+            QPoint(0, -120), Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier,
+            Qt.ScrollPhase.NoScrollPhase, False,
+        )  # fmt: skip
+        QApplication.sendEvent(field, turn)
+    at_rest.pass_through()
+    now = widget.model, widget.fields.radius.value, widget.percent, widget.rules
+    assert now == before
+
+
+def test_a_choice_of_a_layer_that_is_gone_is_undone_to_none(widget, small_sample):
+    viewer = widget._viewer
+    _, tissue, _ = small_sample(viewer)
+    stiffness = viewer.add_image(np.ones((8, 8)), name="stiff")
+    widget.tissue = stiffness
+    viewer.layers.remove(tissue)
+    widget.undo()
+    assert widget.tissue is None
+    widget.redo()
+    assert widget.tissue is stiffness
+
+
+def test_layers_that_come_or_are_made_leave_nothing_to_take_back(widget, small_sample):
+    viewer = widget._viewer
+    small_sample(viewer)
+    viewer.add_image(np.zeros((12, 12)), name="other")
+    widget.image = viewer.layers["other"]
+    widget.make_layers()
+    viewer.layers.remove(viewer.layers["Tissue [1]"])
+    widget.undo()
+    assert widget.status == "There is nothing to take back."
+
+
+def test_landmarks_that_are_taken_are_seen_at_once(pulling_beside, settle, click):
+    person, widget = pulling_beside
+    widget.stop()
+    person.viewer.layers.remove("Motion")
+    settle(widget)
+    person.viewer.add_points([[20, 20]], name="is")
+    person.viewer.add_points([[20, 24]], name="ought")
+    widget._form.motion.boundary.landmarks.where.value = person.viewer.layers["is"]
+    click(widget, "Take as landmarks")
+    settle(widget)
+    assert len(person.viewer.layers["Motion"].data)
+
+
+def test_the_marks_of_folds_are_taken_away_by_a_second_click(deformed, run, settle, click):
+    viewer, widget = deformed
+    widget.rules = (widget.rules[0], replace(widget.rules[1], vector=(0.0, -40.0)))
+    widget.settings = replace(widget.settings, sweeps=60)
+    run(widget)
+    click(widget, "\u26a0")
+    settle(widget)
+    assert viewer.layers["MR folds, paper"].visible
+    assert viewer.layers[-1].name == "MR folds, paper", "no line hides them"
+    click(widget, "\u26a0")
+    settle(widget)
+    assert "MR folds, paper" not in viewer.layers
+    assert widget.overlay == "nothing"
+
+
+def test_a_refusal_is_read_until_something_else_is_done(small_sample, settle, busy_thread, qtbot):
+    viewer = ViewerModel()
+    widget = SoftTissue(viewer)
+    qtbot.addWidget(widget.native)
+    small_sample(viewer)
+    quick(widget).live = True
+    widget.materials = (*widget.materials[:1], replace(widget.materials[1], stiffness=30.0))
+    qtbot.waitUntil(lambda: widget.status.startswith("Following"), timeout=LONG_MS)
+    Screen(widget).cell("gel", "Stiffness").write("nonsense")
+    said = widget.status
+    assert said == "Stiffness must be a number, 0 or more, or 'rigid'; kept 30."
+    busy_thread.set()
+    settle(widget)
+    assert widget.status == said, "whatever comes of what was done before"
+    Screen(widget).cell("gel", "Stiffness").write("40")
+    settle(widget)
+    assert widget.status.startswith("Tissue moved")
+
+
+def test_what_goes_with_a_layer_that_is_deleted_is_said(widget, small_sample, settle):
+    viewer = widget._viewer
+    image, tissue, boundary = small_sample(viewer)
+    widget.drawing = Drawing((Arrow((10, 10), (1, 0), 3.0),))
+    settle(widget)
+    for layer, words in (
+        (tissue, "'Tissue' is gone, with its stiffness values"),
+        (boundary, "'Boundary' is gone: it holds and moves nothing any more."),
+        (image, "'MR' is gone, and the drawing on it"),
+    ):
+        viewer.layers.remove(layer)
+        settle(widget)
+        assert widget.status.startswith(words)

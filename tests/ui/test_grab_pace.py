@@ -1,0 +1,332 @@
+"""Tissue that is dragged: what is shown is the newest, and the window waits for nothing."""
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import QApplication
+
+from napari_hmrf.layers.label_colours import SELECTED
+from napari_hmrf.solver import preparation
+from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.live_solver import TOLERANCE
+from napari_hmrf.solver.optimizers import Multigrid
+from napari_hmrf.solver.problem import Problem
+from napari_hmrf.study import engine
+from napari_hmrf.tissue.drawing import Arrow, Drawing
+from napari_hmrf.ui.paced_engine import PacedEngine
+from tests.support.person import by_name
+from tests.support.study_reader import read_ground
+from tests.support.timeouts import LONG, LONG_MS
+
+
+def pulled(by):
+    return Drawing((Arrow((20, 20), (0, by), 4),))
+
+
+class Following:
+    """Follows drawings on an image, and knows what it has shown."""
+
+    def __init__(self, image, **how):
+        self.study = replace(read_ground(image, **how).study, optimizer=Multigrid(TOLERANCE))
+        self.shown = []
+        self.engine = PacedEngine(lambda seen: self.shown.append(seen.moved), lambda done: None)
+
+    def follow(self, drawing):
+        motion = replace(self.study.motion, drawing=drawing)
+        self.engine.submit(replace(self.study, motion=motion))
+
+
+@pytest.fixture
+def image():
+    from napari.layers import Image
+
+    return Image(np.random.default_rng(1).integers(90, 200, (48, 48)).astype(np.uint8))
+
+
+@pytest.fixture
+def following(qtbot):
+    """Have drawings on an image be followed."""
+    made = []
+
+    def of(image, **how):
+        made.append(Following(image, **how))
+        return made[-1]
+
+    yield of
+    for each in made:
+        each.engine.release()
+
+
+@pytest.fixture
+def follower(image, following):
+    return following(image)
+
+
+@pytest.fixture
+def solver_at_work():
+    """Somebody who keeps the compute thread, until told to let go."""
+    begun, over = threading.Event(), threading.Event()
+    compute_thread.submit(lambda: (begun.set(), over.wait(60)))
+    assert begun.wait(60)
+    yield over
+    over.set()
+
+
+@pytest.fixture
+def rest(at_rest):
+    """Wait until a follower has shown the last drawing."""
+    return lambda following: at_rest.until(lambda: not following.engine.at_work)
+
+
+def test_the_newest_drawing_is_shown_in_the_end(follower, rest):
+    for by in range(40):
+        follower.follow(pulled(by / 10))
+        if by % 7 == 0:
+            QApplication.processEvents()
+    rest(follower)
+    seen = follower.shown[-1]
+    assert seen.study.motion.drawing == pulled(3.9)
+    assert seen.solution.displacement[20, 20] == pytest.approx((0, 3.9), abs=0.02)
+    order = [seen.study.motion.drawing.marks[0].by[1] for seen in follower.shown]
+    assert order == sorted(order), "the tissue never goes back to an older drawing"
+
+
+def test_of_drawings_made_while_one_is_solved_only_the_last_is_solved(follower, rest, monkeypatch):
+    solved, first_begun, others_drawn = [], threading.Event(), threading.Event()
+    check = Problem.__init__
+
+    def noted(self, y, *rest, **options):
+        solved.append(round(float(y.max()), 1))
+        if solved[-1] == 0.1:
+            first_begun.set()
+            assert others_drawn.wait(LONG)
+        check(self, y, *rest, **options)
+
+    monkeypatch.setattr(Problem, "__init__", noted)
+    follower.follow(pulled(0.1))
+    assert first_begun.wait(LONG)
+    for by in range(2, 10):
+        follower.follow(pulled(by / 10))
+    others_drawn.set()
+    rest(follower)
+    first, last = 0.1, 0.9
+    assert [by for by in solved if by not in (0, 1)] == [first, last], (
+        "compiling solves for 0 and 1"
+    )
+    assert [seen.study.motion.drawing for seen in follower.shown] == [pulled(0.1), pulled(0.9)]
+
+
+def test_a_newer_drawing_waits_until_the_one_before_is_painted(follower, rest):
+    follower.follow(pulled(1))
+    assert compute_thread.submit(lambda: True).result(LONG)
+    follower.follow(pulled(2))
+    assert compute_thread.submit(lambda: True).result(LONG)
+    assert follower.engine.busy, "the answer is not painted yet"
+    assert not follower.shown
+    rest(follower)
+    assert [seen.study.motion.drawing for seen in follower.shown] == [pulled(1), pulled(2)]
+
+
+def test_a_drawing_that_takes_too_long_gives_way_to_a_newer_one(
+    follower, rest, monkeypatch, solver_at_work
+):
+    monkeypatch.setattr(engine, "patience_for", lambda *_: 0.0)
+    follower.follow(pulled(1))
+    follower.follow(pulled(2))
+    solver_at_work.set()
+    rest(follower)
+    assert [seen.study.motion.drawing for seen in follower.shown] == [pulled(2)]
+
+
+def test_what_was_taken_back_is_not_shown_although_it_was_being_solved(image, rest, following):
+    follower = following(image, hold_edge=False)
+    follower.follow(pulled(2))
+    follower.follow(Drawing())
+    rest(follower)
+    assert follower.shown[-1].solution is None
+    assert np.array_equal(follower.shown[-1].image, image.data)
+    follower.follow(pulled(2))
+    rest(follower)
+    assert follower.shown[-1].solution is not None, "and the next drawing is followed again"
+
+
+def test_what_is_wrong_is_said_once_it_is_not_put_right_already(follower, rest, solver_at_work):
+    beyond = Drawing((Arrow((20, 20), (0, 1e6), 4),))
+    follower.follow(beyond)
+    follower.follow(pulled(1))
+    solver_at_work.set()
+    rest(follower)
+    assert [seen.error for seen in follower.shown] == [None]
+    follower.follow(beyond)
+    rest(follower)
+    assert "the image is only" in str(follower.shown[-1].error)
+    follower.follow(pulled(2))
+    rest(follower)
+    assert follower.shown[-1].solution is not None
+
+
+def test_an_answer_that_was_dropped_on_its_way_to_the_window_is_not_shown(follower, rest):
+    follower.follow(pulled(1))
+    compute_thread.submit(lambda: None).result(LONG)
+    follower.engine.forget()
+    assert not follower.engine.busy
+    rest(follower)
+    assert not follower.shown
+    follower.follow(pulled(2))
+    rest(follower)
+    assert [seen.study.motion.drawing for seen in follower.shown] == [pulled(2)]
+
+
+def test_a_picture_that_cannot_be_moved_does_not_stop_the_next(follower, rest, monkeypatch):
+    from napari_hmrf.field.live_warp import Warper
+
+    with monkeypatch.context() as broken:
+        broken.setattr(Warper, "__call__", lambda *_: 1 / 0)
+        follower.follow(pulled(1))
+        rest(follower)
+    assert isinstance(follower.shown[-1].error, ZeroDivisionError)
+    follower.follow(pulled(2))
+    rest(follower)
+    assert follower.shown[-1].study.motion.drawing == pulled(2)
+
+
+def test_arrows_follow_the_mouse_while_the_solver_is_at_work(pulling, qtbot, solver_at_work):
+    person, _ = pulling
+    person.press(30, 30)
+    person.move(34, 40)
+    arrows = by_name(person.viewer, "Motion")
+    qtbot.waitUntil(lambda: len(arrows.data) > 0 and arrows.data[:, 0].max() > 40, timeout=LONG_MS)
+    solver_at_work.set()
+    person.release(34, 40)
+
+
+def test_in_a_drag_the_canvas_is_shown_and_at_rest_everybody_is_told(pulling, settle, qtbot):
+    person, widget = pulling
+    picture = by_name(person.viewer, "MR deformed, elastic")
+    told, thumbnails, seen = [], [], []
+    person.press(30, 30)
+    person.move(32, 32)
+    qtbot.waitUntil(lambda: not widget.busy, timeout=LONG_MS)
+    picture.events.data.connect(lambda event: told.append(event.value))
+    picture.events.thumbnail.connect(lambda event: thumbnails.append(event))
+    widget.seen.connect(seen.append)
+    for step in range(1, 4):
+        person.move(32 + step, 32)
+        qtbot.waitUntil(lambda step=step: len(seen) >= step, timeout=LONG_MS)
+        assert np.array_equal(picture.data, seen[-1].image)
+    assert not told
+    assert not thumbnails
+    person.release(35, 32)
+    settle(widget)
+    assert np.array_equal(told[-1], seen[-1].image)
+    assert thumbnails
+    assert np.array_equal(by_name(person.viewer, "MR").data, widget.study.pictures.image)
+
+
+def test_data_somebody_gave_the_layer_are_not_written_to(pulling, qtbot):
+    person, widget = pulling
+    person.press(30, 30)
+    person.move(32, 32)
+    qtbot.waitUntil(lambda: not widget.busy, timeout=LONG_MS)
+    picture = by_name(person.viewer, "MR deformed, elastic")
+    theirs = np.zeros_like(picture.data)
+    picture.data = theirs
+    person.move(34, 34)
+    qtbot.waitUntil(lambda: picture.data.any(), timeout=LONG_MS)
+    assert not theirs.any()
+    person.release(34, 34)
+
+
+def test_the_pointer_is_quiet_in_a_drag_and_itself_again_after_it(pulling_beside):
+    person, _ = pulling_beside
+    layer, positions = by_name(person.viewer, "Motion"), []
+    person.viewer.cursor.events.position.connect(lambda event: positions.append(event.value))
+    for end in (lambda: person.release(34, 34), lambda: person.key(Qt.Key.Key_Escape)):
+        person.press(30, 30)
+        assert layer.cursor == "pointing"
+        positions.clear()
+        person.move(34, 34)
+        assert not positions
+        end()
+        assert layer.cursor == "circle"
+        assert positions, "the status bar is told where the pointer is now"
+
+
+def test_nothing_is_computed_when_nothing_is_done(pulling_beside, settle, at_rest):
+    person, widget = pulling_beside
+    person.drag((30, 30), (32, 32), (34, 34))
+    settle(widget)
+    seen = []
+    widget.seen.connect(seen.append)
+    at_rest()
+    assert not seen
+
+
+def test_arrows_keep_their_colours_as_they_move(pulling, settle, qtbot):
+    person, widget = pulling
+    person.drag((30, 30), (36, 30), (36, 36))
+    settle(widget)
+    layer = by_name(person.viewer, "Motion")
+    assert np.allclose(layer.edge_color, SELECTED)
+    shot = person.viewer.screenshot(canvas_only=True, flash=False)[..., :3]
+    yellow = np.abs(shot - 255 * np.array(SELECTED[:3])).max(axis=-1) < 30
+    assert yellow.sum() > 50
+    mesh = person.viewer.window._qt_viewer.canvas.layer_to_visual[layer].node
+    one = np.zeros((3, 4), np.float32)
+    assert mesh._build_color_transform(one) is mesh._build_color_transform(one + 1)
+
+
+@pytest.mark.parametrize("confidence", [1.0, 0.5])
+def test_the_first_drag_finds_everything_compiled(rest, following, confidence):
+    from napari.layers import Image
+
+    from napari_hmrf.field.interpolation import look_up
+    from napari_hmrf.field.triangle_raster import rasterise_displaced
+
+    def compiled():
+        kernels = look_up.signatures, rasterise_displaced.signatures
+        return [sorted(map(str, each)) for each in kernels], set(preparation._prepared)
+
+    image = Image(np.random.default_rng(2).normal(size=(40, 44)).astype(np.float32))
+    follower = following(image, hold_edge=False)
+    follower.engine.rehearse(follower.study)
+    rest(follower)
+    before = compiled()
+    follower.follow(Drawing((Arrow((20, 20), (0, 2), 4, confidence),)))
+    rest(follower)
+    assert compiled() == before
+
+
+def test_whoever_waits_is_told_for_what_and_how_to_stop_it(
+    open_beside, settle, qtbot, solver_at_work
+):
+    _, widget = open_beside()
+    compute_thread.stage = "cycle 16, 1.7e-11 px to go"
+    widget.start()
+    qtbot.waitUntil(lambda: "waiting for a computation" in widget.status, timeout=LONG_MS)
+    assert "only that can stop" in widget.status
+    assert "cycle" not in widget.status
+    compute_thread.stage = "compiling loops (3 of 10)"
+    qtbot.waitUntil(lambda: "(compiling loops (3 of 10))" in widget.status, timeout=LONG_MS)
+    solver_at_work.set()
+    settle(widget)
+    assert widget.status.startswith("Drag tissue")
+    widget.stop()
+    widget.start()
+    assert widget.status.startswith("Drag tissue")
+
+
+def test_tissue_that_nobody_holds_is_ready_once_it_is_compiled(
+    image, rest, following, solver_at_work, at_rest
+):
+    follower = following(image, hold_edge=False)
+    follower.follow(Drawing())
+    at_rest(thread=False)
+    assert follower.engine.busy
+    assert not follower.shown
+    solver_at_work.set()
+    rest(follower)
+    assert [seen.solution for seen in follower.shown] == [None]

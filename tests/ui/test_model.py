@@ -1,0 +1,495 @@
+"""What tissue is taken to be, as the user chooses it beside the painted layers."""
+
+from dataclasses import replace
+from typing import get_args
+
+import numpy as np
+import pytest
+from napari.components import ViewerModel
+from napari.layers import Image
+
+from napari_hmrf import ICM, ElasticPrior, Multigrid, SeilerPrior, solve
+from napari_hmrf.layers.metadata import METADATA
+from napari_hmrf.layers.read import Request
+from napari_hmrf.samples.phantoms import phantom
+from napari_hmrf.solver.model_advice import when_to_take
+from napari_hmrf.solver.model_names import ModelName, converged
+from napari_hmrf.study.ground import build_problem
+from napari_hmrf.study.models import SolverDetails
+from napari_hmrf.study.study_model import ModelChoice
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.material_presets import PRESETS
+from napari_hmrf.ui.messages import MODELS, PLANES, READY
+from napari_hmrf.ui.soft_tissue import SoftTissue
+from tests.support.screen import Cell, Screen
+
+POISSON = 3  # the column of the table of tissues
+
+
+def viewer_of(widget):
+    return widget._viewer
+
+
+def names(widget):
+    return [layer.name for layer in viewer_of(widget).layers]
+
+
+def elastic(widget):
+    widget.model = "elastic"
+
+
+def solved(widget):
+    """The energy that is chosen, and how it is minimised."""
+    chosen = widget.study_model.model
+    return chosen.prior, chosen.optimizer
+
+
+# What is chosen
+
+
+def test_it_starts_with_elastic_tissue_and_has_the_papers_prior_and_schedule(qtbot, widget):
+    begun = SoftTissue(ViewerModel())
+    qtbot.addWidget(begun.native)
+    assert solved(begun) == (ElasticPrior(), Multigrid())
+    assert begun.model == "elastic"
+    widget.settings = replace(widget.settings, sweeps=70)  # tests are in a hurry otherwise
+    assert solved(widget) == (SeilerPrior(), ICM())
+    assert widget.model == "paper"
+
+
+def test_the_papers_energy_can_be_taken_to_convergence(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    widget.model = "paper, converged"
+    prior, optimizer = solved(widget)
+    assert prior == SeilerPrior()
+    assert converged(optimizer.parameters)
+    solution = run(widget).solution
+    longer = solve_again(widget, SeilerPrior(), ICM(100_000, steps=None, energy_change=1e-9))
+    np.testing.assert_allclose(solution.displacement, longer.displacement, atol=0.01)
+    assert solution.convergence.error <= Multigrid.tolerance
+    assert "iterations in" in widget.details
+
+
+def solve_again(widget, prior, optimizer=None):
+    """The study of the widget's layers, solved from a script."""
+    stated = build_problem(replace(widget.study, prior=prior))
+    return solve(stated.problem, stated.prior, optimizer=optimizer, backend="cpu")
+
+
+def test_elastic_tissue_is_solved_as_a_script_would(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    elastic(widget)
+    widget.plane = "strain"
+    solution = run(widget).solution
+    expected = solve_again(widget, ElasticPrior(0.45, plane="strain"))
+    np.testing.assert_array_equal(solution.displacement, expected.displacement)
+    stress = solve_again(widget, ElasticPrior(0.45, plane="stress"))
+    assert np.abs(solution.displacement - stress.displacement).max() > 0.05
+
+
+def test_only_what_applies_is_asked(docked, small_sample):
+    image, *_ = small_sample(viewer_of(docked))
+    form = docked._form.model
+    always = {"device"}
+    papers = {"reading", "penalty"}
+    sweeps = {"method", "sweeps", "energy_change"}
+
+    def asked():
+        return {field.name for field in form.in_detail if not field.native.isHidden()}
+
+    assert asked() == always | papers | sweeps
+    docked.model = "paper, converged"
+    assert asked() == always | papers | {"accuracy"}
+    assert form.plane.native.isHidden()
+    elastic(docked)
+    assert asked() == always | {"accuracy", "grip"}
+    assert not form.plane.native.isHidden()
+    assert form.poisson.native.isHidden()  # the table has them
+    docked.tissue = image
+    assert not form.poisson.native.isHidden()
+    docked.model = "paper"
+    assert form.plane.native.isHidden()
+    assert form.poisson.native.isHidden()
+
+
+def test_what_lies_around_a_slice_is_chosen_by_its_picture(widget):
+    elastic(widget)
+    first, second = (Screen(widget).button(PLANES[plane]) for plane in ("stress", "strain"))
+    assert first.isChecked()
+    pictures = [button.icon().pixmap(64, 32).toImage() for button in (first, second)]
+    assert not any(picture.isNull() for picture in pictures)
+    assert pictures[0] != pictures[1]
+    second.click()
+    assert widget.plane == "strain"
+
+
+RIGID = "'Tissue' has rigid tissue ('gel'), which the paper's model cannot have"
+
+
+def be_rigid(widget):
+    Cell(widget._form.tissue.table, 1, 2).write("rigid")
+
+
+def test_the_paper_s_model_says_at_once_that_it_cannot_be_rigid(widget, small_sample, wait_for):
+    small_sample(viewer_of(widget))
+    be_rigid(widget)
+    wait_for(lambda: RIGID in widget.status)
+    widget.model = "elastic"
+    wait_for(lambda: widget.status == READY)
+    widget.model = "paper"
+    wait_for(lambda: RIGID in widget.status)
+    Cell(widget._form.tissue.table, 1, 2).write("900")
+    wait_for(lambda: widget.status == READY)
+
+
+def test_deform_refuses_rigid_tissue_of_the_paper_s_model_before_any_work(
+    widget, small_sample, busy_thread
+):
+    small_sample(viewer_of(widget))
+    be_rigid(widget)
+    said = []
+    widget.finished.connect(said.append)
+    widget.deform()
+    assert said == [None], "though the thread that would work is busy"
+    assert widget.status.startswith("'Tissue' has rigid tissue ('gel'), which the paper's model")
+
+
+def paint_bone(widget, *place):
+    tissue = widget.tissue
+    painted = np.array(tissue.data)
+    painted[place] = label = widget._form.tissue.table.add()
+    *others, new = widget.materials
+    widget.materials = (*others, replace(new, name="bone or implant", stiffness=np.inf))
+    assert new.label == label
+    tissue.data = painted
+
+
+def test_painted_bone_moves_as_one(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    paint_bone(widget, slice(4, 8), slice(9, 14))
+    elastic(widget)
+    d = run(widget).solution.displacement[4:8, 9:14].astype(float)
+    rows, cols = np.indices(d.shape[:2])
+    turn = np.polyfit(cols[0], d[0, :, 0], 1)[0]
+    still = d - turn * np.stack([cols, -rows], axis=-1)
+    assert np.ptp(still, axis=(0, 1)).max() < 1e-4
+    assert abs(turn) > 1e-3, "it is not held in the middle of the tissue, so it turns"
+    assert d[..., 1].min() > 0.5
+
+
+def test_a_boundary_that_would_deform_bone_is_named(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    paint_bone(widget, slice(4, 16), slice(2, -2))
+    elastic(widget)
+    assert run(widget) is None
+    assert widget.status.startswith("'Boundary' moves pixels of what is rigid around")
+
+
+def test_an_earlier_result_does_not_hide_what_is_wrong_now(widget, small_sample, run, wait_for):
+    small_sample(viewer_of(widget))
+    assert run(widget) is not None
+    be_rigid(widget)
+    wait_for(lambda: RIGID in widget.status)
+    widget.undo()
+    wait_for(lambda: "Tissue moved up to" in widget.status)
+
+
+@pytest.mark.parametrize("model", ["elastic", "paper, converged"])
+def test_how_near_to_converged_can_be_chosen(widget, model):
+    widget.model = model
+    assert solved(widget)[1] == Multigrid()
+    widget.settings = replace(widget.settings, accuracy=0.1)
+    assert solved(widget)[1] == Multigrid(0.1)
+
+
+def test_one_click_leads_back_to_the_paper(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    widget.settings = replace(widget.settings, sweeps=70)
+    papers = run(widget).solution
+    elastic(widget)
+    widget.settings = SolverDetails(
+        "blanket", "closed form", sweeps=12, penalty=5.0, accuracy=0.1, device="cpu"
+    )
+    run(widget)
+    Screen(widget).choose(MODELS["paper"])
+    assert solved(widget) == (SeilerPrior(), ICM())
+    assert widget.settings == SolverDetails(device="cpu")
+    again = run(widget).solution
+    np.testing.assert_array_equal(again.displacement, papers.displacement)
+    np.testing.assert_array_equal(again.energy, papers.energy)
+
+
+def test_the_paper_s_own_numbers_are_back_when_it_is_chosen_again(widget):
+    assert widget.settings.sweeps == 3
+    menu = widget._form.model.model.native
+    menu.activated.emit(menu.currentIndex())
+    assert solved(widget) == (SeilerPrior(), ICM())
+
+
+@pytest.mark.parametrize("plane", ["stress", "strain"])
+def test_every_choice_has_a_sentence_with_what_was_measured(plane):
+    said = {when_to_take(model, plane) for model in get_args(ModelName)}
+    assert len(said) == 4
+    assert all(
+        "px of finite elements" in each or "px from finite elements" in each for each in said
+    )
+
+
+def test_the_two_planes_differ_by_as_much_as_is_said():
+    said = when_to_take("elastic", "stress")
+    assert "differ by a few per cent to more than half of the movement" in said
+    assert "most where Poisson's ratio is near 0.5" in said
+    changes = {}
+    for name in ("expansion", "mass-effect", "bar"):
+        problem = phantom(name, 128).problem
+        for nu in (0.3, 0.45, 0.49):
+            thin, thick = (
+                solve(problem, ElasticPrior(nu, plane=plane), backend="cpu").displacement
+                for plane in ("stress", "strain")
+            )
+            tissue = problem.stiffness > 0
+            changes[name, nu] = np.linalg.norm((thin - thick)[tissue]) / np.linalg.norm(
+                thin[tissue]
+            )
+        assert changes[name, 0.3] < changes[name, 0.45] < changes[name, 0.49]
+    assert changes["expansion", 0.45] < 0.08
+    assert changes["mass-effect", 0.49] > 0.5
+
+
+# Poisson's ratio
+
+
+def test_the_table_has_a_poisson_ratio_only_for_what_deforms(widget, small_sample):
+    small_sample(viewer_of(widget))
+    table = widget._form.tissue.table
+    assert [Cell(table, row, POISSON).text() for row in (0, 1)] == ["", "0.45"]
+    be_rigid(widget)
+    assert table.isColumnHidden(POISSON)
+
+
+def test_a_poisson_ratio_that_is_typed_is_taken_over_or_put_back(widget, small_sample):
+    _, tissue, _ = small_sample(viewer_of(widget))
+    elastic(widget)
+    table = widget._form.tissue.table
+    Cell(table, 1, POISSON).write("0,3")
+    assert widget.materials[1].poisson == 0.3
+    assert tissue.metadata[METADATA]["materials"][1]["poisson"] == 0.3
+    for nonsense in ("0.5", "-0.1", "much", "nan", ""):
+        Cell(table, 1, POISSON).write(nonsense)
+        assert widget.materials[1].poisson == 0.3
+        assert widget.status == "Poisson's ratio must be a number from 0 to 0.499; kept 0.3."
+
+
+def test_tables_of_before_poisson_ratios_still_open(widget, small_sample):
+    _, tissue, _ = small_sample(viewer_of(widget))
+    kept = dict(tissue.metadata[METADATA])
+    kept["materials"] = [{"label": 1, "name": "gel", "stiffness": 7.0}]
+    other = viewer_of(widget).add_labels(tissue.data, name="old", metadata={METADATA: kept})
+    widget.tissue = other
+    assert Material(1, "gel", 7.0, 0.45) in widget.materials
+
+
+def test_tissue_that_bulges_more_needs_more_room(widget, small_sample, run):
+    """Squeezed between two walls that let it slide, a block grows across by its ratio."""
+    _, tissue, boundary = small_sample(viewer_of(widget))
+    elastic(widget)
+    widget.rules = (
+        BoundaryRule(1, "move", vector=(0.0, 2.0), confidence=(0.0, 1.0)),
+        BoundaryRule(2, "move", vector=(0.0, -2.0), confidence=(0.0, 1.0)),
+    )
+    boundary.data[9, 11] = 3
+    boundary.refresh()
+    widget.rules = (*widget.rules, BoundaryRule(3, "fixed", confidence=(1.0, 0.0)))
+    grown = []
+    for poisson in (0.0, 0.3):
+        widget.materials = (widget.materials[0], Material(1, "gel", 20.0, poisson))
+        d = run(widget).solution.displacement
+        inside = tissue.data == 1
+        rows = np.nonzero(inside.any(axis=1))[0]
+        top, bottom = rows.min(), rows.max()
+        grown.append(float((d[bottom, 11, 0] - d[top, 11, 0]) / (bottom - top)))
+        cols = np.nonzero(inside.any(axis=0))[0]
+        squeezed = -4.0 / (cols.max() - cols.min())
+    np.testing.assert_allclose(grown, [0.0, -0.3 * squeezed], atol=2e-3)
+
+
+def test_each_tissue_has_its_own_poisson_ratio(widget, small_sample, run):
+    _, tissue, _ = small_sample(viewer_of(widget))
+    tissue.data[2:-2, 12:-2] = 2
+    tissue.refresh()
+    elastic(widget)
+    air = Material(0, "air", 0.0)
+    fields = []
+    for first, second in ((0.1, 0.1), (0.1, 0.45), (0.45, 0.45)):
+        widget.materials = (air, Material(1, "a", 20.0, first), Material(2, "b", 20.0, second))
+        fields.append(run(widget).solution.displacement)
+    low, mixed, high = fields
+    left, right = np.s_[8, 7, :], np.s_[4, 17, 0]
+    assert np.abs(mixed - low).max() > 0.05
+    assert np.abs(mixed - high).max() > 0.05
+    assert np.isfinite(mixed[left]).all()
+    assert abs(mixed[right] - high[right]) < abs(mixed[right] - low[right])
+
+
+def test_a_preset_brings_its_poisson_ratios(widget, small_sample):
+    small_sample(viewer_of(widget))
+    glia = PRESETS[1]
+    widget.take_materials(glia)
+    found = {material.label: material.poisson for material in widget.materials}
+    assert (found[1], found[2], found[3]) == (0.4, 0.1, 0.45)
+    for preset in PRESETS:
+        assert "Poisson" in preset.source
+
+
+def test_a_new_tissue_is_as_the_first_in_all_but_its_name(widget, small_sample):
+    small_sample(viewer_of(widget))
+    widget.materials = (widget.materials[0], Material(1, "gel", 33.0, 0.2))
+    widget._form.tissue.table.add()
+    assert widget.materials[-1] == Material(2, "tissue 2", 33.0, 0.2)
+
+
+def test_an_image_of_stiffness_has_one_poisson_ratio(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    _, tissue, _ = small_sample(viewer)
+    stiffness = viewer.add_image(20.0 * (tissue.data == 1), name="stiffness")
+    elastic(widget)
+    widget.tissue = stiffness
+    widget.poisson = 0.2
+    solution = run(widget).solution
+    assert solution.provenance.parameters["prior"]["poisson"] == 0.2
+    widget.tissue = tissue
+    widget.materials = (widget.materials[0], Material(1, "gel", 20.0, 0.2))
+    np.testing.assert_array_equal(run(widget).solution.displacement, solution.displacement)
+
+
+# What comes of it
+
+
+def test_results_say_which_model_made_them(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    run(widget)
+    assert "MR arrows, paper" in names(widget)
+    assert ", paper, moved up to" in widget.details
+    elastic(widget)
+    run(widget)
+    assert {"MR arrows, elastic", "MR deformed, elastic"} < set(names(widget))
+    assert "MR arrows, paper" not in names(widget)
+    assert "iterations in" in widget.details
+    assert ", within 0.0" in widget.details
+    known = viewer_of(widget).layers["MR arrows, elastic"].metadata[METADATA]
+    assert known["model"] == "elastic (Poisson's ratio 0.45, plane stress), converged"
+    assert known["provenance"]["parameters"]["prior"]["name"] == "ElasticPrior"
+    assert known["provenance"]["model"] == "elastic"
+    widget.model = "paper, converged"
+    run(widget)
+    assert "MR arrows, paper, converged" in names(widget)
+
+
+def test_a_name_of_the_users_stays(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    run(widget)
+    viewer_of(widget).layers["MR arrows, paper"].name = "mine"
+    for energy in ("elastic", "paper", "elastic"):
+        widget.model = energy
+        run(widget)
+        assert "mine" in names(widget)
+    assert "MR deformed, elastic" in names(widget)
+
+
+def test_another_model_means_that_the_result_is_old(widget, small_sample, run, wait_for):
+    small_sample(viewer_of(widget))
+    widget.settings = replace(widget.settings, sweeps=70)
+    run(widget)
+    elastic(widget)
+    wait_for(lambda: widget.status == "Changed since the last result: press Deform.")
+    widget.model = "paper"
+    wait_for(lambda: widget.status.startswith("Tissue moved"))
+
+
+# What can go wrong
+
+
+def test_tissue_that_could_turn_is_refused_in_one_sentence(widget, small_sample, run):
+    *_, boundary = small_sample(viewer_of(widget))
+    boundary.data[:] = 0
+    boundary.data[10, 10] = 1
+    boundary.refresh()
+    elastic(widget)
+    assert run(widget) is None
+    assert widget.status.startswith("'Boundary' leaves a piece of tissue free: the one of 320 ")
+    assert "could still move by turning" in widget.status
+    assert "Fix some of it in place" in widget.status
+    assert not any("arrows" in name for name in names(widget))
+    widget.model = "paper"
+    assert run(widget) is not None
+
+
+def test_what_does_not_converge_is_told_and_nothing_shown(widget, small_sample, run, monkeypatch):
+    small_sample(viewer_of(widget))
+    elastic(widget)
+    hasty = property(lambda _: Multigrid(1e-3, max_iterations=1))
+    monkeypatch.setattr(ModelChoice, "optimizer", hasty)
+    assert run(widget) is None
+    assert widget.status.startswith("No result: ")
+    assert "px from converged" in widget.status
+    assert widget.status.endswith(".")
+    assert not any("arrows" in name for name in names(widget))
+
+
+def test_what_is_doubted_may_slip_and_what_is_certain_does_not(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    widget.rules = (
+        widget.rules[0],
+        BoundaryRule(2, "move", vector=(0.0, 3.0), confidence=(0.5, 0.5)),
+    )
+    run(widget)
+    assert "held exactly" not in widget.status
+    elastic(widget)
+    pushed = widget.boundary.data == 2
+    slipped = run(widget).solution.displacement[pushed]
+    assert "held exactly" not in widget.status
+    assert slipped[:, 1].min() > 0
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, 3.0)))
+    np.testing.assert_allclose(run(widget).solution.displacement[pushed], [[0, 3]] * 16, atol=1e-4)
+
+
+def test_a_boundary_with_little_grip_slips(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    elastic(widget)
+
+    def stretched():
+        across = run(widget).solution.displacement[10, :, 1]
+        return across[-3] - across[2]
+
+    assert stretched() == pytest.approx(3, abs=1e-3)
+    widget.settings = replace(widget.settings, grip=0.05)
+    # Both sides grip alike: which of them slips is nobody's to say.
+    assert 0.1 < stretched() < 2.9
+
+
+def test_a_boundary_too_thin_for_the_schedule_is_none_for_elastic_tissue():
+    from napari.layers import Labels
+
+    from tests.support.study_reader import read_layers
+
+    rows, cols = np.mgrid[:160, :160]
+    r = np.hypot(rows - 80, cols - 80)
+    labels = ((r > 50) & (r <= 51)).astype(np.uint8)
+    wanted = Request(
+        tissue=Labels(np.ones((160, 160), np.uint8), name="Tissue"),
+        boundary=Labels(labels, name="Boundary"),
+        image=Image(np.zeros((160, 160)), name="MR"),
+        materials=(Material(1, "gel", 20.0),),
+        rules=(BoundaryRule(1, "expand", amount=3.0),),
+    )
+    assert any("so thin" in note for note in read_layers(wanted).notes)
+    notes = read_layers(wanted, ElasticPrior()).notes
+    assert not any("so thin" in note for note in notes)
+
+
+def test_digits_typed_as_a_force_are_all_taken(docked, qtbot):
+    field = docked._form.model.in_detail["grip"]
+    field.native.selectAll()
+    qtbot.keyClicks(field.native, "0.25")
+    field.native.interpretText()
+    assert docked.settings.grip == 0.25

@@ -1,0 +1,355 @@
+"""What is done in the window is saved in one file, and is there again when that is opened."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from napari.components import ViewerModel
+from qtpy.QtWidgets import QFileDialog
+
+from napari_hmrf import (
+    Arrow,
+    BoundaryRule,
+    Drawing,
+    FileFormatError,
+    Grid,
+    Material,
+    Motion,
+    Pictures,
+    Stroke,
+    Study,
+    Tissue,
+    read_study,
+    replay,
+    write_study,
+)
+from napari_hmrf.cli import main
+from napari_hmrf.field.frame import Frame
+from napari_hmrf.io.fields import place_of
+from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
+from napari_hmrf.tissue import StiffnessCurve
+from napari_hmrf.ui.soft_tissue import SoftTissue
+from tests.conftest import dock_in
+from tests.support.screen import Screen
+
+SHAPE = (36, 44)
+DRAWING = Drawing(
+    (
+        Arrow(at=(18, 20), by=(0.5, 2.0), radius=2.0),
+        Stroke("confidence", (((5, 5), (5, 15)),), 2.0, confidence=0.5),
+    )
+)
+
+
+@pytest.fixture
+def made(qtbot, wait_for):
+    """A dock beside a viewer of its own, at rest."""
+
+    def make(viewer):
+        dock = SoftTissue(viewer)
+        qtbot.addWidget(dock.native)
+        wait_for(lambda: not dock.busy)
+        return dock
+
+    return make
+
+
+def stack():
+    """A painted slice of a turned stack in millimetres."""
+    viewer = ViewerModel()
+    place = {
+        "scale": (3.0, 0.5, 0.8),
+        "rotate": [[1, 0, 0], [0, 0.8, -0.6], [0, 0.6, 0.8]],
+        "translate": (1.0, 20.0, -7.0),
+        "units": ("mm", "mm", "mm"),
+    }
+    pixels = np.random.default_rng(0).integers(50, 200, (3, *SHAPE), dtype=np.uint8)
+    viewer.add_image(pixels, name="t1", **place)
+    labels = np.ones((3, *SHAPE), np.uint8)
+    labels[:, 10:20, 10:20] = 4
+    rows = (Material(1, "liver", 5.0, 0.49), Material(4, "lump", 50.0, 0.3))
+    viewer.add_labels(labels, name="Organs", metadata=described(TISSUE, rows, "kPa"), **place)
+    rim = np.zeros((3, *SHAPE), np.uint8)
+    rim[:, 0], rim[:, -1] = 1, 2
+    rules = (
+        BoundaryRule(1, "fixed", name="wall"),
+        BoundaryRule(2, "move", vector=(-0.5, 0.25), confidence=(1.0, 0.5), name="probe"),
+    )
+    viewer.add_labels(rim, name="Probe", metadata=described(BOUNDARY, rules), **place)
+    viewer.dims.set_current_step(0, 1)
+    return viewer
+
+
+def test_a_study_that_is_opened_again_is_the_one_that_was_saved(made, wait_for, tmp_path):
+    first = made(stack())
+    first.drawing, first.model, first.plane = DRAWING, "elastic", "strain"
+    wait_for(lambda: not first.busy)
+    path = first.save_study(tmp_path / "case")
+    assert first.status == "Saved case.study."
+    other = ViewerModel()
+    second = made(other)
+    second.open_study(path)
+    wait_for(lambda: not second.busy)
+    assert {"t1", "Organs", "Probe"} <= {layer.name for layer in other.layers}
+    assert second.materials == first.materials
+    assert second.rules == first.rules
+    assert second.drawing == DRAWING
+    assert second.active, "so that what is drawn is seen"
+    assert (second.plane, second.hold_edge) == ("strain", first.hold_edge)
+    one, again = first.study, second.study
+    assert again.grid.spacing == pytest.approx(one.grid.spacing)
+    np.testing.assert_array_equal(again.tissue.labels, one.tissue.labels)
+    where = first._viewer.layers["t1"].data_to_world((1, 5, 6))
+    np.testing.assert_allclose(other.layers["t1"].data_to_world((0, 5, 6)), where)
+    np.testing.assert_allclose(second.solution.displacement, first.solution.displacement, atol=2e-3)
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 2)])
+def test_studies_of_several_slices_open_each_in_its_own_place(made, wait_for, tmp_path, order):
+    viewer, paths, drawings = ViewerModel(), {}, {}
+    pixels = np.random.default_rng(0).random((30, 36, 44))
+    viewer.add_image(pixels, name="t1", scale=(3.0, 0.5, 0.8), units=("mm",) * 3)
+    first = made(viewer)
+    viewer.dims.order = order
+    for at in (0, 2):
+        viewer.dims.set_current_step(order[0], at)
+        wait_for(lambda: not first.busy)
+        drawings[at] = Drawing((Arrow((15, 20 + at), (0, 1.0 + at), 3.0),))
+        first.drawing = drawings[at]
+        wait_for(lambda: not first.busy)
+        paths[at] = first.save_study(tmp_path / f"slice{at}")
+    other = ViewerModel()
+    second = made(other)
+    for at in (0, 2):
+        second.open_study(paths[at])
+        wait_for(lambda: not second.busy)
+        assert second.drawing == drawings[at]
+        assert second.shown.motion.drawing == drawings[at]
+    images = [layer for layer in other.layers if layer.name in ("t1", "t1 [1]")]
+    second.image = images[0]
+    other.dims.set_point(order[0], images[0].data_to_world((0, 0, 0))[order[0]])
+    wait_for(lambda: not second.busy)
+    assert second.drawing == drawings[0], "and stays on it"
+
+
+def test_a_study_without_an_image_opens_beside_an_image(made, wait_for, tmp_path):
+    labels = np.ones(SHAPE, np.uint8)
+    tissue = Tissue(labels=labels, materials=(Material(1, "gel", 1.0),))
+    study = Study(Grid(SHAPE, (1.0, 1.0)), tissue, Motion(hold_edge=True, drawing=DRAWING))
+    path = write_study(tmp_path / "gel", study)
+    viewer = ViewerModel()
+    viewer.add_image(np.random.default_rng(0).random(SHAPE), name="photo")
+    dock = made(viewer)
+    dock.open_study(path)
+    wait_for(lambda: not dock.busy)
+    assert (dock.image, dock.drawing) == (None, DRAWING)
+    assert dock.shown.motion.drawing == DRAWING
+
+
+def test_a_study_read_right_after_the_slice_was_changed_has_its_own_drawing(made, wait_for):
+    viewer = stack()
+    dock = made(viewer)
+    dock.drawing = DRAWING
+    wait_for(lambda: not dock.busy)
+    viewer.dims.set_current_step(0, 2)
+    assert dock.study.motion.drawing == Drawing()
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_what_is_opened_is_nothing_to_take_back_and_paint_is_seen_only_where_nothing_moves(
+    made, wait_for, tmp_path, moves
+):
+    viewer = ViewerModel()
+    viewer.add_image(np.random.default_rng(0).random(SHAPE), name="photo")
+    first = made(viewer)
+    first.tissue_from_intensity()
+    if moves:
+        first.drawing = DRAWING
+    wait_for(lambda: not first.busy)
+    path = first.save_study(tmp_path / "case")
+    other = ViewerModel()
+    second = made(other)
+    second.open_study(path)
+    wait_for(lambda: not second.busy)
+    assert second.curve == first.curve
+    (map_of_stiffness,) = (each for each in other.layers if "stiffness" in each.name)
+    assert map_of_stiffness.visible != moves
+    second.undo()
+    assert second.status == "There is nothing to take back."
+    assert second.drawing == first.drawing
+    labels = Tissue(labels=np.ones(SHAPE, np.uint8), materials=(Material(1, "gel", 1.0),))
+    motion = Motion(hold_edge=True, drawing=DRAWING if moves else Drawing())
+    pictures = Pictures(np.ones(SHAPE), name="image")
+    study = Study(Grid(SHAPE, (1.0, 1.0)), labels, motion, pictures=pictures)
+    second.open_study(write_study(tmp_path / "painted", study))
+    assert other.layers["Tissue"].visible != moves
+
+
+def test_a_slice_that_is_opened_and_saved_again_still_lies_in_its_volume(
+    made, run, wait_for, tmp_path
+):
+    first = made(stack())
+    run(first)
+    path = first.save_study(tmp_path / "case")
+    assert read_study(path).study.grid.place.index[0] == 1, "of the stack that it was cut from"
+    second = made(ViewerModel())
+    second.open_study(path)
+    wait_for(lambda: not second.busy)
+    run(second)
+    again = second.save_study(tmp_path / "again")
+    corner = first._viewer.layers["t1"].data_to_world((1, 0, 0))
+    for each in (path, again):
+        place = place_of(read_study(each).solution)
+        np.testing.assert_allclose(place.origin[::-1], corner)
+        np.testing.assert_allclose(place.spacing, (3.0, 0.5, 0.8))
+
+
+def test_a_field_from_nothing_is_replayed_bit_by_bit(made, run, wait_for, tmp_path):
+    dock = made(stack())
+    run(dock)
+    path = dock.save_study(tmp_path / "case")
+    saved = read_study(path).solution
+    assert saved.provenance.backend == "cpu"
+    assert np.array_equal(replay(path).displacement, saved.displacement)
+
+
+def test_a_field_that_followed_a_hand_is_replayed_within_its_tolerance(
+    made, wait_for, tmp_path, capsys
+):
+    viewer = ViewerModel()
+    viewer.add_image(np.full(SHAPE, 100, np.uint8), name="photo")
+    dock = made(viewer)
+    for col in (14, 20, 23):
+        dock.drawing = Drawing((Arrow(at=(18, col), by=(0.5, 2.0), radius=2.0),))
+        wait_for(lambda: not dock.busy)
+    path = dock.save_study(tmp_path / "case")
+    study, saved = read_study(path)
+    apart = np.abs(replay(path).displacement - saved.displacement).max()
+    assert 0 < apart < 0.002, "it began warm"
+    assert main(["replay", str(path)]) == 0
+    assert "the same field within its tolerance" in capsys.readouterr().out
+    other = replace(saved, displacement=saved.displacement + np.float32(0.01))
+    assert main(["replay", str(write_study(path, study, other))]) == 1
+    assert "fields differ by at most" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("tissue", "model"),
+    [
+        (Tissue(curve=StiffnessCurve(((0.0, 1.0), (255.0, 9.0)), unit="kPa")), "paper"),
+        (
+            Tissue(stiffness=np.linspace(1, 2, 36 * 44).reshape(SHAPE).astype(np.float32)),
+            "elastic",
+        ),
+        (Tissue(), "paper, converged"),
+    ],
+    ids=["curve", "stiffness", "image"],
+)
+def test_a_study_of_python_opens_in_the_window(made, wait_for, tmp_path, tissue, model):
+    image = np.random.default_rng(0).integers(50, 200, SHAPE, dtype=np.uint8)
+    motion = Motion(hold_edge=True, drawing=Drawing(DRAWING.marks[:1]))
+    grid = Grid(SHAPE, (0.5, 0.8), "millimeter")
+    study = Study(grid, tissue, motion, model=model, pictures=Pictures(image, name="photo"))
+    dock = made(ViewerModel())
+    dock.open_study(write_study(tmp_path / "case", study))
+    wait_for(lambda: not dock.busy)
+    assert dock.model == model
+    read = dock.study
+    assert (read.prior, read.optimizer) == (study.prior, study.optimizer)
+    assert read.tissue.curve == tissue.curve
+    assert read.motion.drawing == motion.drawing
+    assert read.grid.spacing == grid.spacing
+    np.testing.assert_array_equal(read.pictures.image, image)
+
+
+def test_a_registration_s_field_opens_as_arrows_with_how_sure_they_are(made, wait_for, tmp_path):
+    y = np.random.default_rng(1).normal(size=(*SHAPE, 2)).astype(np.float32)
+    c = np.zeros(SHAPE, np.float32)
+    c[::6, ::6] = 0.5
+    image = np.full(SHAPE, 100, np.uint8)
+    study = Study(
+        Grid(SHAPE, (1.0, 1.0)), motion=Motion(observed=y, confidence=c), pictures=Pictures(image)
+    )
+    dock = made(ViewerModel())
+    dock.open_study(write_study(tmp_path / "case", study))
+    wait_for(lambda: not dock.busy)
+    read = dock.study.motion
+    there = c > 0
+    np.testing.assert_allclose(read.observed[there], y[there], atol=1e-5)
+    np.testing.assert_allclose(read.confidence[there], 0.5)
+    assert not read.confidence[~there].any()
+
+
+def test_a_study_that_lies_nowhere_adds_no_layer(made, tmp_path):
+    grid = Grid(SHAPE, (1.0, 1.0), place=Frame.at((1.0, 1.0), ("mm", "mm")))
+    path = write_study(tmp_path / "case", Study(grid, pictures=Pictures(np.ones(SHAPE))))
+    with np.load(path) as parts:
+        header = json.loads(str(parts["header"]))
+        header["grid"]["place"]["plane"] = [0, 7]
+        with open(tmp_path / "case.study", "wb") as file:
+            np.savez(file, **{**parts, "header": np.array(json.dumps(header))})
+    dock = made(ViewerModel())
+    with pytest.raises(FileFormatError, match=r"case\.study: not a valid .*: not the place"):
+        dock.open_study(path)
+    assert not dock._viewer.layers
+
+
+@pytest.mark.usefixtures("unstyled", "without_controls")
+def test_file_open_has_it_all_in_the_dock(make_napari_viewer, at_rest, tmp_path):
+    study = Study(
+        Grid(SHAPE, (1.0, 1.0)),
+        motion=Motion(hold_edge=True, drawing=DRAWING),
+        pictures=Pictures(np.full(SHAPE, 100, np.uint8), name="photo"),
+    )
+    path = write_study(tmp_path / "case", study)
+    viewer = make_napari_viewer()
+    viewer.open(str(path), plugin="napari-hmrf")
+    dock = dock_in(viewer)
+    at_rest()
+    assert dock.image is viewer.layers["photo"]
+    assert dock.drawing == DRAWING
+    assert Screen(dock).button("Save study ...").isEnabled()
+
+
+def test_landmarks_that_were_not_taken_are_not_in_the_file_and_that_is_said(made, tmp_path):
+    viewer = ViewerModel()
+    viewer.add_image(np.full(SHAPE, 100, np.uint8), name="photo")
+    dock = made(viewer)
+    dock.live = False
+    viewer.add_points([[10, 10], [20, 30]], name="is")
+    viewer.add_points([[11, 10], [20, 32]], name="ought")
+    path = tmp_path / "case.study"
+    dock.save_study(path)
+    assert "Landmarks" not in dock.status, "none are chosen"
+    screen = Screen(dock)
+    screen.choose("is")
+    dock.save_study(path)
+    assert "Landmarks of 'is' are not in it: press 'Take as landmarks'" in dock.status
+    screen.press("Take as landmarks")
+    dock.save_study(path)
+    assert "Landmarks" not in dock.status
+    assert len(read_study(path).study.motion.drawing.marks) == 2
+    viewer.layers["ought"].data = [[11, 10], [20, 33]]
+    dock.save_study(path)
+    assert "Landmarks of 'is' are not in it" in dock.status, "the layers say something else now"
+
+
+def test_what_was_done_so_far_is_saved_before_there_is_a_result(
+    made, wait_for, tmp_path, monkeypatch
+):
+    viewer, path = ViewerModel(), tmp_path / "begun.study"
+    dock = made(viewer)
+    screen = Screen(dock)
+    assert not screen.button("Save study ...").isEnabled()
+    viewer.add_image(np.full(SHAPE, 100, np.uint8), name="photo")
+    dock.live = False
+    wait_for(lambda: not dock.busy)
+    dock.drawing = DRAWING
+    assert dock.solution is None
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(path), ""))
+    screen.press("Save study ...")
+    assert dock.status.startswith("Saved begun.study, without a field")
+    study, solution = read_study(path)
+    assert solution is None
+    assert study.motion.drawing == DRAWING

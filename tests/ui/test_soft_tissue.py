@@ -1,0 +1,929 @@
+"""What the user does with *Soft tissue*, and what then happens."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from napari.components import ViewerModel
+from napari.layers import Image, Vectors
+from napari.utils.notifications import notification_manager
+from npe2 import PluginManager
+from qtpy.QtCore import Qt
+from qtpy.QtTest import QTest
+from qtpy.QtWidgets import QApplication, QLabel, QLineEdit
+
+from napari_hmrf import (
+    ICM,
+    Drawing,
+    ElasticPrior,
+    HmrfError,
+    Landmark,
+    Multigrid,
+    ProblemError,
+    SeilerPrior,
+)
+from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.solver.backends import BACKEND_NAMES
+from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.study.ground import build_problem
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.material_presets import PRESETS
+from napari_hmrf.ui.messages import MODELS
+from napari_hmrf.ui.soft_tissue import SoftTissue
+from tests.conftest import dock_in, quick
+from tests.support.screen import Cell, Screen, head
+from tests.support.timeouts import LONG
+from tests.support.windowless import Frame
+
+
+def names(viewer):
+    return [layer.name for layer in viewer.layers]
+
+
+def state(viewer):
+    """Everything an error must leave as it was."""
+    return [(layer.name, id(layer), np.array(layer.data).tobytes()) for layer in viewer.layers]
+
+
+def viewer_of(widget):
+    return widget._viewer
+
+
+def by_name(widget, name):
+    return viewer_of(widget).layers[name]
+
+
+def results_of(widget):
+    """Layers that hold a result, lowest first."""
+    return [layer for layer in viewer_of(widget).layers if "provenance" in known_of(layer)]
+
+
+@pytest.fixture
+def popped_up():
+    """What napari's notifications say meanwhile."""
+    found = []
+    notification_manager.notification_ready.connect(found.append)
+    yield found
+    notification_manager.notification_ready.disconnect(found.append)
+
+
+# The main path
+
+
+@pytest.mark.parametrize("name", ["expansion", "mass-effect", "bar"])
+def test_opening_a_sample_leaves_one_button_to_press(widget, run, at_rest, name):
+    PluginManager.instance().discover()  # as a window does
+    viewer = viewer_of(widget)
+    viewer.open_sample("napari-hmrf", name)
+    at_rest()
+    assert widget.status == "Press Deform."
+    assert [material.stiffness for material in widget.materials if material.label] != []
+    widget.settings = replace(widget.settings, sweeps=1)
+    outputs = run(widget)
+    assert outputs is not None
+    added = set(names(viewer)) - {"Tissue", "Boundary"}
+    assert any(layer.endswith("arrows, paper") for layer in added)
+    assert any(layer.endswith("deformed, paper") for layer in added)
+    assert widget.status.startswith("Tissue moved up to ")
+    assert "iterations in" in widget.details
+
+
+def test_the_widget_opens_on_a_sample_that_is_already_there(frame, small_sample):
+    image, tissue, boundary = small_sample(frame.viewer)
+    widget = frame.open()
+    assert (widget.image, widget.tissue, widget.boundary) == (image, tissue, boundary)
+    assert widget.rules[1].vector == (0.0, 3.0)
+    assert widget.status == widget.invitation
+
+
+def test_tissue_and_picture_move_to_where_the_boundary_pushes(widget, small_sample, run):
+    small_sample(viewer_of(widget))
+    widget.settings = replace(widget.settings, sweeps=200)
+    outputs = run(widget)
+    moved = outputs.solution.displacement
+    assert moved[10, -3, 1] == pytest.approx(3, abs=0.05)
+    assert 0.5 < moved[10, 12, 1] < 2.5
+    arrows = by_name(widget, "MR arrows, paper").data
+    assert (arrows[:, 1, 1] > -0.05).all()
+    tissue_before = (by_name(widget, "Tissue").data == 1)[10].nonzero()[0]
+    picture = by_name(widget, "MR deformed, paper").data[10]
+    assert picture[tissue_before.max() + 2] != 0 or picture[tissue_before.max() + 3] != 0
+
+
+def see_all(widget, at_rest):
+    """Have all be drawn that can be seen of a result at once."""
+    widget.overlay = "magnitude"
+    at_rest.until(lambda: not widget.busy)
+
+
+def test_all_of_a_result_can_be_seen(widget, small_sample, run, at_rest):
+    small_sample(viewer_of(widget))
+    run(widget)
+    see_all(widget, at_rest)
+    assert [name for name in names(viewer_of(widget)) if name != "Motion"] == [
+        "MR",
+        "MR deformed, paper",
+        "Tissue",
+        "Boundary",
+        "MR displacement (px), paper",
+        "MR arrows, paper",
+    ]
+    with pytest.raises(
+        ValueError, match=r"'hologram' is not a valid choice.*'magnitude', 'jacobian'"
+    ):
+        widget.overlay = "hologram"
+
+
+def test_running_again_updates_the_layers_in_place(widget, small_sample, run, at_rest):
+    small_sample(viewer_of(widget))
+    run(widget)
+    see_all(widget, at_rest)
+    before = state(viewer_of(widget))
+    arrows = by_name(widget, "MR arrows, paper")
+    arrows.edge_color = "red"
+    arrows.name = "mine"
+    longest = arrows.data[:, 1].max()
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, 6.0)))
+    run(widget)
+    at_rest.until(lambda: not widget.busy)
+    after = state(viewer_of(widget))
+    assert [identity for _, identity, _ in after] == [identity for _, identity, _ in before]
+    assert arrows.data[:, 1].max() > 1.5 * longest
+    assert arrows.name == "mine"
+    np.testing.assert_allclose(arrows.edge_color[0], (1, 0, 0, 1))
+    assert by_name(widget, "MR displacement (px), paper").contrast_limits[1] > 4
+
+
+def test_a_deleted_result_is_made_again(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    run(widget)
+    viewer.layers.remove("MR arrows, paper")
+    run(widget)
+    assert "MR arrows, paper" in names(viewer)
+    assert names(viewer).count("MR deformed, paper") == 1
+
+
+def test_painting_goes_on_with_the_same_brush(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    _, tissue, _ = small_sample(viewer)
+    viewer.layers.selection.active = tissue
+    run(widget)
+    assert viewer.layers.selection.active is tissue
+
+
+def test_the_result_is_seen_and_then_what_is_painted_next(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    _, tissue, boundary = small_sample(viewer)
+    run(widget)
+    deformed = by_name(widget, "MR deformed, paper")
+    assert (deformed.visible, tissue.visible, boundary.visible) == (True, False, True)
+    assert names(viewer).index("MR deformed, paper") < names(viewer).index("Tissue")
+    assert names(viewer)[-1] == "MR arrows, paper"
+    widget._form.tissue.table.add()
+    assert (deformed.visible, tissue.visible, tissue.mode) == (False, True, "paint")
+    assert "hidden while you paint" in widget.status
+    run(widget)
+    assert (deformed.visible, tissue.visible) == (True, False)
+
+
+def test_a_motion_without_an_image_is_shown_all_the_same(widget, small_sample, run):
+    _, tissue, boundary = small_sample(ViewerModel())
+    for layer in (tissue, boundary):
+        viewer_of(widget).add_layer(layer)
+    run(widget)
+    assert "Tissue arrows, paper" in names(viewer_of(widget))
+
+
+# Tables
+
+
+def test_new_labels_appear_when_they_are_painted(widget, small_sample, wait_for):
+    _, tissue, boundary = small_sample(viewer_of(widget))
+    assert [material.label for material in widget.materials] == [0, 1]
+    tissue.brush_size = 3
+    tissue.paint((8, 8), 5)
+    wait_for(lambda: 5 in [material.label for material in widget.materials])
+    boundary.paint((8, 8), 4)
+    wait_for(lambda: 4 in [rule.label for rule in widget.rules])
+    assert widget.rules[-1].action == "fixed"
+
+
+def test_a_label_painted_just_before_the_button_is_pressed_counts(widget, small_sample, run):
+    _, tissue, _ = small_sample(viewer_of(widget))
+    tissue.paint((8, 8), 5)
+    assert run(widget) is not None
+
+
+def test_tables_stay_with_their_layer(widget, small_sample):
+    viewer = viewer_of(widget)
+    _, tissue, _ = small_sample(viewer)
+    other = viewer.add_labels(np.full((20, 24), 3, np.uint8), name="other")
+    widget.materials = (Material(0, "air", 0.0), Material(1, "gel", 33.0))
+    widget.tissue = other
+    assert [material.label for material in widget.materials] == [3]
+    widget.tissue = tissue
+    assert widget.materials[1].stiffness == 33.0
+    assert tissue.metadata[METADATA]["materials"][1]["stiffness"] == 33.0
+
+
+def test_what_is_typed_is_taken_over_or_put_back(widget, small_sample):
+    small_sample(viewer_of(widget))
+    table = widget._form.tissue.table
+    Cell(table, 1, 2).write("12,5")
+    assert widget.materials[1].stiffness == 12.5
+    for nonsense in ("stiff", "-3", "nan", "-inf", "1e400", "1e39", ""):
+        Cell(table, 1, 2).write(nonsense)
+        assert widget.materials[1].stiffness == 12.5
+        assert Cell(table, 1, 2).text() == "12.5"
+        said = "Stiffness must be a number, 0 or more, or 'rigid'; kept 12.5."
+        assert widget.status == said
+    Cell(table, 1, 1).write("jelly")
+    assert widget.materials[1].name == "jelly"
+
+
+@pytest.mark.parametrize("typed", ["rigid", " Rigid", "inf"])
+def test_rigid_is_typed_and_shown_as_a_word_and_can_be_taken_back(widget, small_sample, typed):
+    small_sample(viewer_of(widget))
+    widget.model = "elastic"  # the paper's has no Poisson's ratios
+    table = widget._form.tissue.table
+
+    def shown():
+        """Stiffness and Poisson's ratio, and whether the latter can be typed."""
+        stiffness, poisson = Cell(table, 1, 2), Cell(table, 1, 3)
+        return stiffness.text(), poisson.text(), poisson.can_be_typed()
+
+    Cell(table, 1, 2).write(typed)
+    assert widget.materials[1].is_rigid
+    assert shown() == ("rigid", "", False)
+    widget.undo()
+    assert shown() == ("20", "0.45", True)
+    widget.redo()
+    assert shown() == ("rigid", "", False)
+    Cell(table, 1, 2).write("12")
+    assert shown() == ("12", "0.45", True)
+
+
+def test_boundary_cells_follow_the_action(widget, small_sample):
+    small_sample(viewer_of(widget))
+    table = widget._form.motion.boundary.table
+    assert [Cell(table, 1, column).text() for column in (3, 4)] == ["0", "3"]
+    action = Cell(table, 1, 2)
+    action.choose("expands")
+    widget.undo()
+    assert (action.text(), action.chosen(), widget.rules[1].action) == ("moves", "moves", "move")
+    widget.redo()
+    assert action.chosen() == "expands"
+    assert widget.rules[1].action == "expand"
+    assert [Cell(table, 1, column).text() for column in (3, 4, 5)] == ["", "", "0"]
+    Cell(table, 1, 5).write("-2")
+    assert widget.rules[1].amount == -2.0
+    Cell(table, 1, 6).write("0.5 / 1")
+    Cell(table, 1, 6).write("2")  # out of range: put back
+    assert widget.rules[1].confidence == (0.5, 1.0)
+    assert widget.status == (
+        "Confidence must be a number from 0 to 1, or two: 1 / 0.5; kept 0.5 / 1."
+    )
+    Cell(table, 1, 6).write("0.25")
+    assert widget.rules[1].confidence == (0.25, 0.25)
+    Cell(table, 1, 1).write("rim")
+    assert widget.rules[1].name == "rim"
+
+
+def highlighted(table):
+    return sorted({index.row() for index in table.selectedIndexes()})
+
+
+def test_clicking_a_row_paints_with_it_in_its_layer(widget, small_sample):
+    viewer = viewer_of(widget)
+    _, tissue, boundary = small_sample(viewer)
+    tissues, boundaries = widget._form.tissue.table, widget._form.motion.boundary.table
+    for table, layer, row, label in [
+        (tissues, tissue, 1, 1),
+        (boundaries, boundary, 1, 2),
+        (boundaries, boundary, 0, 1),
+        (tissues, tissue, 1, 1),  # the row that was the current one all the while
+    ]:
+        layer.visible = False
+        Cell(table, row).click()
+        assert viewer.layers.selection.active is layer
+        assert (layer.selected_label, layer.mode, layer.visible) == (label, "paint", True)
+        assert highlighted(table) == [row]
+    assert widget._form.motion.boundary.table.add() == 3
+    assert viewer.layers.selection.active is boundary
+    assert boundary.selected_label == 3
+
+
+def test_choosing_a_label_finds_its_row(widget, small_sample):
+    _, tissue, _ = small_sample(viewer_of(widget))
+    table = widget._form.tissue.table
+    for label, rows in ((0, [0]), (1, [1]), (9, [])):
+        tissue.selected_label = label
+        assert highlighted(table) == rows
+
+
+def test_a_row_that_is_typed_in_is_the_brush_s_next_and_nothing_is_hidden_for_it(
+    widget, small_sample, run
+):
+    viewer = viewer_of(widget)
+    _, tissue, _ = small_sample(viewer)
+    run(widget)
+    table = widget._form.tissue.table
+    Cell(table, 1, 2).click()
+    assert (highlighted(table), tissue.selected_label) == ([1], 1)
+    assert (tissue.visible, tissue.mode) == (False, "pan_zoom")
+
+
+def test_letters_after_a_click_on_a_row_are_the_canvas_s_and_no_name(widget, small_sample):
+    small_sample(viewer_of(widget))
+    table = widget._form.tissue.table
+    name = Cell(table, 1)
+    name.click()
+    before = name.text()
+    QTest.keyClicks(table, "]]")
+    assert name.text() == before
+    assert not table.viewport().findChildren(QLineEdit)
+    name.write("liver")
+    assert name.text() == "liver"
+
+
+def test_what_comes_of_something_typed_is_seen_with_a_brush_in_the_hand(
+    widget, small_sample, run, wait_for
+):
+    small_sample(viewer_of(widget))
+    run(widget)
+    Cell(widget._form.tissue.table, 1).click()
+    assert widget.before
+    Cell(widget._form.tissue.table, 1, 2).write("7")
+    assert not widget.before
+
+
+def test_rows_wear_the_colour_of_their_label(widget, small_sample):
+    _, tissue, _ = small_sample(viewer_of(widget))
+    label = Cell(widget._form.tissue.table, 1, 0)
+    for selected in (False, True):
+        shown = label.colour(selected)
+        np.testing.assert_allclose(shown, tissue.get_color(1)[:3], atol=0.01)
+
+
+@pytest.mark.parametrize("preset", PRESETS, ids=lambda preset: preset.name.partition(":")[0])
+def test_a_preset_replaces_all_stiffnesses_and_says_its_unit(widget, small_sample, preset):
+    small_sample(viewer_of(widget))
+    widget.materials = (*widget.materials, Material(9, "odd", 1e6))
+    widget.take_materials(preset)
+    by_label = {material.label: material for material in widget.materials}
+    assert by_label[0].stiffness == 0  # void stays void
+    assert by_label[1] == preset.materials[0]
+    assert by_label[9].stiffness == preset.materials[0].stiffness  # units are never mixed
+    assert preset.unit in head(widget._form.tissue.table, 2)
+
+
+def test_layers_to_paint_on_lie_on_the_image_and_can_be_painted_at_once(widget, run):
+    viewer = viewer_of(widget)
+    viewer.add_image(
+        np.random.default_rng(0).random((30, 40)), name="T1", scale=(0.5, 2), units=("mm", "mm")
+    )
+    widget.make_layers()
+    tissue, boundary = widget.tissue, widget.boundary
+    assert (tissue.data.shape, boundary.data.shape) == ((30, 40), (30, 40))
+    np.testing.assert_array_equal(tissue.scale, (0.5, 2))
+    assert tissue.units == viewer.layers["T1"].units
+    assert viewer.layers.selection.active is tissue
+    assert tissue.mode == "paint"
+    assert widget.materials[0] == Material(0, "everything unpainted", 20.0)
+    assert [rule.action for rule in widget.rules] == ["fixed", "expand"]
+    boundary.data[:, :2] = 1
+    boundary.data[10:20, 20:25] = 2
+    boundary.refresh()
+    assert run(widget) is not None
+    assert "mm" in head(widget._form.motion.boundary.table, 3)
+
+
+@pytest.mark.parametrize("gone", ["Tissue", "Boundary"])
+def test_of_the_layers_to_paint_on_only_the_missing_one_is_made(widget, small_sample, gone):
+    viewer = viewer_of(widget)
+    _, tissue, boundary = small_sample(viewer)
+    viewer.layers.remove(gone)
+    widget.make_layers()
+    assert sorted(names(viewer)) == ["Boundary", "MR", "Tissue"]
+    made, kept = widget.tissue, widget.boundary
+    if gone == "Boundary":
+        made, kept = kept, made
+    assert kept in (tissue, boundary)
+    assert kept.data.any()
+    assert not made.data.any()
+    assert viewer.layers.selection.active is made
+    assert made.mode == "paint"
+    assert names(viewer)[-1] == "Boundary", "and what holds is seen on top"
+    widget.make_layers()
+    assert len(viewer.layers) == 3
+
+
+def test_paint_on_another_image_is_not_taken_for_paint_on_this_one(widget, small_sample):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    widget.image = viewer.add_image(np.ones((30, 40)), name="T1")
+    widget.make_layers()
+    assert (widget.tissue.data.shape, widget.boundary.data.shape) == ((30, 40), (30, 40))
+
+
+def test_without_an_image_there_is_nothing_to_paint_on(widget, run):
+    assert not widget._form.make.enabled
+    with pytest.raises(HmrfError, match=r"^Open an image first \(File > Open\), or a sample"):
+        widget.make_layers()
+    assert run(widget) is None
+    assert widget.status.startswith("Open an image first (File > Open), or a sample")
+    assert names(viewer_of(widget)) == []
+
+
+def test_a_boundary_that_cannot_be_drawn_is_explained_while_painting(
+    widget, small_sample, wait_for
+):
+    small_sample(viewer_of(widget))
+    widget.live = True
+    widget.rules = (widget.rules[0], BoundaryRule(2, "expand", amount=1.0))
+    wait_for(lambda: "open line" in widget.status)
+
+
+# Choices
+
+
+def test_layers_that_go_are_no_longer_chosen(widget, small_sample):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    viewer.add_image(np.zeros((20, 24)), name="another")
+    viewer.layers.remove("MR")
+    assert widget.image is viewer.layers["another"]
+    viewer.layers.remove("Tissue")
+    assert widget.tissue is None
+    viewer.layers.clear()
+    assert (widget.image, widget.boundary, widget.confidence) == (None, None, None)
+
+
+def test_what_cannot_be_chosen_is_refused(widget, small_sample):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    with pytest.raises(ValueError, match="not a valid choice"):
+        widget.boundary = viewer.add_points([(1, 1)])
+
+
+def test_images_and_arrows_can_take_the_place_of_paint(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    m = viewer.add_image(np.ones((20, 24)), name="stiffness")
+    arrows = np.array([[(5, 3), (0, 0)], [(5, 20), (0, 2)]], float)
+    y = viewer.add_vectors(arrows, name="observed")
+    c = viewer.add_image(np.full((20, 24), 0.5), name="sure")
+    widget.tissue, widget.boundary, widget.confidence = m, y, c
+    outputs = run(widget)
+    assert outputs.solution.displacement[5, 20, 1] == pytest.approx(2, abs=0.01)
+
+
+def test_settings_become_prior_and_optimizer(widget):
+    widget.settings = replace(
+        widget.settings,
+        reading="blanket",
+        method="closed form",
+        energy_change=1e-3,
+        penalty=500.0,
+        sweeps=12,
+    )
+    chosen = widget.study_model.model
+    assert chosen.prior == SeilerPrior(penalty=500, conditional="blanket")
+    assert chosen.optimizer == ICM(12, steps=None, energy_change=1e-3)
+    assert widget.settings.device == "cpu"
+    form = widget._form.model.in_detail
+    assert "Borders of stiff and soft tissue hardly move" in form["reading"].tooltip
+    for words in ("candidate steps", "never early", "OpenGL, fragment"):
+        Screen(widget).choose(words)
+    assert widget.study_model.model.optimizer == ICM(12)
+    assert widget.settings.device == "opengl:fragment"
+
+
+def test_every_device_is_offered(widget):
+    assert set(widget._form.model.in_detail["device"].choices) == set(BACKEND_NAMES)
+
+
+def test_untouched_settings_are_those_of_elastic_tissue_and_the_paper_s_are_a_click_away(qtbot):
+    widget = SoftTissue(ViewerModel())
+    qtbot.addWidget(widget.native)
+    chosen = widget.study_model.model
+    assert (chosen.prior, chosen.optimizer) == (ElasticPrior(), Multigrid())
+    Screen(widget).choose(MODELS["paper"])
+    chosen = widget.study_model.model
+    assert (chosen.prior, chosen.optimizer) == (SeilerPrior(), ICM())
+    assert widget.settings.device == "auto"
+
+
+# Place
+
+
+def test_results_carry_the_place_and_the_units_of_the_image(widget, small_sample, run, at_rest):
+    place = {
+        "scale": (0.5, 2.0),
+        "translate": (3.0, 4.0),
+        "rotate": 20.0,
+        "units": ("mm", "mm"),
+        "axis_labels": ("row", "col"),
+    }
+    image, _, _ = small_sample(viewer_of(widget), **place)
+    outputs = run(widget)
+    see_all(widget, at_rest)
+    assert outputs.solution.spacing == pytest.approx((0.5, 2.0))
+    farthest = widget.status.removesuffix(".")
+    assert farthest.endswith(" mm"), "there is no one length of a pixel"
+    assert "px" not in farthest
+    for layer in results_of(widget):
+        assert layer.units == image.units
+        assert layer.axis_labels == image.axis_labels
+        np.testing.assert_allclose(layer.data_to_world((4, 5)), image.data_to_world((4, 5)))
+    arrows = by_name(widget, "MR arrows, paper").data
+    assert arrows[:, 1, 1].max() < 3.1 / 2.0 + 0.1  # 3 mm are 1.5 pixels
+
+
+def test_of_a_stack_the_slice_shown_is_deformed_and_named(widget, small_sample, run, wait_for):
+    viewer = viewer_of(widget)
+    small_sample(viewer, (5, 20, 24), scale=(4.0, 1.0, 1.0), axis_labels=("z", "y", "x"))
+    viewer.dims.set_current_step(0, 3)
+    run(widget)
+    assert widget.status.startswith("z = 3: tissue moved up to")
+    arrows = viewer.layers["MR arrows, paper (z = 3)"]
+    assert (arrows.data[:, 0, 0] == 3).all()
+    deformed = viewer.layers["MR deformed, paper (z = 3)"]
+    assert deformed.data.shape == (1, 20, 24)
+    assert deformed.data_to_world((0, 0, 0)) == (12, 0, 0)
+    said = widget.status
+    viewer.layers["Boundary"].data[1] = 0
+    viewer.dims.set_current_step(0, 1)
+    wait_for(lambda: widget.status.startswith("Changed since the last result"))
+    viewer.dims.set_current_step(0, 3)
+    wait_for(lambda: widget.status == said)
+    viewer.dims.set_current_step(0, 1)
+    viewer.layers["Boundary"].data[1] = viewer.layers["Boundary"].data[3]
+    run(widget)
+    assert "MR arrows, paper (z = 1)" in names(viewer)
+    assert "MR arrows, paper (z = 3)" in names(viewer)
+
+
+def test_a_colour_image_is_deformed_in_all_channels(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    colours = np.random.default_rng(0).integers(0, 255, (20, 24, 3)).astype(np.uint8)
+    widget.image = viewer.add_image(colours, name="photo", rgb=True)
+    run(widget)
+    moved = viewer.layers["photo deformed, paper"]
+    assert moved.rgb
+    assert moved.data.shape == (20, 24, 3)
+
+
+# Words
+
+
+def test_boundary_outside_tissue_and_folds_are_reported(widget, small_sample, run, wait_for):
+    _, _, boundary = small_sample(viewer_of(widget))
+    boundary.data[0, :5] = 1
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, -40.0)))
+    widget.settings = replace(widget.settings, sweeps=60)
+    outputs = run(widget)
+    assert "5 boundary pixels outside tissue were ignored." in widget.warning
+    assert outputs.folds > 0
+    assert f"at {outputs.folds} pixels the tissue is pushed" in widget.warning
+    # All is listed on the chip; folds can be seen, without solving again.
+    chip = Screen(widget).button(f"⚠  Folds at {outputs.folds} pixels: show where")
+    assert chip.toolTip() == widget.warning
+    chip.click()
+    assert "5 boundary pixels" in widget.status
+    wait_for(lambda: "MR folds, paper" in names(viewer_of(widget)))
+    assert 0 < by_name(widget, "MR folds, paper").data.sum() <= outputs.folds
+    chip.click()
+    assert widget.overlay == "nothing"
+
+
+def test_what_moves_tissue_too_far_is_called_what_it_is(widget, small_sample):
+    small_sample(viewer_of(widget))
+    widget.drawing = Drawing((Landmark((10, 12), (10, 900), 2.0),))
+    with pytest.raises(ProblemError, match="'Landmark' moves tissue by up to 888"):
+        build_problem(widget.study)
+    widget.drawing = Drawing((Landmark((10, 12), (10, 13), 2.0),))
+    widget.rules = (widget.rules[0], BoundaryRule(2, "move", vector=(0.0, 900.0)))
+    with pytest.raises(ProblemError, match="'Boundary' moves tissue by up to 900"):
+        build_problem(widget.study)
+
+
+def test_painting_during_a_solve_marks_the_result(widget, small_sample, busy_thread, wait_for):
+    viewer = viewer_of(widget)
+    _, tissue, _ = small_sample(viewer)
+    widget.deform()
+    assert not widget.idle
+    tissue.data[5:9, 5:9] = 0
+    tissue.refresh()
+    busy_thread.set()
+    wait_for(lambda: widget.idle)
+    assert widget.status == "Changed since the last result: press Deform."
+    assert viewer.layers["MR arrows, paper"].metadata[METADATA]["inputs_changed"]
+
+
+def test_the_words_of_a_result_last_as_long_as_it_is_true(widget, small_sample, run, wait_for):
+    viewer = viewer_of(widget)
+    _, _, boundary = small_sample(viewer)
+    run(widget)
+    said = widget.status
+    boundary.paint((8, 8), 1)
+    wait_for(lambda: widget.status == "Changed since the last result: press Deform.")
+    boundary.undo()
+    wait_for(lambda: widget.status == said)
+    widget.settings = replace(widget.settings, sweeps=4)
+    wait_for(lambda: widget.status == "Changed since the last result: press Deform.")
+    run(widget)
+    before = widget.solution
+    widget.overlay = "labels"
+    wait_for(
+        lambda: "Tissue deformed, paper" in names(viewer)
+    )  # drawn at once, from the same solution
+    assert widget.solution.provenance == before.provenance
+    while viewer.layers:
+        viewer.layers.pop()
+    wait_for(lambda: widget.status.startswith("Open an image first"))
+    assert widget.solution is None
+
+
+def test_a_new_label_is_spoken_of(widget, small_sample, wait_for):
+    _, tissue, _ = small_sample(viewer_of(widget))
+    tissue.paint((8, 8), 5)
+    wait_for(lambda: "New in 'Tissue': label 5" in widget.status)
+
+
+# Errors
+
+
+def test_that_nothing_holds_or_moves_is_said_without_a_boundary(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    viewer.layers.remove("Boundary")
+    widget.hold_edge = False
+    assert run(widget) is None
+    assert widget.status.startswith("'Motion' is 0 everywhere: nothing says how any tissue moves")
+    widget.hold_edge = True
+    assert not run(widget).solution.displacement.any()
+    assert widget.status.startswith("Nothing moves yet")
+
+
+def test_the_edge_is_let_go_for_a_boundary_that_comes_painted_and_held_for_the_next(
+    widget, small_sample
+):
+    viewer = viewer_of(widget)
+    viewer.add_image(np.ones((20, 24)), name="T1")
+    assert widget.hold_edge
+    small_sample(viewer)
+    assert not widget.hold_edge
+    viewer.layers.remove("Boundary")
+    assert widget.hold_edge
+    widget.make_layers()
+    assert widget.hold_edge
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda v: v.layers["Boundary"].data.fill(0), "'Boundary'"),
+        (lambda v: v.layers["Tissue"].data.fill(0), "'Tissue'"),
+        (lambda v: setattr(v.layers["Tissue"], "scale", (2, 1)), "lies elsewhere"),
+        (lambda v: setattr(v.layers["Tissue"], "data", np.ones((7, 7), int)), "7 x 7"),
+        (lambda v: setattr(v.layers["MR"], "data", np.zeros((9, 9))), "9 x 9"),
+    ],
+    ids=["unpainted", "all void", "elsewhere", "size", "image size"],
+)
+def test_bad_input_is_one_error_and_changes_nothing(
+    widget, small_sample, run, spoil, said, popped_up
+):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    run(widget)
+    spoil(viewer)
+    before = state(viewer)
+    assert run(widget) is None
+    assert [each.severity for each in popped_up] == ["warning"], "it goes by itself"
+    assert said in widget.status
+    assert widget.idle
+    assert state(viewer) == before
+
+
+def test_a_failure_while_computing_is_told_and_changes_nothing(
+    widget, small_sample, run, monkeypatch, popped_up
+):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    before = state(viewer)
+
+    def fail(*_, **__):
+        raise MemoryError("no room")
+
+    monkeypatch.setattr("napari_hmrf.solver.live_solver.run_here", fail)
+    assert run(widget) is None
+    assert "MemoryError: no room" in widget.status
+    assert [each.severity for each in popped_up] == ["error"], "it stays"
+    assert state(viewer) == before
+
+
+def test_nothing_moves_under_the_mouse(docked, small_sample, busy_thread, wait_for):
+    small_sample(viewer_of(docked))
+    docked.native.show()
+
+    def places():
+        QApplication.processEvents()
+        button = docked._form.footer.deform.native
+        return [button.mapTo(docked.native, button.rect().topLeft()), button.size()]
+
+    before = places()
+    docked.deform()
+    assert not docked.idle
+    assert places() == before
+    busy_thread.set()
+    wait_for(lambda: docked.idle)
+    assert places() == before
+    docked.say("word " * 300)
+    assert places() == before
+
+
+def test_how_far_work_is_and_that_it_waits_for_the_compiler_is_said():
+    from napari_hmrf.solver.optimizers import Monitor
+    from napari_hmrf.ui.messages import progress
+
+    preparing = Monitor("preparing (the first run compiles its kernels, once)", 0.0)
+    assert progress(preparing) == "Deforming ..."
+    compiling = Monitor("compiling loops (3 of 10), about 18 s left", 0.3)
+    edit = "Following the last edit"
+    assert progress(Monitor("cycle 8, 0.0032 px to go", 0.6), edit) == f"{edit}: 60 %"
+    assert progress(compiling) == "Deforming: compiling loops (3 of 10), about 18 s left."
+
+
+def test_how_far_a_solve_is_is_said_in_per_cent_and_the_rest_where_the_mouse_rests(
+    widget, small_sample, wait_for
+):
+    small_sample(viewer_of(widget))
+    widget.settings = replace(widget.settings, sweeps=100_000)
+    widget.deform()
+    labels = widget.native.findChildren(QLabel)
+    percent, sweep = re.compile(r"Deforming: \d+ %"), re.compile(r"level \d+ \(.*\), sweep \d+")
+    wait_for(
+        lambda: (
+            bool(percent.fullmatch(widget.status))
+            and any(sweep.match(label.toolTip()) for label in labels)
+        )
+    )
+    widget.cancel()
+
+
+def test_the_window_does_not_wait_for_what_is_painted_to_be_understood(
+    widget, small_sample, busy_thread, wait_for
+):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    viewer.layers["Tissue"].data.fill(0)
+    widget.deform()
+    assert not widget.idle  # it is the compute thread that finds out
+    busy_thread.set()
+    wait_for(lambda: widget.idle)
+    assert widget.status.startswith("'Tissue' is 0 everywhere: there is no tissue")
+
+
+# Cancel, removal, closing
+
+
+def test_cancel_is_immediate_even_when_the_thread_is_not(
+    widget, small_sample, busy_thread, wait_for, at_rest
+):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    before = state(viewer)
+    widget.deform()
+    assert not widget.idle
+    assert not widget._form.footer.deform.enabled
+    assert widget._form.footer.cancel.enabled
+    widget.cancel()
+    assert not busy_thread.is_set()
+    assert widget.idle
+    assert widget._form.footer.deform.enabled
+    assert not widget._form.footer.cancel.enabled
+    assert "Cancelled" in widget.status
+    busy_thread.set()
+    at_rest()
+    assert state(viewer) == before
+
+
+def test_cancel_stops_a_long_solve_long_before_its_end(
+    widget, small_sample, run, wait_for, monkeypatch
+):
+    from napari_hmrf.solver.backends.cpu import kernels
+
+    swept, sweep = [], kernels.sweeps
+
+    def counted(*arguments):
+        sweep(*arguments)
+        swept.append(len(arguments[-1]))
+
+    monkeypatch.setattr(kernels, "sweeps", counted)
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    run(widget)
+    before = state(viewer)
+    widget.settings = replace(widget.settings, sweeps=100_000)
+    swept.clear()
+    widget.deform()
+    wait_for(lambda: bool(swept))
+    widget.cancel()
+    compute_thread.submit(lambda: None).result(timeout=LONG)
+    assert sum(swept) < 100_000, "of as many on each level"
+    assert state(viewer) == before
+
+
+def test_a_second_press_while_working_does_nothing(widget, small_sample, busy_thread, wait_for):
+    small_sample(viewer_of(widget))
+    said = []
+    widget.finished.connect(said.append)
+    widget.deform()
+    widget.deform()
+    busy_thread.set()
+    wait_for(lambda: widget.idle)
+    assert len(said) == 1
+
+
+def test_a_layer_removed_while_working_ends_the_work(widget, small_sample, busy_thread, at_rest):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    widget.deform()
+    viewer.layers.remove("Tissue")
+    assert widget.idle
+    assert widget.status.startswith("Cancelled")
+    busy_thread.set()
+    at_rest()
+    assert not any("arrows" in name for name in names(viewer))
+
+
+def test_closing_the_viewer_while_working_is_quick_and_quiet(
+    unstyled, without_controls, make_napari_viewer, small_sample, busy_thread, at_rest
+):
+    viewer = make_napari_viewer()
+    widget = dock_in(viewer)
+    quick(widget)
+    small_sample(viewer)
+    widget.deform()
+    after_it = compute_thread.submit(lambda: None)
+    viewer.close()
+    assert not after_it.done(), "nobody waited for the solve"
+    at_rest(thread=False)
+    busy_thread.set()
+    at_rest()
+
+
+def test_closing_the_dock_while_working_leaves_the_viewer_alone(
+    unstyled, without_controls, make_napari_viewer, small_sample, busy_thread, at_rest
+):
+    viewer = make_napari_viewer()
+    dock, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
+    quick(widget)
+    small_sample(viewer)
+    widget.deform()
+    viewer.window.remove_dock_widget(dock)
+    del dock, widget
+    at_rest(thread=False)
+    busy_thread.set()
+    viewer.add_image(np.zeros((20, 24)))  # events that nothing dead may answer
+    viewer.layers["Tissue"].paint((3, 3), 2)
+    at_rest()
+    assert not any("arrows" in name for name in names(viewer))
+
+
+def test_two_widgets_queue_and_both_finish(qtbot, small_sample, wait_for):
+    frames = [Frame(qtbot), Frame(qtbot)]
+    widgets = []
+    for frame in frames:
+        widget = frame.open()
+        small_sample(frame.viewer)
+        widgets.append(quick(widget))
+    for widget in widgets:
+        widget.deform()
+    wait_for(lambda: all(widget.idle for widget in widgets))
+    for frame in frames:
+        assert "MR arrows, paper" in names(frame.viewer)
+
+
+def test_the_kinds_of_result_layers(widget, small_sample, run, at_rest):
+    small_sample(viewer_of(widget))
+    run(widget)
+    see_all(widget, at_rest)
+    kinds = [type(layer) for layer in results_of(widget)]
+    assert kinds == [Image, Image, Vectors]
+
+
+def test_delete_in_a_table_deletes_nothing_in_a_layer(widget, small_sample, at_rest):
+    viewer = viewer_of(widget)
+    small_sample(viewer)
+    points = viewer.add_points([[5.0, 5.0], [9.0, 9.0]], name="points")
+    points.selected_data = {0, 1}
+    table = widget._form.tissue.table
+    table.selectRow(0)
+    QTest.keyClick(table, Qt.Key.Key_Delete)
+    at_rest()
+    assert len(points.data) == 2

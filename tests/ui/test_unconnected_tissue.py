@@ -1,0 +1,193 @@
+"""Scraps of tissue that hang on nothing stay where they are, and keep nobody waiting."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from napari.components import ViewerModel
+from napari.layers import Image
+
+from napari_hmrf import ElasticPrior, Problem, ProblemError, solve
+from napari_hmrf.layers.metadata import BOUNDARY, METADATA, TISSUE, described
+from napari_hmrf.solver.unconnected import left_at_rest, scraps
+from napari_hmrf.tissue.boundary_rules import BoundaryRule
+from napari_hmrf.tissue.drawing import Arrow, Drawing
+from napari_hmrf.ui.messages import STILL
+from napari_hmrf.ui.motion.tools import BY_NAME
+from napari_hmrf.ui.soft_tissue import SoftTissue
+from tests.conftest import quick
+from tests.support.person import by_name
+from tests.support.screen import Screen
+from tests.support.study_reader import read_ground
+
+
+def block_and_specks(size=24):
+    """A block of tissue; a speck hangs at its corner and could turn, another lies beside it."""
+    tissue = np.zeros((size, size), dtype=bool)
+    tissue[4:18, 4:18] = True
+    tissue[17:19, 17:19] = True
+    tissue[21:23, 2:5] = True
+    held = np.zeros((size, size, 2), dtype=bool)
+    held[4:18, 4] = True
+    return tissue, held
+
+
+def test_what_could_turn_or_drift_is_a_scrap_and_what_it_hangs_on_is_not():
+    tissue, held = block_and_specks()
+    found = scraps(tissue, held)
+    assert found[21:23, 2:5].all(), "nothing holds it"
+    assert found[18, 18], "it could turn"
+    assert not found[17, 17], "the corner it hangs on is the block's"
+    assert found.sum() == 6 + 3
+    assert left_at_rest(found).startswith(
+        "2 pieces of tissue that too little holds stay where they"
+    )
+    solution = solve(Problem(0.0 * held, 1.0 * held, 1.0 * (tissue & ~found)), ElasticPrior())
+    assert not solution.displacement.any()
+    with pytest.raises(ProblemError, match="free"):
+        solve(Problem(0.0 * held, 1.0 * held, 1.0 * tissue), ElasticPrior())
+
+
+def test_tissue_that_is_meant_is_no_scrap():
+    tissue, held = block_and_specks()
+    held[:] = False
+    held[10, 10] = True
+    found = scraps(tissue, held)
+    assert not found[4:17, 4:17].any(), "the block could turn: that is for the solver to refuse"
+    assert not scraps(tissue, np.zeros_like(held)).any()
+
+
+@pytest.mark.parametrize(("pixels", "meant"), [(9, False), (10, True)])
+def test_what_is_observed_of_a_hundredth_of_all_tissue_is_meant(pixels, meant):
+    tissue = np.zeros((40, 40), dtype=bool)
+    tissue[:33, :30] = True
+    tissue[36:38, 10:15] = True
+    if pixels < 10:
+        tissue[37, 14] = False
+        tissue[0, 30] = True  # all tissue together is the same
+    assert tissue.sum() == 1000
+    held = np.zeros((40, 40, 2), dtype=bool)
+    held[:33, 0] = True
+    held[36, 10] = True  # about this pixel the piece could turn
+    assert scraps(tissue, held)[36, 10] != meant
+
+
+def test_a_scrap_that_is_taken_hold_of_is_one_no_more():
+    tissue, held = block_and_specks()
+    assert scraps(tissue, held)[21, 2]
+    held[21:23, 2:5] = True
+    assert not scraps(tissue, held)[21, 2]
+
+
+def stiffness_with_specks():
+    tissue, _ = block_and_specks()
+    metadata = {METADATA: {"role": TISSUE}}
+    picture = (tissue * 200).astype(np.uint8)
+    return picture, Image(tissue.astype(np.float32), name="stiffness", metadata=metadata)
+
+
+def test_specks_do_not_keep_a_hand_from_pulling(open_window, settle):
+    picture, stiffness = stiffness_with_specks()
+    person, widget = open_window(picture)
+    person.viewer.add_layer(stiffness)
+    widget.tissue = stiffness
+    widget.hold_edge = False
+    Screen(widget).press("Pull")
+    widget.drawing = Drawing((Arrow((10, 10), (0, 2), 3.0),))
+    settle(widget)
+    field = widget.solution.displacement
+    assert field[10, 10] == pytest.approx((0, 2), abs=0.02)
+    assert not field[22, 3].any()
+    assert (
+        "2 pieces of tissue that too little holds stay where they are (9 pixels)" in widget.warning
+    )
+    assert by_name(person.viewer, "MR deformed, elastic").visible
+
+
+def test_what_cannot_be_pulled_is_said_of_the_layer():
+    picture, stiffness = stiffness_with_specks()
+    ground = read_ground(Image(picture, name="MR"), stiffness, hold_edge=False)
+    canvas = Drawing((Arrow((10, 10), (0, 2), 0.5),)).render(ground.base)
+    stated = ground.statement(canvas)
+    problem, prior = stated.problem, stated.prior
+    with pytest.raises(ProblemError, match=r"^confidence: leaves") as refused:
+        solve(problem, prior)
+    assert str(ground.study.in_words(refused.value)).startswith("'Motion' leaves a piece of tissue")
+
+
+def painted(qtbot, wall=True, moves=True):
+    """The dock with elastic tissue, specks, a wall and something that is pushed."""
+    viewer = ViewerModel()
+    picture, stiffness = stiffness_with_specks()
+    viewer.add_image(picture, name="MR")
+    viewer.add_layer(stiffness)
+    labels = np.zeros(picture.shape, np.uint8)
+    if wall:
+        labels[4:18, 4:6] = 1
+    if moves:
+        labels[9:12, 12:15] = 2
+    rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 1.0)))
+    viewer.add_labels(labels, name="Boundary", metadata=described(BOUNDARY, rules))
+    widget = quick(SoftTissue(viewer))
+    qtbot.addWidget(widget.native)
+    return widget
+
+
+def test_specks_do_not_keep_elastic_tissue_from_deforming(qtbot, run):
+    widget = painted(qtbot)
+    widget.model = "elastic"
+    outputs = run(widget)
+    assert outputs is not None
+    assert (
+        "2 pieces of tissue that too little holds stay where they are (9 pixels)." in widget.warning
+    )
+
+
+def test_that_nothing_moves_or_nothing_holds_is_said(qtbot, run):
+    widget = painted(qtbot, moves=False)
+    run(widget)
+    assert widget.status == STILL
+    assert widget.warning.startswith("Nothing moves: have something on tissue move")
+    widget = painted(qtbot)
+    moved = widget.rules[1]
+    widget.rules = (widget.rules[0], replace(moved, confidence=(0.0, 0.0)))
+    run(widget)
+    assert widget.status == STILL
+    assert "Nothing moves: have something on tissue move" in widget.warning
+    widget.rules = (widget.rules[0], moved)
+    widget.tissue.data[8:13, 11:16] = 0
+    widget.tissue.refresh()
+    run(widget)
+    assert widget.status == STILL
+    assert "9 boundary pixels outside tissue were ignored. Nothing moves" in widget.warning
+    widget = painted(qtbot, wall=False)
+    run(widget)
+    assert "Nothing holds the tissue" in widget.warning
+    widget = painted(qtbot)
+    run(widget)
+    assert "othing" not in widget.warning.split("pieces")[0]
+
+
+def test_that_a_pull_moves_all_of_the_tissue_as_nothing_holds_it_is_read(pulling_beside, settle):
+    touch, widget = pulling_beside
+    widget.hold_edge = False
+    settle(widget)
+    touch.drag((32, 32), (32, 36))
+    settle(widget)
+    said = "Nothing holds the tissue, so that all of it moves as one: hold its edge, or paint what"
+    assert widget.active
+    assert widget.status.startswith(said)
+    assert widget.status.endswith(BY_NAME["pull"].how), "and what can be done next"
+    assert widget.warning.startswith(said)
+    field = widget.solution.displacement
+    np.testing.assert_allclose(field, np.broadcast_to((0, 4), field.shape), atol=0.02)
+    widget.tool = "pin"
+    touch.paint((50, 8), (50, 16))
+    settle(widget)
+    assert "othing holds" not in widget.status + widget.warning
+    widget.drawing = Drawing(widget.drawing.marks[:1])
+    settle(widget)
+    assert widget.warning.startswith(said)
+    widget.hold_edge = True
+    settle(widget)
+    assert "othing holds" not in widget.status + widget.warning
