@@ -7,7 +7,6 @@ import os
 import sys
 import threading
 from concurrent.futures import Future
-from dataclasses import replace
 from itertools import count
 
 import numpy as np
@@ -17,6 +16,7 @@ from hypothesis import settings
 from napari_hmrf.solver.backends.compile_cache import loader
 from napari_hmrf.solver.backends.thread import compute_thread
 from tests.support.compile_once import compile_most, compile_once
+from tests.support.docks import dock_in, quick
 from tests.support.idle import AtRest
 from tests.support.napari_caches import (
     check_callbacks_once,
@@ -139,28 +139,6 @@ def widget(qtbot):
 def docked(unstyled, make_napari_viewer):
     """The dock in the window of a real viewer, set to be quick."""
     return quick(dock_in(make_napari_viewer()))
-
-
-def dock_in(viewer):
-    """Open the dock beside a viewer, as its menu does."""
-    return viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")[1]
-
-
-def quick(widget):
-    """The paper's model by a few sweeps on the CPU, when told to, without waiting for compilers."""
-    widget.settings = replace(widget.settings, device="cpu")
-    widget.model = "paper"
-    forget_choice(widget)
-    widget.settings = replace(widget.settings, sweeps=3)
-    widget.live = False
-    return widget
-
-
-def forget_choice(widget):
-    """Have the model be one that nobody chose: there is no step to take back."""
-    study_model, chosen = widget.study_model, widget.study_model.model
-    study_model.drop(lambda part: part.kind == "model")
-    study_model.choose_model(chosen, step=False)
 
 
 @pytest.fixture

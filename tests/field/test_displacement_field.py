@@ -16,7 +16,7 @@ from napari_hmrf.fields import read_field
 from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.layers.field_layer import field_of
 from napari_hmrf.solver.problem import grid_in_words
-from tests.io.test_fields import Case
+from tests.support.exchanged_fields import FieldCase
 
 pytest.importorskip("SimpleITK")
 
@@ -37,7 +37,7 @@ def inverted(monkeypatch):
 @pytest.fixture
 def volume(tmp_path):
     """A file of a volume that leads back, and what it was made of."""
-    case = Case("3-D")
+    case = FieldCase("3-D")
     case.direction = np.eye(3)  # napari slices no layer at an angle
     case.write(tmp_path / "warp.mha")
     return case, tmp_path / "warp.mha"
@@ -101,7 +101,7 @@ def test_a_volume_is_no_field_of_a_slice_which_is_said_before_it_is_inverted(
 
 
 def test_the_inverse_of_a_volume_is_that_of_its_points_some_at_once(inverted, monkeypatch):
-    case = Case("3-D")
+    case = FieldCase("3-D")
     monkeypatch.setattr(inverse_field, "_AT_ONCE", 5000)
     back, residual = inverse_displacement(case.displacement, spacing=case.spacing)
     assert sum(inverted) == np.prod(case.shape)

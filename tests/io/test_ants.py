@@ -5,8 +5,7 @@ import pytest
 
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.fields import read_field
-from tests.io.test_fields import PLACES, Case, inside
-from tests.io.test_foreign_fields import check
+from tests.support.exchanged_fields import PLACES, FieldCase, check_field_file, inside
 
 ants = pytest.importorskip("ants")
 
@@ -14,7 +13,7 @@ ants = pytest.importorskip("ants")
 @pytest.mark.parametrize("suffix", [".nii.gz", ".nii", ".mha", ".nrrd", ".h5"])
 @pytest.mark.parametrize("name", PLACES)
 def test_ants_moves_an_image_as_the_tissue_moves(name, suffix, tmp_path):
-    case, path = Case(name), tmp_path / f"field{suffix}"
+    case, path = FieldCase(name), tmp_path / f"field{suffix}"
     case.write(path)
     back = inverse_displacement(case.displacement, spacing=tuple(case.size)).displacement
     for axis in range(case.n):
@@ -34,7 +33,7 @@ def test_ants_moves_an_image_as_the_tissue_moves(name, suffix, tmp_path):
 @pytest.mark.parametrize("suffix", [".nii.gz", ".nii", ".mha", ".nrrd"])
 @pytest.mark.parametrize("name", PLACES)
 def test_a_field_that_ants_wrote_is_read(name, suffix, tmp_path):
-    case, path = Case(name), tmp_path / f"field{suffix}"
+    case, path = FieldCase(name), tmp_path / f"field{suffix}"
     vectors = case.whole[..., ::-1] @ case.direction.T
     image = ants.from_numpy(
         np.ascontiguousarray(vectors.transpose(*range(case.axes)[::-1], case.axes)),
@@ -44,11 +43,11 @@ def test_a_field_that_ants_wrote_is_read(name, suffix, tmp_path):
         has_components=True,
     )
     ants.image_write(image, str(path))
-    check(case, path)
+    check_field_file(case, path)
 
 
 def test_a_registration_s_warp_brings_what_ants_brings():
-    case = Case("2-D")
+    case = FieldCase("2-D")
     rows, cols = np.moveaxis(case.sites, -1, 0)
     pictures = [
         100 * np.exp(-(((rows - 22) / 9) ** 2) - ((cols - at) / 12) ** 2) for at in (30, 33)

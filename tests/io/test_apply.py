@@ -22,7 +22,7 @@ from napari_hmrf.io.apply import apply_field, read_field_file
 from napari_hmrf.io.fields import Place, write_field
 from napari_hmrf.io.images import ImageFile, read_image, write_image
 from napari_hmrf.landmarks import read_points, write_points
-from tests.io.test_fields import Case
+from tests.support.exchanged_fields import FieldCase
 
 sitk = pytest.importorskip("SimpleITK")
 
@@ -127,7 +127,7 @@ def test_landmarks_outside_the_image_are_counted(solved, tmp_path, capsys):
 
 
 def test_landmarks_in_other_slices_stay_and_it_is_said(tmp_path, capsys):
-    case = Case("slice")
+    case = FieldCase("slice")
     case.write(tmp_path / "back.mha")
     at = np.full((3, case.axes), 8.0)
     at[:, 0] = 0, 4, -0.4
@@ -145,7 +145,7 @@ def test_landmarks_in_other_slices_stay_and_it_is_said(tmp_path, capsys):
 
 @pytest.mark.parametrize("name", ["slice", "3-D"])
 def test_points_move_as_simpleitk_moves_them(name, tmp_path):
-    case = Case(name)
+    case = FieldCase(name)
     case.write(tmp_path / "forth.mha", forward=True)
     case.write(tmp_path / "back.mha")
     transform = sitk.DisplacementFieldTransform(
@@ -170,7 +170,7 @@ def test_points_move_as_simpleitk_moves_them(name, tmp_path):
 
 
 def test_of_a_volume_the_slice_moves_in_which_the_field_lies(tmp_path):
-    case = Case("slice")
+    case = FieldCase("slice")
     case.write(tmp_path / "field.nrrd")
     values = np.random.default_rng(3).random((5, *case.shape)).astype(np.float32)
     first = np.array(case.origin) - 2 * case.direction[:, 2] * case.spacing[0]
@@ -189,7 +189,7 @@ def test_of_a_volume_the_slice_moves_in_which_the_field_lies(tmp_path):
 
 
 def test_a_volume_moves_as_in_simpleitk(tmp_path):
-    case = Case("3-D")
+    case = FieldCase("3-D")
     case.write(tmp_path / "field.mha")
     values = np.random.default_rng(3).random(case.shape)
     place = Place(case.spacing, case.origin, case.direction)

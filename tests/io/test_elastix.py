@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from napari_hmrf.field.inverse_field import inverse_displacement
-from tests.io.test_fields import PLACES, Case, inside, sitk
-from tests.io.test_foreign_fields import check
+from tests.support.exchanged_fields import PLACES, FieldCase, check_field_file, inside, sitk
 
 itk = pytest.importorskip("itk")
 if not hasattr(itk, "TransformixFilter"):
@@ -60,16 +59,16 @@ def picture(case, axis, folder):
 @pytest.mark.parametrize("suffix", ["nii", "nii.gz", "mha", "nrrd"])
 @pytest.mark.parametrize("name", PLACES)
 def test_a_deformation_field_that_transformix_wrote_is_read(name, suffix, tmp_path):
-    case, field = Case(name), tmp_path / "given.mha"
+    case, field = FieldCase(name), tmp_path / "given.mha"
     sitk.WriteImage(case.vectors(np.float32), str(field))
     transformix(case, field, picture(case, 0, tmp_path), tmp_path, suffix)
-    check(case, tmp_path / f"deformationField.{suffix}")
+    check_field_file(case, tmp_path / f"deformationField.{suffix}")
 
 
 @pytest.mark.parametrize("suffix", [".nii.gz", ".mha", ".nrrd"])
 @pytest.mark.parametrize("name", PLACES)
 def test_transformix_moves_an_image_as_the_tissue_moves(name, suffix, tmp_path):
-    case, path = Case(name), tmp_path / f"field{suffix}"
+    case, path = FieldCase(name), tmp_path / f"field{suffix}"
     case.write(path)
     back = inverse_displacement(case.displacement, spacing=tuple(case.size)).displacement
     for axis in range(case.n):

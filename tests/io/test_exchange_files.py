@@ -20,7 +20,7 @@ from napari_hmrf.io import decoder_process, itk_decoder, itk_files, seal
 from napari_hmrf.io.decoder_process import DecoderProcess, Undecodable, decoder
 from napari_hmrf.io.fields import FIELD_SUFFIXES, is_field_file
 from napari_hmrf.io.images import ImageFile, read_image, write_image
-from tests.io.test_fields import Case
+from tests.support.exchanged_fields import FieldCase
 
 sitk = pytest.importorskip("SimpleITK")
 
@@ -240,7 +240,7 @@ def test_damaged_seals_are_no_missing_seals(suffix, tmp_path):
 @pytest.mark.parametrize("suffix", FIELD_SUFFIXES)
 def test_a_field_that_another_tool_changed_and_saved_is_read(suffix, tmp_path):
     path, other = tmp_path / f"a{suffix}", tmp_path / f"other{suffix}"
-    case = Case("3-D")
+    case = FieldCase("3-D")
     case.write(path)
     if suffix == ".h5":
         image = sitk.DisplacementFieldTransform(sitk.ReadTransform(str(path)))

@@ -13,24 +13,14 @@ from damaged_fields import make_field
 
 from napari_hmrf import FileFormatError
 from napari_hmrf.fields import read_field
-from tests.io.test_fields import PLACES, Case
+from tests.support.exchanged_fields import PLACES, FieldCase, check_field_file
 
 sitk = pytest.importorskip("SimpleITK")
 
 
 @pytest.fixture(params=PLACES)
 def case(request):
-    return Case(request.param)
-
-
-def check(case, path):
-    """Compare a file of vectors, taken as it is, with the field and place it was made of."""
-    field = read_field(path, forward=True)
-    away = (field.displacement - case.whole) / case.spacing
-    assert np.abs(away).max() < 1e-4
-    np.testing.assert_allclose(field.spacing, case.spacing, rtol=1e-6)
-    np.testing.assert_allclose(field.origin, case.origin, atol=1e-5)
-    np.testing.assert_allclose(field.direction, case.direction, atol=1e-6)
+    return FieldCase(request.param)
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
@@ -38,7 +28,7 @@ def check(case, path):
 def test_an_image_of_vectors_by_simpleitk_is_read(case, suffix, kind, tmp_path):
     path = tmp_path / f"field{suffix}"
     sitk.WriteImage(case.vectors(kind), str(path))
-    check(case, path)
+    check_field_file(case, path)
 
 
 @pytest.mark.parametrize("suffix", [".h5", ".tfm"])
@@ -48,7 +38,7 @@ def test_a_transform_by_simpleitk_is_read(case, suffix, composite, tmp_path):
     if composite:
         transform = sitk.CompositeTransform([transform])
     sitk.WriteTransform(transform, str(path))
-    check(case, path)
+    check_field_file(case, path)
 
 
 def test_a_warp_after_an_affine_map_is_read_as_both(case, tmp_path):
@@ -101,7 +91,7 @@ def test_a_deformation_field_of_transformix_is_read(case, tmp_path):
         size=words(vectors.GetSize()),
     )
     path.write_bytes(header.encode() + sitk.GetArrayFromImage(vectors).tobytes())
-    check(case, path)
+    check_field_file(case, path)
 
 
 def rotation_as_quaternion(turn):
@@ -138,15 +128,15 @@ def nifti(case, *, by_matrix, order="<"):
 @pytest.mark.parametrize("by_matrix", [True, False])
 @pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
 def test_one_slice_in_nifti_keeps_its_place_in_the_volume(suffix, by_matrix, order, tmp_path):
-    case, path = Case("slice"), tmp_path / f"deformationField{suffix}"
+    case, path = FieldCase("slice"), tmp_path / f"deformationField{suffix}"
     content = nifti(case, by_matrix=by_matrix, order=order)
     path.write_bytes(gzip.compress(content) if suffix == ".nii.gz" else content)
     assert sitk.ReadImage(str(path)).GetDimension() == 2, "ITK's reader drops an axis"
-    check(case, path)
+    check_field_file(case, path)
 
 
 def test_vectors_that_no_tool_would_take_for_a_field_are_refused(tmp_path):
-    path, case = tmp_path / "field.nii", Case("slice")
+    path, case = tmp_path / "field.nii", FieldCase("slice")
     content = bytearray(nifti(case, by_matrix=True))
     struct.pack_into("<h", content, 68, 0)  # numbers on a fifth axis, not vectors
     path.write_bytes(content)
@@ -169,7 +159,7 @@ def test_a_file_that_is_cut_short_is_no_field(suffix, tmp_path):
 
 def test_a_packed_file_with_a_flipped_bit_is_not_said_to_be_cut_short(tmp_path):
     path = tmp_path / "field.nii.gz"
-    content = bytearray(gzip.compress(nifti(Case("slice"), by_matrix=True)))
+    content = bytearray(gzip.compress(nifti(FieldCase("slice"), by_matrix=True)))
     content[-8] ^= 1  # of the checksum of all bytes, which are there
     path.write_bytes(content)
     with pytest.raises(FileFormatError, match=r"it is damaged or cut short"):
@@ -178,7 +168,7 @@ def test_a_packed_file_with_a_flipped_bit_is_not_said_to_be_cut_short(tmp_path):
 
 def test_a_size_that_a_file_cannot_hold_costs_no_memory(tmp_path):
     path = tmp_path / "field.nii"
-    content = bytearray(nifti(Case("slice"), by_matrix=True))
+    content = bytearray(nifti(FieldCase("slice"), by_matrix=True))
     struct.pack_into("<h", content, 46, 32_000)  # slices, of what would be 1 GB
     path.write_bytes(content)
     with pytest.raises(FileFormatError, match=r"field\.nii: not a displacement field that can"):

@@ -11,7 +11,7 @@ from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.slice_view import frame_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
-from tests.conftest import dock_in, quick
+from tests.support.docks import dock_in, quick
 from tests.support.person import CTRL, Person
 from tests.support.screen import Screen
 from tests.support.study_reader import read_layers

@@ -1,6 +1,7 @@
 """The tissue follows the hand: whatever the order and the timing, the last edit is what is seen."""
 
 import threading
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,27 +12,15 @@ from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, ProblemError, Sei
 from napari_hmrf.solver import live_solver as live_module
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.live_solver import LiveSolver
+from tests.support.problems import pulled_problem
 from tests.support.timeouts import LONG
 
 SIZE = 20
 
 
-def pulled(vector=(2.0, -1.0), at=(10, 8), stiff=30.0, size=SIZE, radius=2.5):
-    """A body held at its border, with a stiff lump, of which a patch is pulled."""
-    m = np.full((size, size), 10.0)
-    m[size // 4 : size // 2, size // 2 : -3] = stiff
-    y, c = np.zeros((size, size, 2)), np.zeros((size, size, 2))
-    c[0] = c[-1] = 1
-    c[:, 0] = c[:, -1] = 1
-    rows, cols = np.indices((size, size))
-    patch = np.hypot(rows - at[0], cols - at[1]) <= radius
-    y[patch], c[patch] = vector, 1
-    return Problem(y, c, m)
-
-
 def unheld():
     """Nothing holds the right half."""
-    problem = pulled()
+    problem = pulled_problem()
     m = np.array(problem.stiffness)
     m[:, 10] = 0
     return Problem(problem.observed, problem.confidence * (np.arange(SIZE) < 9)[:, None], m)
@@ -113,13 +102,14 @@ def test_the_last_edit_is_shown_in_the_end_as_if_nothing_had_come_before(edits, 
                     live.submit(unreadable)
                 else:
                     latest = dict(state)
-                    live.submit((lambda s=latest: pulled(**s)) if late else pulled(**latest))
+                    edit = partial(pulled_problem, **latest)
+                    live.submit(edit if late else edit())
                 let_pass(later)
-            number = live.submit(pulled(**latest))
+            number = live.submit(pulled_problem(**latest))
             assert live.wait(LONG)
     last = updates[-1]
     assert (last.number, last.final, last.error) == (number, True, None)
-    assert furthest(last.solution, cold(pulled(**latest), prior)) <= 0.02
+    assert furthest(last.solution, cold(pulled_problem(**latest), prior)) <= 0.02
     numbers = [update.number for update in updates]
     assert numbers == sorted(numbers)
 
@@ -129,7 +119,7 @@ def test_of_edits_that_wait_only_the_newest_is_looked_at(live, updates, pause):
 
     def reading(vector):
         read.append(vector)
-        return pulled(vector)
+        return pulled_problem(vector)
 
     for row in range(6):
         live.submit(lambda row=row: reading((row, 0.0)))
@@ -148,10 +138,10 @@ def test_the_tissue_follows_a_drag_that_never_pauses(monkeypatch, patience):
     def next_edit(update):
         updates.append(update)
         if update.number < 8:
-            live.submit(pulled((update.number / 4, 1.0)))
+            live.submit(pulled_problem((update.number / 4, 1.0)))
 
     with LiveSolver(next_edit, backend="cpu") as live:
-        live.submit(pulled((0.0, 1.0)))
+        live.submit(pulled_problem((0.0, 1.0)))
         assert live.wait(LONG)
     assert {update.number for update in updates} == set(range(1, 9))
     assert [update.final for update in updates if update.number == 8][-1]
@@ -159,7 +149,7 @@ def test_the_tissue_follows_a_drag_that_never_pauses(monkeypatch, patience):
 
 def test_a_patch_that_was_moved_before_takes_hardly_a_cycle(live, updates):
     for step in range(8):
-        live.submit(pulled((0.4 * step, 0.1 * step**2)))
+        live.submit(pulled_problem((0.4 * step, 0.1 * step**2)))
         assert live.wait(LONG)
     cycles = [update.solution.iterations for update in updates]
     assert max(cycles[4:]) < max(cycles[:2])
@@ -167,26 +157,26 @@ def test_a_patch_that_was_moved_before_takes_hardly_a_cycle(live, updates):
 
 def test_a_glance_comes_first_where_a_solve_takes_long(monkeypatch, live, updates):
     monkeypatch.setattr(live_module, "PATIENCE", 0.0)
-    live.submit(pulled())
+    live.submit(pulled_problem())
     assert live.wait(LONG)
     glance, answer = updates
     assert (glance.final, answer.final) == (False, True)
     assert (glance.number, answer.number) == (1, 1)
-    exact = cold(pulled())
+    exact = cold(pulled_problem())
     assert furthest(glance.solution, exact) <= live_module.GLANCE
     assert furthest(answer.solution, exact) <= live_module.TOLERANCE
 
 
 def test_without_a_glance_what_follows_oblivion_is_a_solve_bit_by_bit(monkeypatch, live, updates):
     monkeypatch.setattr(live_module, "PATIENCE", 0.0)
-    live.submit(pulled((3.0, 0.0)))
+    live.submit(pulled_problem((3.0, 0.0)))
     assert live.wait(LONG)
     live.forget()
     updates.clear()
-    live.submit(pulled(), glance=False)
+    live.submit(pulled_problem(), glance=False)
     assert live.wait(LONG)
     (answer,) = updates
-    cold = solve(pulled(), live.prior, optimizer=live.optimizer, backend="cpu")
+    cold = solve(pulled_problem(), live.prior, optimizer=live.optimizer, backend="cpu")
     assert np.array_equal(answer.solution.displacement, cold.displacement)
 
 
@@ -197,10 +187,10 @@ def test_after_a_glance_a_newer_edit_goes_first(monkeypatch):
     def edit_during_the_first(update):
         updates.append(update)
         if len(updates) == 1:
-            live.submit(pulled((-3.0, 0.0)))
+            live.submit(pulled_problem((-3.0, 0.0)))
 
     with LiveSolver(edit_during_the_first, backend="cpu") as live:
-        live.submit(pulled((3.0, 0.0)))
+        live.submit(pulled_problem((3.0, 0.0)))
         assert live.wait(LONG)
     assert [(u.number, u.final) for u in updates] == [(1, False), (2, True)]
 
@@ -208,8 +198,8 @@ def test_after_a_glance_a_newer_edit_goes_first(monkeypatch):
 @pytest.mark.parametrize(("patience", "answered"), [(None, [1, 2]), (0.0, [2])])
 def test_what_has_had_its_time_is_given_up_for_a_newer_edit(live, updates, patience, answered):
     def edited_meanwhile():
-        live.submit(pulled((-3.0, 0.0)))
-        return pulled((3.0, 0.0))
+        live.submit(pulled_problem((-3.0, 0.0)))
+        return pulled_problem((3.0, 0.0))
 
     live.submit(edited_meanwhile, glance=False, patience=patience)
     assert live.wait(LONG)
@@ -217,7 +207,7 @@ def test_what_has_had_its_time_is_given_up_for_a_newer_edit(live, updates, patie
 
 
 def test_what_is_wrong_is_delivered_and_the_next_edit_is_answered(live, updates):
-    for problem in (unreadable, unheld, lambda: Problem(1, 2, 3), pulled):
+    for problem in (unreadable, unheld, lambda: Problem(1, 2, 3), pulled_problem):
         live.submit(problem)
         assert live.wait(LONG)
     assert [type(update.error) for update in updates] == [ProblemError] * 3 + [type(None)]
@@ -234,7 +224,7 @@ def test_what_nobody_meant_is_delivered_too_and_logged(live, updates, caplog):
 
 def test_an_error_that_has_been_put_right_is_not_shown(live, updates):
     def hesitating():
-        live.submit(pulled())  # comes while this one is looked at
+        live.submit(pulled_problem())  # comes while this one is looked at
         unreadable()
 
     live.submit(hesitating)
@@ -245,7 +235,7 @@ def test_an_error_that_has_been_put_right_is_not_shown(live, updates):
 @pytest.mark.parametrize("end", ["forget", "close"])
 def test_what_is_dropped_is_never_shown(updates, pause, end):
     live = LiveSolver(updates.append, backend="cpu")
-    live.submit(pulled())
+    live.submit(pulled_problem())
     assert live.busy
     getattr(live, end)()
     assert not live.busy, "nothing is to come, whatever the thread does"
@@ -257,12 +247,12 @@ def test_what_is_dropped_is_never_shown(updates, pause, end):
 def test_what_is_being_solved_when_all_is_forgotten_is_not_shown(live, updates):
     def interrupted():
         live.forget()
-        return pulled()
+        return pulled_problem()
 
     live.submit(interrupted)
     assert live.wait(LONG)
     assert updates == []
-    live.submit(pulled())
+    live.submit(pulled_problem())
     assert live.wait(LONG)
     assert [update.number for update in updates] == [2]
 
@@ -272,15 +262,15 @@ def test_nothing_is_taken_after_the_end(updates):
     live.close()
     live.close()
     with pytest.raises(RuntimeError, match="closed"):
-        live.submit(pulled())
+        live.submit(pulled_problem())
 
 
 def test_another_image_may_follow(live, updates):
     for size in (SIZE, 28, SIZE):
-        live.submit(pulled(size=size))
+        live.submit(pulled_problem(size=size))
         assert live.wait(LONG)
     for update, size in zip(updates, (SIZE, 28, SIZE), strict=True):
-        assert furthest(update.solution, cold(pulled(size=size))) <= 0.02
+        assert furthest(update.solution, cold(pulled_problem(size=size))) <= 0.02
 
 
 @pytest.mark.parametrize(
@@ -289,16 +279,16 @@ def test_another_image_may_follow(live, updates):
 def test_the_papers_prior_lives_too(updates, prior, optimizer):
     with LiveSolver(updates.append, prior, optimizer=optimizer, backend="cpu") as live:
         for row in (1.0, 2.0):
-            live.submit(pulled((row, 0.0)))
+            live.submit(pulled_problem((row, 0.0)))
             assert live.wait(LONG)
-    expected = solve(pulled((2.0, 0.0)), prior, optimizer=optimizer, backend="cpu")
+    expected = solve(pulled_problem((2.0, 0.0)), prior, optimizer=optimizer, backend="cpu")
     assert furthest(updates[-1].solution, expected) <= 0.02
 
 
 def test_the_backend_may_change_with_the_edits(live, updates):
     for backend in ("abacus", "cpu"):
         live.backend = backend
-        live.submit(pulled())
+        live.submit(pulled_problem())
         assert live.wait(LONG)
     assert "abacus" in str(updates[0].error)
     assert updates[1].error is None
@@ -307,20 +297,20 @@ def test_the_backend_may_change_with_the_edits(live, updates):
 def test_the_prior_may_change_with_the_edits(live, updates):
     softer, flat = ElasticPrior(0.1), ElasticPrior(0.3, plane="strain")
     live.prior = softer
-    live.submit(pulled())
+    live.submit(pulled_problem())
     assert live.wait(LONG)
-    live.submit((pulled(), flat))
+    live.submit((pulled_problem(), flat))
     assert live.wait(LONG)
     for update, prior in zip(updates, (softer, flat), strict=True):
-        assert furthest(update.solution, cold(pulled(), prior)) <= 0.02
+        assert furthest(update.solution, cold(pulled_problem(), prior)) <= 0.02
 
 
 def test_results_come_on_the_compute_thread_and_there_is_no_other():
     came = []
-    solve(pulled(), ElasticPrior(), backend="cpu")
+    solve(pulled_problem(), ElasticPrior(), backend="cpu")
     before = set(threading.enumerate())
     with LiveSolver(lambda _: came.append(compute_thread.is_current()), backend="cpu") as live:
-        live.submit(pulled())
+        live.submit(pulled_problem())
         assert live.wait(LONG)
         assert set(threading.enumerate()) <= before
     assert came == [True]
@@ -335,7 +325,7 @@ def test_a_window_that_fails_to_show_does_not_end_it(caplog):
 
     with LiveSolver(fragile, backend="cpu") as live:
         for _ in range(2):
-            live.submit(pulled())
+            live.submit(pulled_problem())
             assert live.wait(LONG)
     assert seen == [1, 2]
     assert "could not be shown" in caplog.text
@@ -344,6 +334,6 @@ def test_a_window_that_fails_to_show_does_not_end_it(caplog):
 def test_what_is_being_done_is_said(updates):
     said = []
     with LiveSolver(updates.append, backend="cpu", progress=said.append) as live:
-        live.submit(pulled())
+        live.submit(pulled_problem())
         assert live.wait(LONG)
     assert said[0].message.startswith("preparing")

@@ -13,19 +13,9 @@ from napari_hmrf import ICM, BackendError, Cancelled, ElasticPrior, Multigrid, S
 from napari_hmrf.solver.backends import BATCH_SECONDS
 from napari_hmrf.solver.backends.thread import ComputeThread, compute_thread
 from napari_hmrf.solver.solve import run_here
-from tests.solver.optimizers.test_icm import frame_problem
+from tests.support.cancel_flags import AfterLooks
+from tests.support.problems import frame_problem
 from tests.support.timeouts import LONG
-
-
-class After:
-    """A cancel flag that is set once it has been looked at `looks` times."""
-
-    def __init__(self, looks):
-        self.left = looks
-
-    def is_set(self):
-        self.left -= 1
-        return self.left < 0
 
 
 def test_progress_runs_from_nothing_to_all_on_the_callers_thread():
@@ -49,7 +39,7 @@ def test_cancelled_at_any_moment_there_is_no_result_and_the_next_solve_is_right(
     problem = frame_problem((40, 40))
     expected = solve(problem, SeilerPrior(), backend="cpu").displacement
     with pytest.raises(Cancelled):
-        solve(problem, SeilerPrior(), backend="cpu", cancel=After(looks))
+        solve(problem, SeilerPrior(), backend="cpu", cancel=AfterLooks(looks))
     np.testing.assert_array_equal(
         solve(problem, SeilerPrior(), backend="cpu").displacement, expected
     )

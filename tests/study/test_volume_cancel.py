@@ -28,6 +28,7 @@ from napari_hmrf.solver.solve import run_here
 from napari_hmrf.study.engine import Engine
 from napari_hmrf.study.study import Pictures
 from napari_hmrf.ui.background_jobs import BackgroundJobs
+from tests.support.cancel_flags import AfterLooks
 from tests.support.timeouts import LONG
 
 #: Of slabs of four planes for each core, three or more, whichever cores a test before left to work.
@@ -190,17 +191,6 @@ def test_a_background_job_that_is_dropped_on_its_way_to_the_window_is_not_shown(
     jobs.release()
 
 
-class Countdown:
-    """Set from the look of a number on."""
-
-    def __init__(self, looks):
-        self.left = looks
-
-    def is_set(self):
-        self.left -= 1
-        return self.left < 0
-
-
 def problems(shape=(12, 10, 9)):
     """The same tissue, held here and there: what moves reaches less far, and farther."""
     y, c = np.zeros((2, *shape, 3))
@@ -216,7 +206,7 @@ def test_a_solve_that_is_stopped_at_any_look_leaves_nothing_to_the_next():
 
     def solved(problem, looks=10**6):
         # By its own thread no more looks are taken than the work takes.
-        flag = Countdown(looks)
+        flag = AfterLooks(looks)
         how = ElasticPrior(), Multigrid(1e-4), "cpu", None, flag
         found = compute_thread.submit(lambda: run_here(problem, *how)).result()
         return found.displacement, looks - flag.left

@@ -1,4 +1,4 @@
-"""A cancel flag for tests of what happens when it is set on the way."""
+"""Cancel flags that are set on the way."""
 
 from napari_hmrf.solver.backends.thread import compute_thread
 
@@ -11,3 +11,14 @@ class During:
 
     def is_set(self) -> bool:
         return self._words in compute_thread.stage
+
+
+class AfterLooks:
+    """Set once it has been looked at so many times."""
+
+    def __init__(self, looks: int) -> None:
+        self.left = looks
+
+    def is_set(self) -> bool:
+        self.left -= 1
+        return self.left < 0

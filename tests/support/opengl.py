@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 
 import pytest
 
-from napari_hmrf import BackendError
+from napari_hmrf import BackendError, Cancelled
 from napari_hmrf.solver.backends import compute_thread
-from napari_hmrf.solver.backends.opengl import describe
+from napari_hmrf.solver.backends.opengl import OpenGLBackend, describe
 from tests.support.timeouts import LONG
 
 T = TypeVar("T")
@@ -21,6 +21,27 @@ T = TypeVar("T")
 def on_compute_thread(job: Callable[[], T]) -> T:
     """Run a job where OpenGL may be used."""
     return compute_thread.submit(job).result(timeout=LONG)
+
+
+def count_looks(stage: str, optimizer, problem, prior, stop_at: int | None = None) -> int:
+    """Solve with shaders of a stage, cancelled at a look; return the number of looks before."""
+    looks = 0
+
+    def look() -> None:
+        nonlocal looks
+        if looks == stop_at:
+            raise Cancelled
+        looks += 1
+
+    def job() -> int:
+        backend = OpenGLBackend(look, stage)
+        try:
+            optimizer.run(problem, prior, backend, lambda _: None)
+        finally:
+            backend.close()
+        return looks
+
+    return on_compute_thread(job)
 
 
 @cache

@@ -20,7 +20,7 @@ from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.ui.messages import MODELS
 from napari_hmrf.ui.soft_tissue import SoftTissue
 from napari_hmrf.ui.tissue_tables import BoundaryTable
-from tests.conftest import dock_in, quick
+from tests.support.docks import dock_in, quick
 from tests.support.person import Person
 from tests.support.screen import Screen, head
 from tests.support.timeouts import LONG_MS

@@ -12,7 +12,7 @@ from qtpy.QtWidgets import QApplication
 
 from napari_hmrf import Arrow, Drawing
 from napari_hmrf.ui.soft_tissue import SoftTissue
-from tests.conftest import quick
+from tests.support.docks import quick
 from tests.support.screen import Screen
 from tests.support.timeouts import LONG_MS
 

@@ -7,7 +7,7 @@ from napari.components import ViewerModel
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.motion.motion_messages import START
 from napari_hmrf.ui.soft_tissue import SoftTissue
-from tests.conftest import quick
+from tests.support.docks import quick
 
 GREY = (np.indices((20, 24)).sum(axis=0) % 5 * 50).astype(np.uint8)
 LARGER = np.full((64, 48, 3), 200, np.uint8)

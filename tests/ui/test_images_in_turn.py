@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from napari.layers import Layer
 
 from napari_hmrf.contributions import phantom_layers, volume_layers
 from napari_hmrf.data import head_phantom
@@ -10,7 +9,7 @@ from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.samples.phantoms import phantom
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Stroke
 from napari_hmrf.ui.messages import CHOOSE
-from tests.conftest import quick
+from tests.support.docks import open_sample, quick
 from tests.support.screen import Screen
 
 MARKS = Drawing((Arrow((10, 12), (1, 1), 4.0),))
@@ -28,13 +27,8 @@ def widget(frame):
     return quick(frame.open())
 
 
-def opened(viewer, data):
-    """Open a sample beside what there is, as its menu does."""
-    return [viewer.add_layer(Layer.create(*each)) for each in data]
-
-
 def brain(viewer, size=32):
-    return opened(viewer, phantom_layers(phantom("expansion", size)))
+    return open_sample(viewer, phantom_layers(phantom("expansion", size)))
 
 
 def chosen(widget):
@@ -42,7 +36,7 @@ def chosen(widget):
 
 
 def test_a_sample_that_comes_leaves_the_one_that_is_drawn_on_its_own(viewer, widget, settle):
-    head = opened(viewer, volume_layers(head_phantom(24)))
+    head = open_sample(viewer, volume_layers(head_phantom(24)))
     settle(widget)
     widget.drawing = MARKS_OF_VOLUME
     flat = brain(viewer)

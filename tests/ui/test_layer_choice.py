@@ -11,6 +11,7 @@ from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.study.ground import build_problem
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.messages import CHOOSE
+from tests.support.docks import viewer_of
 from tests.support.screen import Screen
 
 
@@ -30,10 +31,6 @@ class Breakable:
 
     def __array__(self, dtype=None, copy=None):
         return self[:]
-
-
-def viewer_of(widget):
-    return widget._viewer
 
 
 # Confidence

@@ -13,14 +13,10 @@ from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.study.ground import build_problem
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.ui.messages import CHOOSE, STILL
-from tests.conftest import dock_in, forget_choice, quick
+from tests.support.docks import dock_in, forget_choice, quick, viewer_of
 from tests.support.person import CTRL, Person
 from tests.support.screen import Cell, Screen
 from tests.support.timeouts import LONG, LONG_MS
-
-
-def viewer_of(widget):
-    return widget._viewer
 
 
 def names(widget):

@@ -21,13 +21,10 @@ from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.ui.messages import MODELS, PLANES, READY
 from napari_hmrf.ui.soft_tissue import SoftTissue
+from tests.support.docks import viewer_of
 from tests.support.screen import Cell, Screen
 
 POISSON = 3  # the column of the table of tissues
-
-
-def viewer_of(widget):
-    return widget._viewer
 
 
 def names(widget):

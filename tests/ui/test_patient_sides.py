@@ -20,7 +20,7 @@ from napari_hmrf.layers.screen_directions import Sides, ways_of
 from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.soft_tissue import SoftTissue
-from tests.conftest import dock_in, quick
+from tests.support.docks import dock_in, quick
 from tests.support.screen import Screen
 from tests.support.screen import head as table_head
 

@@ -30,7 +30,7 @@ from napari_hmrf.io.fields import place_of
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, described
 from napari_hmrf.tissue import StiffnessCurve
 from napari_hmrf.ui.soft_tissue import SoftTissue
-from tests.conftest import dock_in
+from tests.support.docks import dock_in
 from tests.support.screen import Screen
 
 SHAPE = (36, 44)

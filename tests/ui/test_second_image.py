@@ -11,8 +11,8 @@ from napari_hmrf.contributions import phantom_layers, volume_layers
 from napari_hmrf.data import head_phantom
 from napari_hmrf.samples.phantoms import phantom
 from napari_hmrf.ui.soft_tissue import SoftTissue
+from tests.support.docks import open_sample
 from tests.support.screen import Screen
-from tests.ui.test_images_in_turn import opened
 
 SHAPE = (48, 56)
 SIZE = (0.5, 0.8)
@@ -206,13 +206,13 @@ def test_an_image_that_is_left_has_its_colours_back_and_its_landmarks_are_said_n
 
 def test_landmarks_of_one_image_measure_no_result_of_another(frame, settle):
     viewer = frame.viewer
-    head = opened(viewer, volume_layers(head_phantom(24)))
+    head = open_sample(viewer, volume_layers(head_phantom(24)))
     dock = frame.open()
     settle(dock)
     dock.drawing = Drawing((Landmark((12, 12, 12), (12, 13, 12), 4.0),))
     settle(dock)
     assert "apart before" in dock.residual
-    flat = opened(viewer, phantom_layers(phantom("expansion", 32)))
+    flat = open_sample(viewer, phantom_layers(phantom("expansion", 32)))
     settle(dock)
     for image, said in ((flat[0], False), (head[0], True), (flat[0], False)):
         dock.image = image

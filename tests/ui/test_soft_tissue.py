@@ -31,7 +31,7 @@ from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.ui.messages import MODELS
 from napari_hmrf.ui.soft_tissue import SoftTissue
-from tests.conftest import dock_in, quick
+from tests.support.docks import dock_in, quick, viewer_of
 from tests.support.screen import Cell, Screen, head
 from tests.support.timeouts import LONG
 from tests.support.windowless import Frame
@@ -44,10 +44,6 @@ def names(viewer):
 def state(viewer):
     """Everything an error must leave as it was."""
     return [(layer.name, id(layer), np.array(layer.data).tobytes()) for layer in viewer.layers]
-
-
-def viewer_of(widget):
-    return widget._viewer
 
 
 def by_name(widget, name):

@@ -15,7 +15,7 @@ from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.messages import STILL
 from napari_hmrf.ui.motion.tools import BY_NAME
 from napari_hmrf.ui.soft_tissue import SoftTissue
-from tests.conftest import quick
+from tests.support.docks import quick
 from tests.support.person import by_name
 from tests.support.screen import Screen
 from tests.support.study_reader import read_ground

@@ -6,7 +6,7 @@ from qtpy.QtCore import Qt
 
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.tissue.drawing import Arrow
-from tests.conftest import dock_in, quick
+from tests.support.docks import dock_in, quick
 from tests.support.person import CTRL, SHIFT, Person
 from tests.support.screen import Screen
 from tests.support.windowless import Touch

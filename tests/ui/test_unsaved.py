@@ -17,7 +17,7 @@ from qtpy.QtWidgets import QFileDialog, QMessageBox
 from napari_hmrf import Arrow, Drawing, Grid, Motion, Study, read_study, write_study
 from napari_hmrf.io import recovery
 from napari_hmrf.ui.soft_tissue import SoftTissue
-from tests.conftest import dock_in
+from tests.support.docks import dock_in
 from tests.support.person import CTRL, Person
 from tests.support.screen import Screen
 from tests.support.timeouts import LONG

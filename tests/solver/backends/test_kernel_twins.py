@@ -33,12 +33,6 @@ CASES += [
 ]
 
 
-@pytest.fixture(params=["fragment", "compute"])
-def stage(request) -> str:
-    require_opengl(request.param)
-    return request.param
-
-
 @dataclass
 class Example:
     """A problem with random tissue, holes and observations, and a random displacement of it."""

@@ -11,18 +11,9 @@ from literal import solve_literally
 from napari_hmrf import ICM, Problem, SeilerPrior, solve
 from napari_hmrf.solver.quadtree import levels
 from tests.support.paper_oracle import centred_fixed_point, local_energy
+from tests.support.problems import frame_problem
 
 CONVERGED = ICM(iterations=20000, steps=None, energy_change=1e-9)
-
-
-def frame_problem(shape, seed=0, ratio=4.0, amplitude=2.0, spacing=(1.0, 1.0)):
-    """Random tissue whose border is held at random displacements."""
-    rng = np.random.default_rng(seed)
-    m = ratio ** rng.random(shape)
-    y = rng.normal(scale=amplitude, size=(*shape, 2))
-    c = np.zeros((*shape, 2))
-    c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
-    return Problem(y, c, m, spacing=spacing)
 
 
 def bar(length, ratio, width=5):

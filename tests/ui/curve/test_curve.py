@@ -20,7 +20,7 @@ from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.curve.editor import CurveEditor
-from tests.conftest import quick
+from tests.support.docks import quick
 from tests.support.screen import Cell
 
 CURVE = StiffnessCurve(((50, 10), (100, 20), (200, 40)), void_below=20, unit="kPa")

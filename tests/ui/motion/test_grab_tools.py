@@ -16,7 +16,7 @@ from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 from napari_hmrf.ui.motion.motion_messages import NO_WAY
 from napari_hmrf.ui.soft_tissue import SoftTissue
-from tests.conftest import dock_in
+from tests.support.docks import dock_in
 from tests.support.person import CTRL, SHIFT, by_name, only
 from tests.support.screen import Screen
 from tests.support.timeouts import LONG_MS

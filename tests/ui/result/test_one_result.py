@@ -12,7 +12,7 @@ from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.motion.motion_messages import START
 from napari_hmrf.ui.motion.tools import TOOLS
-from tests.conftest import dock_in
+from tests.support.docks import dock_in
 from tests.support.person import CTRL, Person
 from tests.support.screen import Screen
 from tests.support.windowless import Touch

@@ -26,17 +26,13 @@ from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.result.cursor import stiffness_of
 from napari_hmrf.ui.result.result_messages import how_far
-from tests.conftest import dock_in, quick
+from tests.support.docks import dock_in, quick, viewer_of
 from tests.support.person import SHIFT, Person
 from tests.support.windowless import Touch
 
 
 def names(viewer):
     return [layer.name for layer in viewer.layers]
-
-
-def viewer_of(widget):
-    return widget._viewer
 
 
 @pytest.fixture

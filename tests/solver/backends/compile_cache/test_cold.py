@@ -47,32 +47,6 @@ PROBLEM = phantom("expansion", 40).problem
 IMAGE = SolveJob.of(PROBLEM, *MODELS["elastic"])
 
 
-@pytest.fixture
-def cold(monkeypatch, tmp_path):
-    """No loops yet, and nobody who compiles them; the commands that would be started."""
-    started = []
-
-    class Compiler:
-        def __init__(self, command):
-            started.append(command)
-
-        def poll(self):
-            """It goes on for ever."""
-
-        def terminate(self):
-            """Nothing runs."""
-
-    monkeypatch.delenv("NAPARI_HMRF_COMPILE")
-    monkeypatch.setattr(kept, "folder", lambda: tmp_path)
-    monkeypatch.setattr(loops._State, "solver", loops._Part())
-    monkeypatch.setattr(loops._State, "pictures", loops._Part())
-    monkeypatch.setattr(loops._State, "alone", False)
-    monkeypatch.setattr(compiler._State, "compiler", None)
-    monkeypatch.setattr(compiler, "_started", Compiler)
-    monkeypatch.setattr(loader, "_loader", loader._Loader())
-    return started
-
-
 @pytest.mark.parametrize("model", MODELS)
 def test_the_field_and_the_picture_are_those_of_the_loops(model, cold, monkeypatch):
     require_opengl()

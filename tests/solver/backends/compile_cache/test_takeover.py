@@ -15,9 +15,8 @@ from napari_hmrf.solver.backends.compile_cache import kept, loader
 from napari_hmrf.solver.backends.compile_cache.sets import COUNTS, FULL_COUNT, HARDER
 from napari_hmrf.solver.backends.compile_cache.watch import watched
 from napari_hmrf.solver.backends.opengl import is_software_renderer
-from tests.solver.backends.compile_cache.test_cold import cold  # noqa: F401 - a fixture
-from tests.solver.test_live_solver import pulled
 from tests.support.opengl import require_opengl
+from tests.support.problems import pulled_problem
 from tests.support.timeouts import LONG
 
 
@@ -30,7 +29,7 @@ class Hand:
         self._live = LiveSolver(self._see)
 
     def pull(self, reach):
-        return self._live.submit(pulled((reach, -reach / 2), size=48, at=(24, 20)))
+        return self._live.submit(pulled_problem((reach, -reach / 2), size=48, at=(24, 20)))
 
     def follow(self, reach):
         """Pull, and look at the answer."""
@@ -55,7 +54,7 @@ class Hand:
 
 
 @pytest.fixture
-def hand(cold):  # noqa: F811
+def hand(cold):
     require_opengl()
     made = Hand()
     first = made.follow(0.5)
@@ -117,7 +116,7 @@ print(sum(sum(loop.stats.cache_misses.values()) for loop in loops))
 
 
 def test_what_is_kept_is_loaded_and_nothing_is_compiled_for_it():
-    solve(pulled(), ElasticPrior(), backend="cpu")
+    solve(pulled_problem(), ElasticPrior(), backend="cpu")
     done = subprocess.run(
         [sys.executable, "-c", LOADING], capture_output=True, text=True, check=True, timeout=LONG
     )

@@ -23,7 +23,7 @@ from tests.support.linear_levels import (
     torn,
     with_levels,
 )
-from tests.support.opengl import left, on_compute_thread, require_opengl
+from tests.support.opengl import count_looks, left, on_compute_thread, require_opengl
 
 #: Odd, even, prime, two sites wide, small enough to be the only level.
 SHAPES = [(31, 37), (64, 48), (2, 9), (101, 7), (4, 5)]
@@ -40,12 +40,6 @@ CASES = [
 ]
 STEPS = chebyshev(0.5, 2.0, 3)
 COARSELY = Multigrid(0.1)
-
-
-@pytest.fixture(params=["fragment", "compute"])
-def stage(request) -> str:
-    require_opengl(request.param)
-    return request.param
 
 
 @pytest.fixture
@@ -263,23 +257,7 @@ def test_an_iteration_allocates_nothing(stage, made):
 
 def _batches(stage: str, stop_at: int | None = None) -> int:
     """Solve, cancelled at one of the looks; how many looks there were."""
-    looks = 0
-
-    def look() -> None:
-        nonlocal looks
-        if looks == stop_at:
-            raise Cancelled
-        looks += 1
-
-    def job() -> int:
-        backend = OpenGLBackend(look, stage)
-        try:
-            COARSELY.run(torn(4.0), ElasticPrior(), backend, lambda _: None)
-        finally:
-            backend.close()
-        return looks
-
-    return on_compute_thread(job)
+    return count_looks(stage, COARSELY, torn(4.0), ElasticPrior(), stop_at)
 
 
 @pytest.mark.parametrize("where", [0.0, 0.5, 0.999])

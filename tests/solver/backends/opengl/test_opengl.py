@@ -15,17 +15,11 @@ from napari_hmrf.solver.backends.opengl.context.pace import Pace
 from napari_hmrf.solver.backends.opengl.programs import source
 from napari_hmrf.solver.backends.opengl.programs.programs import compile_program
 from napari_hmrf.solver.quadtree import levels
-from tests.support.opengl import on_compute_thread, require_opengl
+from tests.support.opengl import count_looks, on_compute_thread, require_opengl
 from tests.support.timeouts import LONG
 
 CLOSED_FORM = ICM(iterations=30, steps=None)
 IMAGE = SolveJob((9, 9), (1.0, 1.0), SeilerPrior(), CLOSED_FORM)
-
-
-@pytest.fixture(params=["fragment", "compute"])
-def stage(request) -> str:
-    require_opengl(request.param)
-    return request.param
 
 
 @pytest.fixture
@@ -182,24 +176,8 @@ def test_an_error_leaves_no_texture_behind(ledger):
 
 
 def _batches(stage: str, stop_at: int | None = None) -> int:
-    """Run a schedule, cancelled at one of its looks; how many looks there were."""
-    looks = 0
-
-    def look() -> None:
-        nonlocal looks
-        if looks == stop_at:
-            raise Cancelled
-        looks += 1
-
-    def job() -> int:
-        backend = OpenGLBackend(look, stage)
-        try:
-            ICM(iterations=12).run(body(), SeilerPrior(), backend, lambda _: None)
-        finally:
-            backend.close()
-        return looks
-
-    return on_compute_thread(job)
+    """Solve, cancelled at one of the looks; how many looks there were."""
+    return count_looks(stage, ICM(iterations=12), body(), SeilerPrior(), stop_at)
 
 
 @pytest.mark.parametrize("where", [0.0, 0.03, 0.2, 0.5, 0.8, 0.999])

@@ -26,7 +26,7 @@ from tests.support.linear_levels import (
     torn,
     with_levels,
 )
-from tests.support.opengl import left, on_compute_thread, require_opengl
+from tests.support.opengl import count_looks, left, on_compute_thread, require_opengl
 
 #: Odd, even, two sites wide, small enough to be the only level.
 SHAPES = [(31, 37), (64, 48), (2, 9), (4, 5)]
@@ -45,12 +45,6 @@ CASES = [
 STEPS = chebyshev(0.5, 2.0, 3)
 
 readings = pytest.mark.parametrize("prior", [CENTRED, BLANKET], ids=["centred", "blanket"])
-
-
-@pytest.fixture(params=["fragment", "compute"])
-def stage(request) -> str:
-    require_opengl(request.param)
-    return request.param
 
 
 @pytest.fixture
@@ -276,23 +270,7 @@ def test_an_iteration_allocates_nothing(stage, made):
 
 def _batches(stage: str, prior: SeilerPrior, stop_at: int | None = None) -> int:
     """Solve, cancelled at one of the looks; how many looks there were."""
-    looks = 0
-
-    def look() -> None:
-        nonlocal looks
-        if looks == stop_at:
-            raise Cancelled
-        looks += 1
-
-    def job() -> int:
-        backend = OpenGLBackend(look, stage)
-        try:
-            Multigrid().run(torn(20.0), prior.resolved(torn(20.0)), backend, lambda _: None)
-        finally:
-            backend.close()
-        return looks
-
-    return on_compute_thread(job)
+    return count_looks(stage, Multigrid(), torn(20.0), prior.resolved(torn(20.0)), stop_at)
 
 
 @cache

@@ -38,7 +38,7 @@ from tests.support.linear_levels import (
     random_example,
     with_levels,
 )
-from tests.support.opengl import left, on_compute_thread, require_opengl
+from tests.support.opengl import count_looks, left, on_compute_thread, require_opengl
 
 OBLONG = (1.0, 1.7, 0.6)
 ELASTIC = ElasticPrior(penalty=np.inf)
@@ -307,25 +307,9 @@ def test_an_iteration_allocates_nothing_and_a_solve_leaves_nothing(made):
     np.testing.assert_array_equal(on_compute_thread(job).displacement, first.displacement)
 
 
-def batches(stop_at=None) -> int:
+def batches(stop_at: int | None = None) -> int:
     """Solve, cancelled at one of the looks; how many looks there were."""
-    looks = 0
-
-    def look() -> None:
-        nonlocal looks
-        if looks == stop_at:
-            raise Cancelled
-        looks += 1
-
-    def job() -> int:
-        backend = OpenGLBackend(look, "compute")
-        try:
-            Multigrid(0.1).run(pressed(9, True), ElasticPrior(0.3), backend, lambda _: None)
-        finally:
-            backend.close()
-        return looks
-
-    return on_compute_thread(job)
+    return count_looks("compute", Multigrid(0.1), pressed(9, True), ElasticPrior(0.3), stop_at)
 
 
 @pytest.mark.parametrize("where", [0.0, 0.5, 0.999])
