@@ -23,6 +23,9 @@ PACKAGE = ROOT / "napari_hmrf"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 TESTS = ROOT / "tests"
 TEST_FILES = sorted(file for file in TESTS.rglob("*.py") if file.name != "__init__.py")
+SUPPORT = Path("support")
+#: Folders of tests/ without a counterpart in the package.
+FOLDERS_OF_TESTS = {SUPPORT, Path("benchmarks"), Path("project")}
 HEAVY = ("napari", "qtpy", "PyQt6", "PySide6", "superqt", "magicgui", "moderngl", "glcontext")
 HEAVY += ("numba", "matplotlib", "vispy", "pandas")
 HEAVY += ("scipy.ndimage", "scipy.optimize", "scipy.linalg", "scipy.sparse")
@@ -270,6 +273,20 @@ def test_importing_a_package_imports_nothing_heavy(package):
     code = f"import sys; {names}; print([n for n in {HEAVY!r} if n in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("file", TEST_FILES, ids=lambda file: file.relative_to(TESTS).as_posix())
+def test_tests_mirror_the_package_and_share_only_what_is_in_support(file):
+    here = file.parent.relative_to(TESTS)
+    if here not in FOLDERS_OF_TESTS:
+        assert (PACKAGE / here).is_dir()
+        name = file.name.removeprefix("test_")
+        places = {part(module.parent) for module in MODULES if module.name == name}
+        assert not places or here.as_posix() in places, "elsewhere a module has this name"
+    if here != SUPPORT:
+        assert file.name.startswith("test_") or file.name == "conftest.py"
+    shared = {name for name in imports(file) if name.startswith("tests.")}
+    assert all(name.startswith("tests.support.") for name in shared)
 
 
 @pytest.mark.parametrize("file", TEST_FILES, ids=lambda file: file.relative_to(TESTS).as_posix())
