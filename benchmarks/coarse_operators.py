@@ -66,7 +66,7 @@ def galerkin(problem: Problem, prior: ElasticPrior) -> tuple[int, float]:
         grid = coarse
     seconds = time.perf_counter() - started
     usual, _ = smoother_bounds(prior.material(problem))
-    part, sweeps, coarsest_part, coarsest_sweeps, visits = STRETCHING
+    part, sweeps, coarsest_part, coarsest_sweeps, visits = STRETCHING[:5]
     inverses = [_inverse(each.diagonal()) for each in matrices]
     smoothers = []
     for number, (each, inverse) in enumerate(zip(matrices, inverses, strict=True)):
@@ -105,7 +105,7 @@ def same_model(problem: Problem, prior: ElasticPrior) -> int:
     def cycle(load: np.ndarray) -> np.ndarray:
         scale = np.abs(load).max()
         planes = host.planes(load.reshape(*problem.shape, 2) / scale).astype(np.float32)
-        return scale * host.gathered(own.run(planes).astype(np.float64)).ravel().astype(float)
+        return scale * host.field(own.run(planes)).ravel().astype(float)
 
     return _conjugate_gradients(matrix, right, cycle)
 

@@ -1,7 +1,7 @@
 """How many times a second the tissue follows a patch that is dragged.
 
     python benchmarks/live.py [size ...]
-    python benchmarks/live.py --napari [size ...] [grey] [colour] [stack] [pin] [move] [tissue]
+    python benchmarks/live.py --napari [size ...] [--kind grey colour stack pin move tissue]
 
 The first without a window, the second in a napari window with the dock: see
 `live_window.py`. What other processes took of the machine meanwhile is printed, too.
@@ -15,6 +15,7 @@ long the first picture takes.
 
 from __future__ import annotations
 
+import argparse
 import math
 import os
 import shutil
@@ -22,7 +23,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,10 @@ from napari_hmrf.tissue.drawing import Arrow, Canvas, Drawing, Rendering
 GOALS = {300: 20, 1200: 5}
 SIZES = (300, 600, 1200)
 STAGES = ("draw", "check", "solve", "warp")
+#: Brushes that paint in a window, instead of a pull.
+BRUSHES = ("pin", "move", "tissue")
+#: Pictures in a window: grey, in colours, or a slice of a stack; what is painted is grey.
+KINDS = ("grey", "colour", "stack", *BRUSHES)
 _SECONDS = 4.0
 _EVENTS = 60.0
 _TURN = 2.0  # seconds in which the hand comes round
@@ -152,7 +157,7 @@ def _spread(seconds: list[float]) -> str:
     return f"median {middle:6.1f} ms, least {low:6.1f}, 95 % below {high:6.1f}"
 
 
-def in_window(arguments: list[str]) -> int:
+def in_window(sizes: Sequence[int], kinds: Sequence[str], arguments: Sequence[str]) -> int:
     """Measure in a napari window, on a virtual display where there is none."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.getenv("WAYLAND_DISPLAY")):
         if shutil.which("xvfb-run") is None:
@@ -162,8 +167,7 @@ def in_window(arguments: list[str]) -> int:
         return subprocess.call(["sh", str(script), sys.executable, __file__, *arguments])
     import live_window
 
-    kinds = [kind for kind in live_window.KINDS if kind in arguments] or live_window.KINDS[:1]
-    for size in _sizes(arguments):
+    for size in sizes:
         for kind in kinds:
             with load():
                 asked = goal_of(size)
@@ -171,18 +175,19 @@ def in_window(arguments: list[str]) -> int:
     return 0
 
 
-def main(arguments: list[str]) -> int:
+def main(arguments: Sequence[str]) -> int:
     """Print the figures of each size."""
-    if "--napari" in arguments:
-        return in_window(arguments)
-    for size in _sizes(arguments):
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("sizes", nargs="*", type=int, metavar="size", default=SIZES)
+    parser.add_argument("--napari", action="store_true", help="drag in a napari window")
+    parser.add_argument("--kind", nargs="+", choices=KINDS, default=KINDS[:1])
+    options = parser.parse_args(arguments)
+    if options.napari:
+        return in_window(options.sizes, options.kind, arguments)
+    for size in options.sizes:
         with load():
             print(measure(size), flush=True)
     return 0
-
-
-def _sizes(arguments: list[str]) -> tuple[int, ...]:
-    return tuple(int(size) for size in arguments if size.isdigit()) or SIZES
 
 
 @contextmanager

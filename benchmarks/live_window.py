@@ -5,13 +5,10 @@ which those the window has not yet come to are replaced by the next one, as Qt d
 What is shown is known from the drawing it belongs to; it counts once Qt has put the canvas, painted
 anew, on the screen. Another thread asks the window for an answer every few milliseconds: whatever
 it does not answer meanwhile, it is blocked.
-
-It drags in the window of an older checkout, too, where pulling had a dock of its own.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import threading
 import time
@@ -22,35 +19,24 @@ from typing import Any
 
 import napari
 import numpy as np
+from live import BRUSHES
 from qtpy.QtCore import QEvent, QEventLoop, QObject, QPoint, QPointF, Qt, QTimer
 from qtpy.QtGui import QMouseEvent
 from qtpy.QtWidgets import QApplication
 
 from napari_hmrf.data import phantom
 from napari_hmrf.field.live_warp import Warper
+from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.drawing import Rendering
+from napari_hmrf.ui.motion.arrows import ArrowsLayer
 
-#: What is painted with a brush, instead of pulled.
-BRUSHES = ("pin", "move", "tissue")
-try:
-    from napari_hmrf.layers.image_result import ResultLayers
-except ImportError:  # of a checkout that this one is compared with
-    from napari_hmrf.layers.viewer_results import ResultLayers
-
-#: What the pictures are: grey, in colours, or a slice of a stack; what is painted is grey.
-KINDS = ("grey", "colour", "stack", *BRUSHES)
 _WINDOW = (1500, 950)
 _MOUSE = 100.0  # events a second
 _ASKING = 0.003  # seconds between questions to the window
 _SHORT = 0.005  # seconds nobody calls a block
 _LEFT = Qt.MouseButton.LeftButton
 _TURN = 2.0
-#: Whether there is one dock for all; before, *Grab and pull* said what it saw in another way.
-_ONE_DOCK = importlib.util.find_spec("napari_hmrf.ui.soft_tissue") is not None
-ArrowsLayer = importlib.import_module(
-    f"napari_hmrf.ui.{'motion' if _ONE_DOCK else 'grab'}.arrows"
-).ArrowsLayer
 
 
 class Window:
@@ -81,8 +67,7 @@ class Window:
         tissue = self.viewer.add_image(m, name="stiffness", visible=False)
         if kind == "stack":
             self.viewer.dims.set_current_step(0, 1)
-        title = "Soft tissue" if _ONE_DOCK else "Grab and pull"
-        _, self._widget = self.viewer.window.add_plugin_dock_widget("napari-hmrf", title)
+        _, self._widget = self.viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
         self.viewer.show()
         self._widget.image, self._widget.tissue = shown, tissue
         self._canvas: Any = self.viewer.window._qt_viewer.canvas
@@ -157,8 +142,7 @@ class Window:
         self._widget.start()
         if self._kind in BRUSHES:
             self._widget.tool = self._kind
-            fields = self._widget.fields if _ONE_DOCK else self._widget.form.fields
-            fields.by_col.value = 0.02 * self._size
+            self._widget.fields.by_col.value = 0.02 * self._size
         self.settle()
 
     def first(self) -> float:
@@ -233,7 +217,7 @@ class Window:
         self._moved[id(drawing)] = (drawing, self._event_time)
 
     def _on_seen(self, seen: Any) -> None:
-        self._seen = seen.study.motion.drawing if _ONE_DOCK else seen.drawing
+        self._seen = seen.study.motion.drawing
 
     def _on_compose(self) -> None:
         self._composing = time.perf_counter()
@@ -280,7 +264,7 @@ class Window:
         return clocked
 
     def _on_solved(self, seen: Any) -> None:
-        if seen.solution is not None and (_ONE_DOCK or seen.outputs is None):
+        if seen.solution is not None:
             self.costs["solve"].append(seen.solution.provenance.seconds)
 
 

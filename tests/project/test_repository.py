@@ -301,7 +301,7 @@ def test_tests_wait_for_events_and_never_for_a_time(file):
 def test_what_is_imported_from_the_package_is_there(folder):
     for file in ROOT.glob(f"{folder}/**/*.py"):
         tree = ast.parse(file.read_text(encoding="utf-8"))
-        modules = {node.module for node in tree.body if isinstance(node, ast.ImportFrom)}
+        modules = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
         for module in {each for each in modules if each and each.startswith("napari_hmrf")}:
             assert importlib.util.find_spec(module), f"{file.name} imports {module}"
 
