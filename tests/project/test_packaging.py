@@ -107,7 +107,7 @@ def test_the_wheel_has_the_package_its_data_and_nothing_else(wheel):
         packed = {Path(name).name for name in names if name.startswith(f"napari_hmrf/{folder}/")}
         assert own
         assert own <= packed
-    built = re.compile(r"test_|tests/|__pycache__|\.\w+_cache|\.nb[ic]$")
+    built = re.compile(r"(^|/)test_|tests/|__pycache__|\.\w+_cache|\.nb[ic]$")
     assert not [name for name in names if built.search(name)]
 
 
