@@ -19,7 +19,7 @@ from napari_hmrf.layers.metadata import METADATA, TISSUE, described, known_of
 from napari_hmrf.layers.paint_layer import number_of
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
-from napari_hmrf.ui.motion.motion_messages import NO_WAY
+from napari_hmrf.ui.motion.motion_messages import NO_WAY, OPEN, OUTSIDE
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 PIN, FREE, MOVE, EXPAND = Qt.Key.Key_P, Qt.Key.Key_F, Qt.Key.Key_M, Qt.Key.Key_E
@@ -193,6 +193,28 @@ def test_an_open_line_cannot_expand_and_says_so(pulling_beside, settle):
     assert not widget.drawing.marks
     assert "no outside" in widget.status
     assert not seen_paint(person).any()
+
+
+def test_a_line_that_is_to_be_a_ring_says_so_while_it_is_painted(pulling_beside, qtbot):
+    person, widget = pulling_beside
+    person.key(EXPAND)
+    widget.fields.radius.value = 1.0
+    widget.fields.amount.value = 2.0
+    person.press(10, 30)
+    person.move(40, 30)
+    qtbot.waitUntil(lambda: widget.status == OPEN, timeout=LONG_MS)
+    person.release(40, 30)
+    assert "no outside" in widget.status
+
+
+def test_beside_the_image_a_brush_paints_nothing_and_keeps_the_fields(pulling_beside):
+    person, widget = pulling_beside
+    person.key(MATERIAL)
+    person.paint((20, 20), (20, 26))
+    before, material = widget.drawing, widget.fields.material
+    material.value = 0
+    person.paint((-5, 20), (20, 20))
+    assert (widget.status, widget.drawing, material.value) == (OUTSIDE, before, 0)
 
 
 def test_a_ring_that_is_removed_before_it_is_closed_leaves_nothing(pulling_beside, settle):
@@ -595,7 +617,7 @@ def test_undo_and_redo_go_through_all_tools(pulling, settle):
     person.drag((50, 50), (52, 50))
     done()
     person.pick(10, 12)
-    assert (widget.tool, widget._pointer.hand.selected) == ("tissue", 5)
+    assert (widget.tool, widget._pointer.tool.selected) == ("tissue", 5)
     person.key(Qt.Key.Key_Delete)
     done()
     for state in reversed(states[:-1]):
@@ -638,6 +660,19 @@ def test_keys_change_the_size_of_the_brush(pulling_beside):
     assert by_name(person.viewer, "Motion").cursor_size == pytest.approx(10.0)
     person.key(Qt.Key.Key_BracketLeft)
     assert widget.fields.radius.value == 4.0
+
+
+def test_the_circle_of_a_tool_leaves_napari_s_own_modes_alone(pulling_beside):
+    person, widget = pulling_beside
+    layer = by_name(person.viewer, "Motion")
+    layer.mode = "transform"
+    before = layer.cursor
+    assert before != "circle"
+    widget.fields.radius.value = 7.0
+    widget.drawing = Drawing((Arrow((44, 40), (0, 5), 6.0),))
+    assert layer.cursor == before
+    layer.mode = "pan_zoom"
+    assert (layer.cursor, layer.cursor_size) == ("circle", pytest.approx(14.0))
 
 
 def test_escape_gives_a_stroke_up(brushing_beside, settle):
