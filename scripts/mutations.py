@@ -235,7 +235,7 @@ MUTATIONS = (
         "test_study.py",
     ),
     Mutation(
-        "ui/motion/hands.py",
+        "ui/motion/pull_tools.py",
         "to = tuple(x - away for x, away in zip(point, self._offset, strict=True))",
         "to = tuple(x + away for x, away in zip(point, self._offset, strict=True))",
         "test_drawing.py test_pull.py test_grab.py",
@@ -297,7 +297,7 @@ MUTATIONS = (
         "test_layers_background.py",
     ),
     Mutation(
-        "ui/motion/brush.py",
+        "ui/motion/brush_tools.py",
         "between(start, point, self._spacing)",
         "between(point, start, self._spacing)",
         "test_brush.py",
@@ -323,6 +323,55 @@ MUTATIONS = (
         "test_widgets_look.py",
     ),
     Mutation("ui/motion/pointer.py", "_LARGER = 1.25", "_LARGER = 0.8", "test_grab_tools.py"),
+    # the tools, and the pointer that passes the mouse to them
+    Mutation(
+        "ui/motion/tool.py",
+        'return None if self.is_dragging else settings["radius"]',
+        'return settings["radius"]',
+        "test_brush.py",
+    ),
+    Mutation(
+        "ui/motion/pull_tools.py",
+        "NO_WAY if is_click and is_new else",
+        "NO_WAY if is_click else",
+        "test_brush.py",
+    ),
+    Mutation(
+        "ui/motion/brush_tools.py",
+        "return self.mark if self.is_dragging else None",
+        "return self.mark",
+        "test_brush.py",
+    ),
+    Mutation(
+        "ui/motion/brush_tools.py",
+        "-0.5 <= at <= size - 0.5",
+        "-0.5 <= at <= size + 0.5",
+        "test_brush.py",
+    ),
+    Mutation(
+        "ui/motion/brush_tools.py",
+        "return message if stroke is None or stroke.moves_nowhere else",
+        "return message if stroke is None else",
+        "test_brush.py",
+    ),
+    Mutation(
+        "ui/motion/pointer.py",
+        "        self.tool.pick(number)",
+        "        self.tool.select(number)",
+        "test_grab_tools.py",
+    ),
+    Mutation(
+        "ui/motion/pointer.py",
+        "self.said.emit(self.tool.error_message or in_short(error))",
+        "self.said.emit(in_short(error))",
+        "test_grab_tools.py",
+    ),
+    Mutation(
+        "ui/motion/arrows.py",
+        'layer is None or frame is None or layer.mode != "pan_zoom"',
+        "layer is None or frame is None",
+        "test_grab_tools.py",
+    ),
     # many cases, random deformations and tables of segmentations
     Mutation("io/sweeps.py", "step * amount / length", "step * amount", "test_batch.py"),
     Mutation(
