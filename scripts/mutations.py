@@ -367,6 +367,12 @@ MUTATIONS = (
         "test_grab_tools.py",
     ),
     Mutation(
+        "ui/motion/pointer.py",
+        "        self._fields.show_for(tool)\n        self._show_cursor()\n",
+        "        self._fields.show_for(tool)\n",
+        "test_grab_tools.py",
+    ),
+    Mutation(
         "ui/motion/arrows.py",
         'layer is None or frame is None or layer.mode != "pan_zoom"',
         "layer is None or frame is None",

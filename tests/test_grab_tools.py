@@ -20,6 +20,8 @@ from napari_hmrf.layers.paint_layer import number_of
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 from napari_hmrf.ui.motion.motion_messages import NO_WAY, OPEN, OUTSIDE
+from napari_hmrf.ui.motion.tool import Tool
+from napari_hmrf.ui.motion.tools import BY_NAME
 from napari_hmrf.ui.soft_tissue import SoftTissue
 
 PIN, FREE, MOVE, EXPAND = Qt.Key.Key_P, Qt.Key.Key_F, Qt.Key.Key_M, Qt.Key.Key_E
@@ -32,6 +34,29 @@ pytestmark = pytest.mark.usefixtures("without_controls")
 def displacement(widget):
     """How the tissue that is seen moves."""
     return widget._pointer.display.moved.solution.displacement
+
+
+class Notes(Tool):
+    """Tool that draws nothing, and writes down where the mouse is."""
+
+    name, title, key, fields, how = "notes", "Notes", "N", ("softness",), "Click a place."
+
+    @classmethod
+    def makes(cls, mark):
+        return False
+
+    def press(self, point, reach, settings, origin=None):
+        self.places, self.settings = [tuple(map(round, point))], settings
+        return "Noted."
+
+    def move(self, point):
+        self.places.append(tuple(map(round, point)))
+
+    def cursor(self, settings):
+        return None
+
+    def _changed(self, settings):
+        return None
 
 
 def seen_paint(person):
@@ -660,6 +685,28 @@ def test_keys_change_the_size_of_the_brush(pulling_beside):
     assert by_name(person.viewer, "Motion").cursor_size == pytest.approx(10.0)
     person.key(Qt.Key.Key_BracketLeft)
     assert widget.fields.radius.value == 4.0
+
+
+def test_any_tool_has_the_mouse_and_the_keys_and_shows_its_fields(pulling_beside, monkeypatch):
+    person, widget = pulling_beside
+    monkeypatch.setitem(BY_NAME, Notes.name, Notes)
+    layer, before = by_name(person.viewer, "Motion"), widget.drawing
+    assert layer.cursor == "circle"
+    widget.tool = "notes"
+    assert layer.cursor == "pointing"
+    assert widget.fields.words == "Notes"
+    assert widget.status == Notes.how
+    widget.fields.softness.value = 0.25
+    person.press(20, 20)
+    person.move(20, 24)
+    tool = widget._pointer.tool
+    assert (tool.places, tool.settings) == ([(20, 20), (20, 24)], {"softness": 0.25})
+    assert widget.status == "Noted."
+    person.key(Qt.Key.Key_Escape)
+    person.release(20, 24)
+    assert (widget.drawing, widget.study_model.next_undo) == (before, None)
+    person.key(Qt.Key.Key_G)
+    assert layer.cursor == "circle"
 
 
 def test_the_circle_of_a_tool_leaves_napari_s_own_modes_alone(pulling_beside):

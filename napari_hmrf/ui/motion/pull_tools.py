@@ -78,14 +78,14 @@ class PullTool(Tool):
         to = tuple(x - away for x, away in zip(point, self._offset, strict=True))
         if mark is not None:
             head, base = ends_of(mark, self._spacing)
-            leads = self._part == "head"
-            self._replace(self._led(mark, base, to) if leads else self._led(mark, to, head))
+            ends = (base, to) if self._part == "head" else (to, head)
+            self._replace(self._with_ends(mark, *ends))
 
     def _new_mark(self, at: Point, to: Point, settings: ToolSettings) -> Arrow | Landmark:
         """Return a mark that leads tissue from one place to another."""
         still = (0.0,) * len(at)
         arrow = Arrow(at, still, settings["radius"], settings["confidence"], settings["components"])
-        return self._led(arrow, at, to)
+        return self._with_ends(arrow, at, to)
 
     def _changed(self, settings: ToolSettings) -> Mark | None:
         mark = self.mark
@@ -95,10 +95,10 @@ class PullTool(Tool):
         mark = replace(mark, radius=settings["radius"], confidence=settings["confidence"])
         if isinstance(mark, Arrow) and "components" in settings:
             mark = replace(mark, components=settings["components"])
-        return self._led(mark, base, head)
+        return self._with_ends(mark, base, head)
 
-    def _led(self, mark: Arrow | Landmark, at: Point, to: Point) -> Arrow | Landmark:
-        """Return the mark changed to lead tissue from one place to another."""
+    def _with_ends(self, mark: Arrow | Landmark, at: Point, to: Point) -> Arrow | Landmark:
+        """Return the mark with other ends."""
         if isinstance(mark, Landmark):
             return replace(mark, source=at, target=to)
         by, which = np.zeros(len(at)), COMPONENTS[mark.components]

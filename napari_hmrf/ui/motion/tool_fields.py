@@ -32,7 +32,7 @@ class ToolFields(Container):
     Attributes
     ----------
     radius, by_row, by_col, amount, confidence, sure, softness, components, preset, material
-        Widgets; the `fields` of a tool name those it needs.
+        Widgets. The `fields` of a tool name those it needs; `preset` is shown with `material`.
     """
 
     def __init__(self) -> None:
@@ -102,9 +102,14 @@ class ToolFields(Container):
         }
         if values.get("label", 0) is None:  # there are no tissues to choose yet
             del values["label"]
-        if set(_STEPS) & set(self._tool.fields):
+        if self._has_step:
             values["by"] = self._by
         return cast(ToolSettings, values)
+
+    @property
+    def _has_step(self) -> bool:
+        """True if the visible tool sets a displacement."""
+        return not set(_STEPS).isdisjoint(self._tool.fields)
 
     @property
     def _by(self) -> Point:
@@ -115,7 +120,7 @@ class ToolFields(Container):
     def words(self) -> str:
         """Effect of the visible tool, in a few words."""
         words, which = self._tool.title, self.components.value
-        if set(_STEPS) & set(self._tool.fields):
+        if self._has_step:
             *deep, row, col = self._by
             step = (*deep, 0.0 if which == "col" else row, 0.0 if which == "row" else col)
             seen = tuple(round(part, 2) + 0.0 for part in self._ways.seen(step))
@@ -130,7 +135,7 @@ class ToolFields(Container):
         self._tool = tool
         for field in self:
             field.visible = field.name in tool.fields
-        if len(self._ways.order) == 3:  # a mark in a volume prescribes all
+        if len(self._ways.order) == 3:  # a mark in a volume prescribes all components
             self.components.visible, self.components.value = False, "both"
         self.preset.visible = "material" in tool.fields and not self._own_table
 
