@@ -17,6 +17,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
+#: Folders that the package needs to be imported.
+_FOLDERS = "napari_hmrf", "shaders", "sample_data"
+#: Exit statuses of pytest if all tests pass, and if one fails; any other says that none was run.
+_PASSED, _FAILED = 0, 1
 
 
 class Mutation(NamedTuple):
@@ -408,7 +412,13 @@ MUTATIONS = (
 
 
 def survives(mutation: Mutation, folder: Path) -> bool:
-    """Whether no test sees a mutation."""
+    """Return whether no test sees a mutation.
+
+    Raises
+    ------
+    SystemExit
+        If the text to replace does not occur once, or the tests could not be run.
+    """
     package = folder / "napari_hmrf"
     file = package / mutation.file
     text = file.read_text(encoding="utf-8")
@@ -419,7 +429,10 @@ def survives(mutation: Mutation, folder: Path) -> bool:
         tests = [str(ROOT / "tests" / each) for each in mutation.tests.split()]
         command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests]
         paths = {**os.environ, "PYTHONPATH": str(folder)}
-        return subprocess.run(command, env=paths, cwd=folder, capture_output=True).returncode == 0
+        done = subprocess.run(command, env=paths, cwd=folder, capture_output=True, text=True)
+        if done.returncode not in (_PASSED, _FAILED):
+            raise SystemExit(f"{mutation.file}: no test was run\n{done.stdout}{done.stderr}")
+        return done.returncode == _PASSED
     finally:
         file.write_text(text, encoding="utf-8")
 
@@ -429,8 +442,8 @@ def main(wanted: list[str]) -> int:
     chosen = [int(each) for each in wanted] or range(len(MUTATIONS))
     survivors = 0
     with tempfile.TemporaryDirectory() as made:
-        shutil.copytree(ROOT / "napari_hmrf", Path(made) / "napari_hmrf")
-        shutil.copytree(ROOT / "shaders", Path(made) / "shaders")
+        for name in _FOLDERS:
+            shutil.copytree(ROOT / name, Path(made) / name)
         for number in chosen:
             mutation = MUTATIONS[number]
             alive = survives(mutation, Path(made))
