@@ -226,8 +226,11 @@ def test_a_line_that_is_to_be_a_ring_says_so_while_it_is_painted(pulling_beside,
     widget.fields.radius.value = 1.0
     widget.fields.amount.value = 2.0
     person.press(10, 30)
+    said = []
+    widget._pointer.said.connect(said.append)
     person.move(40, 30)
-    qtbot.waitUntil(lambda: widget.status == OPEN, timeout=LONG_MS)
+    qtbot.waitUntil(lambda: bool(said), timeout=LONG_MS)
+    assert (said, widget.status) == ([OPEN], OPEN)
     person.release(40, 30)
     assert "no outside" in widget.status
 
