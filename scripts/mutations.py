@@ -17,6 +17,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
+#: Folders that the package needs to be imported.
+_FOLDERS = "napari_hmrf", "shaders", "sample_data", "benchmarks", "tests"
+#: Exit statuses of pytest if all tests pass, and if one fails; any other says that none was run.
+_PASSED, _FAILED = 0, 1
 
 
 class Mutation(NamedTuple):
@@ -237,7 +241,7 @@ MUTATIONS = (
         "study/test_study.py",
     ),
     Mutation(
-        "ui/motion/hands.py",
+        "ui/motion/pull_tools.py",
         "to = tuple(x - away for x, away in zip(point, self._offset, strict=True))",
         "to = tuple(x + away for x, away in zip(point, self._offset, strict=True))",
         "tissue/drawing/test_drawing.py ui/motion/test_pull.py ui/motion/test_grab.py",
@@ -299,7 +303,7 @@ MUTATIONS = (
         "tissue/test_surroundings.py",
     ),
     Mutation(
-        "ui/motion/brush.py",
+        "ui/motion/brush_tools.py",
         "between(start, point, self._spacing)",
         "between(point, start, self._spacing)",
         "ui/motion/test_brush.py",
@@ -328,6 +332,61 @@ MUTATIONS = (
     ),
     Mutation(
         "ui/motion/pointer.py", "_LARGER = 1.25", "_LARGER = 0.8", "ui/motion/test_grab_tools.py"
+    ),
+    # the tools, and the pointer that passes the mouse to them
+    Mutation(
+        "ui/motion/tool.py",
+        'return None if self.is_dragging else settings["radius"]',
+        'return settings["radius"]',
+        "ui/motion/test_brush.py",
+    ),
+    Mutation(
+        "ui/motion/pull_tools.py",
+        "NO_WAY if is_click and is_new else",
+        "NO_WAY if is_click else",
+        "ui/motion/test_brush.py",
+    ),
+    Mutation(
+        "ui/motion/brush_tools.py",
+        "return self.mark if self.is_dragging else None",
+        "return self.mark",
+        "ui/motion/test_brush.py",
+    ),
+    Mutation(
+        "ui/motion/brush_tools.py",
+        "-0.5 <= at <= size - 0.5",
+        "-0.5 <= at <= size + 0.5",
+        "ui/motion/test_brush.py",
+    ),
+    Mutation(
+        "ui/motion/brush_tools.py",
+        "return message if stroke is None or stroke.moves_nowhere else",
+        "return message if stroke is None else",
+        "ui/motion/test_brush.py",
+    ),
+    Mutation(
+        "ui/motion/pointer.py",
+        "        self.tool.pick(number)",
+        "        self.tool.select(number)",
+        "ui/motion/test_grab_tools.py",
+    ),
+    Mutation(
+        "ui/motion/pointer.py",
+        "self.said.emit(self.tool.error_message or in_short(error))",
+        "self.said.emit(in_short(error))",
+        "ui/motion/test_grab_tools.py",
+    ),
+    Mutation(
+        "ui/motion/pointer.py",
+        "        self._fields.show_for(tool)\n        self._show_cursor()\n",
+        "        self._fields.show_for(tool)\n",
+        "ui/motion/test_grab_tools.py",
+    ),
+    Mutation(
+        "ui/motion/arrows.py",
+        'layer is None or frame is None or layer.mode != "pan_zoom"',
+        "layer is None or frame is None",
+        "ui/motion/test_grab_tools.py",
     ),
     # many cases, random deformations and tables of segmentations
     Mutation("io/sweeps.py", "step * amount / length", "step * amount", "io/test_batch.py"),
@@ -359,7 +418,13 @@ MUTATIONS = (
 
 
 def survives(mutation: Mutation, folder: Path) -> bool:
-    """Whether no test sees a mutation."""
+    """Return whether no test sees a mutation.
+
+    Raises
+    ------
+    SystemExit
+        If the text to replace does not occur once, or the tests could not be run.
+    """
     package = folder / "napari_hmrf"
     file = package / mutation.file
     text = file.read_text(encoding="utf-8")
@@ -370,7 +435,10 @@ def survives(mutation: Mutation, folder: Path) -> bool:
         tests = [f"tests/{each}" for each in mutation.tests.split()]
         command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests]
         paths = {**os.environ, "PYTHONPATH": str(folder)}
-        return subprocess.run(command, env=paths, cwd=folder, capture_output=True).returncode == 0
+        done = subprocess.run(command, env=paths, cwd=folder, capture_output=True, text=True)
+        if done.returncode not in (_PASSED, _FAILED):
+            raise SystemExit(f"{mutation.file}: no test was run\n{done.stdout}{done.stderr}")
+        return done.returncode == _PASSED
     finally:
         file.write_text(text, encoding="utf-8")
 
@@ -381,7 +449,7 @@ def main(wanted: list[str]) -> int:
     survivors = 0
     with tempfile.TemporaryDirectory() as made:
         # The tests too: pytest imports the package that lies beside them.
-        for name in ("napari_hmrf", "shaders", "sample_data", "benchmarks", "tests"):
+        for name in _FOLDERS:
             shutil.copytree(ROOT / name, Path(made) / name)
         shutil.copy(ROOT / "pyproject.toml", made)
         for number in chosen:

@@ -321,11 +321,6 @@ class Deformation:
             return points
         return self._points.after(points / self.grid.step) * self.grid.step
 
-    def is_inside(self, point: Point) -> bool:
-        """Return whether a point lies inside the grid."""
-        along = zip(point, self.study.grid.shape, strict=True)
-        return all(-0.5 <= at <= size - 0.5 for at, size in along)
-
     @cached_property
     def _points(self) -> Points:
         assert self.solution is not None

@@ -147,7 +147,7 @@ class Controller:
     def busy(self) -> bool:
         """True if a requested change is not shown yet."""
         # The layers of a result at rest are not drawn before a drag ends.
-        resting = self._resting.isActive() and not self.pointer.hand.holding
+        resting = self._resting.isActive() and not self.pointer.tool.is_dragging
         looking, shown = self._looking.isActive(), self.progress.active
         return looking or resting or shown or self.engine.at_work
 
@@ -217,7 +217,7 @@ class Controller:
         study = self.study
         if study is None:
             return
-        if self.pointer.hand.holding or self.engine.busy:
+        if self.pointer.tool.is_dragging or self.engine.busy:
             self._resting.start()
             return
         moved = self.pointer.display.moved
@@ -300,7 +300,7 @@ class Controller:
         self._resting.stop()
         self.progress.start("Following the last edit" if study.moves else "Getting ready")
         preview = None
-        if self.pointer.hand.holding:
+        if self.pointer.tool.is_dragging:
             volume, place = len(study.grid.shape) == 3, study.grid.known_place
             plane = plane_shown(place, self.form.view()) if volume else None
             study, preview = as_dragged(study), drag_preview(study, plane)

@@ -310,9 +310,9 @@ class SoftTissue(DockValues):
 
     def _show_tool(self) -> None:
         motion, pointer = self._form.motion, self._pointer
-        if not pointer.hand.holding:  # a drag changes none of these
+        if not pointer.tool.is_dragging:  # a drag changes none of these
             motion.show_tool(pointer.tool.name if pointer.active else "")
-            motion.remove.enabled = pointer.hand.selected is not None
+            motion.remove.enabled = pointer.tool.selected is not None
             motion.clear.enabled = bool(pointer.drawing.marks)
             pointer.say_tool()
 

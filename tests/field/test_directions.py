@@ -119,8 +119,8 @@ def test_a_turned_layer_s_tissue_goes_where_the_fields_and_heads_say(open_beside
     def goes(by):
         return np.subtract(layer.data_to_world(by), layer.data_to_world((0, 0)))
 
-    np.testing.assert_allclose(goes(fields.how.by), (-5, 0), atol=1e-6)
-    fields.show_how(fields.how)
+    np.testing.assert_allclose(goes(fields.settings["by"]), (-5, 0), atol=1e-6)
+    fields.show_settings(fields.settings)
     assert abs(fields.by_row.value) == 5
     assert fields.by_col.value == 0
     table = widget._form.motion.boundary.table

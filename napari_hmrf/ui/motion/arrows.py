@@ -1,11 +1,11 @@
-"""The layer *Motion*: shows what is drawn, and feels the mouse and the keys while it is active."""
+"""Layer *Motion*: shows the drawing, and receives the mouse and the keys while it is active."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, nullcontext
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from napari.layers import Layer
@@ -20,48 +20,69 @@ from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_th
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.drawing.marks import Point
 
-#: How near the pointer must be to the end of an arrow, in pixels of the screen.
+#: Largest distance of the pointer from the end of an arrow that is hit, in pixels of the screen.
 _NEAR = 8.0
 
 
+class CanvasListener(Protocol):
+    """Receiver of the mouse and key actions on the canvas; places are in pixels of the image."""
+
+    @property
+    def keys(self) -> Mapping[str, Callable[[], object]]:
+        """Actions by key."""
+
+    def press(self, point: Point, reach: float) -> None:
+        """Begin a drag; `reach` is the largest distance of a hit, in the unit of the spacing."""
+
+    def pick(self, point: Point, reach: float) -> None:
+        """Select the mark at a point."""
+
+    def move(self, point: Point) -> None:
+        """Continue the drag to a point."""
+
+    def release(self) -> None:
+        """End the drag."""
+
+
 class ArrowsLayer:
-    """A Vectors layer of the viewer, made when it is first needed.
+    """Vectors layer of the viewer, created when it is first needed.
 
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
-    told : Pointer
-        Who is told what the mouse and the keys do.
+    listener : CanvasListener
+        Receiver of the mouse and key actions.
     """
 
-    def __init__(self, viewer: Any, told: Any) -> None:
+    def __init__(self, viewer: Any, listener: CanvasListener) -> None:
         self._viewer = viewer
-        self._told = told
+        self._listener = listener
         self._layer: Any = None
         self._frame: Frame | None = None
-        self._radius = 1.0
-        # What is to be done when the drag is over.
+        # Radius of the circle around the pointer; None for no circle.
+        self._circle: float | None = None
+        # Callbacks for the end of the drag.
         self._drag = ExitStack()
 
     @property
     def layer(self) -> Any:
-        """The layer, if it is in the viewer."""
+        """Layer, or None if it is not in the viewer."""
         return still_there(self._viewer, self._layer)
 
     @property
     def former(self) -> Any:
-        """The layer, whether or not it still is in the viewer."""
+        """Layer as it was created last, even if it was removed from the viewer."""
         return self._layer
 
     @property
     def active(self) -> bool:
-        """Whether the layer is the one that feels the mouse, in two dimensions."""
+        """True if the layer receives the mouse, which it does in two dimensions only."""
         layer = self.layer
         flat = self._viewer.dims.ndisplay == 2
         return flat and layer is not None and self._viewer.layers.selection.active is layer
 
-    def take(self, frame: Frame, shape: tuple[int, ...], radius: float) -> None:
-        """Have the layer lie on a slice, on top and active."""
+    def take(self, frame: Frame, shape: tuple[int, ...], circle: float | None) -> None:
+        """Place the layer on a slice, on top and active, with a circle around the pointer."""
         if self.layer is None:
             self._add(frame, shape)
         self.place(frame, shape)
@@ -69,17 +90,17 @@ class ArrowsLayer:
         self.raise_up()
         self._layer.visible = True
         layers.selection = {self._layer}
-        self._radius = radius
+        self._circle = circle
         self._equip(self._layer)
 
     def raise_up(self) -> None:
-        """Have the layer lie on top, if there is a layer."""
+        """Move the layer to the top, if there is a layer."""
         layers, layer = self._viewer.layers, self.layer
         if layer is not None and layers[-1] is not layer:
             layers.move(layers.index(layer), len(layers))
 
     def place(self, frame: Frame, shape: tuple[int, ...], drawn: bool = False) -> None:
-        """Have the layer lie on another slice, if there is a layer, or something drawn to show."""
+        """Place the layer on another slice, if there is a layer, or a drawing to show."""
         layer = self.layer
         if (layer is None and not drawn) or frame == self._frame:
             return
@@ -105,7 +126,7 @@ class ArrowsLayer:
     ) -> None:
         """Draw the arrows, and more lines below them.
 
-        With `quick` more will follow soon, and only the canvas counts.
+        With `quick`, as during a drag, only the canvas is updated where that is possible.
         """
         layer, frame = self.layer, self._frame
         if layer is None or frame is None:
@@ -119,74 +140,72 @@ class ArrowsLayer:
         if quick and same and len(lines) and overwrite(self._viewer, layer, placed):
             return
         layer.data = placed
-        # Of a drag only the first move changes colours; to set them takes as long as the lines.
+        # Only the first move of a drag changes colours; setting them takes as long as the lines.
         if len(lines) and not same:
-            # Of a hidden layer napari has not yet looked which lines there are to be coloured.
+            # While the layer is hidden, napari has not counted the lines that are to be coloured.
             with nullcontext() if layer.visible else layer.events.edge_color.blocker():
                 layer.edge_color = colours
 
     def keep(self, drawing: Drawing) -> None:
-        """Keep the drawing with the layer."""
+        """Store the drawing in the metadata of the layer."""
         if self.layer is not None:
             add_known(self._layer, drawing=drawing.as_dict())
 
-    def show_radius(self, radius: float) -> None:
-        """Have the pointer be as large as the patch that would be taken hold of."""
-        self._radius = radius
+    def show_cursor(self, circle: float | None) -> None:
+        """Show a circle of this radius around the pointer; None shows no circle."""
+        self._circle = circle
         layer, frame = self.layer, self._frame
-        if layer is not None and frame is not None:
-            # One pixel along the layer's last axis, in lengths of the world.
-            step = float(np.linalg.norm(np.array(frame.matrix)[:-1, -2]))
-            layer.cursor_size = 2 * radius * step / frame.spacing[-1]
-            layer.cursor = "circle"
-
-    def hide_circle(self) -> None:
-        """Show no circle around the pointer until the drag is over.
-
-        napari paints the whole canvas for every step of it; and what is held has an outline, and
-        what is painted its colour.
-        """
-        if self.layer is not None:
-            self._layer.cursor = "pointing"
-            self._drag.callback(lambda: self.show_radius(self._radius))
+        # napari sets the cursor of its other modes.
+        if layer is None or frame is None or layer.mode != "pan_zoom":
+            return
+        if circle is None:
+            layer.cursor = "pointing"
+            return
+        # One pixel along the layer's last axis, in lengths of the world.
+        step = float(np.linalg.norm(np.array(frame.matrix)[:-1, -2]))
+        layer.cursor_size = 2 * circle * step / frame.spacing[-1]
+        layer.cursor = "circle"
 
     def end_drag(self) -> None:
-        """Whatever drag goes on is over."""
+        """Restore what was suspended for the drag."""
         self._drag.close()
 
     def remove(self) -> None:
-        """Take the layer out of the viewer."""
+        """Remove the layer from the viewer."""
         if self.layer is not None:
             self._viewer.layers.remove(self._layer)
         self._layer = self._frame = None
 
     def _add(self, frame: Frame, shape: tuple[int, ...]) -> None:
-        """Add the layer, in place of the one that there was."""
+        """Add a new layer in place of the previous one."""
         self.remove()
         layer = self._layer = Layer.create(*arrow_layer(frame, shape))
         self._frame = frame
-        # Drawing the thumbnail of every line would take longer than all the rest.
+        # Drawing a thumbnail of all lines would take longer than everything else.
         thin_thumbnail(layer, 8)
         layer.mouse_drag_callbacks.append(self._on_drag)
-        for key, answer in self._told.keys.items():
+        for key, answer in self._listener.keys.items():
             layer.bind_key(key, lambda _, answer=answer: answer())
         layer.bind_key("Space", self._on_space)
         layer.events.mode.connect(self._on_mode)
         self._viewer.add_layer(layer)
-        # Else more than all the rest of drawing a canvas goes into a program for each update.
+        # Otherwise vispy builds a program in each update, which costs more than the drawing itself.
         compile_once(drawn_node(self._viewer, layer))
 
     def _equip(self, layer: Any) -> None:
-        """Have napari's own mode look like ours; it sets all this when a layer is added, too."""
+        """Set the mouse and the cursor for drawing.
+
+        napari resets both when the layer is added and when its mode changes.
+        """
         layer.mouse_pan = False
-        self.show_radius(self._radius)
+        self.show_cursor(self._circle)
 
     def _on_mode(self, *_: Any) -> None:
         if self.layer is not None and self._layer.mode == "pan_zoom":
             self._equip(self._layer)
 
     def _on_space(self, layer: Any) -> Iterator[None]:
-        """While Space is held the mouse moves the view, as in napari's own tools."""
+        """Let the mouse move the view while Space is held, as in napari's own tools."""
         layer.mouse_pan = True
         yield
         layer.mouse_pan = False
@@ -197,32 +216,32 @@ class ArrowsLayer:
         if not draws or event.button != 1 or "Alt" in event.modifiers or point is None:
             return
         if "Shift" in event.modifiers:
-            self._told.pick(point, self._reach(layer, event))
+            self._listener.pick(point, self._reach(layer, event))
             return
-        self._told.press(point, self._reach(layer, event))
-        self._hush()
+        self._listener.press(point, self._reach(layer, event))
+        self._suspend_status()
         yield
         # The release is a move, too: vispy drops moves that follow another closely.
         while True:
             point = self._pixel(layer, event)
             if point is not None:
-                self._told.move(point)
+                self._listener.move(point)
             if event.type != "mouse_move":
                 break
             yield
-        self._told.release()
+        self._listener.release()
 
-    def _hush(self) -> None:
-        """Have the status bar stay as it is until the drag is over."""
-        # For every step of the cursor a thread of napari's reads what is below it, which takes
-        # Python from the window's thread, and the whole window is put together anew to show it.
-        # napari can stop that for all viewers and for good only.
+    def _suspend_status(self) -> None:
+        """Suspend the updates of the status bar until the drag ends."""
+        # For every step of the cursor, a thread of napari reads the values below it, which takes
+        # Python from the GUI thread, and the layout of the whole window is computed again to show
+        # them. napari itself can only stop that for all viewers, and permanently.
         cursor = self._viewer.cursor
         self._drag.callback(lambda: cursor.events.position(value=cursor.position))
         self._drag.enter_context(cursor.events.position.blocker())
 
     def _pixel(self, layer: Any, event: Any) -> Point | None:
-        """Where the mouse is, in pixels of what is drawn on; None in three dimensions."""
+        """Return the place of the mouse in pixels of the image; None in three dimensions."""
         flat = len(event.dims_displayed) == 2 and self._viewer.dims.ndisplay == 2
         if self._frame is None or not flat:
             return None
@@ -230,7 +249,7 @@ class ArrowsLayer:
         return tuple(at[list(self._frame.plane)].tolist())
 
     def _reach(self, layer: Any, event: Any) -> float:
-        """How near an arrow's end is near enough, in the unit of the spacing."""
+        """Return the largest distance of an arrow's end that is hit, in the unit of the spacing."""
         assert self._frame is not None
         here = np.asarray(event.position, dtype=float)
         there = here.copy()

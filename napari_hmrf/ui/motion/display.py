@@ -23,8 +23,7 @@ from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.canvas import box_of, covered
 from napari_hmrf.ui.events import single_shot
-from napari_hmrf.ui.motion.arrows import ArrowsLayer
-from napari_hmrf.ui.motion.hands import Hand
+from napari_hmrf.ui.motion.arrows import ArrowsLayer, CanvasListener
 
 #: Brush strokes are painted together with the tissue that follows them, once rather than twice;
 #: if the tissue takes longer than this, in milliseconds, the strokes are painted first.
@@ -39,7 +38,7 @@ class Display:
     native : QWidget
         The dock.
     viewer : napari.Viewer or ViewerModel
-    told : Pointer
+    listener : CanvasListener
         Receiver of the mouse and key events.
 
     Attributes
@@ -53,8 +52,8 @@ class Display:
         Whether the program itself is adding or removing layers.
     """
 
-    def __init__(self, native: Any, viewer: Any, told: Any) -> None:
-        self.arrows = ArrowsLayer(viewer, told)
+    def __init__(self, native: Any, viewer: Any, listener: CanvasListener) -> None:
+        self.arrows = ArrowsLayer(viewer, listener)
         self.seen: Seen | None = None
         # Paint, deformed with the tissue, and the current stroke, which lies on top.
         self._painted: npt.NDArray[np.uint8] | None = None
@@ -108,12 +107,12 @@ class Display:
         place = [self._viewer.cursor.position]
         return None if lowest is None else image_covering(self._viewer, lowest, place)
 
-    def show(self, seen: Seen, hand: Hand) -> None:
-        """Show a new state of the tissue."""
+    def show(self, seen: Seen, stroke: Stroke | None) -> None:
+        """Show a new state of the tissue, with the stroke that is being painted."""
         moved, result = seen.moved, self.result
         picture = self._picture_of(moved)
         self.seen = seen
-        self._take_paint(seen, hand)
+        self._take_paint(seen, stroke)
         with self.own_doing():
             # Show undeformed tissue, too, so that the first motion finds its layer.
             if picture is not None and (moved.moves or self.arrows.active):
@@ -163,17 +162,17 @@ class Display:
             result.drop_paint(besides=shown)
         self._results.show(self._image, place, shown, moving=moving)
 
-    def show_painted(self, seen: Seen, hand: Hand) -> None:
+    def show_painted(self, seen: Seen) -> None:
         """Show the paint."""
-        self._take_paint(seen, hand)
+        self._take_paint(seen, None)
         with self.own_doing():
             self._show_painting()
 
-    def _take_paint(self, seen: Seen, hand: Hand) -> None:
+    def _take_paint(self, seen: Seen, stroke: Stroke | None) -> None:
         self._stroke_waits.stop()
         if seen.moved.glance is None:  # else the paint stays until the whole tissue has followed
             self._painted = None if seen.marks is None else seen.moved.overlay[0]
-        self._stroke = hand.mark if hand.holding and isinstance(hand.mark, Stroke) else None
+        self._stroke = stroke
 
     def _picture(self) -> npt.NDArray[np.uint8] | None:
         """Return the paint and the current stroke, deformed with the tissue."""
@@ -199,10 +198,10 @@ class Display:
             place = moved.study.grid.known_place
             result.put(PAINTED, painted_layer(place, picture, self.tissues), show=False)
 
-    def touch(self, hand: Hand, first: bool) -> None:
-        """Show the stroke of the brush: at once if it has just begun, else after a short delay."""
-        self._stroke = hand.mark if isinstance(hand.mark, Stroke) else None
-        if first:
+    def show_stroke(self, stroke: Stroke, at_once: bool) -> None:
+        """Show the stroke that is being painted: at once, or after a short delay."""
+        self._stroke = stroke
+        if at_once:
             self._show_stroke()
         elif not self._stroke_waits.isActive():
             self._stroke_waits.start()
@@ -212,15 +211,15 @@ class Display:
         with self.own_doing():
             self._show_painting()
 
-    def draw(self, drawing: Drawing, hand: Hand) -> None:
-        """Show arrows, landmarks, and the marks of the paint."""
+    def draw(self, drawing: Drawing, selected: int | None, is_dragging: bool) -> None:
+        """Show arrows, landmarks, and the marks of the paint; during a drag as fast as possible."""
         below: list[Lines] = []
-        seen, stroke = self.seen, hand.mark
+        seen, mark = self.seen, None if selected is None else drawing.marks[selected]
         if seen is not None and seen.marks is not None:
             below.append(seen.marks)
-        if isinstance(stroke, Stroke) and not hand.holding and seen and seen.moved.ground:
-            below.append(way_of(stroke, seen.moved.study.grid.spacing, seen.moved.goes_to))
-        self.arrows.show(drawing, hand.selected, below, quick=hand.holding)
+        if isinstance(mark, Stroke) and not is_dragging and seen and seen.moved.ground:
+            below.append(way_of(mark, seen.moved.study.grid.spacing, seen.moved.goes_to))
+        self.arrows.show(drawing, selected, below, quick=is_dragging)
 
     def leave(self) -> None:
         """Remove the layer that no longer responds to the mouse."""

@@ -1,4 +1,4 @@
-"""The part of the dock that says how tissue moves: tools, what is painted, and landmarks."""
+"""Part of the dock for the motion of tissue: tools, painted boundary and landmarks."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ from qtpy.QtWidgets import QGridLayout, QSizePolicy, QToolButton
 
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.ui.forms import row
+from napari_hmrf.ui.motion.tool import Tool
 from napari_hmrf.ui.motion.tool_fields import ToolFields
-from napari_hmrf.ui.motion.tools import TOOLS, Tool
+from napari_hmrf.ui.motion.tools import TOOLS
 from napari_hmrf.ui.motion.weight_form import WeightForm
 from napari_hmrf.ui.tissue_form import BoundarySection
 
-#: How many tools lie beside each other.
+#: Number of tool buttons in a row.
 _ACROSS = 4
 _ICON = QSize(20, 20)
-#: napari draws tool buttons flat, whether they are pressed or not; seen on light and dark themes.
+#: Style of the buttons on light and dark themes; napari's own shows no pressed state.
 _LOOK = """
 QToolButton { background: rgba(128, 128, 128, 60); border-radius: 2px; padding: 3px 0px; }
 QToolButton:hover { background: rgba(128, 128, 128, 110); }
@@ -32,26 +33,25 @@ QToolButton:checked { background: rgba(80, 105, 210, 220); }
 
 
 class MotionForm(Container):
-    """Tools with the fields of the one in the hand, what is held at the edge, and the boundary.
+    """Form of the tools and their fields, the held edge, the painted boundary and the weight.
 
     Parameters
     ----------
     layers, view : callable
-        The viewer's layers, and which slice it shows.
+        Return the layers and the visible slice of the viewer.
 
     Attributes
     ----------
     tools : dict of str to QToolButton
-        By the name of the tool.
+        Buttons by the name of the tool.
     fields : ToolFields
     edge : CheckBox
     weight : WeightForm
     boundary : BoundarySection
     remove, clear : PushButton
 
-    Signals
-    -------
-    picked : the name of a tool whose button was pressed
+    picked : Signal(str)
+        Emitted with the name of a tool when its button is pressed.
     """
 
     picked = Signal(str)
@@ -82,12 +82,12 @@ class MotionForm(Container):
         self.native.layout().insertLayout(0, grid)
 
     def show_tool(self, name: str) -> None:
-        """Show which tool the mouse has; "" if none."""
+        """Highlight the button of the tool in use; "" if the mouse does not draw."""
         for each, button in self.tools.items():
             button.setChecked(each == name)
 
 
-def _button(tool: Tool) -> QToolButton:
+def _button(tool: type[Tool]) -> QToolButton:
     button = QToolButton(text=tool.title, toolTip=f"{tool.how} ({tool.key})", checkable=True)
     button.setIcon(QIcon(str(Path(__file__).with_name(f"{tool.name}.svg"))))
     button.setIconSize(_ICON)

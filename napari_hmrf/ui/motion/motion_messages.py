@@ -1,4 +1,4 @@
-"""What the tools say."""
+"""Messages about drawing with the mouse."""
 
 from __future__ import annotations
 
@@ -25,5 +25,5 @@ NO_OUTSIDE = (
 
 
 def covered(other: str) -> str:
-    """That nothing of the image is seen, and what can be done."""
+    """Return the message that another layer covers the image, and the remedy."""
     return f"The image is covered by '{other}': hide that one, or choose it here."

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from functools import partial
 from typing import Any
 
 from psygnal import Signal
 
-from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.frame import SlicePlace
 from napari_hmrf.layers.compat import text_of
 from napari_hmrf.layers.paint_layer import tissue_colours
@@ -16,16 +15,15 @@ from napari_hmrf.layers.painted_overlay import Seen
 from napari_hmrf.layers.viewer_undo import ViewerUndo
 from napari_hmrf.study.edit_history import Step
 from napari_hmrf.study.study import Study
-from napari_hmrf.tissue.drawing import Drawing, Landmark, Mark, Stroke
+from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.messages import in_short
 from napari_hmrf.ui.motion import motion_messages
-from napari_hmrf.ui.motion.brush import Brush
 from napari_hmrf.ui.motion.display import Display
-from napari_hmrf.ui.motion.hands import Hand, Pull
+from napari_hmrf.ui.motion.tool import Tool, ToolError
 from napari_hmrf.ui.motion.tool_fields import ToolFields
-from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS, Tool, tool_of
+from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS, tool_of
 
 #: In a drag the arrows are painted together with the tissue that follows them, once rather than
 #: twice; if the tissue takes longer than this, in milliseconds, the arrows are painted first.
@@ -35,7 +33,9 @@ _LARGER = 1.25
 
 
 class Pointer:
-    """Editor of the drawing of each slice of each image, driven by events of the layer *Motion*.
+    """Router of the mouse and key actions on the layer *Motion* to the current tool.
+
+    It edits the drawing of each slice of each image, and depends on no particular tool.
 
     Parameters
     ----------
@@ -50,9 +50,7 @@ class Pointer:
     Attributes
     ----------
     tool : Tool
-        Current tool.
-    hand : Hand
-        Drag and selection state of the tool; replaced for each tool and slice.
+        Current tool, with its drag and selection; replaced for each slice.
     tissue : napari.layers.Labels or Image, optional
         Layer whose colours the painted tissue takes.
     display : Display
@@ -74,13 +72,9 @@ class Pointer:
     def __init__(self, native: Any, viewer: Any, fields: ToolFields, undo: ViewerUndo) -> None:
         self._fields, self._undo, self._model = fields, undo, undo.model
         self._model.select_slice(None)
-        self.tool: Tool = BY_NAME["pull"]
-        # True if the selected mark was picked up, rather than just made.
-        self._picked = False
-        # Mark that was held when the button was pressed.
-        self._pressed: Mark | None = None
         self.display = Display(native, viewer, self)
-        self._open_hand()
+        self.tool = self._create_tool(BY_NAME["pull"])
+        self._show_cursor()
         # Text overlay in a corner of the canvas, and the text last written there by this object.
         self._corner, self._in_corner = text_of(viewer), ""
         self._drawing_waits = single_shot(native, _AHEAD, self.draw)
@@ -104,7 +98,7 @@ class Pointer:
 
     @property
     def keys(self) -> dict[str, Callable[[], object]]:
-        """Actions of the keys while the mouse draws."""
+        """Actions of the keys while the mouse draws, as in `CanvasListener`."""
         return {
             "Delete": self.remove,
             "Backspace": self.remove,
@@ -130,7 +124,7 @@ class Pointer:
         place = None if study is None else SlicePlace.of(study.grid.known_place)
         self._model.select_slice(None if study is None else image, place)
         self.display.stand_on(study, image, bool(self.drawing.marks))
-        self._open_hand()
+        self.tool = self._create_tool(type(self.tool))
         self.draw()
 
     def take_up(self, name: str) -> None:
@@ -144,12 +138,12 @@ class Pointer:
         if name not in BY_NAME:
             raise ValueError(f"there is no tool {name!r}, only {', '.join(BY_NAME)}")
         tool = BY_NAME[name]
-        if tool is self.tool:
+        if tool is type(self.tool):
             return
         self.release()
-        self.tool = tool
-        self._open_hand()
+        self.tool = self._create_tool(tool)
         self._fields.show_for(tool)
+        self._show_cursor()
         self.draw()
         self.say_tool()
         if self.active:
@@ -160,12 +154,12 @@ class Pointer:
         seen = self.display.seen
         if seen is None:
             return
-        moved, radius = seen.moved, self._fields.radius.value
+        moved, circle = seen.moved, self.tool.cursor(self._fields.settings)
         grid = moved.study.grid
         with self.display.own_doing():
-            self.display.arrows.take(grid.known_place, grid.shape, radius)
+            self.display.arrows.take(grid.known_place, grid.shape, circle)
         if moved.ground is not None and not moved.moves:
-            self.display.show(seen, self.hand)
+            self.display.show(seen, self.tool.stroke)
         self.draw()
         self.said.emit("" if moved.ground else motion_messages.PREPARING)
         self.say_tool()
@@ -191,7 +185,7 @@ class Pointer:
     def draw(self) -> None:
         """Show the current drawing."""
         self._drawing_waits.stop()
-        self.display.draw(self.drawing, self.hand)
+        self._show_drawing()
         self.changed.emit()
 
     def show(self, seen: Seen) -> None:
@@ -205,11 +199,11 @@ class Pointer:
         if ground is not None and ground is not known:
             self._fields.offer(ground.palette)
             self.display.tissues = tissue_colours(ground.palette, self.tissue)
-        self.display.show(seen, self.hand)
+        self.display.show(seen, self.tool.stroke)
         if self._drawing_waits.isActive():
             self.draw()
         elif seen.marks is not None or (before is not None and before.marks is not None):
-            self.display.draw(self.drawing, self.hand)  # its marks follow the tissue
+            self._show_drawing()  # its marks follow the tissue
         if (known is None and self.active) or self._in_error:
             self._in_error = False
             self.said.emit("")
@@ -229,7 +223,7 @@ class Pointer:
     # Mouse and key actions on the canvas
 
     def press(self, point: Point, reach: float) -> None:
-        """Take hold of tissue or of an arrow, or begin a stroke of the brush."""
+        """Begin a drag with the tool, unless the tissue is not ready or not visible."""
         moved = self.display.moved
         if moved is None or moved.ground is None:
             self.said.emit(motion_messages.PREPARING)
@@ -239,23 +233,12 @@ class Pointer:
         if other is not None:
             self.said.emit(motion_messages.covered(other.name))
             return
-        if self.tool.is_brush and not moved.is_inside(point):
-            self.said.emit(motion_messages.OUTSIDE)
-            return
-        hand, self._picked = self.hand, False
-        taken = hand.press(point, reach, self._fields.how, moved.came_from)
-        self._pressed = hand.mark
-        self._show_how()
-        if not taken:
-            self.said.emit(motion_messages.NOTHING)
-        elif isinstance(hand.mark, Stroke) and hand.mark.moves_nowhere:
-            self.said.emit(motion_messages.NO_STEP)
-        else:
-            self.said.emit("")
-        if self.tool.is_brush:
-            self.display.touch(hand, first=True)
-        if hand.holding:
-            self.display.arrows.hide_circle()
+        message = self.tool.press(point, reach, self._fields.settings, moved.came_from)
+        if self.tool.is_dragging:
+            self._show_settings()
+        self.said.emit(message)
+        self._show_stroke(at_once=True)
+        self._show_cursor()
         self.draw()
 
     def pick(self, point: Point, reach: float) -> None:
@@ -267,37 +250,33 @@ class Pointer:
         hit = drawing.at(point, reach, spacing)
         before = moved.came_from(point) or point
         number = drawing.painted_at(before, spacing) if hit is None else hit.number
-        self._picked = number is not None
         if number is not None:
             self.take_up(tool_of(drawing.marks[number]).name)
-        self.hand.select(number)
-        self._show_how()
-        self.said.emit(motion_messages.PICKED if self._picked else motion_messages.NOTHING_DRAWN)
+        self.tool.pick(number)
+        self._show_settings()
+        is_hit = number is not None
+        self.said.emit(motion_messages.PICKED if is_hit else motion_messages.NOTHING_DRAWN)
         self.draw()
 
     def move(self, point: Point) -> None:
-        """Continue to pull or to paint."""
-        self.hand.move(point)
-        if self.tool.is_brush and self.hand.holding:
-            self.display.touch(self.hand, first=False)
+        """Continue the drag of the tool."""
+        self.tool.move(point)
+        self._show_stroke(at_once=False)
 
     def release(self) -> None:
-        """End the pull or the stroke."""
+        """End the drag of the tool."""
         self.display.arrows.end_drag()
-        held, done = self.hand.holding, ""
+        was_dragging, message = self.tool.is_dragging, None
         try:
-            done = self.hand.release()
-        except HmrfError:
+            message = self.tool.release()
+        except ToolError as error:
             self._in_error = False
-            self.refused.emit(motion_messages.NO_OUTSIDE)
-        if held:
-            mark = self.hand.mark
-            self._show_how()
-            pushed = isinstance(mark, Stroke) and mark.action == "move" and not mark.moves_nowhere
-            if pushed:  # the stroke needs no further input
-                self.said.emit("")
-            elif done and isinstance(mark, Landmark) and mark == self._pressed:
-                self.said.emit(motion_messages.NO_WAY)
+            self.refused.emit(str(error))
+        self._show_cursor()
+        if was_dragging:
+            self._show_settings()
+            if message is not None:
+                self.said.emit(message)
             self.draw()
 
     def turn(self) -> None:
@@ -311,17 +290,18 @@ class Pointer:
     def cancel(self) -> None:
         """Cancel the current drag; without a drag, clear the selection."""
         self.display.arrows.end_drag()
-        if self.hand.cancel():
+        if self.tool.cancel():
             self.said.emit(motion_messages.CANCELLED)
         else:
-            self.hand.select(None)
+            self.tool.select(None)
             self.said.emit("")
+        self._show_cursor()
         self.draw()
 
     def remove(self) -> None:
         """Remove the selected mark."""
         self.release()
-        removed = self.hand.remove()
+        removed = self.tool.remove()
         self.said.emit(motion_messages.REMOVED if removed else motion_messages.NOTHING_SELECTED)
 
     def resize(self, factor: float) -> None:
@@ -331,22 +311,38 @@ class Pointer:
 
     # Reactions to changes
 
-    def _open_hand(self) -> None:
-        """Create the hand of the current tool, with nothing selected."""
+    def _create_tool(self, kind: type[Tool]) -> Tool:
+        """Return a tool for the visible slice, with nothing selected."""
         moved = self.display.moved
-        grid = () if moved is None else (moved.study.grid.spacing, moved.study.grid.shape)
-        self.hand: Hand = (Brush if self.tool.is_brush else Pull)(self._model, *grid)
+        if moved is None:
+            return kind(self._model)
+        grid = moved.study.grid
+        return kind(self._model, grid.spacing, grid.shape)
 
-    def _show_how(self) -> None:
-        mark = self.hand.mark
-        if mark is not None:
-            self._fields.show_how(mark)
+    def _show_settings(self) -> None:
+        """Show the settings of the selected mark in the fields."""
+        settings = self.tool.mark_settings
+        if settings is not None:
+            self._fields.show_settings(settings)
 
-    def _on_drawn(self, part: Any) -> None:
+    def _show_cursor(self) -> None:
+        """Show the reach of the tool on the canvas."""
+        self.display.arrows.show_cursor(self.tool.cursor(self._fields.settings))
+
+    def _show_stroke(self, at_once: bool) -> None:
+        """Show the stroke that is being painted, if there is one."""
+        stroke = self.tool.stroke
+        if stroke is not None:
+            self.display.show_stroke(stroke, at_once)
+
+    def _show_drawing(self) -> None:
+        self.display.draw(self.drawing, self.tool.selected, self.tool.is_dragging)
+
+    def _on_drawn(self, part: Hashable) -> None:
         if part != self._model.slice:
             return
         self.drawn.emit()
-        if not self.hand.holding:
+        if not self.tool.is_dragging:
             self.draw()
         elif not self._drawing_waits.isActive():
             self._drawing_waits.start()
@@ -357,27 +353,21 @@ class Pointer:
             return
         marks = self.drawing.marks
         new = [number for number, mark in enumerate(marks) if mark not in step.value.marks]
-        if len(new) == 1 and tool_of(marks[new[0]]) is self.tool:
-            self.hand.select(new[0])
-            self._show_how()
+        if len(new) == 1 and self.tool.makes(marks[new[0]]):
+            self.tool.select(new[0])
+            self._show_settings()
             self.draw()
 
-    def _on_field(self, *_: Any) -> None:
-        how = self._fields.how
-        self.display.arrows.show_radius(how.radius)
+    def _on_field(self, *_: object) -> None:
+        self._show_cursor()
         self.say_tool()
-        # A new choice of tissue applies to the next stroke; other tools also adjust the last mark.
-        if self.tool.name == "tissue" and not self._picked:
-            return
-        self.hand.change(how)
+        self.tool.change(self._fields.settings)
 
     def _show_error(self, seen: Seen) -> None:
-        error, hand = seen.moved.error, self.hand
+        error = seen.moved.error
         assert error is not None
-        self._in_error, words = self.active, in_short(error)
-        if not (hand.holding and isinstance(hand.mark, Stroke)):
-            self.display.show_painted(seen, hand)
-        elif hand.mark.action == "expand":  # a ring is an open line until it is closed
-            words = motion_messages.OPEN
+        self._in_error = self.active
+        if self.tool.stroke is None:
+            self.display.show_painted(seen)
         if self.active:
-            self.said.emit(words)
+            self.said.emit(self.tool.error_message or in_short(error))

@@ -1,31 +1,39 @@
-"""The fields of the tools: of each only those that it needs are seen."""
+"""Fields of the tools: those of the current tool are visible."""
 
 from __future__ import annotations
 
-from typing import cast
+from typing import Any, cast
 
 from magicgui.widgets import ComboBox, Container, Widget
 
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.tissue.boundary_rules import Material, stiffness_in_words
-from napari_hmrf.tissue.drawing import Arrow, Landmark, Mark, Stroke
-from napari_hmrf.tissue.drawing.marks import Action
+from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.tissue.material_presets import PRESETS, Palette
 from napari_hmrf.ui.forms import length, menu, narrow, share
-from napari_hmrf.ui.motion.tools import BY_NAME, Tool
+from napari_hmrf.ui.motion.tool import Tool, ToolSettings
+from napari_hmrf.ui.motion.tools import BY_NAME
 
-#: The lowest confidence that is asked for; below, it says nothing.
+#: Lowest confidence that can be chosen; a mark of confidence 0 would have no effect.
 _LEAST_CONFIDENCE = 0.05
 _SURE = (
     "How sure that is. 1: tissue is held exactly. Below, it slips where holding it would strain "
     "it by more than about that"
 )
-#: What a field says of a mark, where that has another name than the field.
-_SAYS = {"sure": "confidence", "material": "label"}
+#: Attribute of a mark that a field sets, where its name differs from that of the field.
+_ATTRIBUTES = {"sure": "confidence", "material": "label"}
+#: Fields of a displacement, along the rows and the columns.
+_STEPS = ("by_row", "by_col")
 
 
 class ToolFields(Container):
-    """How the tools draw."""
+    """Settings of the tools, for new marks and for the selected one.
+
+    Attributes
+    ----------
+    radius, by_row, by_col, amount, confidence, sure, softness, components, preset, material
+        Widgets. The `fields` of a tool name those it needs; `preset` is shown with `material`.
+    """
 
     def __init__(self) -> None:
         self.radius = length(
@@ -67,16 +75,16 @@ class ToolFields(Container):
         )
         tip = "Of the tissue's own table, or of the presets"
         self.material = ComboBox(choices=[], label="becomes", tooltip=tip)
-        for offered in (self.preset, self.components):
-            narrow(offered)
+        for choices in (self.preset, self.components):
+            narrow(choices)
         self._own_table = False
-        # Each is called by its attribute: so the tools say which they need.
+        # Each field is named after its attribute, by which the tools refer to it.
         fields = {name: each for name, each in vars(self).items() if isinstance(each, Widget)}
         for name, field in fields.items():
             field.name = name
         super().__init__(widgets=[*fields.values()])
         lengths = (self.radius, self.by_row, self.by_col, self.amount)
-        for field in lengths:  # what is being typed is no length yet
+        for field in lengths:  # an unfinished number is not a length
             field.native.setKeyboardTracking(False)
         self.margins = (0, 0, 0, 0)
         self._tool = BY_NAME["pull"]
@@ -85,29 +93,34 @@ class ToolFields(Container):
         self.show_place("px", self._ways)
 
     @property
-    def how(self) -> Mark:
-        """A mark as the tool that is shown makes it; where it lies does not count."""
-        tool, somewhere = self._tool, (0.0,) * len(self._ways.order)
-        values = {_SAYS.get(name, name): getattr(self, name).value for name in tool.fields}
+    def settings(self) -> ToolSettings:
+        """Settings of new marks of the visible tool."""
+        values = {
+            _ATTRIBUTES.get(name, name): getattr(self, name).value
+            for name in self._tool.fields
+            if name not in _STEPS
+        }
         if values.get("label", 0) is None:  # there are no tissues to choose yet
             del values["label"]
-        if "by_row" in values:
-            del values["by_row"], values["by_col"]
+        if self._has_step:
             values["by"] = self._by
-        if tool.is_brush:
-            return Stroke(cast(Action, tool.name), ((somewhere,),), **values)
-        return (Landmark if tool.name == "landmark" else Arrow)(somewhere, somewhere, **values)
+        return cast(ToolSettings, values)
 
     @property
-    def _by(self) -> tuple[float, ...]:
-        """What is typed as a step, along (rows, columns)."""
+    def _has_step(self) -> bool:
+        """True if the visible tool sets a displacement."""
+        return not set(_STEPS).isdisjoint(self._tool.fields)
+
+    @property
+    def _by(self) -> Point:
+        """Displacement in the fields, in the order of the axes of the image."""
         return self._ways.along((self.by_row.value, self.by_col.value))
 
     @property
     def words(self) -> str:
-        """What the tool that is shown does, in a few words."""
+        """Effect of the visible tool, in a few words."""
         words, which = self._tool.title, self.components.value
-        if self._tool.name == "move":
+        if self._has_step:
             *deep, row, col = self._by
             step = (*deep, 0.0 if which == "col" else row, 0.0 if which == "row" else col)
             seen = tuple(round(part, 2) + 0.0 for part in self._ways.seen(step))
@@ -117,25 +130,23 @@ class ToolFields(Container):
         axis = ("row", "col").index(which)
         return f"{words}, {self._ways.only(axis).partition(' (')[0]}"
 
-    def show_for(self, tool: Tool) -> None:
+    def show_for(self, tool: type[Tool]) -> None:
         """Show the fields of a tool, and no others."""
         self._tool = tool
         for field in self:
             field.visible = field.name in tool.fields
-        if len(self._ways.order) == 3:  # of a volume a mark speaks of all its axes
+        if len(self._ways.order) == 3:  # a mark in a volume prescribes all components
             self.components.visible, self.components.value = False, "both"
         self.preset.visible = "material" in tool.fields and not self._own_table
 
-    def show_how(self, how: Mark) -> None:
-        """Show how the selected mark was made, without changing it."""
-        said = {"components": "both", **vars(how)}
-        if isinstance(how, Stroke):
-            *_, said["by_row"], said["by_col"] = self._ways.seen(how.by)
-            # The size of the brush is nothing of the stroke's that is changed with it.
-            del said["radius"]
+    def show_settings(self, settings: ToolSettings) -> None:
+        """Show the settings of the selected mark, without changing it; other fields stay."""
+        values: dict[str, Any] = dict(settings)
+        if "by" in settings:
+            *_, values["by_row"], values["by_col"] = self._ways.seen(settings["by"])
         for name in self._tool.fields:
-            field, what = getattr(self, name), _SAYS.get(name, name)
-            value = said.get(what, field.value)
+            field, attribute = getattr(self, name), _ATTRIBUTES.get(name, name)
+            value = values.get(attribute, field.value)
             if name == "confidence":
                 value = max(value, _LEAST_CONFIDENCE)
             if name != "material" or value in field.choices:
@@ -143,17 +154,17 @@ class ToolFields(Container):
                     field.value = value
 
     def begin_with(self, radius: float, step: float) -> None:
-        """Have lengths that suit an image, so that what is to expand does.
+        """Set lengths that suit an image, so that the tool Grow has an effect at once.
 
-        A step has a direction, which nobody can guess: it stays 0 until it is given.
+        A displacement has a direction, which has no good default: it stays 0 until it is given.
         """
         self.radius.value = radius
         self.amount.value = self.amount.value or step
 
     def show_place(self, unit: str, ways: Directions) -> None:
-        """Say in which unit lengths are, and which way the rows and columns run.
+        """Show the unit of lengths and the directions of the rows and columns.
 
-        What is typed keeps its meaning, along the rows and columns: words and angles change.
+        The displacement along the rows and columns stays; its words and signs in the fields change.
         """
         by, steps = self._by, (self.by_row, self.by_col)
         turned, self._ways = ways != self._ways, ways
@@ -173,16 +184,16 @@ class ToolFields(Container):
                 self.components.value = before
 
     def offer(self, palette: Palette) -> None:
-        """Have these tissues to be painted; the one chosen stays, if it is among them."""
+        """Offer tissues to paint; the chosen one stays if it is among them."""
         rows = palette.materials
         choices = [(_in_words(row, palette.unit), row.label) for row in rows]
         labels = [label for _, label in choices]
         before = self.material.value
         with self.material.changed.blocked():
-            # Else those of the same name would come first.
+            # Without this, magicgui would put the choices that stay first.
             self.material.choices = []
             self.material.choices = choices
-            # What is painted first is a tissue, the last of them: it is what is special.
+            # The default is the last deformable tissue, as tables begin with common tissues.
             solid = [row.label for row in rows if row.is_deformable]
             usual = (solid or labels)[-1]
             self.material.value = before if before in labels else usual
@@ -196,5 +207,5 @@ def _in_words(row: Material, unit: str) -> str:
 
 
 def _components(ways: Directions) -> list[tuple[str, str]]:
-    """In which directions a mark may speak."""
+    """Return the choices of components that a mark may prescribe."""
     return [("both directions", "both"), (ways.only(0), "row"), (ways.only(1), "col")]

@@ -1,30 +1,32 @@
 """Painting and placing landmarks with a pointer, without a window."""
 
-from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 from napari.layers import Labels
 
-from napari_hmrf import ProblemError
 from napari_hmrf.layers.paint_layer import COLOURS, number_of, painted_colours
 from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.drawing import Arrow, Canvas, Drawing, Landmark, Rendering, Stroke
-from napari_hmrf.ui.motion.brush import Brush
-from napari_hmrf.ui.motion.hands import Pull
+from napari_hmrf.tissue.drawing.marks import Action
+from napari_hmrf.ui.motion.motion_messages import NO_STEP, NO_WAY, NOTHING, OPEN, OUTSIDE
+from napari_hmrf.ui.motion.pull_tools import LandmarkTool
+from napari_hmrf.ui.motion.tool import ToolError
+from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS, tool_of
 
 SPACING = (1.0, 2.0)
 SHAPE = (60, 50)
 
 
-def paint(action, radius, **how):
-    """A stroke as new ones are to be."""
-    return Stroke(action, (((0, 0),),), radius, **how)
+def paint(radius=4.0, **settings):
+    """Return the settings of a brush."""
+    return {"radius": radius, **settings}
 
 
 def grip(radius, confidence=1.0):
-    """A landmark as new ones are to be."""
-    return Landmark((0, 0), (0, 0), radius, confidence)
+    """Return the settings of a landmark."""
+    return {"radius": radius, "confidence": confidence}
 
 
 @pytest.fixture
@@ -34,19 +36,29 @@ def model():
 
 @pytest.fixture
 def brush(model):
-    return Brush(model, SPACING, SHAPE)
+    """Return the brush with an action."""
+    return lambda action: BY_NAME[action](model, SPACING, SHAPE)
 
 
 @pytest.fixture
 def landmark(model):
-    return Pull(model, SPACING)
+    return LandmarkTool(model, SPACING)
 
 
-def drag(hand, how, *points, reach=1.0, **options):
-    assert hand.press(points[0], reach, how, **options)
-    for point in points[1:]:
-        hand.move(point)
-    return hand.release()
+@pytest.fixture
+def drag(model):
+    """Drag a tool; return the name of the undo step, or "" if there is none."""
+
+    def done(tool, settings, *points, reach=1.0, **options):
+        before = model.next_undo
+        tool.press(points[0], reach, settings, **options)
+        assert tool.is_dragging
+        for point in points[1:]:
+            tool.move(point)
+        tool.release()
+        return "" if model.next_undo is before else model.next_undo.word
+
+    return done
 
 
 def rendered(model):
@@ -61,117 +73,122 @@ def ring(middle=(30, 25), radius=14.0, count=40):
     return list(zip(rows.tolist(), cols.tolist(), strict=True))
 
 
-def test_a_drag_of_the_brush_is_one_stroke_and_one_step(brush, model):
-    assert drag(brush, paint("pin", 4.0), (10, 10), (20, 10), (30, 10)) == "held tissue"
+def test_a_drag_of_the_brush_is_one_stroke_and_one_step(brush, drag, model):
+    assert drag(brush("pin"), paint(), (10, 10), (20, 10), (30, 10)) == "held tissue"
     assert model.drawing.marks == (Stroke("pin", (((10, 10), (20, 10), (30, 10)),), 4.0),)
     assert model.undo().word == "held tissue"
     assert not model.drawing.marks
 
 
 @pytest.mark.parametrize(
-    ("how", "y", "c"),
+    ("action", "settings", "y", "c"),
     [
-        (paint("pin", 4.0, confidence=0.5), (0, 0), (0.5, 0.5)),
-        (paint("free", 4.0), (0, 0), (0, 0)),
-        (paint("move", 4.0, by=(3, -1)), (3, -1), (1, 1)),
-        (paint("move", 4.0, by=(3, -1), components="row"), (3, 8), (1, 0.8)),
-        (paint("confidence", 4.0, confidence=0.25), (7, 8), (0.25, 0.25)),
+        ("pin", paint(confidence=0.5), (0, 0), (0.5, 0.5)),
+        ("free", paint(), (0, 0), (0, 0)),
+        ("move", paint(by=(3, -1)), (3, -1), (1, 1)),
+        ("move", paint(by=(3, -1), components="row"), (3, 8), (1, 0.8)),
+        ("confidence", paint(confidence=0.25), (7, 8), (0.25, 0.25)),
     ],
 )
-def test_each_brush_says_its_own_of_what_it_covers(brush, model, how, y, c):
+def test_each_brush_says_its_own_of_what_it_covers(brush, drag, model, action, settings, y, c):
     model.draw(Drawing((Arrow((20, 20), (7, 8), 15.0, 0.8),)), "pulled")
-    drag(brush, how, (18, 20), (22, 20))
+    drag(brush(action), settings, (18, 20), (22, 20))
     canvas = rendered(model)
     assert canvas.observed[20, 20] == pytest.approx(y)
     assert canvas.confidence[20, 20] == pytest.approx(c)
     assert canvas.observed[32, 20] == pytest.approx((7, 8)), "beside the brush nothing has changed"
 
 
-def test_tissue_becomes_what_is_painted(brush, model):
-    drag(brush, paint("tissue", 4.0, label=3), (20, 20), (30, 20))
+def test_tissue_becomes_what_is_painted(brush, drag, model):
+    drag(brush("tissue"), paint(label=3), (20, 20), (30, 20))
     labels = rendered(model).labels
     assert (labels[25, 20], labels[25, 30]) == (3, 1)
     assert not rendered(model).confidence.any(), "and nothing is held by that"
 
 
-def test_a_soft_brush_fades_confidence_out(brush, model):
+def test_a_soft_brush_fades_confidence_out(brush, drag, model):
     model.draw(Drawing((Arrow((30, 25), (0, 0), 40.0),)), "held")
-    drag(brush, paint("confidence", 10.0, confidence=0.0, softness=1.0), (30, 25))
+    drag(brush("confidence"), paint(10.0, confidence=0.0, softness=1.0), (30, 25))
     down = rendered(model).confidence[30:42, 25, 0]
     assert down[0] == pytest.approx(0, abs=0.01)
     assert (np.diff(down[:11]) > 0).all()
     assert down[11] == 1
 
 
-def test_a_ring_expands_outward_and_shrinks_inward(brush, model):
-    drag(brush, paint("expand", 3.0, amount=2.0), *ring())
+def test_a_ring_expands_outward_and_shrinks_inward(brush, drag, model):
+    grow = brush("expand")
+    drag(grow, paint(3.0, amount=2.0), *ring())
     y = rendered(model).observed
     assert y[16, 25] == pytest.approx((-2, 0), abs=0.15)
     assert y[30, 32] == pytest.approx((0, 2), abs=0.15)
-    brush.change(replace(brush.mark, amount=-2.0))
+    grow.change({**grow.mark_settings, "amount": -2.0})
     assert rendered(model).observed[16, 25] == pytest.approx((2, 0), abs=0.15)
 
 
 def test_an_open_line_cannot_expand_and_leaves_nothing(brush, model):
-    brush.press((5, 5), 1.0, paint("expand", 1.0, amount=2.0))
+    grow = brush("expand")
+    grow.press((5, 5), 1.0, paint(1.0, amount=2.0))
     for row in range(6, 50):
-        brush.move((row, 5))
-    with pytest.raises(ProblemError, match="no outside"):
-        brush.release()
+        grow.move((row, 5))
+    assert grow.error_message == OPEN
+    with pytest.raises(ToolError, match="no outside"):
+        grow.release()
     assert (model.drawing, model.next_undo) == (Drawing(), None)
-    assert not brush.holding
+    assert not grow.is_dragging
+    assert not grow.error_message
 
 
-def test_a_region_is_painted_on_where_the_brush_goes_over_it_again(brush, model):
-    how = paint("expand", 4.0, amount=1.0)
-    drag(brush, how, (20, 20), (30, 20))
-    drag(brush, how, (28, 21), (28, 28))
+def test_a_region_is_painted_on_where_the_brush_goes_over_it_again(brush, drag, model):
+    grow, settings = brush("expand"), paint(amount=1.0)
+    drag(grow, settings, (20, 20), (30, 20))
+    drag(grow, settings, (28, 21), (28, 28))
     assert len(model.drawing.marks) == 1
     assert len(model.drawing.marks[0].lines) == 2
-    drag(brush, how, (50, 40))
+    drag(grow, settings, (50, 40))
     assert len(model.drawing.marks) == 2, "elsewhere another one begins"
     model.undo()
     model.undo()
     assert len(model.drawing.marks[0].lines) == 1
 
 
-def test_the_stroke_painted_last_is_changed_but_not_its_size(brush, model):
-    drag(brush, paint("move", 4.0, by=(1, 0)), (20, 20))
-    brush.change(replace(brush.mark, by=(3, 0), confidence=0.5))
-    brush.change(replace(brush.mark, radius=9.0))
+def test_the_stroke_painted_last_is_changed_but_not_its_size(brush, drag, model):
+    push = brush("move")
+    drag(push, paint(by=(1, 0)), (20, 20))
+    push.change(paint(by=(3, 0), confidence=0.5))
+    push.change(paint(9.0, by=(3, 0), confidence=0.5))
     assert model.drawing.marks == (Stroke("move", (((20, 20),),), 4.0, by=(3, 0), confidence=0.5),)
     assert model.next_undo.word == "changed a stroke"
-    assert brush.remove()
+    assert push.remove()
     assert model.undo().word == "removed a stroke"
-    assert brush.selected is None
+    assert push.selected is None
 
 
-def test_what_was_painted_in_a_volume_is_dragged_to_where_it_goes(model):
-    brush = Brush(model, (2.0, *SPACING), (9, *SHAPE))
-    how = Stroke("move", (((0, 0, 0),),), 4.0, by=(0, 0, 0))
-    drag(brush, how, (4, 20, 20))
-    assert drag(brush, how, (4, 20, 20), (5, 21, 23)) == "pushed what was painted"
+def test_what_was_painted_in_a_volume_is_dragged_to_where_it_goes(drag, model):
+    push = BY_NAME["move"](model, (2.0, *SPACING), (9, *SHAPE))
+    settings = paint(by=(0, 0, 0))
+    drag(push, settings, (4, 20, 20))
+    assert drag(push, settings, (4, 20, 20), (5, 21, 23)) == "pushed what was painted"
     assert model.drawing.marks[0].by == (2, SPACING[0], 3 * SPACING[1])
 
 
-def test_a_cancelled_stroke_leaves_nothing_and_what_was_selected(brush, model):
-    how = paint("pin", 4.0)
-    drag(brush, how, (20, 20))
+def test_a_cancelled_stroke_leaves_nothing_and_what_was_selected(brush, drag, model):
+    hold, settings = brush("pin"), paint()
+    drag(hold, settings, (20, 20))
     before = model.drawing
-    brush.press((21, 20), 1.0, how)
-    brush.move((40, 20))
-    assert brush.cancel()
-    brush.move((45, 20))
-    brush.release()
+    hold.press((21, 20), 1.0, settings)
+    hold.move((40, 20))
+    assert hold.cancel()
+    hold.move((45, 20))
+    hold.release()
     assert model.drawing == before
-    assert brush.selected == 0
+    assert hold.selected == 0
 
 
-def test_moved_tissue_is_painted_where_it_came_from(brush, model):
-    def came_from(point):
+def test_moved_tissue_is_painted_where_it_came_from(brush, drag, model):
+    def origin(point):
         return None if point[1] > 30 else (point[0] - 5, point[1])
 
-    drag(brush, paint("pin", 4.0), (20, 20), (20, 40), came_from=came_from)
+    drag(brush("pin"), paint(), (20, 20), (20, 40), origin=origin)
     assert model.drawing.marks[0].lines == (((15, 20), (20, 40)),), "beyond it, the place itself"
 
 
@@ -204,22 +221,21 @@ def test_what_was_painted_last_is_known_of_each_pixel():
     assert [kinds[20, col] for col in (20, 22, 24, 30)] == [1, 1, 1, 0]
 
 
-def test_one_drag_makes_a_landmark(landmark, model):
-    how = grip(3.0, 0.5)
-    assert drag(landmark, how, (10, 10), (10.2, 10), (14, 12)) == "drew a landmark"
+def test_one_drag_makes_a_landmark(landmark, drag, model):
+    assert drag(landmark, grip(3.0, 0.5), (10, 10), (10.2, 10), (14, 12)) == "drew a landmark"
     assert model.drawing.marks == (Landmark((10, 10), (14, 12), 3.0, 0.5),)
     assert model.undo().word == "drew a landmark"
 
 
 def test_escape_gives_a_landmark_up(landmark, model):
-    assert landmark.press((10, 10), 1.0, grip(3.0))
+    landmark.press((10, 10), 1.0, grip(3.0))
     landmark.move((14, 12))
     assert landmark.cancel()
     assert not landmark.cancel()
     assert (model.drawing, model.next_undo) == (Drawing(), None)
 
 
-def test_landmarks_are_taken_up_again_by_either_end(landmark, model):
+def test_landmarks_are_taken_up_again_by_either_end(landmark, drag, model):
     model.draw(Drawing((Landmark((10, 10), (20, 20), 3.0),)), "opened")
     assert drag(landmark, grip(3.0), (20, 20), (22, 20)) == "moved a landmark"
     drag(landmark, grip(3.0), (10, 10), (9, 10))
@@ -228,17 +244,19 @@ def test_landmarks_are_taken_up_again_by_either_end(landmark, model):
     assert model.undo().word == "removed a landmark"
 
 
-def test_an_arrow_in_the_hand_of_landmarks_speaks_of_the_directions_it_spoke_of(landmark, model):
+def test_an_arrow_in_the_hand_of_landmarks_speaks_of_the_directions_it_spoke_of(
+    landmark, drag, model
+):
     model.draw(Drawing((Arrow((10, 10), (4, 0), 3.0, components="row"),)), "opened")
     drag(landmark, grip(3.0), (14, 10), (15, 11))
     landmark.change(grip(2.0, 0.5))
     assert model.drawing.marks == (Arrow((10, 10), (5, 0), 2.0, 0.5, "row"),)
 
 
-def test_a_landmark_begins_where_tissue_came_from_and_ends_where_it_is_seen(landmark, model):
-    drag(landmark, grip(3.0), (10, 10), (14, 14), came_from=lambda _: (8.0, 9.0))
+def test_a_landmark_begins_where_tissue_came_from_and_ends_where_it_is_seen(landmark, drag, model):
+    drag(landmark, grip(3.0), (10, 10), (14, 14), origin=lambda _: (8.0, 9.0))
     assert model.drawing.marks == (Landmark((8, 9), (14, 14), 3.0),)
-    assert not landmark.press((40, 40), 1.0, grip(3.0), lambda _: None)
+    assert landmark.press((40, 40), 1.0, grip(3.0), lambda _: None) == NOTHING
 
 
 def test_what_was_painted_has_a_colour_of_its_own():
@@ -252,18 +270,80 @@ def test_what_was_painted_has_a_colour_of_its_own():
     assert layer.get_color(number_of("tissue", label=7))[:3] == pytest.approx(colours[7], abs=0.01)
 
 
-def test_what_was_painted_to_move_is_dragged_to_where_it_goes(brush, model):
-    drag(brush, paint("move", 4.0), (20, 20), (24, 20))
+def test_what_was_painted_to_move_is_dragged_to_where_it_goes(brush, drag, model):
+    push = brush("move")
+    drag(push, paint(), (20, 20), (24, 20))
     assert model.drawing.marks[0].moves_nowhere
-    assert (
-        drag(brush, paint("move", 4.0), (22, 20), (25, 21), (27, 24)) == "pushed what was painted"
-    )
+    assert drag(push, paint(), (22, 20), (25, 21), (27, 24)) == "pushed what was painted"
     (stroke,) = model.drawing.marks
     assert stroke.by == pytest.approx((5 * SPACING[0], 4 * SPACING[1]))
     assert stroke.lines == (((20, 20), (24, 20)),), "dragged, and not painted on"
-    drag(brush, paint("move", 4.0, by=stroke.by), (22, 20), (20, 20))
+    drag(push, paint(by=stroke.by), (22, 20), (20, 20))
     assert model.drawing.marks[0].by == pytest.approx((3 * SPACING[0], 4 * SPACING[1]))
     model.undo()
     assert model.drawing.marks == (stroke,)
-    drag(brush, paint("move", 4.0), (50, 40))
+    drag(push, paint(), (50, 40))
     assert len(model.drawing.marks) == 2, "elsewhere another region is painted"
+
+
+def test_a_landmark_that_is_not_dragged_says_that_it_holds(landmark, model):
+    landmark.press((10, 10), 1.0, grip(3.0), lambda _: (8.0, 9.0))
+    assert landmark.release() == NO_WAY
+    landmark.press((10, 10), 1.0, grip(3.0))
+    assert landmark.release() is None, "an old one leads where it did"
+    landmark.press((30, 30), 1.0, grip(3.0))
+    landmark.move((30, 34))
+    assert landmark.release() is None
+
+
+def test_a_region_that_moves_says_what_is_missing_until_it_is_pushed(brush, model):
+    push = brush("move")
+    assert push.press((20, 20), 1.0, paint()) == NO_STEP
+    assert push.release() is None, "the message stays"
+    assert push.press((20, 20), 1.0, paint()) == NO_STEP
+    push.move((20, 24))
+    assert push.release() == ""
+    assert not brush("pin").press((40, 40), 1.0, paint())
+
+
+def test_a_brush_paints_inside_the_image_only(brush, model):
+    hold = brush("pin")
+    for point in [(-1, 20), (20, 50)]:
+        assert hold.press(point, 1.0, paint()) == OUTSIDE
+        assert not hold.is_dragging
+    assert not hold.press((-0.4, 49.4), 1.0, paint())
+    assert hold.stroke == model.drawing.marks[0]
+    hold.release()
+    assert hold.stroke is None
+
+
+def test_another_tissue_is_for_the_next_stroke_or_for_one_picked_up(brush, drag, model):
+    tissue = brush("tissue")
+    drag(tissue, paint(label=3), (20, 20))
+    tissue.change(paint(label=4))
+    assert model.drawing.marks[0].label == 3
+    tissue.pick(0)
+    tissue.change(paint(label=4))
+    assert model.drawing.marks[0].label == 4
+    drag(tissue, paint(label=5), (40, 40))
+    tissue.change(paint(label=6))
+    assert model.drawing.marks[1].label == 5
+
+
+def test_the_circle_around_the_pointer_is_gone_while_a_tool_drags(brush, landmark):
+    for tool in (brush("pin"), landmark):
+        assert tool.cursor(grip(3.0)) == 3.0
+        tool.press((10, 10), 1.0, grip(3.0))
+        assert tool.cursor(grip(3.0)) is None
+        tool.release()
+        assert tool.cursor(grip(3.0)) == 3.0
+
+
+def test_each_mark_is_made_by_one_tool():
+    marks = [
+        Arrow((0, 0), (0, 0), 1.0),
+        Landmark((0, 0), (0, 0), 1.0),
+        *(Stroke(action, (((0, 0),),), 1.0) for action in get_args(Action)),
+    ]
+    assert [tool_of(mark) for mark in marks] == list(TOOLS)
+    assert [sum(tool.makes(mark) for tool in TOOLS) for mark in marks] == [1] * len(TOOLS)

@@ -14,7 +14,9 @@ from napari_hmrf.layers.metadata import METADATA, TISSUE, described, known_of
 from napari_hmrf.layers.paint_layer import number_of
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
-from napari_hmrf.ui.motion.motion_messages import NO_WAY
+from napari_hmrf.ui.motion.motion_messages import NO_WAY, OPEN, OUTSIDE
+from napari_hmrf.ui.motion.tool import Tool
+from napari_hmrf.ui.motion.tools import BY_NAME
 from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.docks import dock_in
 from tests.support.person import CTRL, SHIFT, by_name, only
@@ -32,6 +34,29 @@ pytestmark = pytest.mark.usefixtures("without_controls")
 def displacement(widget):
     """How the tissue that is seen moves."""
     return widget._pointer.display.moved.solution.displacement
+
+
+class Notes(Tool):
+    """Tool that draws nothing, and writes down where the mouse is."""
+
+    name, title, key, fields, how = "notes", "Notes", "N", ("softness",), "Click a place."
+
+    @classmethod
+    def makes(cls, mark):
+        return False
+
+    def press(self, point, reach, settings, origin=None):
+        self.places, self.settings = [tuple(map(round, point))], settings
+        return "Noted."
+
+    def move(self, point):
+        self.places.append(tuple(map(round, point)))
+
+    def cursor(self, settings):
+        return None
+
+    def _changed(self, settings):
+        return None
 
 
 def seen_paint(person):
@@ -193,6 +218,31 @@ def test_an_open_line_cannot_expand_and_says_so(pulling_beside, settle):
     assert not widget.drawing.marks
     assert "no outside" in widget.status
     assert not seen_paint(person).any()
+
+
+def test_a_line_that_is_to_be_a_ring_says_so_while_it_is_painted(pulling_beside, qtbot):
+    person, widget = pulling_beside
+    person.key(EXPAND)
+    widget.fields.radius.value = 1.0
+    widget.fields.amount.value = 2.0
+    person.press(10, 30)
+    said = []
+    widget._pointer.said.connect(said.append)
+    person.move(40, 30)
+    qtbot.waitUntil(lambda: bool(said), timeout=LONG_MS)
+    assert (said, widget.status) == ([OPEN], OPEN)
+    person.release(40, 30)
+    assert "no outside" in widget.status
+
+
+def test_beside_the_image_a_brush_paints_nothing_and_keeps_the_fields(pulling_beside):
+    person, widget = pulling_beside
+    person.key(MATERIAL)
+    person.paint((20, 20), (20, 26))
+    before, material = widget.drawing, widget.fields.material
+    material.value = 0
+    person.paint((-5, 20), (20, 20))
+    assert (widget.status, widget.drawing, material.value) == (OUTSIDE, before, 0)
 
 
 def test_a_ring_that_is_removed_before_it_is_closed_leaves_nothing(pulling_beside, settle):
@@ -595,7 +645,7 @@ def test_undo_and_redo_go_through_all_tools(pulling, settle):
     person.drag((50, 50), (52, 50))
     done()
     person.pick(10, 12)
-    assert (widget.tool, widget._pointer.hand.selected) == ("tissue", 5)
+    assert (widget.tool, widget._pointer.tool.selected) == ("tissue", 5)
     person.key(Qt.Key.Key_Delete)
     done()
     for state in reversed(states[:-1]):
@@ -638,6 +688,41 @@ def test_keys_change_the_size_of_the_brush(pulling_beside):
     assert by_name(person.viewer, "Motion").cursor_size == pytest.approx(10.0)
     person.key(Qt.Key.Key_BracketLeft)
     assert widget.fields.radius.value == 4.0
+
+
+def test_any_tool_has_the_mouse_and_the_keys_and_shows_its_fields(pulling_beside, monkeypatch):
+    person, widget = pulling_beside
+    monkeypatch.setitem(BY_NAME, Notes.name, Notes)
+    layer, before = by_name(person.viewer, "Motion"), widget.drawing
+    assert layer.cursor == "circle"
+    widget.tool = "notes"
+    assert layer.cursor == "pointing"
+    assert widget.fields.words == "Notes"
+    assert widget.status == Notes.how
+    widget.fields.softness.value = 0.25
+    person.press(20, 20)
+    person.move(20, 24)
+    tool = widget._pointer.tool
+    assert (tool.places, tool.settings) == ([(20, 20), (20, 24)], {"softness": 0.25})
+    assert widget.status == "Noted."
+    person.key(Qt.Key.Key_Escape)
+    person.release(20, 24)
+    assert (widget.drawing, widget.study_model.next_undo) == (before, None)
+    person.key(Qt.Key.Key_G)
+    assert layer.cursor == "circle"
+
+
+def test_the_circle_of_a_tool_leaves_napari_s_own_modes_alone(pulling_beside):
+    person, widget = pulling_beside
+    layer = by_name(person.viewer, "Motion")
+    layer.mode = "transform"
+    before = layer.cursor
+    assert before != "circle"
+    widget.fields.radius.value = 7.0
+    widget.drawing = Drawing((Arrow((44, 40), (0, 5), 6.0),))
+    assert layer.cursor == before
+    layer.mode = "pan_zoom"
+    assert (layer.cursor, layer.cursor_size) == ("circle", pytest.approx(14.0))
 
 
 def test_escape_gives_a_stroke_up(brushing_beside, settle):

@@ -20,11 +20,12 @@ from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Rendering, Stroke
 from napari_hmrf.tissue.usual_lengths import usual_radius
-from napari_hmrf.ui.motion.hands import Pull
+from napari_hmrf.ui.motion.motion_messages import NOTHING
+from napari_hmrf.ui.motion.pull_tools import PullTool
 from tests.support.study_reader import read_ground
 
 SPACING = (1.0, 2.0)
-GRIP = Arrow((0, 0), (0, 0), 3.0)
+GRIP = {"radius": 3.0, "confidence": 1.0, "components": "both"}
 
 
 @pytest.fixture
@@ -34,68 +35,78 @@ def model():
 
 @pytest.fixture
 def pull(model):
-    return Pull(model, SPACING)
+    return PullTool(model, SPACING)
 
 
-def drag(pull, *points, reach=1.0, how=None, **options):
-    assert pull.press(points[0], reach, how or GRIP, **options)
-    for point in points[1:]:
-        pull.move(point)
-    return pull.release()
+@pytest.fixture
+def drag(pull, model):
+    """Drag the tool; return the name of the undo step, or "" if there is none."""
+
+    def done(*points, reach=1.0, settings=GRIP, **options):
+        before = model.next_undo
+        assert not pull.press(points[0], reach, settings, **options)
+        assert pull.is_dragging
+        for point in points[1:]:
+            pull.move(point)
+        assert pull.release() is None
+        return "" if model.next_undo is before else model.next_undo.word
+
+    return done
 
 
-def test_a_drag_draws_one_arrow_in_the_unit_of_the_spacing(pull, model):
-    assert drag(pull, (10, 10), (11, 10), (14, 13)) == "drew an arrow"
+def test_a_drag_draws_one_arrow_in_the_unit_of_the_spacing(drag, model):
+    assert drag((10, 10), (11, 10), (14, 13)) == "drew an arrow"
     assert model.drawing.marks == (Arrow((10, 10), (4, 6), 3.0),)
     assert model.undo().word == "drew an arrow"
     assert not model.drawing.marks
 
 
-def test_a_click_holds_tissue_where_it_is_seen(pull, model):
-    grip = replace(GRIP, confidence=0.5)
-    assert drag(pull, (10, 10), how=grip, came_from=lambda _: (8.0, 11.0)) == "drew an arrow"
+def test_a_click_holds_tissue_where_it_is_seen(drag, model):
+    settings = {**GRIP, "confidence": 0.5}
+    assert drag((10, 10), settings=settings, origin=lambda _: (8.0, 11.0)) == "drew an arrow"
     assert model.drawing.marks == (Arrow((8, 11), (2, -2), 3.0, 0.5),)
 
 
 def test_what_is_no_tissue_is_not_taken_hold_of(pull, model):
-    assert not pull.press((10, 10), 1, GRIP, lambda _: None)
+    assert pull.press((10, 10), 1, GRIP, lambda _: None) == NOTHING
+    assert not pull.is_dragging
     pull.move((12, 12))
-    assert (pull.release(), model.drawing.marks, model.next_undo) == ("", (), None)
+    assert (pull.release(), model.drawing.marks, model.next_undo) == (None, (), None)
 
 
-def test_an_arrow_is_changed_by_its_head_or_its_base_wherever_it_was_taken(pull, model):
-    drag(pull, (10, 10), (14, 12))
-    drag(pull, (14.5, 12), (16.5, 13))  # beside its head, by half a pixel
+def test_an_arrow_is_changed_by_its_head_or_its_base_wherever_it_was_taken(drag, model):
+    drag((10, 10), (14, 12))
+    drag((14.5, 12), (16.5, 13))  # beside its head, by half a pixel
     assert model.drawing.marks == (Arrow((10, 10), (6, 6), 3.0),)
-    drag(pull, (10, 10), (11, 10))
+    drag((10, 10), (11, 10))
     assert model.drawing.marks == (Arrow((11, 10), (5, 6), 3.0),), "the head stays"
     assert model.undo().word == "moved an arrow"
     assert model.undo().word == "moved an arrow"
     assert model.undo().word == "drew an arrow"
 
 
-def test_taking_hold_of_an_arrow_without_moving_it_is_no_step(pull, model):
-    drag(pull, (10, 10), (14, 12))
-    assert drag(pull, (14, 12)) == ""
+def test_taking_hold_of_an_arrow_without_moving_it_is_no_step(drag, pull, model):
+    drag((10, 10), (14, 12))
+    assert drag((14, 12)) == ""
     assert pull.selected == 0
     assert model.next_undo.word == "drew an arrow"
 
 
-def test_an_arrow_of_one_component_stays_on_its_line(pull, model):
-    drag(pull, (10, 10), (14, 13), how=replace(GRIP, components="row"))
+def test_an_arrow_of_one_component_stays_on_its_line(drag, pull, model):
+    drag((10, 10), (14, 13), settings={**GRIP, "components": "row"})
     assert model.drawing.marks[0].by == (4, 0)
-    pull.change(replace(pull.mark, components="col"))
+    pull.change({**GRIP, "components": "col"})
     assert model.drawing.marks[0].by == (0, 0)
 
 
-def test_the_selected_arrow_is_changed_and_removed(pull, model):
-    drag(pull, (10, 10), (14, 12))
-    drag(pull, (20, 20), (21, 21))
+def test_the_selected_arrow_is_changed_and_removed(drag, pull, model):
+    drag((10, 10), (14, 12))
+    drag((20, 20), (21, 21))
     assert pull.selected == 1
-    pull.change(replace(pull.mark, radius=5.0, confidence=0.25))
+    pull.change({**GRIP, "radius": 5.0, "confidence": 0.25})
     assert model.drawing.marks[1] == Arrow((20, 20), (1, 2), 5.0, 0.25)
     before = model.next_undo
-    pull.change(pull.mark)
+    pull.change(pull.mark_settings)
     assert model.next_undo is before, "that makes no difference"
     assert pull.remove()
     assert len(model.drawing.marks) == 1
@@ -105,8 +116,8 @@ def test_the_selected_arrow_is_changed_and_removed(pull, model):
     assert pull.selected is None, "what comes back is not selected"
 
 
-def test_a_cancelled_drag_leaves_nothing(pull, model):
-    drag(pull, (10, 10), (14, 12))
+def test_a_cancelled_drag_leaves_nothing(drag, pull, model):
+    drag((10, 10), (14, 12))
     before = model.drawing
     pull.press((20, 20), 1, GRIP)
     pull.move((25, 25))
@@ -117,10 +128,10 @@ def test_a_cancelled_drag_leaves_nothing(pull, model):
     assert not pull.cancel()
 
 
-def test_a_landmark_is_moved_by_either_end(pull, model):
+def test_a_landmark_is_moved_by_either_end(drag, model):
     model.draw(Drawing((Landmark((5, 5), (8, 8), 2),)), "opened")
-    drag(pull, (8, 8), (9, 9))
-    drag(pull, (5, 5), (4, 4))
+    drag((8, 8), (9, 9))
+    drag((5, 5), (4, 4))
     assert model.drawing.marks == (Landmark((4, 4), (9, 9), 2),)
 
 

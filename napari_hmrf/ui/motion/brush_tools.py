@@ -1,0 +1,256 @@
+"""Tools that paint strokes, which prescribe the motion or the kind of tissue."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import ClassVar
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.tissue.drawing import Mark, Stroke
+from napari_hmrf.tissue.drawing.canvas import covers, refuse_open_line
+from napari_hmrf.tissue.drawing.marks import Action, Point, between
+from napari_hmrf.ui.motion import motion_messages
+from napari_hmrf.ui.motion.tool import Origin, Tool, ToolError, ToolSettings, identity
+
+#: Smallest distance between two points of a stroke, as a part of the brush's radius.
+_STEP = 0.1
+
+
+class BrushTool(Tool):
+    """Base of tools that paint; going over the selected stroke with the same paint continues it.
+
+    Strokes are placed on the undeformed tissue, even while the tissue moves.
+
+    Attributes
+    ----------
+    action : Action
+        Effect of its strokes.
+    step : str
+        Name of the undo step of a stroke.
+    """
+
+    action: ClassVar[Action]
+    step: ClassVar[str]
+
+    #: Undeformed place of each visible point, as of the button press.
+    _origin: Origin
+
+    @classmethod
+    def makes(cls, mark: Mark) -> bool:
+        """Return whether a mark is a stroke with the action of this brush."""
+        return isinstance(mark, Stroke) and mark.action == cls.action
+
+    @property
+    def mark(self) -> Stroke | None:
+        """Selected stroke, or None."""
+        mark = super().mark
+        return mark if isinstance(mark, Stroke) else None
+
+    @property
+    def stroke(self) -> Stroke | None:
+        """Stroke that is being painted, or None."""
+        return self.mark if self.is_dragging else None
+
+    @property
+    def mark_settings(self) -> ToolSettings | None:
+        """Settings of the selected stroke, which keeps its radius; None without a stroke."""
+        settings = super().mark_settings
+        if settings is not None:
+            del settings["radius"]
+        return settings
+
+    def press(
+        self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
+    ) -> str:
+        """Begin or continue a stroke; where no tissue is, it starts at the visible place."""
+        if not self._is_inside(point):
+            return motion_messages.OUTSIDE
+        self.release()
+        self._origin = origin
+        self._begin(point, settings)
+        stroke = self.mark
+        return motion_messages.NO_STEP if stroke is not None and stroke.moves_nowhere else ""
+
+    def _begin(self, point: Point, settings: ToolSettings) -> None:
+        """Begin a drag at a visible point inside the image."""
+        at, drawing = self._place(point), self._model.drawing
+        new, stroke = Stroke(self.action, ((at,),), **settings), self._stroke_at(at)
+        self._model.begin_drawing(self.step)
+        if stroke is not None and replace(new, lines=stroke.lines) == stroke:
+            self._replace(stroke.again(at))
+        else:
+            self._show(drawing.with_mark(new), len(drawing.marks))
+
+    def move(self, point: Point) -> None:
+        """Continue the stroke to a point; without effect unless the brush is down."""
+        stroke = self.stroke
+        if stroke is None:
+            return
+        at, last = self._place(point), stroke.lines[-1][-1]
+        if math.hypot(*between(last, at, self._spacing)) >= _STEP * stroke.radius:
+            self._replace(stroke.onward(at))
+
+    def _changed(self, settings: ToolSettings) -> Mark | None:
+        stroke = self.mark
+        if stroke is None:
+            return None
+        kept: ToolSettings = {**settings, "radius": stroke.radius}
+        return Stroke(self.action, stroke.lines, **kept)
+
+    def _is_inside(self, point: Point) -> bool:
+        """Return whether a point lies inside the image."""
+        along = zip(point, self._shape, strict=True)
+        return all(-0.5 <= at <= size - 0.5 for at, size in along)
+
+    def _place(self, point: Point) -> Point:
+        """Return the undeformed place of a visible point; the point itself outside tissue."""
+        before = self._origin(point)
+        return point if before is None else before
+
+    def _stroke_at(self, place: Point) -> Stroke | None:
+        """Return the selected stroke if it covers an undeformed place, or None."""
+        stroke = self.mark
+        is_hit = stroke is not None and covers(stroke, place, self._spacing)
+        return stroke if is_hit else None
+
+
+class HoldTool(BrushTool):
+    """Brush that holds tissue in place."""
+
+    name = "pin"
+    title = "Hold"
+    key = "P"
+    fields = ("radius", "confidence", "components")
+    how = "Paint what does not move."
+    action = "pin"
+    step = "held tissue"
+
+
+class FreeTool(BrushTool):
+    """Brush that frees tissue from all that is beneath."""
+
+    name = "free"
+    title = "Free"
+    key = "F"
+    fields = ("radius",)
+    how = "Paint what nothing holds, whatever else says so."
+    action = "free"
+    step = "freed tissue"
+
+
+class PushTool(BrushTool):
+    """Brush for tissue that moves; the selected stroke is dragged to set its displacement."""
+
+    name = "move"
+    title = "Push"
+    key = "M"
+    fields = ("radius", "by_row", "by_col", "confidence", "components")
+    how = "Paint what moves, then drag it to where it goes."
+    action = "move"
+    step = "painted a push"
+
+    #: Place where the stroke was picked up, and its displacement then; None while painting.
+    _grip: tuple[Point, Point] | None = None
+
+    def _begin(self, point: Point, settings: ToolSettings) -> None:
+        """Pick up the selected stroke if it is hit, else begin to paint."""
+        self._grip, stroke = None, self._stroke_at(self._place(point))
+        if stroke is None:
+            super()._begin(point, settings)
+        else:
+            self._grip = point, stroke.by
+            self._model.begin_drawing("pushed what was painted")
+
+    def move(self, point: Point) -> None:
+        """Continue to push or to paint; without effect unless a drag is in progress."""
+        stroke = self.stroke
+        if stroke is None or self._grip is None:
+            super().move(point)
+            return
+        start, by = self._grip
+        step = between(start, point, self._spacing)
+        self._replace(replace(stroke, by=tuple(map(sum, zip(by, step, strict=True)))))
+
+    def release(self) -> str | None:
+        """End the drag; a stroke with a displacement needs no further advice."""
+        stroke = self.stroke
+        message = super().release()
+        return message if stroke is None or stroke.moves_nowhere else ""
+
+
+class GrowTool(BrushTool):
+    """Brush for a patch or a closed ring of tissue that grows or shrinks."""
+
+    name = "expand"
+    title = "Grow"
+    key = "E"
+    fields = ("radius", "amount", "confidence")
+    how = "Paint a patch or a closed ring that grows; a negative amount shrinks it."
+    action = "expand"
+    step = "painted what grows"
+
+    @property
+    def error_message(self) -> str:
+        """Advice to close the ring, which is an open line until then."""
+        return "" if self.stroke is None else motion_messages.OPEN
+
+    def release(self) -> str | None:
+        """End the stroke, and refuse an open line; as in `Tool`."""
+        stroke = self.stroke
+        if stroke is not None:
+            try:
+                refuse_open_line(stroke, self._spacing, self._shape)
+            except ProblemError as error:
+                self.cancel()
+                raise ToolError(motion_messages.NO_OUTSIDE) from error
+        return super().release()
+
+
+class ConfidenceTool(BrushTool):
+    """Brush for the confidence of what is beneath."""
+
+    name = "confidence"
+    title = "Confidence"
+    key = "C"
+    fields = ("radius", "sure", "softness")
+    how = "Paint over what is held or moved how sure that is."
+    action = "confidence"
+    step = "painted confidence"
+
+
+class TissueTool(BrushTool):
+    """Brush for the kind of tissue; another kind applies to the next stroke, or to one picked up.
+
+    The stroke painted last stays as it is, so that several tissues are painted in turn.
+    """
+
+    name = "tissue"
+    title = "Tissue"
+    key = "T"
+    fields = ("radius", "material")
+    how = "Paint which tissue is where."
+    action = "tissue"
+    step = "painted tissue"
+
+    #: True if the selected stroke was picked up, rather than just painted.
+    _is_picked = False
+
+    def press(
+        self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
+    ) -> str:
+        """Begin or continue a stroke; as in `BrushTool`."""
+        message = super().press(point, reach, settings, origin)
+        if self.is_dragging:
+            self._is_picked = False
+        return message
+
+    def pick(self, number: int | None) -> None:
+        """Select a stroke, which the fields change from now on."""
+        super().pick(number)
+        self._is_picked = number is not None
+
+    def change(self, settings: ToolSettings) -> None:
+        """Apply changed settings to the selected stroke, if it was picked up."""
+        if self._is_picked:
+            super().change(settings)

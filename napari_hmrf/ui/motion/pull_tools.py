@@ -1,0 +1,142 @@
+"""Tools that pull tissue: by an arrow, or from a landmark to its target."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from napari_hmrf.tissue.drawing import Arrow, Landmark, Mark
+from napari_hmrf.tissue.drawing.drawing import Hit, ends_of
+from napari_hmrf.tissue.drawing.marks import COMPONENTS, Point, between
+from napari_hmrf.ui.motion import motion_messages
+from napari_hmrf.ui.motion.tool import Origin, Tool, ToolSettings, identity, name_of
+
+#: Displacements below this, in the unit of the spacing, are rounding errors and become 0.
+_NOTHING = 1e-9
+
+
+class PullTool(Tool):
+    """Tool that pulls tissue by a new arrow, or drags an end of an earlier arrow or landmark."""
+
+    name = "pull"
+    title = "Pull"
+    key = "G"
+    fields: ClassVar[tuple[str, ...]] = ("radius", "confidence", "components")
+    how = "Drag tissue to pull it, or click it to hold it in place."
+
+    #: End of the mark that is dragged.
+    _part: Literal["head", "base"] = "head"
+    #: Place of the pointer, and its offset from that end.
+    _at: Point = (0.0, 0.0)
+    _offset: Point = (0.0, 0.0)
+
+    @classmethod
+    def makes(cls, mark: Mark) -> bool:
+        """Return whether a mark is an arrow."""
+        return isinstance(mark, Arrow)
+
+    @property
+    def mark(self) -> Arrow | Landmark | None:
+        """Selected arrow or landmark, or None."""
+        mark = super().mark
+        return mark if isinstance(mark, Arrow | Landmark) else None
+
+    def press(
+        self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
+    ) -> str:
+        """Pick up the end of a mark, or tissue; as in `Tool`.
+
+        A new mark begins at the undeformed place of the tissue, and ends at its visible place.
+        """
+        self.release()
+        drawing, at = self._model.drawing, origin(point)
+        hit = drawing.at(point, reach, self._spacing)
+        if hit is not None:
+            word = f"moved {name_of(drawing.marks[hit.number])}"
+        elif at is not None:
+            hit = Hit(len(drawing.marks), "head")
+            drawing = drawing.with_mark(self._new_mark(at, point, settings))
+            word = f"drew {name_of(drawing.marks[hit.number])}"
+        else:
+            self.select(None)
+            return motion_messages.NOTHING
+        head, base = ends_of(drawing.marks[hit.number], self._spacing)
+        end = head if hit.part == "head" else base
+        self._offset = tuple(x - y for x, y in zip(point, end, strict=True))
+        self._part, self._at = hit.part, point
+        self._model.begin_drawing(word)
+        self._show(drawing, hit.number)
+        return ""
+
+    def move(self, point: Point) -> None:
+        """Move the end to a point; without effect unless a drag is in progress."""
+        if not self.is_dragging or point == self._at:
+            return
+        self._at, mark = point, self.mark
+        to = tuple(x - away for x, away in zip(point, self._offset, strict=True))
+        if mark is not None:
+            head, base = ends_of(mark, self._spacing)
+            ends = (base, to) if self._part == "head" else (to, head)
+            self._replace(self._with_ends(mark, *ends))
+
+    def _new_mark(self, at: Point, to: Point, settings: ToolSettings) -> Arrow | Landmark:
+        """Return a mark that leads tissue from one place to another."""
+        still = (0.0,) * len(at)
+        arrow = Arrow(at, still, settings["radius"], settings["confidence"], settings["components"])
+        return self._with_ends(arrow, at, to)
+
+    def _changed(self, settings: ToolSettings) -> Mark | None:
+        mark = self.mark
+        if mark is None:
+            return None
+        head, base = ends_of(mark, self._spacing)
+        mark = replace(mark, radius=settings["radius"], confidence=settings["confidence"])
+        if isinstance(mark, Arrow) and "components" in settings:
+            mark = replace(mark, components=settings["components"])
+        return self._with_ends(mark, base, head)
+
+    def _with_ends(self, mark: Arrow | Landmark, at: Point, to: Point) -> Arrow | Landmark:
+        """Return the mark with other ends."""
+        if isinstance(mark, Landmark):
+            return replace(mark, source=at, target=to)
+        by, which = np.zeros(len(at)), COMPONENTS[mark.components]
+        by[which] = between(at, to, self._spacing)[which]
+        by[np.abs(by) < _NOTHING] = 0
+        return replace(mark, at=at, by=tuple(by.tolist()))
+
+
+class LandmarkTool(PullTool):
+    """Tool that draws landmarks, or drags an end of an earlier arrow or landmark."""
+
+    name = "landmark"
+    title = "Landmark"
+    key = "L"
+    fields = ("radius", "confidence")
+    how = "Drag from where something is to where it should be, or click what stays there."
+
+    #: Selected mark as of the button press.
+    _pressed: Arrow | Landmark | None = None
+
+    @classmethod
+    def makes(cls, mark: Mark) -> bool:
+        """Return whether a mark is a landmark."""
+        return isinstance(mark, Landmark)
+
+    def press(
+        self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
+    ) -> str:
+        """Pick up the end of a mark, or tissue; as in `PullTool`."""
+        message = super().press(point, reach, settings, origin)
+        self._pressed = self.mark
+        return message
+
+    def release(self) -> str | None:
+        """End the drag; explain a click, whose landmark holds tissue in place."""
+        is_click = self.is_dragging and self.mark == self._pressed
+        is_new = bool(self._model.end_drawing())
+        return motion_messages.NO_WAY if is_click and is_new else None
+
+    def _new_mark(self, at: Point, to: Point, settings: ToolSettings) -> Arrow | Landmark:
+        return Landmark(at, to, settings["radius"], settings["confidence"])

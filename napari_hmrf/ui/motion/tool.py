@@ -1,0 +1,244 @@
+"""Tool of the mouse: the protocol of all tools, and what they share."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import ClassVar, TypedDict, cast
+
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.study.study_model import StudyModel
+from napari_hmrf.tissue.drawing import Drawing, Mark, Stroke
+from napari_hmrf.tissue.drawing.marks import Components, Point
+
+#: Map from a visible point to that of the undeformed tissue; None without tissue.
+Origin = Callable[[Point], Point | None]
+
+
+def identity(point: Point) -> Point | None:
+    """Return the point itself, as the `Origin` of undeformed tissue."""
+    return point
+
+
+class ToolSettings(TypedDict, total=False):
+    """Settings of a mark, by the names of its attributes; a tool has those of its fields."""
+
+    radius: float
+    by: Point
+    amount: float
+    confidence: float
+    softness: float
+    label: int
+    components: Components
+
+
+class ToolError(HmrfError):
+    """An action of a tool has no effect; the message gives the reason to the user."""
+
+
+class Tool(ABC):
+    """Tool that edits the drawing of a slice by drags, each of which is one undo step.
+
+    A new tool is a subclass that is listed in `tools.TOOLS`. The `Pointer` calls these methods and
+    depends on no particular tool.
+
+    Parameters
+    ----------
+    model : StudyModel
+        Model with the drawing of the selected slice.
+    spacing : sequence of float, shape (n,)
+        Size of a pixel along each axis.
+    shape : tuple of int
+        Shape of the image.
+
+    Attributes
+    ----------
+    name : str
+        Name in Python, and of the picture on the button.
+    title : str
+        Title of the button, also shown on the canvas.
+    key : str
+        Key that selects the tool while the layer *Motion* is active. It must differ from napari's
+        keys for Vectors layers and for the viewer.
+    fields : tuple of str
+        Attributes of `ToolFields` that set the tool.
+    how : str
+        Instructions for the button and the status.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    key: ClassVar[str]
+    fields: ClassVar[tuple[str, ...]]
+    how: ClassVar[str]
+
+    def __init__(
+        self,
+        model: StudyModel,
+        spacing: Sequence[float] = (1.0, 1.0),
+        shape: tuple[int, ...] = (1, 1),
+    ) -> None:
+        self._model = model
+        self._spacing = tuple(map(float, spacing))
+        self._shape = shape
+        self._selected: int | None = None
+        # Drawing that the number of the selected mark refers to.
+        self._numbered = Drawing()
+
+    @classmethod
+    @abstractmethod
+    def makes(cls, mark: Mark) -> bool:
+        """Return whether a mark is of the kind that this tool makes."""
+
+    # Drags
+
+    @abstractmethod
+    def press(
+        self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
+    ) -> str:
+        """Begin a drag where that is possible.
+
+        Parameters
+        ----------
+        point : tuple of float
+            Point on the visible image, in pixels.
+        reach : float
+            Largest distance of a mark that can be picked up, in the unit of the spacing.
+        settings : ToolSettings
+            Settings of a new mark.
+        origin : callable
+            Undeformed place of each visible point.
+
+        Returns
+        -------
+        str
+            Message for the user; "" shows the instructions of the tool.
+        """
+
+    @abstractmethod
+    def move(self, point: Point) -> None:
+        """Continue to a point; without effect unless a drag is in progress."""
+
+    def release(self) -> str | None:
+        """End the drag as one undo step.
+
+        Returns
+        -------
+        str or None
+            Message for the user; None keeps the message that is shown.
+
+        Raises
+        ------
+        ToolError
+            If the mark is not possible; nothing has changed then.
+        """
+        self._model.end_drawing()
+        return None
+
+    def cancel(self) -> bool:
+        """Cancel the drag and restore the drawing; return whether there was a drag."""
+        was_dragging, number = self.is_dragging, self._selected
+        if was_dragging:
+            self._model.cancel_drawing()
+            self.select(number if number in range(len(self._model.drawing.marks)) else None)
+        return was_dragging
+
+    @property
+    def is_dragging(self) -> bool:
+        """True while a drag is in progress."""
+        return self._model.drawing_in_progress
+
+    @property
+    def stroke(self) -> Stroke | None:
+        """Stroke that is being painted, to be shown before the tissue follows; or None."""
+        return None
+
+    @property
+    def error_message(self) -> str:
+        """Message that replaces the errors of an unfinished drag; "" shows the errors."""
+        return ""
+
+    def cursor(self, settings: ToolSettings) -> float | None:
+        """Return the radius of the circle that shows the reach of the tool; None shows none.
+
+        napari paints the whole canvas for every step of the circle. During a drag there is none,
+        as the mark itself is visible.
+        """
+        return None if self.is_dragging else settings["radius"]
+
+    # Selection
+
+    @property
+    def selected(self) -> int | None:
+        """Number of the mark made or picked up last; None after another edit of the drawing."""
+        if self._model.drawing is not self._numbered:
+            self._selected = None
+        return self._selected
+
+    @property
+    def mark(self) -> Mark | None:
+        """Selected mark, or None."""
+        number = self.selected
+        return None if number is None else self._model.drawing.marks[number]
+
+    @property
+    def mark_settings(self) -> ToolSettings | None:
+        """Settings of the selected mark that `change` would change; None without a mark."""
+        mark = self.mark
+        if mark is None:
+            return None
+        names = ToolSettings.__annotations__
+        values = {name: value for name, value in vars(mark).items() if name in names}
+        # A landmark has no choice of components: it prescribes both.
+        return cast(ToolSettings, {"components": "both", **values})
+
+    def select(self, number: int | None) -> None:
+        """Select the mark to change or remove next; None selects none."""
+        self._numbered, self._selected = self._model.drawing, number
+
+    def pick(self, number: int | None) -> None:
+        """Select the mark that the user picked up on the canvas; None if there was none."""
+        self.select(number)
+
+    def remove(self) -> bool:
+        """Remove the selected mark; return whether there was one."""
+        mark, number = self.mark, self.selected
+        if mark is None or number is None:
+            return False
+        self.select(None)
+        self._model.draw(self._model.drawing.without(number), f"removed {name_of(mark)}")
+        return True
+
+    def change(self, settings: ToolSettings) -> None:
+        """Apply changed settings to the selected mark, whose place stays."""
+        mark, number, changed = self.mark, self.selected, self._changed(settings)
+        if number is None or changed is None or self.is_dragging:
+            return
+        if changed != mark:
+            drawing = self._model.drawing.replaced(number, changed)
+            self._numbered = drawing  # before callbacks read the selection
+            self._model.draw(drawing, f"changed {name_of(changed)}")
+
+    @abstractmethod
+    def _changed(self, settings: ToolSettings) -> Mark | None:
+        """Return the selected mark with other settings; None without a mark."""
+
+    # Edits within a drag
+
+    def _show(self, drawing: Drawing, number: int) -> None:
+        """Show the drawing with the mark that is being dragged, and select that."""
+        self._numbered, self._selected = drawing, number
+        self._model.update_drawing(drawing)
+        # The model keeps its own object if the drawing is equal.
+        self._numbered = self._model.drawing
+
+    def _replace(self, mark: Mark) -> None:
+        """Replace the mark that is being dragged."""
+        if self._selected is not None:
+            self._show(self._model.drawing.replaced(self._selected, mark), self._selected)
+
+
+def name_of(mark: Mark) -> str:
+    """Return the kind of a mark with its article, such as "an arrow"."""
+    kind = type(mark).__name__.lower()
+    return f"an {kind}" if kind == "arrow" else f"a {kind}"
