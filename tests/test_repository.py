@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterable
 from functools import cache
 from graphlib import TopologicalSorter
 from importlib.metadata import metadata
@@ -67,7 +68,8 @@ def tracked_files() -> list[Path]:
     return [file for file in files if file.is_file()]
 
 
-def imports(module: Path, *, top_level_only: bool = False) -> set[str]:
+@cache
+def imports(module: Path, *, top_level_only: bool = False) -> frozenset[str]:
     """Full names of what a module imports."""
     tree = ast.parse(module.read_text(encoding="utf-8"))
     nodes = ast.walk(tree) if not top_level_only else iter(_run_on_import(tree))
@@ -78,7 +80,7 @@ def imports(module: Path, *, top_level_only: bool = False) -> set[str]:
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{module} imports relatively"
             found |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return found
+    return frozenset(found)
 
 
 def _run_on_import(tree: ast.Module) -> list[ast.stmt]:
@@ -138,7 +140,7 @@ def private_names_of_others(module: Path) -> list[str]:
     return found
 
 
-def packages(names: set[str]) -> set[str]:
+def packages(names: Iterable[str]) -> set[str]:
     return {name.partition(".")[0] for name in names}
 
 
@@ -185,6 +187,68 @@ def test_late_imports_are_of_the_rooms_that_are_listed(module):
     path = PACKAGE / module
     late = imports(path) - imports(path, top_level_only=True)
     assert {name.split(".")[1] for name in late} == LATE[module]
+
+
+@pytest.mark.parametrize("module", MODULES, ids=part)
+def test_an_import_in_a_function_states_its_reason(module):
+    lines = module.read_text(encoding="utf-8").splitlines()
+    for node in imports_in_functions(module):
+        where = f"{part(module)}:{node.lineno}"
+        stated = re.search(r"# (heavy|optional|above): (\w+)$", lines[node.lineno - 1])
+        assert stated, f"{where}: move it to the top, or state why it is here: CONTRIBUTING.md"
+        reason, name = stated.groups()
+        rooms = {each.split(".")[1] for each in names_of(node) if each.startswith("napari_hmrf.")}
+        if reason == "above":
+            assert rooms == {name}, where
+            assert name in LATE[part(module)], where
+            continue
+        assert name in reached_by(node), f"{where} imports no {name}"
+        known = extra_modules() if reason == "optional" else {*HEAVY, *LATER, *HEAVY_FOLDERS}
+        assert name in known, f"{where}: {name} is not {reason}"
+
+
+#: Libraries that take long to import, beside `HEAVY`, and folders of ours that do.
+LATER = ("PIL", "numpy", "pint", "scipy", "skimage", "tifffile")
+HEAVY_FOLDERS = ("opengl", "ui")
+
+
+def imports_in_functions(module: Path) -> list[ast.Import | ast.ImportFrom]:
+    tree = ast.parse(module.read_text(encoding="utf-8"))
+    functions = (each for each in ast.walk(tree) if isinstance(each, ast.FunctionDef))
+    nested = (node for function in functions for node in ast.walk(function))
+    return [node for node in nested if isinstance(node, ast.Import | ast.ImportFrom)]
+
+
+def names_of(node: ast.Import | ast.ImportFrom) -> set[str]:
+    """Return the full names that a statement imports."""
+    if isinstance(node, ast.Import):
+        return {alias.name for alias in node.names}
+    return {f"{node.module}.{alias.name}" for alias in node.names}
+
+
+def reached_by(node: ast.Import | ast.ImportFrom) -> set[str]:
+    """Return the libraries, and the folders of ours, that an import leads to at once."""
+    found, todo = set(), list(names_of(node))
+    while todo:
+        name = todo.pop()
+        if name in found:
+            continue
+        found |= {name, *name.split(".")[:-1]}
+        file = PACKAGE.parent.joinpath(*name.split("."))
+        files = [file.with_suffix(".py"), file / "__init__.py", file.parent.with_suffix(".py")]
+        module = next((each for each in files if each in MODULES), None)
+        if module is not None:
+            todo += imports(module, top_level_only=True)
+    return found
+
+
+def extra_modules() -> set[str]:
+    """Return the modules of the optional dependencies."""
+    extras = tomllib.loads(read("pyproject.toml"))["project"]["optional-dependencies"]
+    wanted = [*extras["medical"], *extras["film"], *extras["monai"], *extras["cluster"]]
+    named = {"simpleitk": "SimpleITK", "imageio-ffmpeg": "imageio_ffmpeg"}
+    packages = [re.match(r"[\w-]+", requirement)[0] for requirement in wanted]
+    return {named.get(each, each) for each in packages}
 
 
 def test_no_file_name_occurs_twice():

@@ -393,7 +393,7 @@ def _by_cluster(
 ) -> Generator[CaseOutcome, None, None]:
     """Yield the outcomes as they arrive from the workers of a dask scheduler."""
     try:
-        from distributed import Client, as_completed
+        from distributed import Client, as_completed  # optional: distributed
     except ImportError:
         raise HmrfError(
             "a scheduler takes dask.distributed, which is not installed: "

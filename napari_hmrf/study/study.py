@@ -182,8 +182,7 @@ class Grid:
         FileFormatError, HmrfError, OSError
             If a file cannot be read.
         """
-        # Imported here because `io`, which reads files, is built on studies.
-        from napari_hmrf.io.image_grid import grid_of_image
+        from napari_hmrf.io.image_grid import grid_of_image  # above: io
 
         return grid_of_image(image, slice=slice, axis=axis)
 

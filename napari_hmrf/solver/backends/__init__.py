@@ -27,6 +27,7 @@ from typing import Any, Literal, NamedTuple, get_args
 from napari_hmrf.errors import BackendError
 from napari_hmrf.solver.backends.base import BATCH_SECONDS, Backend, Checkpoint, SiteRule
 from napari_hmrf.solver.backends.compile_cache import compiler, loops
+from napari_hmrf.solver.backends.cpu import CpuBackend
 from napari_hmrf.solver.backends.job import SolveJob
 from napari_hmrf.solver.backends.thread import compute_thread
 
@@ -103,7 +104,7 @@ def open_backend(
     if name == "cpu":
         provide_loops()
         return Choice(_compiled_loops(checkpoint), "asked for")
-    from napari_hmrf.solver.backends.opengl import missing_shaders
+    from napari_hmrf.solver.backends.opengl import missing_shaders  # heavy: opengl
 
     missing = missing_shaders(job)
     if name != "auto":
@@ -118,7 +119,10 @@ def open_backend(
 
 def _fastest(job: SolveJob, checkpoint: Checkpoint, provide_loops: Callable[[], None]) -> Choice:
     """Choose between shaders and loops that both support the job, apart from its size."""
-    from napari_hmrf.solver.backends.opengl import OpenGLBackend, is_software_renderer
+    from napari_hmrf.solver.backends.opengl import (  # heavy: opengl
+        OpenGLBackend,
+        is_software_renderer,
+    )
 
     compiled = _loops_are_ready(job)
     try:
@@ -150,7 +154,7 @@ def _fastest(job: SolveJob, checkpoint: Checkpoint, provide_loops: Callable[[], 
 
 def _requested_shaders(job: SolveJob, name: str, checkpoint: Checkpoint) -> Backend[Any]:
     """Return the backend of shaders of a name, or refuse the job."""
-    from napari_hmrf.solver.backends.opengl import OpenGLBackend
+    from napari_hmrf.solver.backends.opengl import OpenGLBackend  # heavy: opengl
 
     _loops_are_ready(job)  # a later solve may take them
     _compile_meanwhile(job)
@@ -175,6 +179,4 @@ def _compile_meanwhile(job: SolveJob) -> None:
 
 def _compiled_loops(checkpoint: Checkpoint) -> Backend[Any]:
     """Return the backend of compiled loops."""
-    from napari_hmrf.solver.backends.cpu import CpuBackend
-
     return CpuBackend(checkpoint)
