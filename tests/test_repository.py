@@ -251,6 +251,30 @@ def extra_modules() -> set[str]:
     return {named.get(each, each) for each in packages}
 
 
+#: Names that parameters and attributes have only if they hold objects of ours.
+OURS = {
+    *("binding", "controller", "dock", "drawing", "form", "guide", "materials", "model"),
+    *("palette", "problem", "prior", "row", "rows", "rules", "solution", "stroke", "study"),
+    *("table", "undo", "view"),
+}
+
+
+@pytest.mark.parametrize(
+    "module", [each for each in MODULES if part(each).startswith(("ui/", "layers/"))], ids=part
+)
+def test_objects_of_ours_have_a_type_in_the_window(module):
+    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.arg) and node.annotation is not None:
+            name, annotation = node.arg, node.annotation
+        elif isinstance(node, ast.AnnAssign):
+            name, annotation = ast.unparse(node.target), node.annotation
+        else:
+            continue
+        of_ours = name.rpartition(".")[2].lstrip("_") in OURS
+        words = set(re.findall(r"\w+", ast.unparse(annotation)))
+        assert not (of_ours and "Any" in words), f"{part(module)}:{node.lineno}: {name}"
+
+
 def test_no_file_name_occurs_twice():
     twins = ("solver/priors/", "solver/backends/")
     public = {f"{name}.py" for name in FACADES}
