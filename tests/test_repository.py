@@ -318,7 +318,7 @@ def test_the_walk_through_the_shaders_names_files_that_exist():
     assert not {name for name in named if not any((place / name).is_file() for place in places)}
 
 
-@pytest.mark.parametrize("package", ["solver", "solver/backends"])
+@pytest.mark.parametrize("package", ["io", "solver", "solver/backends", "study"])
 def test_the_walk_through_a_package_names_modules_of_it(package):
     folder = PACKAGE / package
     text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8")))
@@ -328,9 +328,22 @@ def test_the_walk_through_a_package_names_modules_of_it(package):
         if each.is_relative_to(folder)
     }
     modules |= {name.removesuffix(".__init__") for name in modules}
-    names = set(re.findall(r"`([a-z_.]+)`", text))
+    names = set(re.findall(r"(?<!`)`([a-z_.]+)`(?!`)", text))
     assert len(names & modules) > 9
     assert names - modules <= {"material", "open_backend"}
+
+
+def test_the_page_of_the_architecture_has_the_rooms_of_today():
+    written = subprocess.run(
+        [sys.executable, "scripts/structure.py"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    room_names = {room for row in ROOMS for room in row if (PACKAGE / room).is_dir()}
+    assert room_names == set(re.findall(r"^\| `(\w+)/`", written, flags=re.MULTILINE))
+    assert written in read("docs/development/architecture.md"), "run `make structure`"
 
 
 def test_no_imports_go_round_in_a_circle_not_even_those_for_types():
