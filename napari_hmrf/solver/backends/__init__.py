@@ -63,13 +63,10 @@ class Choice(NamedTuple):
     backend : Backend
     reason : str
         Reason for the choice, in words.
-    is_fallback : bool
-        True if a faster device would run the solve if it were there, or were larger.
     """
 
     backend: Backend[Any]
     reason: str
-    is_fallback: bool = False
 
 
 def open_backend(
@@ -129,7 +126,7 @@ def _fastest(job: SolveJob, checkpoint: Checkpoint, provide_loops: Callable[[], 
         shaders = OpenGLBackend(checkpoint)
     except BackendError as error:
         provide_loops()
-        return Choice(_compiled_loops(checkpoint), f"no usable OpenGL ({error})", True)
+        return Choice(_compiled_loops(checkpoint), f"no usable OpenGL ({error})")
     _compile_meanwhile(job)
     refusal = shaders.supports(job)
     if refusal is not None:
@@ -137,7 +134,7 @@ def _fastest(job: SolveJob, checkpoint: Checkpoint, provide_loops: Callable[[], 
         provide_loops()
         kind = "volume" if job.is_volume else "image"
         reason = f"the shaders refuse this {kind} ({refusal})"
-        return Choice(_compiled_loops(checkpoint), reason, True)
+        return Choice(_compiled_loops(checkpoint), reason)
     if not is_software_renderer(shaders.renderer):
         return Choice(shaders, "a GPU is there")
     is_large = job.is_volume and math.prod(job.shape) > LARGE_VOLUME
@@ -149,7 +146,7 @@ def _fastest(job: SolveJob, checkpoint: Checkpoint, provide_loops: Callable[[], 
     if job.is_volume:
         provide_loops()
     reason = f"OpenGL here is software only ({shaders.renderer})"
-    return Choice(_compiled_loops(checkpoint), reason, True)
+    return Choice(_compiled_loops(checkpoint), reason)
 
 
 def _requested_shaders(job: SolveJob, name: str, checkpoint: Checkpoint) -> Backend[Any]:
