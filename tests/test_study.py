@@ -85,11 +85,9 @@ def test_a_prior_beside_the_name_of_a_model_is_kept_or_refused():
     prior, optimizer = ElasticPrior(0.3), ICM(5)
     assert Study(GRID, model="elastic", prior=prior).prior is prior
     assert Study(GRID, model="paper", optimizer=optimizer).optimizer is optimizer
-    with pytest.raises(ArgumentError, match="'paper' is solved by SeilerPrior, but prior is Elast"):
+    with pytest.raises(ArgumentError, match="'paper' needs the prior SeilerPrior, not Elastic"):
         Study(GRID, model="paper", prior=prior)
-    with pytest.raises(
-        ArgumentError, match=r"by Multigrid, but optimizer is ICM\. Leave out optim"
-    ):
+    with pytest.raises(ArgumentError, match=r"Give optimizer=Multigrid\(\), or leave out"):
         Study(GRID, model="elastic", optimizer=optimizer)
     by_name = replace(Study(GRID, model="paper"), model="elastic")
     assert (by_name.model_name, replace(by_name, model="paper").model_name) == ("elastic", "paper")

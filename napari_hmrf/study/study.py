@@ -507,9 +507,10 @@ class Study:
             if is_by_name(given):
                 object.__setattr__(self, name, usual)
             elif type(given) is not type(usual):
+                needed, other = type(usual).__name__, type(given).__name__
                 raise ArgumentError(
-                    f"model {model!r} is solved by {type(usual).__name__}, but {name} is "
-                    f"{type(given).__name__}. Leave out {name}, or the model."
+                    f"model {model!r} needs the {name} {needed}, not {other}. Give "
+                    f"{name}={needed}(), or leave out one of the two."
                 )
 
     def __repr__(self) -> str:
