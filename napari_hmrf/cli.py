@@ -38,9 +38,12 @@ from napari_hmrf.samples.demo import SAMPLE_SIZE, demonstrate, table, write_resu
 from napari_hmrf.samples.head import SAMPLE_SIZE as VOLUME_SIZE
 from napari_hmrf.samples.selftest import selftest
 from napari_hmrf.samples.volume_demo import demonstrate_volume, write_volume_results
+from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING, VOLUMES
 from napari_hmrf.solver.model_names import MODELS, as_word
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
+from napari_hmrf.solver.preparation import loops_are_compiled, provide_loops
 from napari_hmrf.solver.priors import Elastic, Prior
+from napari_hmrf.solver.solve import solve
 from napari_hmrf.study.models import chosen, family_of
 from napari_hmrf.tissue.tissue_names import materials_by_name
 from napari_hmrf.wording import in_words_of
@@ -359,10 +362,6 @@ def _compile_loops(
     optimizer: Optimizer | None,
 ) -> None:
     """Wait until the loops are compiled, and solve again with them."""
-    from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING, VOLUMES
-    from napari_hmrf.solver.preparation import loops_are_compiled, provide_loops
-    from napari_hmrf.solver.solve import solve
-
     jobs = [job for job in (EVERYTHING, VOLUMES) if not loops_are_compiled(job)]
     if options.backend != "auto" or not jobs:
         return
