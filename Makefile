@@ -12,7 +12,7 @@ SHADERS ?= 500
 VOLUMES ?= 300
 SEED ?= 0
 
-.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test campaigns docs format lint types words lines routes benchmarks live dragging trust edits folds soak damaged disks volumes hard report mutations screenshots sample-data constraints clean
+.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test campaigns docs format lint types words lines routes structure benchmarks live dragging trust edits folds soak damaged disks volumes hard report mutations screenshots sample-data constraints clean
 .DEFAULT_GOAL := help
 
 help:
@@ -28,6 +28,7 @@ help:
 	@echo "make live         measure how fast tissue follows the mouse, without and with a window"
 	@echo "make lines        count the lines of code, folder by folder"
 	@echo "make routes       print the modules that Deform and a drag pass through"
+	@echo "make structure    write the diagram of the rooms into docs/development/architecture.md"
 	@echo "make dragging     time from the mouse to the picture: AGAINST=folder compares with another checkout"
 	@echo "make trust        compare thousands of random problems with exact solutions: LOOPS=200 SHADERS=20 is shorter"
 	@echo "make edits        compare thousands of live edits with cold solves"
@@ -99,6 +100,9 @@ live: setup-for-windows
 
 routes: setup-for-windows
 	@$(HEADLESS) $(RUN) scripts/routes.py
+
+structure:
+	@$(PYTHON) scripts/structure.py --write
 
 dragging: setup-for-windows
 	@$(HEADLESS) $(RUN) benchmarks/dragging.py $(if $(AGAINST),--against $(AGAINST))

@@ -13,15 +13,39 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from napari_hmrf.augmentation.ground_truth import Truth, truth_files, write_truth
 from napari_hmrf.command_line import parser_of_commands
 from napari_hmrf.errors import HmrfError, in_words
+from napari_hmrf.field.warp import has_volume_loops
+from napari_hmrf.io.apply import apply_field, read_field_file, write_field_file
+from napari_hmrf.io.batch import SUMMARY, solve_cases
+from napari_hmrf.io.case import solve_case
+from napari_hmrf.io.case_options import Case, energy_of
+from napari_hmrf.io.case_tables import read_cases
+from napari_hmrf.io.images import read_image
+from napari_hmrf.io.moving_pictures import write_movie
 from napari_hmrf.io.overwriting import refuse_overwriting
-from napari_hmrf.samples.demo import SAMPLE_SIZE
+from napari_hmrf.io.results import image_of, labels_in, measured
+from napari_hmrf.io.segmentation_tables import read_label_names
+from napari_hmrf.io.study_file import read_study, replay
+from napari_hmrf.io.tables import (
+    measurement_table,
+    named_materials_in_words,
+    write_measurements,
+    write_named_materials,
+)
+from napari_hmrf.samples.demo import SAMPLE_SIZE, demonstrate, table, write_results
 from napari_hmrf.samples.head import SAMPLE_SIZE as VOLUME_SIZE
+from napari_hmrf.samples.selftest import selftest
+from napari_hmrf.samples.volume_demo import demonstrate_volume, write_volume_results
+from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING, VOLUMES
 from napari_hmrf.solver.model_names import MODELS, as_word
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
+from napari_hmrf.solver.preparation import loops_are_compiled, provide_loops
 from napari_hmrf.solver.priors import Elastic, Prior
+from napari_hmrf.solver.solve import solve
 from napari_hmrf.study.models import chosen, family_of
+from napari_hmrf.tissue.tissue_names import materials_by_name
 from napari_hmrf.wording import in_words_of
 
 if TYPE_CHECKING:
@@ -68,21 +92,15 @@ class _InShellWords(logging.Filter):
 
 def _model(options: argparse.Namespace) -> tuple[Prior, Optimizer]:
     """Return the energy of a demonstration and its minimiser."""
-    from napari_hmrf.io.case_options import Case, energy_of
-
     case = Case(Path(), model=options.model, poisson=options.poisson, plane=options.plane)
     return energy_of(case, volume=options.volume)
 
 
 def _selftest(_: argparse.Namespace) -> int:
-    from napari_hmrf.samples.selftest import selftest
-
     return 0 if selftest(lambda line: print(line, flush=True)) else 1
 
 
 def _export(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.apply import read_field_file, write_field_file
-
     field = read_field_file(options.result)
     refuse_overwriting([options.out], overwrite=options.force)
     print(write_field_file(options.out, field, forward=options.forward))
@@ -90,9 +108,6 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def _apply(options: argparse.Namespace) -> int:
-    from napari_hmrf.field.warp import has_volume_loops
-    from napari_hmrf.io.apply import apply_field, read_field_file
-
     names = [file.name for file in options.files]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
@@ -128,11 +143,6 @@ def _apply(options: argparse.Namespace) -> int:
 
 
 def _materials(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.results import labels_in
-    from napari_hmrf.io.segmentation_tables import read_label_names
-    from napari_hmrf.io.tables import named_materials_in_words, write_named_materials
-    from napari_hmrf.tissue.tissue_names import materials_by_name
-
     names = read_label_names(options.table)
     if options.out is not None:
         refuse_overwriting([options.out], overwrite=options.force)
@@ -147,17 +157,14 @@ def _materials(options: argparse.Namespace) -> int:
 
 
 def _measure(options: argparse.Namespace) -> int:
-    from pandas import DataFrame
-
-    from napari_hmrf.io.results import measured
-    from napari_hmrf.io.tables import measurement_table, write_measurements
+    from pandas import DataFrame  # heavy: pandas
 
     found = measured(options.result, options.labels)
     if options.out is not None:
         refuse_overwriting([options.out], overwrite=options.force)
     titles, cells = measurement_table(found.rows, volume=found.of_volume)
-    table = DataFrame(cells, columns=titles)
-    print(table.to_string(index=False, float_format=_short))
+    printed = DataFrame(cells, columns=titles)
+    print(printed.to_string(index=False, float_format=_short))
     if found.note:
         print(f"note: {found.note}")
     if options.out is not None:
@@ -172,9 +179,6 @@ def _short(value: float) -> str:
 
 
 def _play(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.moving_pictures import write_movie
-    from napari_hmrf.io.results import image_of
-
     solution, image = image_of(options.result, options.image)
     refuse_overwriting([options.out], overwrite=options.force)
     number, shape = options.slice, solution.tissue.shape
@@ -191,9 +195,6 @@ def _play(options: argparse.Namespace) -> int:
 
 
 def _solve(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.case import solve_case
-    from napari_hmrf.io.case_options import Case
-
     sure = options.confidence
     case = Case(
         image=options.image,
@@ -226,9 +227,6 @@ def _solve(options: argparse.Namespace) -> int:
 
 
 def _batch(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.batch import SUMMARY, solve_cases
-    from napari_hmrf.io.case_tables import read_cases
-
     line = _ProgressLine()
     cases = read_cases(options.cases)
     some = "1 case" if len(cases) == 1 else f"{len(cases)} cases"
@@ -258,9 +256,6 @@ def _batch(options: argparse.Namespace) -> int:
 
 
 def _replay(options: argparse.Namespace) -> int:
-    from napari_hmrf.io.images import read_image
-    from napari_hmrf.io.study_file import read_study, replay
-
     image = None if options.image is None else read_image(options.image).pixels
     study, before = read_study(options.study, image=image)
     if image is not None and study.pictures.image is not image:
@@ -298,9 +293,6 @@ def _in_shell(solution: Solution) -> str:
 
 
 def _truth(options: argparse.Namespace) -> int:
-    from napari_hmrf.augmentation.ground_truth import Truth, truth_files, write_truth
-    from napari_hmrf.io.case_options import Case
-
     def tell(truth: Truth) -> None:
         progress.end()
         part = "" if truth.scale == 1 else f", scaled to {truth.scale:.0%}"
@@ -331,8 +323,7 @@ def _truth(options: argparse.Namespace) -> int:
 
 
 def _demo(options: argparse.Namespace) -> int:
-    from napari_hmrf.contributions import phantom_layers
-    from napari_hmrf.samples.demo import demonstrate, table, write_results
+    from napari_hmrf.contributions import phantom_layers  # heavy: napari
 
     if options.volume:
         return _demo_volume(options)
@@ -371,10 +362,6 @@ def _compile_loops(
     optimizer: Optimizer | None,
 ) -> None:
     """Wait until the loops are compiled, and solve again with them."""
-    from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING, VOLUMES
-    from napari_hmrf.solver.preparation import loops_are_compiled, provide_loops
-    from napari_hmrf.solver.solve import solve
-
     jobs = [job for job in (EVERYTHING, VOLUMES) if not loops_are_compiled(job)]
     if options.backend != "auto" or not jobs:
         return
@@ -419,9 +406,7 @@ def _make_demo_folder(options: argparse.Namespace) -> None:
 
 
 def _demo_volume(options: argparse.Namespace) -> int:
-    from napari_hmrf.contributions import volume_layers
-    from napari_hmrf.samples.demo import table
-    from napari_hmrf.samples.volume_demo import demonstrate_volume, write_volume_results
+    from napari_hmrf.contributions import volume_layers  # heavy: napari
 
     prior, optimizer = _model(options)
     more = {"poisson": float(prior.poisson)} if isinstance(prior, Elastic) else {}
@@ -550,8 +535,8 @@ def _has_display() -> bool:
 
 def _open_napari(layers: Sequence[LayerData], solution: Solution, prior: Prior) -> None:
     """Show a demonstration in napari, with the widget beside it, until the window is closed."""
-    import napari
-    from napari.layers import Layer
+    import napari  # heavy: napari
+    from napari.layers import Layer  # heavy: napari
 
     viewer = napari.Viewer()
     for data, attributes, kind in layers:

@@ -112,7 +112,7 @@ def _pictures() -> None:
 
 def _kept() -> bool:
     """Return whether numba could cache the compiled loops on disk."""
-    from napari_hmrf.solver.backends.cpu import exact
+    from napari_hmrf.solver.backends.cpu import exact  # heavy: numba
 
     if loader.is_unwritable():
         return False

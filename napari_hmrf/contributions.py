@@ -3,7 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import napari
+from napari.utils.notifications import show_info
+
+from napari_hmrf.errors import FileFormatError, HmrfError
+from napari_hmrf.io.apply import FieldFile, read_field_file, write_field_file
+from napari_hmrf.io.fields import FIELD_SUFFIXES, is_field_file
+from napari_hmrf.io.images import is_scan, read_image
+from napari_hmrf.io.landmark_files import is_landmark_file, read_points
+from napari_hmrf.io.study_file import is_study_file
+from napari_hmrf.layers.field_layer import field_layer
+from napari_hmrf.layers.label_colours import boundary_colours
+from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, METADATA, TISSUE, described
+from napari_hmrf.layers.result_layers import result_layers
+from napari_hmrf.samples.head import SAMPLE_SIZE, head_phantom
+from napari_hmrf.samples.phantoms import sample
+from napari_hmrf.solver.solution import Solution, is_solution_file
 
 if TYPE_CHECKING:
     from napari_hmrf.samples.head import HeadPhantom
@@ -21,8 +39,6 @@ def sample_expansion() -> list[LayerData]:
 
 def sample_growth() -> list[LayerData]:
     """Open the brain with a growing tumour."""
-    from napari_hmrf.samples.phantoms import sample
-
     return phantom_layers(sample("mass-effect").growing())
 
 
@@ -38,15 +54,11 @@ def sample_bar() -> list[LayerData]:
 
 def sample_head() -> list[LayerData]:
     """Open the head with a growing tumour, to be deformed as a volume."""
-    from napari_hmrf.samples.head import SAMPLE_SIZE, head_phantom
-
     return volume_layers(head_phantom(SAMPLE_SIZE))
 
 
 def volume_layers(head: HeadPhantom) -> list[LayerData]:
     """Return the layers of a head, placed in the patient, to be deformed as a volume."""
-    from napari_hmrf.layers.metadata import METADATA
-
     place = head.frame.placement()
     layers = [
         (data, {**attributes, **place}, kind) for data, attributes, kind in phantom_layers(head)
@@ -56,16 +68,11 @@ def volume_layers(head: HeadPhantom) -> list[LayerData]:
 
 
 def _sample(name: str) -> list[LayerData]:
-    from napari_hmrf.samples.phantoms import sample
-
     return phantom_layers(sample(name))
 
 
 def phantom_layers(found: Phantom | HeadPhantom) -> list[LayerData]:
     """Return an image and its two painted layers, with the tables that the widget opens with."""
-    from napari_hmrf.layers.label_colours import boundary_colours
-    from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, described
-
     # The stored arrays are read-only; layers are there to be painted on.
     return [
         (
@@ -97,8 +104,6 @@ def phantom_layers(found: Phantom | HeadPhantom) -> list[LayerData]:
 
 def open_solution(path: PathOrPaths) -> Callable[[PathOrPaths], Sequence[Any]] | None:
     """Offer to read a saved result, or a study that was saved so; None for any other file."""
-    from napari_hmrf.solver.solution import is_solution_file
-
     paths = _listed(path)
     if paths and all(is_solution_file(each) for each in paths):
         return _read
@@ -106,12 +111,6 @@ def open_solution(path: PathOrPaths) -> Callable[[PathOrPaths], Sequence[Any]] |
 
 
 def _read(path: PathOrPaths) -> list[LayerData]:
-    from pathlib import Path
-
-    from napari_hmrf.errors import FileFormatError
-    from napari_hmrf.layers.result_layers import result_layers
-    from napari_hmrf.solver.solution import Solution
-
     layers: list[LayerData] = []
     for each in _listed(path):
         try:
@@ -126,21 +125,12 @@ def _read(path: PathOrPaths) -> list[LayerData]:
 
 def open_scan(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]] | None:
     """Offer to read a scan or a field where it lies in the patient; None for anything else."""
-    from napari_hmrf.io.fields import is_field_file
-    from napari_hmrf.io.images import is_scan
-
     paths = _listed(path)
     ours = paths and all(is_scan(each) or is_field_file(each) for each in paths)
     return _read_scans if ours else None
 
 
 def _read_scans(path: PathOrPaths) -> list[LayerData]:
-    from pathlib import Path
-
-    from napari_hmrf.io.fields import is_field_file
-    from napari_hmrf.io.images import read_image
-    from napari_hmrf.layers.metadata import IMAGE, described
-
     layers: list[LayerData] = []
     for each in _listed(path):
         if is_field_file(each):
@@ -160,8 +150,6 @@ def _read_scans(path: PathOrPaths) -> list[LayerData]:
 
 def open_study(path: PathOrPaths) -> Callable[[PathOrPaths], list[tuple[None]]] | None:
     """Offer to open a saved study in the dock; None for any other file, or for several."""
-    from napari_hmrf.io.study_file import is_study_file
-
     return _open_study if isinstance(path, str) and is_study_file(path) else None
 
 
@@ -172,17 +160,11 @@ def _open_study(path: PathOrPaths) -> list[tuple[None]]:
 
 def open_landmarks(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]] | None:
     """Offer to read landmarks of BigWarp or Slicer; None for any other file."""
-    from napari_hmrf.io.landmark_files import is_landmark_file
-
     paths = _listed(path)
     return _read_landmarks if paths and all(map(is_landmark_file, paths)) else None
 
 
 def _read_landmarks(path: PathOrPaths) -> list[LayerData]:
-    from pathlib import Path
-
-    from napari_hmrf.io.landmark_files import read_points
-
     layers: list[LayerData] = []
     for each in _listed(path):
         file, name = read_points(each), Path(each).name.partition(".")[0]
@@ -196,8 +178,6 @@ def _read_landmarks(path: PathOrPaths) -> list[LayerData]:
 
 def _units_of_images(n: int) -> tuple[str, ...]:
     """The units of n axes of the newest image that is open: BigWarp's numbers are in those."""
-    import napari
-
     viewer = napari.current_viewer()
     images = [] if viewer is None else [each for each in viewer.layers if each.ndim >= n]
     known = [each.units for each in images if isinstance(each, napari.layers.Image)]
@@ -206,11 +186,6 @@ def _units_of_images(n: int) -> tuple[str, ...]:
 
 def _field(path: str) -> LayerData:
     """A displacement field as a layer that holds it as it is stored, in pixels."""
-    from pathlib import Path
-
-    from napari_hmrf.io.apply import read_field_file
-    from napari_hmrf.layers.field_layer import field_layer
-
     field, frame = read_field_file(path).in_pixels
     return field_layer(field, frame.placement(), Path(path).name.partition(".")[0])
 
@@ -242,13 +217,6 @@ def write_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str
     ValueError
         If the arrows are not a result of this package.
     """
-    from napari.utils.notifications import show_info
-
-    from napari_hmrf.io.apply import FieldFile, write_field_file
-    from napari_hmrf.io.fields import FIELD_SUFFIXES
-    from napari_hmrf.layers.metadata import METADATA
-    from napari_hmrf.solver.solution import Solution
-
     known = attributes.get("metadata", {}).get(METADATA)
     solution = known.get("solution") if isinstance(known, dict) else None
     if not isinstance(solution, Solution):
@@ -280,10 +248,7 @@ def dock(viewer: Any = None) -> SoftTissue:
     HmrfError
         If there is no window.
     """
-    import napari
-
-    from napari_hmrf.errors import HmrfError
-    from napari_hmrf.ui.soft_tissue import SoftTissue
+    from napari_hmrf.ui.soft_tissue import SoftTissue  # heavy: ui
 
     viewer = napari.current_viewer() if viewer is None else viewer
     if viewer is None:

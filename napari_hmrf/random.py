@@ -21,7 +21,7 @@ __all__ = ["RandomDeformation", "RandomSample", "Truth", "write_truth"]
 
 def __getattr__(name: str) -> Any:
     if name == "RandPhysicalDeformationd":
-        from napari_hmrf.augmentation.monai_transforms import RandPhysicalDeformationd
+        from napari_hmrf.augmentation import monai_transforms  # optional: monai
 
-        return RandPhysicalDeformationd
+        return monai_transforms.RandPhysicalDeformationd
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -36,8 +36,10 @@ def pictures():
 @pytest.fixture(autouse=True)
 def _no_pictures(request, monkeypatch):
     if "pictures" not in request.fixturenames:
-        monkeypatch.setattr(figures, "write_pictures", lambda *_, **__: [])
-        monkeypatch.setattr(figures, "write_volume_pictures", lambda *_, **__: [])
+        monkeypatch.setattr("napari_hmrf.samples.demo.write_pictures", lambda *_, **__: [])
+        monkeypatch.setattr(
+            "napari_hmrf.samples.volume_demo.write_volume_pictures", lambda *_, **__: []
+        )
 
 
 def demo(tmp_path, *more):
@@ -195,16 +197,14 @@ def test_pictures_of_quantities_let_the_image_through_and_say_when_it_was_so(kin
 def test_the_demo_writes_its_results_before_it_waits_for_compiled_loops(
     backend, jobs, monkeypatch, tmp_path, capsys
 ):
-    from napari_hmrf.solver import preparation
-
     waited = []
 
     def wait(job, report):
         waited.append((job, (tmp_path / "solution.npz").exists()))
 
     monkeypatch.setattr("napari_hmrf.solver.solve.provide_loops", lambda *_: None)
-    monkeypatch.setattr(preparation, "loops_are_compiled", lambda job: False)
-    monkeypatch.setattr(preparation, "provide_loops", wait)
+    monkeypatch.setattr(cli, "loops_are_compiled", lambda job: False)
+    monkeypatch.setattr(cli, "provide_loops", wait)
     demo = ["demo", "--size", "32", "--backend", backend, "--no-window", "-o", str(tmp_path)]
     assert cli.main(demo) == 0
     assert waited == [(job, True) for job in jobs]

@@ -288,11 +288,9 @@ def test_of_a_volume_the_middle_slice_is_played_and_said(tmp_path, capsys):
 
 
 def test_a_demo_writes_over_its_own_folder_alone_and_says_so(tmp_path, capsys, monkeypatch):
-    from napari_hmrf.io import figures
-
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("CI", "true")
-    monkeypatch.setattr(figures, "write_pictures", lambda *_, **__: [])
+    monkeypatch.setattr("napari_hmrf.samples.demo.write_pictures", lambda *_, **__: [])
     line = "demo --size 24 --backend cpu --no-window"
     assert run(line, capsys)[0] == 0
     code, out, _ = run(line, capsys)

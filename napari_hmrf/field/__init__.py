@@ -1,1 +1,1 @@
-"""What a displacement does: moved pictures, strain, and where a point was."""
+"""Effects of a displacement: moved images, strain, folds, and the inverse motion."""

@@ -56,7 +56,7 @@ def edge_confidence(image: npt.NDArray[Any], *, axes: int = 2) -> npt.NDArray[np
     ndarray, shape ([D,] H, W), float32
         1 at the steepest tenth of the pixels.
     """
-    from skimage.filters import gaussian, sobel
+    from skimage.filters import gaussian, sobel  # heavy: skimage
 
     slope = sobel(gaussian(luminance(image) if image.ndim > axes else image.astype(float), 1))
     steep: npt.NDArray[np.float32] = (slope > np.quantile(slope, _SHARE)).astype(np.float32)

@@ -392,7 +392,7 @@ def _over_quadrants(kind: _Kind, moved: Float64Array, mask: BoolArray) -> FloatA
     """Reduce the determinants of the quadrants around each site to one value; NaN in void."""
     if mask.ndim == 3 and loops.ready_for_volumes():
         loader.before_numba()
-        from napari_hmrf.field.volume_loops import determinants
+        from napari_hmrf.field.volume_loops import determinants  # heavy: numba
 
         found, which = np.empty(mask.shape, dtype=np.float32), _KINDS.index(kind)
         for slab in slabs(mask.shape):

@@ -149,9 +149,9 @@ class Warper:
             compiler.compile_meanwhile()
             return self._without_loops(d, mask, fraction)
         loader.before_numba()
-        import numba
+        import numba  # heavy: numba
 
-        from napari_hmrf.field.triangle_raster import rasterise_displaced
+        from napari_hmrf.field.triangle_raster import rasterise_displaced  # heavy: numba
 
         finite = rasterise_displaced(
             loops.only_read(d),
@@ -279,7 +279,7 @@ class _Look:
     ) -> npt.NDArray[Any]:
         if self._slow:
             return self.by_splines(source, state, tissue)
-        from napari_hmrf.field.interpolation import look_up
+        from napari_hmrf.field.interpolation import look_up  # heavy: numba
 
         moved = np.empty_like(self._values)
         look_up(

@@ -97,7 +97,7 @@ def _by_loop(
     if not (bits or taken) or not (nearest or order == 1) or not loops.ready_for_volumes():
         return None
     loader.before_numba()
-    from napari_hmrf.field.volume_loops import look_up
+    from napari_hmrf.field.volume_loops import look_up  # heavy: numba
 
     values = picture.view(np.float64) if bits else picture.astype(taken, copy=False)
     values = np.ascontiguousarray(values).reshape(*covered.shape, -1)

@@ -341,7 +341,7 @@ def displacement_gradient(
     sizes = checked_sizes(spacing, mask.ndim)
     if mask.ndim == 3 and loops.ready_for_volumes():
         loader.before_numba()
-        from napari_hmrf.field.volume_loops import gradients
+        from napari_hmrf.field.volume_loops import gradients  # heavy: numba
 
         return gradients(moved, loops.only_read(mask), sizes), mask
     gradient = np.empty((*moved.shape, mask.ndim))

@@ -1,7 +1,6 @@
-"""Units of length by their names, as layers and files spell them; lengths as people see them.
+"""Units of length by their names, as layers and files spell them; rounded lengths.
 
-Whoever needs no units does not wait for pint, which takes a third of the time that importing the
-package does.
+Pint is imported with the first unit, as it takes a third of the time of importing the package.
 """
 
 from __future__ import annotations
@@ -10,17 +9,17 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-#: Names of units, as layers spell them. What pint reads can be a sum that takes for ever.
+#: Names of units, as layers spell them. Pint also evaluates sums, which can take hours.
 _UNIT = re.compile(r"[^\W\d]+( / [^\W\d]+)*")
-#: What is less than this part of a pixel, or of a per cent, is rounding, and nobody sees it.
+#: Lengths below this part of a pixel, and shares below this part of a per cent, are rounding.
 UNSEEN = 1e-3
 
 
 def unit_factor(unit: str, to: str) -> float:
-    """How many `to` make one `unit`; NaN if they measure different things."""
+    """Return the size of one `unit` in `to`; NaN if they measure different quantities."""
     if unit == to:
         return 1.0
-    import pint
+    import pint  # heavy: pint
 
     try:
         return float(_units().Quantity(1, unit).to(to).magnitude)
@@ -29,7 +28,7 @@ def unit_factor(unit: str, to: str) -> float:
 
 
 def is_unit(unit: str) -> bool:
-    """Whether layers know a unit of that name."""
+    """Return whether layers know a unit of that name."""
     if not _UNIT.fullmatch(unit):
         return False
     try:
@@ -40,10 +39,10 @@ def is_unit(unit: str) -> bool:
 
 
 def unit_symbol(unit: str) -> str:
-    """A unit of length as tables show it: "px", "mm"."""
+    """Return the symbol of a unit of length for tables: "px", "mm"."""
     if unit == "pixel":
         return "px"
-    import pint
+    import pint  # heavy: pint
 
     try:
         return f"{_units().Unit(unit):~}" or unit
@@ -52,12 +51,12 @@ def unit_symbol(unit: str) -> str:
 
 
 def as_seen(length: float, spacing: Iterable[float]) -> float:
-    """A length for people to read: 0 if it is too small a part of a pixel to be seen."""
+    """Return a length to print: 0 if it is rounding, at the size of a pixel."""
     return 0.0 if abs(length) < UNSEEN * min(spacing) else length
 
 
 def _units() -> Any:
-    """The units that layers know; asked for anew, as an application may set others."""
-    import pint
+    """Return the registry of units; not cached, as an application may set another."""
+    import pint  # heavy: pint
 
     return pint.get_application_registry()  # type: ignore[no-untyped-call]

@@ -176,8 +176,7 @@ def inverse_raster(
         compiler.compile_meanwhile()
         return triangle_arrays.rasterise(moved, tissue)
     loader.before_numba()
-    # Importing numba takes half a second, so it is imported only for the first warp.
-    from napari_hmrf.field.triangle_raster import rasterise
+    from napari_hmrf.field.triangle_raster import rasterise  # heavy: numba
 
     coordinates, state = rasterise(moved, loops.only_read(tissue))
     return coordinates, state
@@ -186,7 +185,7 @@ def inverse_raster(
 def has_volume_loops() -> bool:
     """Return whether the loops that move volumes are compiled and cached."""
     loader.before_numba()
-    from napari_hmrf.field import tetrahedron_raster
+    from napari_hmrf.field import tetrahedron_raster  # heavy: numba
 
     return loader.is_cached(tetrahedron_raster.outline)
 
@@ -196,9 +195,9 @@ def _volume_raster(
 ) -> tuple[Float64Array, npt.NDArray[np.uint8]]:
     """Invert the motion of a volume's sites onto its planes; on the compute thread only."""
     loader.before_numba()
-    from numba import get_num_threads
+    from numba import get_num_threads  # heavy: numba
 
-    from napari_hmrf.field import tetrahedron_raster
+    from napari_hmrf.field import tetrahedron_raster  # heavy: numba
 
     cores, mask = get_num_threads(), loops.only_read(tissue)
     source = np.zeros((planes, *moved.shape[1:]))

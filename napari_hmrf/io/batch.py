@@ -57,6 +57,8 @@ SUMMARY = "summary.csv"
 _SELDOM = 5.0
 #: Number of finished cases over which the pace is averaged.
 _PACE = 20
+#: Significant digits of the numbers in the summary.
+_DIGITS = 6
 #: Environment variables that limit the threads of libraries.
 _THREADS = "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 
@@ -216,6 +218,11 @@ def _seconds_since(begun: float) -> float:
     return round(time.perf_counter() - begun, 4)
 
 
+def _in_digits(value: Any) -> Any:
+    """Round a number to the digits that a table shows; single precision has no more."""
+    return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
+
+
 def _outcome(name: str, solved: SolvedCase, seconds: float) -> CaseOutcome:
     solution = solved.solution
     return CaseOutcome(
@@ -284,7 +291,7 @@ class _Batch:
         rows = []
         for outcome in self.outcomes:
             own = self._parameters[outcome.case]
-            first, *others = (getattr(outcome, title) for title in titles)
+            first, *others = (_in_digits(getattr(outcome, title)) for title in titles)
             rows.append([first, *(own.get(title) for title in swept), *others])
         write_csv(self._folder / SUMMARY, [titles[0], *swept, *titles[1:]], rows)
 
@@ -393,7 +400,7 @@ def _by_cluster(
 ) -> Generator[CaseOutcome, None, None]:
     """Yield the outcomes as they arrive from the workers of a dask scheduler."""
     try:
-        from distributed import Client, as_completed
+        from distributed import Client, as_completed  # optional: distributed
     except ImportError:
         raise HmrfError(
             "a scheduler takes dask.distributed, which is not installed: "

@@ -28,7 +28,7 @@ from napari_hmrf.solver.solution import Solution
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure  # heavy: matplotlib
 
 #: Approximate numbers of arrows for a displacement, and for a boundary.
 ARROWS = 500
@@ -210,7 +210,7 @@ def warped_picture(image: npt.NDArray[Any], solution: Solution) -> Figure:
 
 def grid_picture(solution: Solution) -> Figure:
     """Draw a regular grid after it has moved with the tissue (figure 4)."""
-    from matplotlib.collections import LineCollection
+    from matplotlib.collections import LineCollection  # heavy: matplotlib
 
     figure, (axes,) = _figure(solution.spacing, "a regular grid, moved with the tissue")
     height, width = solution.tissue.shape
@@ -245,7 +245,7 @@ def strain_picture(solution: Solution, image: npt.ArrayLike | None = None) -> Fi
 
 def energy_picture(solution: Solution) -> Figure:
     """Draw the mean energy after each iteration, coarse to fine, with the level boundaries."""
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure  # heavy: matplotlib
 
     figure = Figure(figsize=(7.0, 4.0), layout="constrained")
     draw_energy(figure.subplots(), solution)
@@ -266,8 +266,8 @@ def _draw_colours(
     figure: Figure, parts: Sequence[tuple[Axes, npt.NDArray[Any]]], seen: Coloured
 ) -> None:
     """Draw slices of a quantity as colours with one scale, each on its axes."""
-    import matplotlib
-    from matplotlib.colors import ListedColormap
+    import matplotlib  # heavy: matplotlib
+    from matplotlib.colors import ListedColormap  # heavy: matplotlib
 
     part = np.linspace(0, 1, 256)
     colours = matplotlib.colormaps[DIVERGING if seen.signed else RISING](part)
@@ -300,7 +300,7 @@ def _slices_picture(
     colours: Coloured | None = None,
 ) -> Figure:
     """Draw the slices of a volume across each axis, the patient's head upward."""
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure  # heavy: matplotlib
 
     figure = Figure(figsize=(15.0, 6.2), layout="constrained")
     figure.suptitle(title, fontsize=11)
@@ -333,7 +333,7 @@ def _across(frame: Frame, axis: int, number: int) -> Frame:
 
 def _figure(spacing: tuple[float, ...], *titles: str) -> tuple[Figure, list[Axes]]:
     """Return a figure with a row of image axes in pixels, drawn in the pixels' true proportions."""
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure  # heavy: matplotlib
 
     if len(spacing) != 2:
         raise ProblemError("displacement", "is of a volume. Draw pictures of one of its slices.")

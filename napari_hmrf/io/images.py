@@ -259,14 +259,14 @@ def _picture(source: Path) -> ImageFile:
 
 
 def _photo(source: Path) -> tuple[npt.NDArray[Any], bool]:
-    from skimage.io import imread
+    from skimage.io import imread  # heavy: skimage
 
     pixels = np.asarray(imread(source))
     return pixels, pixels.ndim == 3
 
 
 def _tiff(source: Path) -> tuple[npt.NDArray[Any], bool]:
-    import tifffile
+    import tifffile  # heavy: tifffile
 
     with tifffile.TiffFile(source) as file:
         first = file.series[0]
@@ -276,7 +276,7 @@ def _tiff(source: Path) -> tuple[npt.NDArray[Any], bool]:
 
 def _encoded(target: Path, image: ImageFile, suffix: str) -> bytes:
     if suffix in _TIFF:
-        import tifffile
+        import tifffile  # heavy: tifffile
 
         file = io.BytesIO()
         tifffile.imwrite(file, image.pixels, photometric="rgb" if image.colours else "minisblack")
@@ -294,7 +294,7 @@ def _encoded(target: Path, image: ImageFile, suffix: str) -> bytes:
 
 def _as_picture(pixels: npt.NDArray[Any], suffix: str) -> bytes:
     """Encode a picture in memory."""
-    from PIL import Image
+    from PIL import Image  # heavy: PIL
 
     file = io.BytesIO()
     shown = pixels.astype(np.uint8) * 255 if pixels.dtype == bool else pixels

@@ -18,6 +18,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
+if sys.platform != "win32":
+    import resource
+
 #: Largest expansion of a compressed file: the limit of deflate.
 MOST_PACKED = 1032
 #: Suffixes of headers whose pixels are in another file of the same folder.
@@ -139,9 +142,9 @@ def _identity(source: Path) -> tuple[str, int, int]:
 
 def _limit_processor_time(seconds: float) -> None:
     """Set a limit after which the system ends this process, in case its watcher has died."""
-    with suppress(ImportError, ValueError, OSError):
-        import resource  # POSIX only
-
+    if sys.platform == "win32":
+        return
+    with suppress(ValueError, OSError):
         used = resource.getrusage(resource.RUSAGE_SELF)
         limit = math.ceil(used.ru_utime + used.ru_stime + seconds) + _GRACE
         _, most = resource.getrlimit(resource.RLIMIT_CPU)
@@ -158,7 +161,7 @@ def _send(out: BinaryIO, header: dict[str, Any], pixels: Any = None) -> None:
 
 def _receive(stream: BinaryIO, header: dict[str, Any]) -> Any:
     """Receive the pixels that follow a request."""
-    import numpy as np
+    import numpy as np  # heavy: numpy
 
     kind = np.dtype(header["dtype"])
     content = stream.read(math.prod(header["shape"]) * kind.itemsize)
@@ -175,7 +178,7 @@ def main() -> None:
         os.dup2(silent, stream)
     sys.path[:] = json.loads(sys.stdin.buffer.readline())
     try:
-        import SimpleITK
+        import SimpleITK  # optional: SimpleITK
     except ImportError:
         _send(out, {"missing": True})
         return

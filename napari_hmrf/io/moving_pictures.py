@@ -139,7 +139,7 @@ def _in_proportion(
     pictures: npt.NDArray[np.uint8], spacing: Sequence[float]
 ) -> npt.NDArray[np.uint8]:
     """Return pictures with square pixels; no original pixel is left out."""
-    from PIL import Image
+    from PIL import Image  # heavy: PIL
 
     rows, cols = (
         round(size * step / min(spacing))
@@ -153,7 +153,7 @@ def _in_proportion(
 
 
 def _gif(pictures: npt.NDArray[np.uint8], per_second: int) -> bytes:
-    from PIL import Image
+    from PIL import Image  # heavy: PIL
 
     first, *others = (Image.fromarray(picture) for picture in pictures)
     file = io.BytesIO()
@@ -164,7 +164,7 @@ def _gif(pictures: npt.NDArray[np.uint8], per_second: int) -> bytes:
 
 def _film(target: Path, pictures: npt.NDArray[np.uint8], per_second: int) -> bytes:
     try:
-        import imageio_ffmpeg
+        import imageio_ffmpeg  # optional: imageio_ffmpeg
     except ImportError as error:
         raise HmrfError(
             "films are written by imageio-ffmpeg, which is not installed: "

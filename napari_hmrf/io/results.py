@@ -13,9 +13,9 @@ from napari_hmrf.field.elastic_strain import strain_note
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.field.units import unit_symbol
-from napari_hmrf.io.case import as_labels
+from napari_hmrf.io.case import as_labels, refuse_colours
 from napari_hmrf.io.fields import place_of
-from napari_hmrf.io.images import read_image
+from napari_hmrf.io.images import ImageFile, read_image
 from napari_hmrf.io.study_file import read_solved
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
@@ -60,7 +60,9 @@ def measured(path: Path, labels: Path | None = None) -> Measured:
     names = {} if tissue is None else {row.label: row.name for row in tissue.materials}
     image = None if tissue is None else tissue.labels
     if labels is not None:
-        image = as_labels(_on_grid(labels, solution), labels)
+        given = _on_grid(labels, solution)
+        refuse_colours(given, labels)
+        image = as_labels(given.pixels, labels)
     if image is None:  # without labels all tissue is one
         image, names = np.ones(solution.tissue.shape, np.int32), {1: "tissue"}
     unit = unit_symbol(Frame.of_solution(solution).unit)
@@ -76,7 +78,9 @@ def labels_in(path: Path) -> tuple[int, ...]:
     HmrfError, OSError
         If the file cannot be read, or holds no labels.
     """
-    return tuple(np.unique(as_labels(read_image(path).pixels, path)).tolist())
+    image = read_image(path)
+    refuse_colours(image, path)
+    return tuple(np.unique(as_labels(image.pixels, path)).tolist())
 
 
 def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArray[Any]]:
@@ -90,14 +94,14 @@ def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArr
     study, solution = read_solved(path)
     pixels = None if study is None else study.pictures.image
     if image is not None:
-        pixels = _on_grid(image, solution)
+        pixels = _on_grid(image, solution).pixels
     if pixels is None:
         raise HmrfError(f"{path.name}: the image is not in the file. Give --image.")
     return solution, pixels
 
 
-def _on_grid(path: Path, solution: Solution) -> npt.NDArray[Any]:
-    """Return the pixels of a file; those of a volume in the order of the solution's axes."""
+def _on_grid(path: Path, solution: Solution) -> ImageFile:
+    """Return the image in a file; a volume in the order of the solution's axes."""
     unknown = Frame.of_solution(solution).unit == "pixel"
     image, place = read_image(path), None if unknown else place_of(solution)
     if solution.tissue.ndim == 3:
@@ -110,4 +114,4 @@ def _on_grid(path: Path, solution: Solution) -> npt.NDArray[Any]:
             "the same pixels.",
         )
     image.refuse_elsewhere(place, path.name, "the field")
-    return image.pixels
+    return image

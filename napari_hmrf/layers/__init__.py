@@ -1,4 +1,4 @@
-"""Between napari's layers and the solver: layers become a problem, a solution becomes layers.
+"""Layers of napari: inputs that are read as a study, and results that are shown.
 
-Nothing here needs a window, and nothing here keeps a layer: what is read is copied.
+Nothing here needs a window, and no layer is kept: pixels that are read are copied.
 """

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
-from typing import Any, Literal
+from typing import Any, Literal, overload
 
 from napari_hmrf.io.study_file import materials_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
-from napari_hmrf.tissue.row_table import RowTable
+from napari_hmrf.tissue.row_table import Row, RowTable
 
 #: Key of the package's entry in a layer's metadata.
 METADATA = "napari-hmrf"
 
 Role = Literal["image", "tissue", "boundary"]
-IMAGE: Role = "image"
-TISSUE: Role = "tissue"
-BOUNDARY: Role = "boundary"
-_TABLES: dict[Role, tuple[str, Callable[..., Any]]] = {
+IMAGE: Literal["image"] = "image"
+TISSUE: Literal["tissue"] = "tissue"
+BOUNDARY: Literal["boundary"] = "boundary"
+_TABLES: dict[Role, tuple[str, Callable[..., Material | BoundaryRule]]] = {
     TISSUE: ("materials", Material.of_row),
     BOUNDARY: ("rules", BoundaryRule),
 }
@@ -35,7 +35,11 @@ def add_known(layer: Any, **facts: Any) -> None:
 
 
 def described(
-    role: Role, rows: Iterable[Any] = (), unit: str = "", preset: str = "", whose: str = ""
+    role: Role,
+    rows: Iterable[Material | BoundaryRule] = (),
+    unit: str = "",
+    preset: str = "",
+    whose: str = "",
 ) -> dict[str, Any]:
     """Return metadata with a layer's role, and its table in JSON types.
 
@@ -95,6 +99,12 @@ def role_of(layer: Any) -> Role | None:
     return role if role in (IMAGE, TISSUE, BOUNDARY) else None
 
 
+@overload
+def rows_of(layer: Any, role: Literal["tissue"]) -> tuple[Material, ...]: ...
+@overload
+def rows_of(layer: Any, role: Literal["boundary"]) -> tuple[BoundaryRule, ...]: ...
+@overload
+def rows_of(layer: Any, role: Role) -> tuple[Material | BoundaryRule, ...]: ...
 def rows_of(layer: Any, role: Role) -> tuple[Any, ...]:
     """Return the rows of the table in a layer's metadata; empty if there is no readable table."""
     key, row_type = _TABLES[role]
@@ -107,12 +117,18 @@ def rows_of(layer: Any, role: Role) -> tuple[Any, ...]:
         return ()
 
 
-def table_of(layer: Any, role: Role) -> RowTable:
+@overload
+def table_of(layer: Any, role: Literal["tissue"]) -> RowTable[Material]: ...
+@overload
+def table_of(layer: Any, role: Literal["boundary"]) -> RowTable[BoundaryRule]: ...
+@overload
+def table_of(layer: Any, role: Role) -> RowTable[Any]: ...
+def table_of(layer: Any, role: Role) -> RowTable[Any]:
     """Return the table that a layer's metadata hold; an empty one if they hold none."""
     said = (str(known_of(layer).get(name, "")) for name in RowTable._fields[1:])
     return RowTable(rows_of(layer, role), *said)
 
 
-def store_table(table: RowTable, layer: Any, role: Role) -> None:
+def store_table(table: RowTable[Row], layer: Any, role: Role) -> None:
     """Store a table in a layer's metadata."""
     layer.metadata.update(described(role, *table))

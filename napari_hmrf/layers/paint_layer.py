@@ -1,9 +1,9 @@
-"""How what was painted looks: a Labels layer of what it does, and marks that say it without colour.
+"""Look of painted strokes: a Labels layer of their effects, and marks that need no colour.
 
-Hues are those of Okabe and Ito, which no colour blindness confuses. What is freed is striped, and
-so is tissue that was painted where something else was.
-Crosses lie where nothing moves, arrows where tissue is moved, double arrows where only one
-direction is spoken of.
+Hues are those of Okabe and Ito, which no colour blindness confuses. Freed pixels are striped, and
+so is painted tissue that replaces other tissue.
+Crosses mark pinned tissue, arrows moved tissue, double arrows tissue that is observed in one
+direction only.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from napari.layers import Labels
+from napari.utils.colormaps import CyclicLabelColormap
 
 from napari_hmrf.field.deformation import spread
 from napari_hmrf.field.frame import Frame
@@ -28,31 +29,33 @@ from napari_hmrf.tissue.drawing.marks import Action
 from napari_hmrf.tissue.material_presets import Palette
 
 FloatArray = npt.NDArray[np.float32]
+Places = npt.NDArray[np.float64]
+#: Red, green and blue, 0 to 1.
+Colour = tuple[float, float, float]
 
 NAME = "Motion, painted"
-#: Red, green and blue, 0 to 1.
-COLOURS: dict[str, tuple[float, float, float]] = {
+COLOURS: dict[str, Colour] = {
     "pin": (0.90, 0.62, 0.0),
     "free": (1.0, 1.0, 1.0),
     "move": (0.34, 0.71, 0.91),
     "expand": (0.80, 0.47, 0.65),
     "confidence": (0.0, 0.62, 0.45),
 }
-#: Of tissues without a layer of their own.
+#: Colours of tissues without a layer of their own.
 _HUES = (
     (0.95, 0.9, 0.26), (0.0, 0.45, 0.70), (0.84, 0.37, 0.0), (0.6, 0.95, 0.6), (0.5, 0.3, 0.9),
     (0.95, 0.7, 0.8), (0.3, 0.85, 0.85),
 )  # fmt: skip
-#: Where the numbers of tissues begin, and how many there are.
+#: First number of a tissue in the picture, and the count of such numbers.
 _TISSUE, _TISSUES = 64, 128
-#: How opaque what is painted is, and painted tissue.
+#: Opacity of painted motion, and of painted tissue.
 _OPACITY, _TISSUE_OPACITY = 0.55, 0.6
 #: Marks that fit across the shorter side of a picture.
 _ACROSS = 32
 
 
 def number_of(action: Action, label: int = 0) -> int:
-    """The value that a pixel has where a stroke was painted."""
+    """Return the value of a painted pixel in the picture."""
     return _TISSUE + label % _TISSUES if action == "tissue" else KINDS[action]
 
 
@@ -63,20 +66,20 @@ def show_painted(
     picture: npt.NDArray[np.uint8],
     confidence: FloatArray | None = None,
 ) -> None:
-    """Bring the pictures of what was painted up to date in a window, in place.
+    """Update the pictures of painted strokes in a window, in place.
 
     Parameters
     ----------
     canvas : Canvas
-        With what was painted.
+        With the strokes.
     base : Canvas
-        Beneath it.
+        Without them.
     window : Box
-        Which pixels.
+        Pixels to update.
     picture : ndarray of uint8, shape ([D,] H, W)
-        0 where nothing was painted, or confidence alone; else as `number_of`.
+        0 where nothing, or only confidence, was painted; else as `number_of`.
     confidence : ndarray of float32, shape ([D,] H, W), optional
-        How sure is what is held or moved; the larger of its components.
+        Confidence in observed motion; the larger of its components.
     """
     kinds = canvas.kinds[window]
     shown = kinds.copy()
@@ -92,12 +95,12 @@ def show_painted(
     picture[window] = shown
 
 
-def tissue_colours(palette: Palette, layer: Any = None) -> dict[int, Any]:
-    """Red, green and blue, 0 to 1, of each tissue: those of its layer, if that has the table."""
-    if palette.own and isinstance(layer, Labels):  # another may be chosen by now
+def tissue_colours(palette: Palette, layer: Any = None) -> dict[int, Colour]:
+    """Return the colour of each tissue: that of its layer, if the palette is the layer's."""
+    if palette.own and isinstance(layer, Labels):  # another layer may be selected by now
         found = {row.label: layer.get_color(row.label) for row in palette.materials}
         return {
-            label: tuple((0.5, 0.5, 0.5) if colour is None else map(float, colour[:3]))
+            label: (0.5, 0.5, 0.5) if colour is None else _colour(colour)
             for label, colour in found.items()
         }
     rows = [row for row in palette.materials if row.stiffness > 0]
@@ -105,23 +108,26 @@ def tissue_colours(palette: Palette, layer: Any = None) -> dict[int, Any]:
     return {row.label: hues.get(row.label, (0.0, 0.0, 0.0)) for row in palette.materials}
 
 
-def painted_colours(tissues: dict[int, Any]) -> Any:
-    """The colormap of what was painted; the same one for the same tissues.
+def _colour(rgba: Sequence[float]) -> Colour:
+    red, green, blue = map(float, rgba[:3])
+    return red, green, blue
+
+
+def painted_colours(tissues: dict[int, Colour]) -> CyclicLabelColormap:
+    """Return the colormap of painted pixels; the same object for the same tissues.
 
     Parameters
     ----------
     tissues : dict of int to colour
-        Red, green and blue of each tissue's label, 0 to 1.
+        Colour of the label of each tissue.
     """
-    return _colours(tuple((label, *colour[:3]) for label, colour in tissues.items()))
+    return _colours(tuple((label, *colour) for label, colour in tissues.items()))
 
 
 @lru_cache(maxsize=4)
-def _colours(tissues: tuple[tuple[float, ...], ...]) -> Any:
-    from napari.utils.colormaps import CyclicLabelColormap
-
-    # As many colours as there are values, so that none comes twice; of a colormap for some values
-    # napari would compile the mapping first, for seconds.
+def _colours(tissues: tuple[tuple[float, ...], ...]) -> CyclicLabelColormap:
+    # One colour for each value of a pixel: for a colormap of some values, napari would first
+    # compile the mapping, for seconds.
     colours = np.zeros((256, 4))
     for action, kind in KINDS.items():
         colours[kind] = (*COLOURS[action], _OPACITY)
@@ -131,30 +137,30 @@ def _colours(tissues: tuple[tuple[float, ...], ...]) -> Any:
 
 
 def painted_layer(
-    frame: Frame, picture: npt.NDArray[np.uint8], tissues: dict[int, Any]
+    frame: Frame, picture: npt.NDArray[np.uint8], tissues: dict[int, Colour]
 ) -> LayerData:
-    """A Labels layer of what was painted."""
+    """Return a Labels layer of painted strokes."""
     known = {"kind": PAINTED, "slice": frame.slice_name}
     look = {"opacity": 1.0, "colormap": painted_colours(tissues)}
     return layer_on(frame, picture, NAME, known, look, "labels")
 
 
 def confidence_layer(frame: Frame, confidence: FloatArray) -> LayerData:
-    """An Image layer of how sure is what is held or moved."""
+    """Return an Image layer of the confidence in observed motion."""
     known = {"kind": CONFIDENCE, "slice": frame.slice_name}
     return layer_on(frame, confidence, "Confidence", known, confidence_look())
 
 
 def painted_marks(canvas: Canvas) -> Lines:
-    """Crosses where tissue is pinned, arrows where it is moved; thin strokes have some, too.
+    """Return crosses in pinned tissue and arrows in moved tissue; thin strokes have some, too.
 
-    Where one direction alone is spoken of there is a double arrow along that instead of a cross.
+    Tissue that is observed in one direction only has a double arrow along it instead of a cross.
     In a volume each slice along the first axis has marks, which lie in it.
 
     Parameters
     ----------
     canvas : Canvas
-        With what was painted.
+        With the strokes.
 
     Returns
     -------
@@ -179,12 +185,12 @@ def painted_marks(canvas: Canvas) -> Lines:
     return coloured(parts, n)
 
 
-#: What has marks beside its colour.
+#: Actions that have marks beside their colour.
 _MARKED: tuple[Action, ...] = ("pin", "move", "expand")
 
 
-def way_of(stroke: Stroke, spacing: Sequence[float], goes_to: Callable[[Any], Any]) -> Lines:
-    """The way of the brush in a stroke that is selected, from a circle to a circle.
+def way_of(stroke: Stroke, spacing: Sequence[float], goes_to: Callable[[Places], Places]) -> Lines:
+    """Return the path of the brush in a selected stroke, from a circle to a circle.
 
     Parameters
     ----------
@@ -192,7 +198,7 @@ def way_of(stroke: Stroke, spacing: Sequence[float], goes_to: Callable[[Any], An
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
     goes_to : callable
-        Where places, (N, n) in pixels, are seen.
+        Maps places, (N, n) in pixels, to the places where they are seen.
     """
     ways = [np.array(line) for line in stroke.lines]
     circle = stroke.radius * CIRCLE @ np.eye(len(spacing))[-2:] / spacing

@@ -26,7 +26,7 @@ class UnsavedWork:
 
     def __init__(self, viewer: Any) -> None:
         self._model = undo_of(viewer).model
-        self._before: dict[Part, dict[Part, Any]] = {}
+        self._before: dict[Part, dict[Part, object]] = {}
         self.paths: dict[Part, Path] = {}
         self.kept: dict[Part, Path] = {}
 
@@ -40,7 +40,7 @@ class UnsavedWork:
             if here in now and any(part in now and now[part] != edited[part] for part in edited)
         )
 
-    def note(self, here: Part, part: Part | None = None, before: Any = None) -> None:
+    def note(self, here: Part, part: Part | None = None, before: object = None) -> None:
         """Record an edit of a slice.
 
         Parameters

@@ -16,6 +16,7 @@ from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.study.edit_history import Step
 from napari_hmrf.study.study_model import Part, StudyModel
+from napari_hmrf.tissue.row_table import RowTable
 
 #: Keys of undo and redo.
 KEYS = {"Control-Z": "undo", "Control-Shift-Z": "redo", "Control-Y": "redo"}
@@ -44,7 +45,7 @@ class ViewerUndo:
         self.model = StudyModel()
         self._viewer = weakref.proxy(viewer)
         # Docks that use the keys.
-        self._owners: weakref.WeakSet[Any] = weakref.WeakSet()
+        self._owners: weakref.WeakSet[object] = weakref.WeakSet()
         # Restore the keys of the viewer, and of the active layer.
         self._keys, self._of_layer = ExitStack(), ExitStack()
         self.model.changed.connect(self._on_changed)
@@ -66,7 +67,7 @@ class ViewerUndo:
         undo, redo = self.model.next_undo, self.model.next_redo
         return f"{_tip('take back', undo)} (Ctrl+Z)", f"{_tip('do again', redo)} (Ctrl+Shift+Z)"
 
-    def bind_keys(self, owner: Any) -> None:
+    def bind_keys(self, owner: object) -> None:
         """Bind undo and redo to their keys, unless a layer uses these keys.
 
         napari binds them to the undo of paint if a Labels layer is active; strokes in such a layer
@@ -89,7 +90,7 @@ class ViewerUndo:
         self._keys.callback(lambda: self._of_layer.close())
         self._on_active()
 
-    def unbind_keys(self, owner: Any) -> None:
+    def unbind_keys(self, owner: object) -> None:
         """Restore the viewer's keys, once no owner is left."""
         self._owners.discard(owner)
         if not self._owners:
@@ -129,21 +130,20 @@ class ViewerUndo:
 
     def _tell(self, name: str, what: str, step: Step | None, nothing: str) -> None:
         """Show and report what was undone or redone; napari undoes paint."""
-        if step is not None:
-            part: Any = step.part
+        if step is not None and isinstance(part := step.part, Part):
             if part.kind == "paint" and paint_steps(part.layer, name):  # napari keeps 100 at most
                 getattr(part.layer, name)()
             self.go_to(part)
             what += self._of_image(part)
         self.said.emit(nothing if step is None else f"{what}: {step.word}.", step)
 
-    def _of_image(self, part: Any) -> str:
+    def _of_image(self, part: Part) -> str:
         """Return a clause that names the image, if several were edited."""
         images = {each.layer for each in self.model.parts if each.kind == "drawing" and each.layer}
         said = len(images) > 1 and part.kind in ("drawing", "choice")
         return f" on '{part.layer.name}'" if said and part.layer else ""
 
-    def go_to(self, part: Any, turn: bool = False) -> None:
+    def go_to(self, part: Part, turn: bool = False) -> None:
         """Show the slice of a part; if other axes are displayed, only with `turn`."""
         if part.place is None or len(part.place.plane) == 3:  # a volume is shown in any slice
             return
@@ -159,9 +159,9 @@ class ViewerUndo:
         there = View.of(dims).point_at(layer, index)
         dims.set_point([*there], [*there.values()])
 
-    def _on_changed(self, part: Any, value: Any) -> None:
+    def _on_changed(self, part: Part, value: object) -> None:
         """Store a table in the metadata of its layer."""
-        if part.kind in (TISSUE, BOUNDARY):
+        if isinstance(value, RowTable) and (part.kind == TISSUE or part.kind == BOUNDARY):
             store_table(value, part.layer, part.kind)
 
     def _on_removed(self, event: Any) -> None:

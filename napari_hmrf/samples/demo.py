@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.io.figures import write_pictures
 from napari_hmrf.samples.phantoms import Phantom, phantom, reference_displacement, sample
 from napari_hmrf.solver.model_names import in_words
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
@@ -148,8 +149,6 @@ def demonstrate(
 
 def write_results(demonstration: Demonstration, folder: Path) -> list[Path]:
     """Write the solution and its pictures to an existing folder, and return the written files."""
-    from napari_hmrf.io.figures import write_pictures
-
     path = folder / "solution.npz"
     demonstration.solution.write(path)
     subject = demonstration.phantom

@@ -132,7 +132,7 @@ def _report_versions(say: Callable[[str], None]) -> None:
 def _report_opengl(say: Callable[[str], None]) -> None:
     say("OpenGL")
 
-    from napari_hmrf.solver.backends import opengl
+    from napari_hmrf.solver.backends import opengl  # heavy: opengl
 
     try:
         _list(say, compute_thread.submit(opengl.describe).result())

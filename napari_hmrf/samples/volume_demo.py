@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from napari_hmrf.field.measurement import Measurement
+from napari_hmrf.io.figures import write_volume_pictures
+from napari_hmrf.io.study_file import write_study
 from napari_hmrf.samples.head import TUMOUR, HeadPhantom, head_phantom
 from napari_hmrf.solver.backends import SolveJob
 from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING
@@ -143,9 +145,6 @@ def write_volume_results(demonstration: VolumeDemonstration, folder: Path) -> li
 
     The folder must exist. Returns the written files.
     """
-    from napari_hmrf.io.figures import write_volume_pictures
-    from napari_hmrf.io.study_file import write_study
-
     head, solution = demonstration.head, demonstration.solution
     path = write_study(folder / "head.study", demonstration.study, solution)
     middle = np.argwhere(head.tissue_labels == TUMOUR).mean(axis=0).round().astype(int).tolist()

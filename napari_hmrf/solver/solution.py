@@ -140,8 +140,7 @@ class Solution:
     def _unit_in_words(self) -> str:
         """Unit of lengths with a space in front; "" if it is unknown."""
         if self.unit not in ("", "pixel"):
-            # Imported here, like all higher layers of the package.
-            from napari_hmrf.field.units import unit_symbol
+            from napari_hmrf.field.units import unit_symbol  # above: field
 
             return f" {unit_symbol(self.unit)}"
         even = all(size == 1 for size in self.spacing)
@@ -181,7 +180,7 @@ class Solution:
         ProblemError
             If the image is not on the pixels of the solution.
         """
-        from napari_hmrf.field.warp import warp
+        from napari_hmrf.field.warp import warp  # above: field
 
         return warp(image, self.displacement, order=order, fill=fill, **self._on_grid)
 
@@ -193,13 +192,13 @@ class Solution:
         ndarray, shape ([D,] H, W), float32
             As for `jacobian_determinant`.
         """
-        from napari_hmrf.field.deformation import jacobian_determinant
+        from napari_hmrf.field.deformation import jacobian_determinant  # above: field
 
         return jacobian_determinant(self.displacement, **self._on_grid)
 
     def count_folds(self) -> int:
         """Count the sites at which tissue folds over itself or collapses."""
-        from napari_hmrf.field.deformation import count_folds
+        from napari_hmrf.field.deformation import count_folds  # above: field
 
         return count_folds(self.displacement, **self._on_grid)
 
@@ -229,8 +228,8 @@ class Solution:
         ProblemError
             If the model has no elastic strain, such as the paper's.
         """
-        from napari_hmrf.field.elastic_strain import elastic_strain
-        from napari_hmrf.field.strain import green_lagrange_strain, small_strain
+        from napari_hmrf.field.elastic_strain import elastic_strain  # above: field
+        from napari_hmrf.field.strain import green_lagrange_strain, small_strain  # above: field
 
         known = is_one_of(kind, ("elastic", "total", "small"))
         refuse_unless(known, "kind", kind, '"elastic", "total" or "small"')
@@ -279,7 +278,7 @@ class Solution:
         ProblemError
             If the points have another number of axes than the field.
         """
-        from napari_hmrf.field.moved_points import moved_points
+        from napari_hmrf.field.moved_points import moved_points  # above: field
 
         return moved_points(points, self.displacement, spacing=self.spacing)
 
@@ -305,7 +304,7 @@ class Solution:
         ProblemError
             If the labels are not on the pixels of the solution.
         """
-        from napari_hmrf.field.measurement import measure
+        from napari_hmrf.field.measurement import measure  # above: field
 
         return measure(self, labels, names=names)
 
@@ -352,7 +351,7 @@ class Solution:
         OSError
             If the file cannot be written.
         """
-        from napari_hmrf.io.fields import export_field
+        from napari_hmrf.io.fields import export_field  # above: io
 
         return export_field(path, self, forward=forward, grid=grid, placed=placed)
 

@@ -331,9 +331,7 @@ def _announce(choice: Choice) -> None:
     message = f"{choice.backend.renderer} ({choice.reason})"
     if message not in _announced:
         _announced.add(message)
-        # A fallback is a warning, which Python shows even if logging is not configured.
-        level = logging.WARNING if choice.is_fallback else logging.INFO
-        _log.log(level, "solving on %s", message)
+        _log.info("solving on %s", message)
 
 
 @cache

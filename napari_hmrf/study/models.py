@@ -14,6 +14,8 @@ from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.priors.seiler import Conditional
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
+#: Energy and optimizer of a study that names none.
+USUAL_PRIOR, USUAL_OPTIMIZER = ElasticPrior(), Multigrid()
 #: Holding force in the form from which all observations are held exactly, at any confidence.
 HOLD_ALL = 1e6
 
@@ -147,6 +149,12 @@ def optimizer_of(model: ModelName, details: SolverDetails = _USUAL) -> Optimizer
     return ICM(details.sweeps, energy_change=details.energy_change or None, **steps)
 
 
+#: Energy and optimizer of each model, with the usual details.
+_BY_NAME: dict[ModelName, tuple[Prior, Optimizer]] = {
+    name: (prior_of(name), optimizer_of(name)) for name in MODELS.values()
+}
+
+
 def chosen(name: str) -> tuple[Prior, Optimizer]:
     """Return the energy and the optimizer of a model.
 
@@ -164,7 +172,13 @@ def chosen(name: str) -> tuple[Prior, Optimizer]:
     if model is None:
         listed = ", ".join(f'"{each}"' for each in get_args(ModelName))
         raise ArgumentError(f"there is no model {name!r}. Take one of {listed}.")
-    return prior_of(model), optimizer_of(model)
+    return _BY_NAME[model]
+
+
+def is_by_name(part: Prior | Optimizer) -> bool:
+    """Return whether a prior or an optimizer is the usual one, or comes from `chosen`."""
+    known = [(USUAL_PRIOR, USUAL_OPTIMIZER), *_BY_NAME.values()]
+    return any(part is each for pair in known for each in pair)
 
 
 def details_of(prior: Prior, optimizer: Optimizer) -> SolverDetails:

@@ -16,14 +16,14 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.arguments import reals, refuse_unless, require_kind, shown, tuple_of
-from napari_hmrf.errors import ProblemError, naming
+from napari_hmrf.errors import ArgumentError, ProblemError, naming
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
-from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.problem import checked_spacing, grid_in_words
-from napari_hmrf.study.models import chosen
+from napari_hmrf.study.models import USUAL_OPTIMIZER, USUAL_PRIOR, chosen, is_by_name
 from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.material_presets import Preset
@@ -182,8 +182,7 @@ class Grid:
         FileFormatError, HmrfError, OSError
             If a file cannot be read.
         """
-        # Imported here because `io`, which reads files, is built on studies.
-        from napari_hmrf.io.image_grid import grid_of_image
+        from napari_hmrf.io.image_grid import grid_of_image  # above: io
 
         return grid_of_image(image, slice=slice, axis=axis)
 
@@ -425,8 +424,9 @@ class Study:
     tissue : Tissue
     motion : Motion
     model : {"elastic", "large motion", "paper", "paper, converged"}, optional
-        Name of a model, which sets both `prior` and `optimizer`; by default elastic. It can be
-        given, but not read: `model_name` is the name of the model that will be used.
+        Name of a model, which sets `prior` and `optimizer`; by default elastic. A prior or an
+        optimizer that is given, too, must be of this model, and is kept. It can be given, but not
+        read: `model_name` is the name of the model that will be used.
     prior : ElasticPrior, NeoHookeanPrior or SeilerPrior
         The energy; if tissues are labels, Poisson's ratios are those of their table.
     optimizer : ICM or Multigrid
@@ -444,7 +444,8 @@ class Study:
     ProblemError
         Naming the part that does not have the grid's shape.
     ArgumentError
-        If a part is of another type, or there is no such model.
+        If a part is of another type, there is no such model, or the prior or the optimizer is
+        of another model.
 
     Examples
     --------
@@ -467,8 +468,8 @@ class Study:
     tissue: Tissue = field(default_factory=Tissue)
     motion: Motion = field(default_factory=Motion)
     model: InitVar[str] = ""
-    prior: Prior = field(default_factory=ElasticPrior)
-    optimizer: Optimizer = field(default_factory=Multigrid)
+    prior: Prior = USUAL_PRIOR
+    optimizer: Optimizer = USUAL_OPTIMIZER
     pictures: Pictures = field(default_factory=Pictures)
     names: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
@@ -481,8 +482,7 @@ class Study:
         require_kind(Prior, "prior", self.prior, "ElasticPrior()")
         require_kind(ICM | Multigrid, "optimizer", self.optimizer, "Multigrid()")
         if model:
-            for name, value in zip(("prior", "optimizer"), chosen(model), strict=True):
-                object.__setattr__(self, name, value)
+            self._take_model(model)
         needed = self.grid.shape
         if len(self.motion.weight) not in (0, len(needed)):
             given = f"has a weight of {len(self.motion.weight)} components"
@@ -498,6 +498,19 @@ class Study:
             if part is not None and part.shape[: len(needed)] != needed:
                 raise ProblemError(
                     what, f"has shape {part.shape}, but the grid is {needed}. Give one of its size."
+                )
+
+    def _take_model(self, model: str) -> None:
+        """Set the prior and the optimizer of a model, where none of the model is given."""
+        for name, usual in zip(("prior", "optimizer"), chosen(model), strict=True):
+            given = getattr(self, name)
+            if is_by_name(given):
+                object.__setattr__(self, name, usual)
+            elif type(given) is not type(usual):
+                needed, other = type(usual).__name__, type(given).__name__
+                raise ArgumentError(
+                    f"model {model!r} needs the {name} {needed}, not {other}. Give "
+                    f"{name}={needed}(), or leave out one of the two."
                 )
 
     def __repr__(self) -> str:

@@ -272,12 +272,14 @@ class StudyModel(EditHistory):
 
     # Tissue and boundary
 
-    def table(self, kind: TableKind, layer: Hashable) -> RowTable | None:
+    def table(self, kind: TableKind, layer: Hashable) -> RowTable[Any] | None:
         """Return the table of a layer, or None if it has none."""
-        table: RowTable | None = self.get(Part(kind, layer))
+        table: RowTable[Any] | None = self.get(Part(kind, layer))
         return table
 
-    def set_table(self, kind: TableKind, layer: Hashable, table: RowTable, word: str = "") -> None:
+    def set_table(
+        self, kind: TableKind, layer: Hashable, table: RowTable[Any], word: str = ""
+    ) -> None:
         """Change the table of a layer, as a step with this name; "" makes no step."""
         part = Part(kind, layer)
         if self.setdefault(part, table) != table:

@@ -378,7 +378,7 @@ def quoted(row: Material | BoundaryRule) -> str:
     return f"label {row.label} ({row.name})" if row.name else f"label {row.label}"
 
 
-def unlisted(labels: npt.ArrayLike, rows: Iterable[Any]) -> list[int]:
+def unlisted(labels: npt.ArrayLike, rows: Iterable[Material | BoundaryRule]) -> list[int]:
     """List the labels of an image that have no row in a table."""
     return sorted({*np.unique(labels).tolist()} - {row.label for row in rows})
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Generic, NamedTuple, TypeVar
+
+from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+
+Row = TypeVar("Row", bound=Material | BoundaryRule)
 
 # Prefix of the source of values that the user has changed.
 _CHANGED = "changed since taken from: "
 
 
-class RowTable(NamedTuple):
+class RowTable(NamedTuple, Generic[Row]):
     """Rows of a table of tissues or of boundaries, and their source.
 
     Attributes
@@ -21,18 +25,18 @@ class RowTable(NamedTuple):
         Name of the preset, and source of its values.
     """
 
-    rows: tuple[Any, ...]
+    rows: tuple[Row, ...]
     unit: str = ""
     preset: str = ""
     whose: str = ""
 
-    def edited(self, rows: Iterable[Any]) -> RowTable:
+    def edited(self, rows: Iterable[Row]) -> RowTable[Row]:
         """Return the table with rows that the user has edited; the source says so."""
         changed = self.whose and not self.whose.startswith(_CHANGED)
         return self._replace(rows=tuple(rows), whose=(_CHANGED if changed else "") + self.whose)
 
 
-def change(before: RowTable, after: RowTable, name: str) -> str:
+def change(before: RowTable[Row], after: RowTable[Row], name: str) -> str:
     """Return a name for the change of a table, in the past tense.
 
     Parameters

@@ -133,7 +133,7 @@ class StiffnessCurve:
         heights = np.log(stiffnesses) if self.logarithmic else stiffnesses
         if self.between == "straight":
             return intensities, heights
-        from scipy.interpolate import PchipInterpolator
+        from scipy.interpolate import PchipInterpolator  # heavy: scipy
 
         steps = np.arange(_NODES) / _NODES
         spans = np.diff(intensities)[:, None]

@@ -42,7 +42,7 @@ def background_of(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bo
     ndarray of bool, shape ([D,] H, W)
         All False if the picture is constant.
     """
-    from skimage.filters import threshold_otsu
+    from skimage.filters import threshold_otsu  # heavy: skimage
 
     grey = picture[..., :3].mean(axis=-1) if picture.ndim > axes else picture
     values = grey[np.isfinite(grey)] if grey.dtype.kind == "f" else grey

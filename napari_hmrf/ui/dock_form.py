@@ -1,4 +1,4 @@
-"""How the dock looks: what scrolls, and what stays in sight."""
+"""Layout of the dock: the forms, which scroll, and the footer, which stays in sight."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from napari_hmrf.layers.slice_view import View
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.forms import CalmField, row
-from napari_hmrf.ui.label_table import LabelTable
 from napari_hmrf.ui.layer_choice import ExtentChoice, LayerChoice, is_picture
 from napari_hmrf.ui.model import ModelForm
 from napari_hmrf.ui.motion.motion_form import MotionForm
 from napari_hmrf.ui.motion.tools import TOOLS
 from napari_hmrf.ui.result.result_form import ResultForm
 from napari_hmrf.ui.tissue_form import Layers, TissueSection
+from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialTable
 
-#: Of the dock, in pixels.
+#: Smallest width of the dock, in pixels.
 _WIDTH = 336
-#: Until a step that was opened has its height, in milliseconds.
+#: Time after which an opened step has its height, in milliseconds.
 _LAID_OUT = 500
 
 
 class DockForm:
-    """The widgets of *Soft tissue*, put into its container.
+    """Widgets of *Soft tissue*, put into its container.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class DockForm:
     image : LayerChoice
     extent : ExtentChoice
     make, intensity : PushButton
-        Add layers to paint on, and have tissue go by brightness.
+        Add layers to paint on, and take stiffness from brightness.
     tissue : TissueSection
     motion : MotionForm
     result : ResultForm
@@ -59,7 +59,7 @@ class DockForm:
     footer : Footer
     """
 
-    #: Something that a field depends on was changed by hand.
+    #: Emitted when the user changes an input of the field.
     edited = Signal()
 
     def __init__(self, outer: Container, viewer: Any) -> None:
@@ -75,7 +75,7 @@ class DockForm:
         )
         self.intensity = PushButton(
             text="Tissue from brightness",
-            tooltip="How bright the image is says how stiff tissue is, by a curve that you draw",
+            tooltip="Takes stiffness from the image's brightness, by a curve that you draw",
         )
 
         self.tissue = TissueSection(layers, self.view)
@@ -95,12 +95,12 @@ class DockForm:
         self._assemble(outer)
 
     def view(self) -> View:
-        """Which slice is shown, and whether all of the volume is meant."""
+        """Return the visible slice, or the volume if that is chosen."""
         return View.of(self._viewer.dims, self.extent.is_volume)
 
     @property
     def choices(self) -> tuple[LayerChoice, ...]:
-        """The menus of layers."""
+        """Menus of layers."""
         boundary, result = self.motion.boundary, self.result
         marks = (boundary.landmarks.where, boundary.landmarks.should)
         compared = (result.reference, result.second)
@@ -108,12 +108,12 @@ class DockForm:
         return (self.image, tissue, boundary.choice, boundary.confidence, *marks, *compared)
 
     @property
-    def tables(self) -> tuple[LabelTable, ...]:
-        """Those of tissues and of boundaries."""
+    def tables(self) -> tuple[MaterialTable, BoundaryTable]:
+        """Tables of tissues and of boundaries."""
         return self.tissue.table, self.motion.boundary.table
 
     def show_place(self, unit: str, ways: Directions, stiffness: str) -> None:
-        """Say in which unit lengths and stiffness are, and which way rows and columns run."""
+        """Show the units of lengths and stiffness, and the directions of rows and columns."""
         self.motion.fields.show_place(unit, ways)
         for part in (self.motion.boundary.table, self.motion.weight):
             part.show_place(unit, ways, stiffness)
@@ -148,7 +148,7 @@ class DockForm:
             step.toggled.connect(lambda opened, timer=shown: timer.start() if opened else None)
         layout.setSpacing(4)
         layout.addStretch()
-        # The dock may be lower than the form is, but no narrower.
+        # The dock may be lower than the form, but no narrower.
         self._scroll = scroll = QScrollArea()
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QFrame.Shape.NoFrame)

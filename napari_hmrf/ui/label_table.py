@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple
 
 from napari.layers import Labels
 from qtpy.QtCore import QModelIndex, QSignalBlocker, Qt, Signal
@@ -17,7 +17,7 @@ from napari_hmrf.layers.metadata import BOUNDARY, Role, store_table, table_of
 from napari_hmrf.layers.pixel_copy import CHANGES
 from napari_hmrf.layers.slice_view import View, copy_slice, frame_of
 from napari_hmrf.tissue.boundary_rules import unlisted
-from napari_hmrf.tissue.row_table import RowTable
+from napari_hmrf.tissue.row_table import Row, RowTable
 from napari_hmrf.ui.events import Listening, single_shot
 from napari_hmrf.ui.forms import CalmField
 
@@ -32,7 +32,7 @@ _ROW_HEIGHT, _HIGHEST = 26, 172
 _COMPACT = "QComboBox { padding: 1px 0px 1px 3px; } QComboBox::drop-down { width: 14px; }"
 
 
-class Column(NamedTuple):
+class Column(NamedTuple, Generic[Row]):
     """Column of a table.
 
     Attributes
@@ -49,16 +49,16 @@ class Column(NamedTuple):
 
     title: str
     about: str
-    shown: Callable[[Any], str]
-    typed: Callable[[Any, str], Any] = lambda row, text: row
+    shown: Callable[[Row], str]
+    typed: Callable[[Row, str], Row] = lambda row, text: row
     choices: Sequence[str] = ()
 
 
-def _named(row: Any, text: str) -> Any:
+def _named(row: Row, text: str) -> Row:
     return replace(row, name=text)
 
 
-class LabelTable(QTableWidget):
+class LabelTable(QTableWidget, Generic[Row]):
     """Table of labels, with their colours and names; subclasses add further columns.
 
     The table is stored in the metadata of its layer, so that it stays with the layer. New painted
@@ -93,7 +93,7 @@ class LabelTable(QTableWidget):
     def __init__(self, view: Callable[[], View]) -> None:
         super().__init__()
         self._view = view
-        self._contents = RowTable(())
+        self._contents: RowTable[Row] = RowTable(())
         self._layer: Any = None
         self._heard = Listening()
         self._timer = single_shot(self, _PAUSE, self.look)
@@ -118,38 +118,38 @@ class LabelTable(QTableWidget):
     # Columns and rows
 
     @property
-    def columns(self) -> list[Column]:
+    def columns(self) -> list[Column[Row]]:
         """Columns of the table; subclasses add further ones."""
         return [
             Column("", "Click a row to paint with its label", lambda row: str(row.label)),
             Column(self.title, "Double click: rename", lambda row: row.name, _named),
         ]
 
-    def default(self, label: int) -> Any:
+    def default(self, label: int) -> Row:
         """Return the row for a new label."""
         raise NotImplementedError
 
     # Contents
 
     @property
-    def contents(self) -> RowTable:
+    def contents(self) -> RowTable[Row]:
         """Contents of the table as one value; can be set."""
         return self._contents
 
     @contents.setter
-    def contents(self, contents: RowTable) -> None:
+    def contents(self, contents: RowTable[Row]) -> None:
         if contents != self._contents:
             self._show(contents)
             self._timer.start()
             self._tell(by_itself=False)
 
     @property
-    def rows(self) -> tuple[Any, ...]:
+    def rows(self) -> tuple[Row, ...]:
         """Rows in the order of their labels; can be set."""
         return self._contents.rows
 
     @rows.setter
-    def rows(self, values: Iterable[Any]) -> None:
+    def rows(self, values: Iterable[Row]) -> None:
         self.contents = self._contents.edited(values)
 
     @property
@@ -223,7 +223,7 @@ class LabelTable(QTableWidget):
         elif not self.selectionModel().isRowSelected(row := self.labels.index(label)):
             self.selectRow(row)
 
-    def _list_painted(self) -> list[Any]:
+    def _list_painted(self) -> list[Row]:
         """Add a row for each new label of the slice; return these, none if it cannot be read."""
         try:
             picture = copy_slice(self._layer, frame_of(self._layer, self._view()))
@@ -235,7 +235,7 @@ class LabelTable(QTableWidget):
             self._show(self._contents._replace(rows=(*self.rows, *new)))
         return new
 
-    def _show(self, contents: RowTable) -> None:
+    def _show(self, contents: RowTable[Row]) -> None:
         rows = tuple(sorted(contents.rows, key=lambda row: int(row.label)))
         self._contents = contents._replace(rows=rows)
         self._fill()
@@ -263,7 +263,7 @@ class LabelTable(QTableWidget):
             self.setColumnHidden(column, column > NAME and not said)  # the dock is narrow
         blocked.unblock()
 
-    def _write(self, row: int, column: int, about: Column) -> None:
+    def _write(self, row: int, column: int, about: Column[Row]) -> None:
         """Write the value of a row to a cell; an open editor stays open."""
         value, item = self.rows[row], self.item(row, column)
         text = about.shown(value)

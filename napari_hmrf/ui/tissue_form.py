@@ -17,13 +17,12 @@ from napari_hmrf.layers.slice_view import View
 from napari_hmrf.study.study_model import BRIGHTNESS
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.curve.editor import CurveEditor
-from napari_hmrf.ui.label_table import LabelTable
 from napari_hmrf.ui.layer_choice import LandmarkChoice, LayerChoice
 from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialMenu, MaterialTable
 
 Layers = Callable[[], list[Any]]
 Shown = Callable[[], View]
-Table = TypeVar("Table", bound=LabelTable)
+Table = TypeVar("Table", bound=MaterialTable | BoundaryTable)
 #: First curve of an editor.
 _UNKNOWN = StiffnessCurve(((0, 1), (1, 1)))
 

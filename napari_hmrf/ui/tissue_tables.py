@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from napari.layers import Layer
 from psygnal import Signal
 from qtpy.QtWidgets import QFileDialog, QMenu, QPushButton
 
@@ -56,13 +57,13 @@ _FILES = f"Materials (*{ENDING})"
 _TABLES = f"Materials, names of labels ({' '.join(f'*{ending}' for ending in ENDINGS)})"
 
 
-class MaterialTable(LabelTable):
+class MaterialTable(LabelTable[Material]):
     """Label, name, stiffness, Poisson's ratio and growth; `rows` are `Material`s."""
 
     role, title = TISSUE, "Tissue"
 
     @property
-    def columns(self) -> list[Column]:
+    def columns(self) -> list[Column[Material]]:
         """Stiffness in the unit that is known, Poisson's ratio, and growth."""
         unit = self.contents.unit  # shown only, for ratios are what matters
         return [
@@ -124,14 +125,14 @@ def _growth(material: Material, text: str) -> Material:
     return replace(material, growth=parts if len(parts) > 1 else parts[0])
 
 
-class BoundaryTable(LabelTable):
+class BoundaryTable(LabelTable[BoundaryRule]):
     """Label, name, action, distances and confidence; `rows` are `BoundaryRule`s."""
 
     role, title = BOUNDARY, "Boundary"
     _place = "px", Directions(), ""
 
     @property
-    def columns(self) -> list[Column]:
+    def columns(self) -> list[Column[BoundaryRule]]:
         """Distances in the unit of the image, along the ways of the patient or the screen."""
         unit, ways, stiffness = self._place
         per_area = stiffness or "relative"
@@ -176,7 +177,7 @@ def _act(rule: BoundaryRule, text: str) -> BoundaryRule:
     return now if same else replace(now, vector=(0.0, 0.0), amount=0.0)
 
 
-def _along(axis: int, unit: str, ways: Directions, action: Action) -> Column:
+def _along(axis: int, unit: str, ways: Directions, action: Action) -> Column[BoundaryRule]:
     """Return the column of a motion or a pull along the rows or the columns."""
 
     def typed(rule: BoundaryRule, amount: float) -> BoundaryRule:
@@ -191,7 +192,7 @@ def _along(axis: int, unit: str, ways: Directions, action: Action) -> Column:
     return _distance(title, ways.about(axis), unit, seen, typed)
 
 
-def _amount(title: str, about: str, unit: str, action: Action) -> Column:
+def _amount(title: str, about: str, unit: str, action: Action) -> Column[BoundaryRule]:
     """A column of amounts, which rules of one action have."""
 
     def shown(rule: BoundaryRule) -> float | None:
@@ -206,7 +207,7 @@ def _distance(
     unit: str,
     amount: Callable[[BoundaryRule], float | None],
     changed: Callable[[BoundaryRule, float], BoundaryRule],
-) -> Column:
+) -> Column[BoundaryRule]:
     """A column of distances, which rules of one action have."""
 
     def shown(rule: BoundaryRule) -> str:
@@ -280,7 +281,7 @@ class MaterialMenu(QPushButton):
         add_entry(menu, "Load from file ...", about, self._load)
         add_entry(menu, "Save to file ...", "For other images, and for other people", self._save)
 
-    def take(self, materials: Preset | Any) -> None:
+    def take(self, materials: Preset | Layer | str | Path) -> None:
         """Put materials into the table: a preset, those of a layer, or those of a file.
 
         Raises
@@ -290,10 +291,12 @@ class MaterialMenu(QPushButton):
         FileFormatError, OSError
             As `tissue_table`.
         """
-        preset: Preset | NamedMaterials | None = materials
-        if isinstance(materials, str | Path):
+        preset: Preset | NamedMaterials | None
+        if isinstance(materials, Preset):
+            preset = materials
+        elif isinstance(materials, str | Path):
             preset = tissue_table(materials)
-        elif not isinstance(materials, Preset):
+        else:
             preset = materials_of(materials)
         if preset is None:
             raise LayerError(materials, "has no table of materials. Choose another layer.")

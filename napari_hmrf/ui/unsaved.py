@@ -10,12 +10,12 @@ import weakref
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 from magicgui.widgets import Container, PushButton
 from napari.qt import QtViewer
 from qtpy.QtCore import QEvent, QFile, QObject, Qt, QThread, QTimer
-from qtpy.QtWidgets import QApplication, QFileDialog, QMessageBox
+from qtpy.QtWidgets import QApplication, QFileDialog, QMessageBox, QWidget
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.frame import SlicePlace
@@ -27,9 +27,10 @@ from napari_hmrf.layers.read import study_layers
 from napari_hmrf.layers.unsaved_work import UnsavedWork
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.layers.viewer_undo import undo_of
+from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_model import Part
-from napari_hmrf.tissue.drawing.drawing import ends_of
+from napari_hmrf.tissue.drawing.drawing import Drawing, ends_of
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import Listening, single_shot
@@ -48,6 +49,46 @@ _REST = 1000
 _all: weakref.WeakSet[Unsaved] = weakref.WeakSet()
 
 
+class Dock(Protocol):
+    """Members of the dock that saving and opening use."""
+
+    @property
+    def native(self) -> QWidget:
+        """Widget of Qt."""
+
+    @property
+    def image(self) -> Any:
+        """Layer of the selected image, or None; can be set."""
+
+    @image.setter
+    def image(self, value: Any) -> None: ...
+
+    @property
+    def study(self) -> Study:
+        """Study of the visible slice."""
+
+    @property
+    def solution(self) -> Solution | None:
+        """Latest solution of the visible slice."""
+
+    @property
+    def status(self) -> str:
+        """Sentence below the buttons."""
+
+    @property
+    def drawing(self) -> Drawing:
+        """Drawing of the visible slice; can be set."""
+
+    @drawing.setter
+    def drawing(self, drawing: Drawing) -> None: ...
+
+    def insert(self, key: int, widget: Container) -> None:
+        """Insert a part of the dock."""
+
+    def say(self, message: str) -> None:
+        """Show a message."""
+
+
 class Unsaved(QObject):
     """Keeper of a dock's studies: saves and opens them, and protects unsaved work.
 
@@ -55,7 +96,7 @@ class Unsaved(QObject):
 
     Parameters
     ----------
-    dock : SoftTissue
+    dock : Dock
     viewer : napari.Viewer or ViewerModel
     controller : Controller
     attempt : callable
@@ -67,7 +108,7 @@ class Unsaved(QObject):
         Given a question, returns "save", "discard" or "cancel"; by default from a dialog.
     """
 
-    def __init__(self, dock: Any, viewer: Any, controller: Controller, attempt: Attempt) -> None:
+    def __init__(self, dock: Dock, viewer: Any, controller: Controller, attempt: Attempt) -> None:
         super().__init__(dock.native)
         self.ask: Ask = self._ask_person
         self._try = attempt
@@ -143,7 +184,7 @@ class Unsaved(QObject):
         if (brightness := self._controller.curve_layer.layer) is not None and study.moves:
             brightness.visible = False  # as all paint on moving tissue
 
-    def _on_edited(self, part: Part, _: Any, before: Any) -> None:
+    def _on_edited(self, part: Part, _: object, before: object) -> None:
         model = self._model
         others = part.kind == "paint" and part.layer not in model.choice.layers
         if part.kind in ("choice", "model") or others:
@@ -156,7 +197,7 @@ class Unsaved(QObject):
             self._work.note(here, part, before)
             self._resting.start()
 
-    def _settle(self, here: Any, path: Path | None = None) -> None:
+    def _settle(self, here: Part, path: Path | None = None) -> None:
         """Stop keeping a slice, which was saved or discarded, against a crash."""
         self._work.save(here)
         if path is not None:

@@ -139,6 +139,28 @@ def test_the_shell_prints_and_writes_the_table(solved, tmp_path, capsys):
     assert float(lines[2].split(",")[6]) == pytest.approx(found[1].largest_displacement)
 
 
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("grey.png", "grey.png: looks like a picture: it has "),
+        ("photo.png", "photo.png: is in colours"),
+    ],
+)
+def test_a_picture_is_refused_as_labels(solved, tmp_path, capsys, name, said):
+    photo = read_study(solved).study.pictures.image
+    Image.fromarray(photo[..., 0] if name == "grey.png" else photo).save(tmp_path / name)
+    assert main(["measure", str(solved), "--labels", str(tmp_path / name)]) == 1
+    told = capsys.readouterr()
+    assert said in told.err
+    assert told.out == ""
+
+
+def test_an_atlas_of_many_regions_is_no_picture(solved, tmp_path, capsys):
+    atlas = np.kron(np.arange(100, dtype=np.uint8).reshape(10, 10), np.ones((4, 4), np.uint8))
+    Image.fromarray(atlas[: SHAPE[0], : SHAPE[1]]).save(tmp_path / "atlas.png")
+    assert main(["measure", str(solved), "--labels", str(tmp_path / "atlas.png")]) == 0
+
+
 def test_a_picture_moves_from_rest_to_the_end_and_back(solved, tmp_path):
     study, solution = read_study(solved)
     photo = study.pictures.image

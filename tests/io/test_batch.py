@@ -227,6 +227,9 @@ def test_one_case_that_fails_stops_no_other_and_is_named(files, capsys):
     assert float(rows["a_amount-rim-5"]["largest_displacement"]) == pytest.approx(5)
     assert 0 < float(rows["a_amount-rim-5"]["error_bound"]) < 0.01
     assert rows["study"]["folds"] == "0"
+    for number in ("largest_displacement", "error_bound"):
+        for value in filter(None, (row[number] for row in rows.values())):
+            assert float(value) == float(f"{float(value):.6g}"), "no digits of rounding"
     assert moved(out, "a_amount-rim-4") == pytest.approx(4)
     assert read_study(out / "study" / "own.study").solution is not None
     # What is there is not written over, nor done again, but for what the table says otherwise.

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterable
 from functools import cache
 from graphlib import TopologicalSorter
 from importlib.metadata import metadata
@@ -72,7 +73,8 @@ def tracked_files() -> list[Path]:
     return [file for file in files if file.is_file()]
 
 
-def imports(module: Path, *, top_level_only: bool = False) -> set[str]:
+@cache
+def imports(module: Path, *, top_level_only: bool = False) -> frozenset[str]:
     """Full names of what a module imports."""
     tree = ast.parse(module.read_text(encoding="utf-8"))
     nodes = ast.walk(tree) if not top_level_only else iter(_run_on_import(tree))
@@ -83,7 +85,7 @@ def imports(module: Path, *, top_level_only: bool = False) -> set[str]:
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{module} imports relatively"
             found |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return found
+    return frozenset(found)
 
 
 def _run_on_import(tree: ast.Module) -> list[ast.stmt]:
@@ -143,7 +145,7 @@ def private_names_of_others(module: Path) -> list[str]:
     return found
 
 
-def packages(names: set[str]) -> set[str]:
+def packages(names: Iterable[str]) -> set[str]:
     return {name.partition(".")[0] for name in names}
 
 
@@ -192,6 +194,92 @@ def test_late_imports_are_of_the_rooms_that_are_listed(module):
     assert {name.split(".")[1] for name in late} == LATE[module]
 
 
+@pytest.mark.parametrize("module", MODULES, ids=part)
+def test_an_import_in_a_function_states_its_reason(module):
+    lines = module.read_text(encoding="utf-8").splitlines()
+    for node in imports_in_functions(module):
+        where = f"{part(module)}:{node.lineno}"
+        stated = re.search(r"# (heavy|optional|above): (\w+)$", lines[node.lineno - 1])
+        assert stated, f"{where}: move it to the top, or state why it is here: CONTRIBUTING.md"
+        reason, name = stated.groups()
+        rooms = {each.split(".")[1] for each in names_of(node) if each.startswith("napari_hmrf.")}
+        if reason == "above":
+            assert rooms == {name}, where
+            assert name in LATE[part(module)], where
+            continue
+        assert name in reached_by(node), f"{where} imports no {name}"
+        known = extra_modules() if reason == "optional" else {*HEAVY, *LATER, *HEAVY_FOLDERS}
+        assert name in known, f"{where}: {name} is not {reason}"
+
+
+#: Libraries that take long to import, beside `HEAVY`, and folders of ours that do.
+LATER = ("PIL", "numpy", "pint", "scipy", "skimage", "tifffile")
+HEAVY_FOLDERS = ("opengl", "ui")
+
+
+def imports_in_functions(module: Path) -> list[ast.Import | ast.ImportFrom]:
+    tree = ast.parse(module.read_text(encoding="utf-8"))
+    functions = (each for each in ast.walk(tree) if isinstance(each, ast.FunctionDef))
+    nested = (node for function in functions for node in ast.walk(function))
+    return [node for node in nested if isinstance(node, ast.Import | ast.ImportFrom)]
+
+
+def names_of(node: ast.Import | ast.ImportFrom) -> set[str]:
+    """Return the full names that a statement imports."""
+    if isinstance(node, ast.Import):
+        return {alias.name for alias in node.names}
+    return {f"{node.module}.{alias.name}" for alias in node.names}
+
+
+def reached_by(node: ast.Import | ast.ImportFrom) -> set[str]:
+    """Return the libraries, and the folders of ours, that an import leads to at once."""
+    found, todo = set(), list(names_of(node))
+    while todo:
+        name = todo.pop()
+        if name in found:
+            continue
+        found |= {name, *name.split(".")[:-1]}
+        file = PACKAGE.parent.joinpath(*name.split("."))
+        files = [file.with_suffix(".py"), file / "__init__.py", file.parent.with_suffix(".py")]
+        module = next((each for each in files if each in MODULES), None)
+        if module is not None:
+            todo += imports(module, top_level_only=True)
+    return found
+
+
+def extra_modules() -> set[str]:
+    """Return the modules of the optional dependencies."""
+    extras = tomllib.loads(read("pyproject.toml"))["project"]["optional-dependencies"]
+    wanted = [*extras["medical"], *extras["film"], *extras["monai"], *extras["cluster"]]
+    named = {"simpleitk": "SimpleITK", "imageio-ffmpeg": "imageio_ffmpeg"}
+    packages = [re.match(r"[\w-]+", requirement)[0] for requirement in wanted]
+    return {named.get(each, each) for each in packages}
+
+
+#: Names that parameters and attributes have only if they hold objects of ours.
+OURS = {
+    *("binding", "controller", "dock", "drawing", "form", "guide", "materials", "model"),
+    *("palette", "problem", "prior", "row", "rows", "rules", "solution", "stroke", "study"),
+    *("table", "undo", "view"),
+}
+
+
+@pytest.mark.parametrize(
+    "module", [each for each in MODULES if part(each).startswith(("ui/", "layers/"))], ids=part
+)
+def test_objects_of_ours_have_a_type_in_the_window(module):
+    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.arg) and node.annotation is not None:
+            name, annotation = node.arg, node.annotation
+        elif isinstance(node, ast.AnnAssign):
+            name, annotation = ast.unparse(node.target), node.annotation
+        else:
+            continue
+        of_ours = name.rpartition(".")[2].lstrip("_") in OURS
+        words = set(re.findall(r"\w+", ast.unparse(annotation)))
+        assert not (of_ours and "Any" in words), f"{part(module)}:{node.lineno}: {name}"
+
+
 def test_no_file_name_occurs_twice():
     twins = ("solver/priors/", "solver/backends/")
     public = {f"{name}.py" for name in FACADES}
@@ -235,7 +323,7 @@ def test_the_walk_through_the_shaders_names_files_that_exist():
     assert not {name for name in named if not any((place / name).is_file() for place in places)}
 
 
-@pytest.mark.parametrize("package", ["solver", "solver/backends"])
+@pytest.mark.parametrize("package", ["io", "solver", "solver/backends", "study"])
 def test_the_walk_through_a_package_names_modules_of_it(package):
     folder = PACKAGE / package
     text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8")))
@@ -245,9 +333,22 @@ def test_the_walk_through_a_package_names_modules_of_it(package):
         if each.is_relative_to(folder)
     }
     modules |= {name.removesuffix(".__init__") for name in modules}
-    names = set(re.findall(r"`([a-z_.]+)`", text))
+    names = set(re.findall(r"(?<!`)`([a-z_.]+)`(?!`)", text))
     assert len(names & modules) > 9
     assert names - modules <= {"material", "open_backend"}
+
+
+def test_the_page_of_the_architecture_has_the_rooms_of_today():
+    written = subprocess.run(
+        [sys.executable, "scripts/structure.py"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    room_names = {room for row in ROOMS for room in row if (PACKAGE / room).is_dir()}
+    assert room_names == set(re.findall(r"^\| `(\w+)/`", written, flags=re.MULTILINE))
+    assert written in read("docs/development/architecture.md"), "run `make structure`"
 
 
 def test_no_imports_go_round_in_a_circle_not_even_those_for_types():

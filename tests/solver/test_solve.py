@@ -251,7 +251,8 @@ def test_kernels_are_made_before_the_clock_starts():
     subprocess.run([sys.executable, "-c", REHEARSED], check=True, timeout=300)
 
 
-def test_falling_back_to_the_loops_is_said_once(caplog, monkeypatch):
+def test_the_device_is_logged_once_and_is_no_warning(caplog, monkeypatch):
+    caplog.set_level("INFO", "napari_hmrf")
     monkeypatch.setattr(sys.modules["napari_hmrf.solver.solve"], "_announced", set())
     monkeypatch.setattr("napari_hmrf.solver.backends.opengl.is_software_renderer", lambda _: True)
     for _ in range(2):
@@ -259,6 +260,7 @@ def test_falling_back_to_the_loops_is_said_once(caplog, monkeypatch):
     told = [record for record in caplog.records if "solving on" in record.message]
     assert len(told) == 1
     assert "compiled loops" in told[0].message
+    assert told[0].levelname == "INFO"
 
 
 def test_a_solution_is_told_in_a_line_without_its_arrays():

@@ -81,6 +81,18 @@ def test_by_default_tissue_is_elastic_and_a_prior_may_be_given_in_detail():
         pulled(model="rubber")
 
 
+def test_a_prior_beside_the_name_of_a_model_is_kept_or_refused():
+    prior, optimizer = ElasticPrior(0.3), ICM(5)
+    assert Study(GRID, model="elastic", prior=prior).prior is prior
+    assert Study(GRID, model="paper", optimizer=optimizer).optimizer is optimizer
+    with pytest.raises(ArgumentError, match="'paper' needs the prior SeilerPrior, not Elastic"):
+        Study(GRID, model="paper", prior=prior)
+    with pytest.raises(ArgumentError, match=r"Give optimizer=Multigrid\(\), or leave out"):
+        Study(GRID, model="elastic", optimizer=optimizer)
+    by_name = replace(Study(GRID, model="paper"), model="elastic")
+    assert (by_name.model_name, replace(by_name, model="paper").model_name) == ("elastic", "paper")
+
+
 def test_a_study_is_the_problem_of_its_arrays():
     observed, counts = np.zeros((*SHAPE, 2)), np.zeros((*SHAPE, 2))
     observed[5:9, 3:6] = (1, -1)

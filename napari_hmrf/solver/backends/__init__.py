@@ -27,6 +27,7 @@ from typing import Any, Literal, NamedTuple, get_args
 from napari_hmrf.errors import BackendError
 from napari_hmrf.solver.backends.base import BATCH_SECONDS, Backend, Checkpoint, SiteRule
 from napari_hmrf.solver.backends.compile_cache import compiler, loops
+from napari_hmrf.solver.backends.cpu import CpuBackend
 from napari_hmrf.solver.backends.job import SolveJob
 from napari_hmrf.solver.backends.thread import compute_thread
 
@@ -62,13 +63,10 @@ class Choice(NamedTuple):
     backend : Backend
     reason : str
         Reason for the choice, in words.
-    is_fallback : bool
-        True if a faster device would run the solve if it were there, or were larger.
     """
 
     backend: Backend[Any]
     reason: str
-    is_fallback: bool = False
 
 
 def open_backend(
@@ -103,7 +101,7 @@ def open_backend(
     if name == "cpu":
         provide_loops()
         return Choice(_compiled_loops(checkpoint), "asked for")
-    from napari_hmrf.solver.backends.opengl import missing_shaders
+    from napari_hmrf.solver.backends.opengl import missing_shaders  # heavy: opengl
 
     missing = missing_shaders(job)
     if name != "auto":
@@ -118,14 +116,17 @@ def open_backend(
 
 def _fastest(job: SolveJob, checkpoint: Checkpoint, provide_loops: Callable[[], None]) -> Choice:
     """Choose between shaders and loops that both support the job, apart from its size."""
-    from napari_hmrf.solver.backends.opengl import OpenGLBackend, is_software_renderer
+    from napari_hmrf.solver.backends.opengl import (  # heavy: opengl
+        OpenGLBackend,
+        is_software_renderer,
+    )
 
     compiled = _loops_are_ready(job)
     try:
         shaders = OpenGLBackend(checkpoint)
     except BackendError as error:
         provide_loops()
-        return Choice(_compiled_loops(checkpoint), f"no usable OpenGL ({error})", True)
+        return Choice(_compiled_loops(checkpoint), f"no usable OpenGL ({error})")
     _compile_meanwhile(job)
     refusal = shaders.supports(job)
     if refusal is not None:
@@ -133,7 +134,7 @@ def _fastest(job: SolveJob, checkpoint: Checkpoint, provide_loops: Callable[[], 
         provide_loops()
         kind = "volume" if job.is_volume else "image"
         reason = f"the shaders refuse this {kind} ({refusal})"
-        return Choice(_compiled_loops(checkpoint), reason, True)
+        return Choice(_compiled_loops(checkpoint), reason)
     if not is_software_renderer(shaders.renderer):
         return Choice(shaders, "a GPU is there")
     is_large = job.is_volume and math.prod(job.shape) > LARGE_VOLUME
@@ -145,12 +146,12 @@ def _fastest(job: SolveJob, checkpoint: Checkpoint, provide_loops: Callable[[], 
     if job.is_volume:
         provide_loops()
     reason = f"OpenGL here is software only ({shaders.renderer})"
-    return Choice(_compiled_loops(checkpoint), reason, True)
+    return Choice(_compiled_loops(checkpoint), reason)
 
 
 def _requested_shaders(job: SolveJob, name: str, checkpoint: Checkpoint) -> Backend[Any]:
     """Return the backend of shaders of a name, or refuse the job."""
-    from napari_hmrf.solver.backends.opengl import OpenGLBackend
+    from napari_hmrf.solver.backends.opengl import OpenGLBackend  # heavy: opengl
 
     _loops_are_ready(job)  # a later solve may take them
     _compile_meanwhile(job)
@@ -175,6 +176,4 @@ def _compile_meanwhile(job: SolveJob) -> None:
 
 def _compiled_loops(checkpoint: Checkpoint) -> Backend[Any]:
     """Return the backend of compiled loops."""
-    from napari_hmrf.solver.backends.cpu import CpuBackend
-
     return CpuBackend(checkpoint)

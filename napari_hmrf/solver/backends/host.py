@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.solver.backends import kept_volumes
+from napari_hmrf.solver.backends.arrays import exact as plain
 from napari_hmrf.solver.backends.base import FloatArray
 from napari_hmrf.solver.backends.compile_cache import loops
 from napari_hmrf.solver.backends.found import Beginning
@@ -34,11 +35,9 @@ kept_volumes.forgotten_by(_spare.clear)
 def _exact(axes: int = 2) -> Any:
     """Return the loops, or before they are compiled, and for volumes, their twins in NumPy."""
     if loops.in_use() and axes == 2:
-        from napari_hmrf.solver.backends.cpu import exact
+        from napari_hmrf.solver.backends.cpu import exact  # heavy: numba
 
         return exact
-    from napari_hmrf.solver.backends.arrays import exact as plain
-
     return plain
 
 

@@ -16,12 +16,12 @@ from napari_hmrf.tissue.stiffness_curve import Point, StiffnessCurve, with_point
 from napari_hmrf.ui.events import single_shot
 
 _HEIGHT, _BINS = 170, 128
-#: Of a large image so many pixels are counted.
+#: Largest number of pixels in the histogram.
 _COUNTED = 1_000_000
-#: How near the mouse takes hold of a point, in pixels.
+#: Largest distance at which the mouse grabs a point, in pixels.
 _NEAR = 9
 _LINE = "#4ea6dc"
-#: Of the figure's width and height: left, bottom, width, height.
+#: Left, bottom, width and height of the axes, as parts of the figure.
 _AXES = (0.13, 0.13, 0.84, 0.82)
 _INKS = ("axes.edgecolor", "text.color", "xtick.color", "ytick.color")
 _HELP = (
@@ -31,12 +31,12 @@ _HELP = (
 
 
 class CurvePlot(QWidget):
-    """Shows a curve, whose points the mouse drags, adds and removes.
+    """Plot of a curve whose points the mouse drags, adds and removes.
 
     Attributes
     ----------
     canvas : FigureCanvasQTAgg or None
-        What is drawn on; None until somebody looks, as matplotlib takes long to import.
+        Canvas of the plot; None until it is shown first, as matplotlib takes long to import.
     edited : Signal(StiffnessCurve)
         Emitted with every curve that the user makes, while dragging, too.
     settled : Signal(StiffnessCurve)
@@ -52,14 +52,14 @@ class CurvePlot(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         QVBoxLayout(self).setContentsMargins(0, 0, 0, 0)
         self._curve = curve
-        # The number of the point that is dragged.
+        # Index of the dragged point.
         self._held: int | None = None
         self._counts, self._edges = np.zeros(0), np.array([curve.points[0][0], curve.points[-1][0]])
         self.canvas: Any = None
 
     @property
     def curve(self) -> StiffnessCurve:
-        """The curve shown; to set it is no edit of the user's."""
+        """Curve that is shown; setting it is no edit by the user."""
         return self._curve
 
     @curve.setter
@@ -68,7 +68,7 @@ class CurvePlot(QWidget):
         self._draw_soon()
 
     def take(self, curve: StiffnessCurve) -> None:
-        """Show a curve that the user has made, and tell of it."""
+        """Show a curve that the user has made, and emit it."""
         if curve != self._curve:
             self.curve = curve
             self.edited.emit(curve)
@@ -83,12 +83,12 @@ class CurvePlot(QWidget):
         self._draw_soon()
 
     def showEvent(self, event: Any) -> None:
-        """Draw it from now on: somebody looks."""
+        """Make the canvas when the plot is shown first."""
         super().showEvent(event)
         if self.canvas is not None:
             return
-        from matplotlib.backends.backend_qtagg import FigureCanvasQTAgg
-        from matplotlib.figure import Figure
+        from matplotlib.backends.backend_qtagg import FigureCanvasQTAgg  # heavy: matplotlib
+        from matplotlib.figure import Figure  # heavy: matplotlib
 
         self.canvas = canvas = FigureCanvasQTAgg(Figure(facecolor="none"))
         canvas.setStyleSheet("background: transparent")
@@ -127,7 +127,7 @@ class CurvePlot(QWidget):
             self.settled.emit(self._curve)
 
     def _point_at(self, event: Any) -> Point:
-        """What lies below the mouse, or at the nearest place on the axes."""
+        """Return the point below the mouse, or the nearest point on the axes."""
         (axes,) = self.canvas.figure.axes
         within = np.clip((event.x, event.y), axes.bbox.min, axes.bbox.max)
         intensity, stiffness = axes.transData.inverted().transform(within).tolist()
@@ -143,7 +143,7 @@ class CurvePlot(QWidget):
             self.canvas.draw_idle()
 
     def _draw(self) -> None:
-        from matplotlib import rc_context
+        from matplotlib import rc_context  # heavy: matplotlib
 
         curve, figure = self._curve, self.canvas.figure
         ink = self.palette().windowText().color().name()
@@ -160,7 +160,7 @@ class CurvePlot(QWidget):
         # Room to drag a point up and down.
         axes.margins(0, 0.4)
         if self._counts.any():
-            # Of most images the background has more pixels than all the rest: roots show both.
+            # The background of most images has more pixels than the rest: roots show both.
             heights = 0.9 * np.sqrt(self._counts / self._counts.max())
             bars = axes.get_xaxis_transform()
             axes.stairs(heights, self._edges, fill=True, color=ink, alpha=0.25, transform=bars)

@@ -103,7 +103,7 @@ def before_numba() -> None:
 
 def _tolerate_full_disks() -> None:
     """Let numba continue without its cache where a loop cannot be written, with one warning."""
-    from numba.core.caching import Cache
+    from numba.core.caching import Cache  # heavy: numba
 
     save = Cache.save_overload
     if getattr(save, "is_tolerant", False):
@@ -141,8 +141,8 @@ def is_unwritable() -> bool:
 
 def loops_there() -> list[Any]:
     """List all loops with a cache on disk, of the imported modules."""
-    from numba.core.caching import NullCache
-    from numba.core.dispatcher import Dispatcher
+    from numba.core.caching import NullCache  # heavy: numba
+    from numba.core.dispatcher import Dispatcher  # heavy: numba
 
     found: dict[int, Any] = {}
     for module in filter(None, map(sys.modules.get, kept.modules())):

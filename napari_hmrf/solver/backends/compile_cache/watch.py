@@ -38,7 +38,7 @@ def watched(job: str, tell: Callable[[Stage], object]) -> Iterator[None]:
         yield
         return
     before_numba()
-    from numba.core import event
+    from numba.core import event  # heavy: numba
 
     of = min(_there() + sets.COUNTS[job], sets.FULL_COUNT)
     here, begun = threading.get_ident(), time.perf_counter()

@@ -80,10 +80,9 @@ class CpuBackend:
 
     def __init__(self, checkpoint: Checkpoint) -> None:
         loader.before_numba()
-        # Numba is imported, and its kernels loaded, only by a solve that uses them.
-        import numba
+        import numba  # heavy: numba
 
-        from napari_hmrf.solver.backends.cpu import kernels, transfer
+        from napari_hmrf.solver.backends.cpu import kernels, transfer  # heavy: numba
 
         self._kernels = kernels
         self._transfer = transfer
@@ -201,7 +200,7 @@ class CpuBackend:
         rule: SiteRule,
         row_totals: EnergyArray,
     ) -> None:
-        from napari_hmrf.solver.backends.cpu import volume_cliques
+        from napari_hmrf.solver.backends.cpu import volume_cliques  # heavy: numba
 
         volume_cliques.sweeps(
             CpuField(even).rows,
@@ -219,26 +218,26 @@ class CpuBackend:
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
         """Bring elastic tissue to the device, on all levels of multigrid."""
         if material.m.ndim == 3:
-            from napari_hmrf.solver.backends.cpu import volume_model
+            from napari_hmrf.solver.backends.cpu import volume_model  # heavy: numba
 
             return volume_model.the_model(material, self._checkpoint)
-        from napari_hmrf.solver.backends.cpu.elastic_model import the_model
+        from napari_hmrf.solver.backends.cpu.elastic_model import the_model  # heavy: numba
 
         return the_model(material)
 
     def seiler_model(self, material: SeilerMaterial) -> LinearModel:
         """Bring the paper's cliques to the device, on all levels of multigrid."""
         if material.m.ndim == 3:
-            from napari_hmrf.solver.backends.cpu import volume_seiler_model
+            from napari_hmrf.solver.backends.cpu import volume_seiler_model  # heavy: numba
 
             return volume_seiler_model.the_model(material)
-        from napari_hmrf.solver.backends.cpu.seiler_model import the_model
+        from napari_hmrf.solver.backends.cpu.seiler_model import the_model  # heavy: numba
 
         return the_model(material)
 
     def finite_model(self, material: FiniteMaterial) -> FiniteModel:
         """Bring tissue that moves far to the device."""
-        from napari_hmrf.solver.backends.cpu.finite_model import the_model
+        from napari_hmrf.solver.backends.cpu.finite_model import the_model  # heavy: numba
 
         return the_model(material)
 

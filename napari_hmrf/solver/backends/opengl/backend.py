@@ -20,6 +20,7 @@ from napari_hmrf.solver.backends.job import SolveJob
 from napari_hmrf.solver.backends.linear import LinearModel
 from napari_hmrf.solver.backends.opengl.context.device import the_device
 from napari_hmrf.solver.backends.opengl.context.pace import MAX_PASS_SECONDS, Pace
+from napari_hmrf.solver.backends.opengl.images.elastic import GLElasticModel
 from napari_hmrf.solver.backends.opengl.images.fields import (
     GLField,
     Pool,
@@ -30,6 +31,7 @@ from napari_hmrf.solver.backends.opengl.images.fields import (
     singles,
 )
 from napari_hmrf.solver.backends.opengl.images.passes import Passes
+from napari_hmrf.solver.backends.opengl.images.seiler import GLSeilerModel
 from napari_hmrf.solver.backends.opengl.images.totals import (
     BLOCK,
     KEPT_SHARES,
@@ -44,6 +46,7 @@ from napari_hmrf.solver.backends.opengl.support import (
     missing_shaders,
     volume_refusal,
 )
+from napari_hmrf.solver.backends.opengl.volumes.volume_model import GLVolumeModel
 from napari_hmrf.solver.backends.opengl.volumes.volume_passes import VolumePasses
 from napari_hmrf.solver.priors import line_weights
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
@@ -192,20 +195,14 @@ class OpenGLBackend:
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
         """Bring elastic tissue to the device; an image's levels come from the compiled loops."""
         if material.m.ndim == 3:
-            from napari_hmrf.solver.backends.opengl.volumes.volume_model import GLVolumeModel
-
             self._refuse(volume_refusal(self._device, self._stage, material.m.shape))
             passes = VolumePasses(self._device, self._pace)
             self._of_models.append(passes)
             return GLVolumeModel(passes, material)
-        from napari_hmrf.solver.backends.opengl.images.elastic import GLElasticModel
-
         return GLElasticModel(self._passes_for(material.m), material)
 
     def seiler_model(self, material: SeilerMaterial) -> LinearModel:
         """Bring the paper's cliques to the device; their levels come from the compiled loops."""
-        from napari_hmrf.solver.backends.opengl.images.seiler import GLSeilerModel
-
         return GLSeilerModel(self._passes_for(material.m), material)
 
     def finite_model(self, material: FiniteMaterial) -> FiniteModel:

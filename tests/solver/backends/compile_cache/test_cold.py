@@ -102,7 +102,7 @@ def opened(name):
     """Which backend is taken, and why."""
 
     def job():
-        backend, reason, _ = open_backend(IMAGE, name, lambda: None)
+        backend, reason = open_backend(IMAGE, name, lambda: None)
         backend.close()
         return backend.name.partition(":")[0], reason
 

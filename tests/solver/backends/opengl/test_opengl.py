@@ -119,7 +119,7 @@ def test_the_default_stage_is_compute_where_there_is_one(opengl):
 
 def test_auto_takes_the_shaders_only_on_a_gpu(opengl):
     def choice() -> tuple[str, str]:
-        backend, reason, _ = open_backend(IMAGE, "auto", lambda: None)
+        backend, reason = open_backend(IMAGE, "auto", lambda: None)
         backend.close()
         return backend.name, reason
 

@@ -25,7 +25,7 @@ from napari_hmrf.solver.backends import SolveJob, compute_thread, open_backend
 image = SolveJob((9, 9), (1.0, 1.0), ElasticPrior(), Multigrid())
 
 def job():
-    backend, reason, _ = open_backend(image, "auto", lambda: None)
+    backend, reason = open_backend(image, "auto", lambda: None)
     print("auto:", backend.name, reason)
     backend.close()
     try:

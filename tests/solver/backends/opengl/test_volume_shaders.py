@@ -368,12 +368,12 @@ def test_shaders_name_what_they_leave_to_the_loops(kind):
         shaders, loops = OpenGLBackend(lambda: None), CpuBackend(lambda: None)
         said = shaders.supports(job), loops.supports(job)
         shaders.close()
-        return said, open_backend(job, "auto", lambda: None)[1:]
+        return said, open_backend(job, "auto", lambda: None).reason
 
-    (refusal, none), choice = on_compute_thread(answers)
+    (refusal, none), reason = on_compute_thread(answers)
     assert refusal == f'only the compiled loops solve {kind}. Take backend="cpu", or "auto".'
     assert none is None
-    assert choice == (f"only the compiled loops solve {kind}", False)
+    assert reason == f"only the compiled loops solve {kind}"
     with pytest.raises(BackendError, match=f"solve {kind}, not opengl. Take"):
         on_compute_thread(lambda: open_backend(job, "opengl", lambda: None))
 
@@ -384,7 +384,7 @@ def test_a_gpu_takes_a_volume_unless_it_is_too_large(monkeypatch):
     )
 
     def choice(**has):
-        backend, reason, _ = open_backend(volume(**has), "auto", lambda: None)
+        backend, reason = open_backend(volume(**has), "auto", lambda: None)
         backend.close()
         return backend.name, reason
 
@@ -399,10 +399,8 @@ def test_a_gpu_takes_a_volume_unless_it_is_too_large(monkeypatch):
 def test_an_image_beyond_the_limit_of_a_gpu_goes_to_the_loops(monkeypatch):
     monkeypatch.setattr(on_compute_thread(the_device), "largest", 8)
     image = SolveJob((9, 4), (1.0, 1.0), ELASTIC, Multigrid())
-    backend, reason, is_fallback = on_compute_thread(
-        lambda: open_backend(image, "auto", lambda: None)
-    )
-    assert (backend.name, is_fallback) == ("cpu", True)
+    backend, reason = on_compute_thread(lambda: open_backend(image, "auto", lambda: None))
+    assert backend.name == "cpu"
     assert reason.startswith("the shaders refuse this image (the image has 9 x 4 pixels")
 
 
@@ -414,7 +412,7 @@ def test_a_rasteriser_stands_in_until_the_loops_for_volumes_are_compiled(monkeyp
 
     def choice(voxels=(9, 9, 9)):
         provide_loops = partial(waited.append, 1)
-        backend, reason, _ = open_backend(volume(voxels), "auto", lambda: None, provide_loops)
+        backend, reason = open_backend(volume(voxels), "auto", lambda: None, provide_loops)
         backend.close()
         return backend.name, reason
 

@@ -113,7 +113,7 @@ class _Way:
 
 
 def _ways() -> Iterator[_Way]:
-    import glcontext
+    import glcontext  # heavy: glcontext
 
     if not sys.platform.startswith("linux"):
         yield _Way("the system's OpenGL", glcontext.default_backend(), {})
@@ -142,7 +142,7 @@ def _device_count(egl: Callable[..., Any], libraries: dict[str, str]) -> int:
 
 
 def _open(way: _Way) -> Opened:
-    import moderngl
+    import moderngl  # heavy: moderngl
 
     loader = _loader(way)
     store = getattr(moderngl, "_store", None)

@@ -6,6 +6,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from napari_hmrf.solver.backends.arrays import elastic
 from napari_hmrf.solver.backends.compile_cache import loops
 from napari_hmrf.solver.backends.linear import LinearModel
 from napari_hmrf.solver.backends.opengl.images.level import stored_planes
@@ -69,11 +70,9 @@ class GLElasticModel(GLModel):
 def _host(material: ElasticMaterial) -> LinearModel:
     """The host's model: of loops, or of arrays before these are compiled."""
     if loops.in_use():
-        from napari_hmrf.solver.backends.cpu import elastic_model
+        from napari_hmrf.solver.backends.cpu import elastic_model  # heavy: numba
 
         return elastic_model.the_model(material)
-    from napari_hmrf.solver.backends.arrays import elastic
-
     return elastic.the_model(material)
 
 

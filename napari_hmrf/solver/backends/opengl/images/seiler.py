@@ -6,6 +6,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from napari_hmrf.solver.backends.arrays import seiler
 from napari_hmrf.solver.backends.compile_cache import loops
 from napari_hmrf.solver.backends.linear import LinearModel
 from napari_hmrf.solver.backends.opengl.images.fields import singles
@@ -123,9 +124,7 @@ class GLSeilerModel(GLModel):
 def _host(material: SeilerMaterial) -> LinearModel:
     """The host's model: of loops, or of arrays before these are compiled."""
     if loops.in_use():
-        from napari_hmrf.solver.backends.cpu import seiler_model
+        from napari_hmrf.solver.backends.cpu import seiler_model  # heavy: numba
 
         return seiler_model.the_model(material)
-    from napari_hmrf.solver.backends.arrays import seiler
-
     return seiler.the_model(material)

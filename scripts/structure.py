@@ -1,0 +1,151 @@
+"""Print the rooms of the package and the imports between them, as a diagram and a table.
+
+    python scripts/structure.py [--write]
+
+A room is a folder of ``napari_hmrf``. The diagram has the rooms that import no other room at the
+bottom; each row may import from the rows below it. The table gives the first sentence of each
+room's docstring and the arrows, without those that follow from others. With ``--write``, both are
+written into `docs/development/architecture.md`, between the markers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "napari_hmrf"
+PAGE = ROOT / "docs" / "development" / "architecture.md"
+BEGIN = "<!-- begin of what `make structure` writes -->\n"
+END = "<!-- end of what `make structure` writes -->\n"
+_WIDTH = 48
+_Import = ast.Import | ast.ImportFrom
+
+
+def list_rooms() -> list[str]:
+    """List the rooms: the folders of modules."""
+    return sorted(each.parent.name for each in PACKAGE.glob("*/__init__.py"))
+
+
+def duty_of(room: str) -> str:
+    """Return the first sentence of a room's docstring."""
+    tree = ast.parse((PACKAGE / room / "__init__.py").read_text(encoding="utf-8"))
+    first = (ast.get_docstring(tree) or "").partition("\n")[0]
+    return first.partition(". ")[0].rstrip(".")
+
+
+def find_imports(room: str, *, late: bool = False) -> set[str]:
+    """Find the other rooms that a room imports.
+
+    Parameters
+    ----------
+    room : str
+    late : bool
+        Whether to read the imports inside functions, rather than those at import.
+    """
+    found = set()
+    for module in (PACKAGE / room).rglob("*.py"):
+        tree = ast.parse(module.read_text(encoding="utf-8"))
+        for node in _in_functions(tree) if late else _at_import(tree.body):
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            else:
+                names = [f"{node.module}.{alias.name}" for alias in node.names]
+            found |= {n.split(".")[1] for n in names if n.startswith("napari_hmrf.")}
+    return (found & set(list_rooms())) - {room}
+
+
+def _at_import(statements: list[ast.stmt]) -> Iterator[_Import]:
+    """Yield the imports that run when a module is imported."""
+    for statement in statements:
+        if isinstance(statement, _Import):
+            yield statement
+        elif isinstance(statement, ast.If | ast.Try):
+            is_for_types = "TYPE_CHECKING" in ast.unparse(statement).partition("\n")[0]
+            yield from _at_import(statement.orelse if is_for_types else statement.body)
+            if not is_for_types:
+                yield from _at_import(statement.orelse)
+
+
+def _in_functions(tree: ast.Module) -> Iterator[_Import]:
+    for function in ast.walk(tree):
+        if isinstance(function, ast.FunctionDef):
+            yield from (node for node in ast.walk(function) if isinstance(node, _Import))
+
+
+def find_below(room: str, arrows: Mapping[str, set[str]]) -> set[str]:
+    """Find all rooms that a room needs, directly or through others."""
+    found: set[str] = set()
+    todo = [room]
+    while todo:
+        new = arrows[todo.pop()] - found
+        found |= new
+        todo += new
+    return found
+
+
+def arrange(arrows: Mapping[str, set[str]]) -> list[list[str]]:
+    """Arrange the rooms in rows, from top to bottom: a room is above all that it imports."""
+    heights: dict[str, int] = {}
+    left = set(arrows)
+    while left:
+        ready = {room for room in left if arrows[room] <= heights.keys()}
+        if not ready:
+            raise ValueError(f"these rooms import each other: {', '.join(sorted(left))}")
+        for room in ready:
+            heights[room] = max((heights[each] + 1 for each in arrows[room]), default=0)
+        left -= ready
+    return [
+        sorted(room for room in arrows if heights[room] == height)
+        for height in range(max(heights.values()), -1, -1)
+    ]
+
+
+def draw_structure() -> str:
+    """Draw the diagram and the table, in Markdown."""
+    arrows = {room: find_imports(room) for room in list_rooms()}
+    in_rows = arrange(arrows)
+    names = ["     ".join(row).center(_WIDTH).rstrip() for row in in_rows]
+    arrow = "\n" + "|".center(_WIDTH).rstrip() + "\n" + "v".center(_WIDTH).rstrip() + "\n"
+    lines = ["```text", arrow.join(names), "```", ""]
+    lines += ["| room | imports | duty |", "| --- | --- | --- |"]
+    for room in (each for row in in_rows for each in row):
+        needed = arrows[room]
+        through = set[str]().union(*(find_below(each, arrows) for each in needed))
+        direct = ", ".join(f"`{each}`" for each in sorted(needed - through)) or "no other room"
+        lines.append(f"| `{room}/` | {direct} | {duty_of(room)} |")
+    upward = {
+        room: find_imports(room, late=True) - find_below(room, arrows) - {room} for room in arrows
+    }
+    late = [
+        f"`{room}` -> {', '.join(f'`{each}`' for each in sorted(above))}"
+        for room, above in upward.items()
+        if above
+    ]
+    if late:
+        lines += ["", f"Only methods import upwards, when they are called: {'; '.join(late)}."]
+    return "\n".join(lines) + "\n"
+
+
+def update_page() -> str:
+    """Return the page with the present structure."""
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
+    _, _, after = rest.partition(END)
+    return f"{before}{BEGIN}\n{draw_structure()}\n{END}{after}"
+
+
+def main() -> None:
+    """Print the structure, or write it into the page."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--write", action="store_true", help="write it into the page")
+    if parser.parse_args().write:
+        PAGE.write_text(update_page(), encoding="utf-8")
+        print(f"written: {PAGE.relative_to(ROOT)}")
+    else:
+        print(draw_structure(), end="")
+
+
+if __name__ == "__main__":
+    main()
