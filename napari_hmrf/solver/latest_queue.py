@@ -78,7 +78,7 @@ class LatestQueue:
         self._doing = doing
         self._changed = threading.Condition()
         self._generation = 0
-        #: How often all jobs were dropped.
+        #: Number of times that all jobs were dropped.
         self.series = 0
         self._waiting: tuple[Job, Turn] | None = None
         self._current: Turn | None = None
