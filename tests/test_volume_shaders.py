@@ -404,7 +404,7 @@ def test_a_gpu_takes_a_volume_unless_it_is_too_large(monkeypatch):
         backend.close()
         return backend.name, reason
 
-    assert on_compute_thread(choice) == ("opengl:compute", "a GPU is there")
+    assert on_compute_thread(choice) == ("opengl:compute", "a GPU is available")
     monkeypatch.setattr(on_compute_thread(the_device), "largest_buffer", 1000)
     name, reason = on_compute_thread(choice)
     assert name == "cpu"
@@ -419,7 +419,7 @@ def test_an_image_beyond_the_limit_of_a_gpu_goes_to_the_loops(monkeypatch):
         lambda: open_backend(image, "auto", lambda: None)
     )
     assert (backend.name, is_fallback) == ("cpu", True)
-    assert reason.startswith("the shaders refuse this image (the image has 9 x 4 pixels")
+    assert reason.startswith("the shaders do not support this image (the image has 9 x 4 pixels")
 
 
 def test_a_rasteriser_stands_in_until_the_loops_for_volumes_are_compiled(monkeypatch):

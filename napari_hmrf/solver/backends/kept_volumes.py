@@ -1,4 +1,4 @@
-"""Registry of caches that survive a volume's solve, and are cleared where memory is short."""
+"""Registry of caches that outlive the solve of a volume and are cleared when memory is short."""
 
 from __future__ import annotations
 
@@ -13,6 +13,6 @@ def forgotten_by(forget: Callable[[], None]) -> None:
 
 
 def forget() -> None:
-    """Let go of everything."""
+    """Clear all registered caches."""
     for each in _forget:
         each()
