@@ -99,8 +99,8 @@ class ArraySeilerModel(ArrayModel):
         for number, grid in enumerate(grids(m.shape)):
             if number > 0:
                 stiffness, even = _coarser(stiffness[0], grid)
-            # A coarse site stands for four fine sites, and its cliques, which are twice as long,
-            # have a sixteenth of the energy density.
+            # On the next coarser level, the energy of a clique is sixteen times as large for the
+            # same curvature of the displacement, but there are a quarter as many cliques.
             share = 2 * 0.25**number if material.blanket else 1.0
             self.levels.append(
                 ArraySeilerLevel(grid, stiffness, even, material, share, number == 0)
