@@ -358,12 +358,12 @@ def test_a_volume_beyond_the_limit_is_refused_before_anything_is_made(made, monk
 
 def test_a_driver_that_gives_too_few_buffers_is_refused(monkeypatch):
     monkeypatch.setattr(on_compute_thread(the_device), "most_buffers", 8)
-    with pytest.raises(BackendError, match=r'8 storage buffers, .* take 16. Take backend="cpu"'):
+    with pytest.raises(BackendError, match=r'8 storage buffers, .* need 16. Use backend="cpu"'):
         solve(pressed(12, True), backend="opengl")
 
 
 def test_fragment_shaders_refuse_volumes():
-    with pytest.raises(BackendError, match='Take backend="opengl:compute" or backend="cpu"'):
+    with pytest.raises(BackendError, match='Use backend="opengl:compute" or backend="cpu"'):
         solve(pressed(12, True), backend="opengl:fragment")
 
 
@@ -387,7 +387,7 @@ def test_shaders_name_what_they_leave_to_the_loops(kind):
         return said, open_backend(job, "auto", lambda: None)[1:]
 
     (refusal, none), choice = on_compute_thread(answers)
-    assert refusal == f'only the compiled loops solve {kind}. Take backend="cpu", or "auto".'
+    assert refusal == f'only the compiled loops solve {kind}. Use backend="cpu" or "auto".'
     assert none is None
     assert choice == (f"only the compiled loops solve {kind}", False)
     with pytest.raises(BackendError, match=f"solve {kind}, not opengl. Take"):
