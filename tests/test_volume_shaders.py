@@ -351,7 +351,7 @@ def test_a_pass_cut_into_strips_changes_nothing(monkeypatch):
 
 def test_a_volume_beyond_the_limit_is_refused_before_anything_is_made(made, monkeypatch):
     monkeypatch.setattr(on_compute_thread(the_device), "largest_buffer", 16 * 2**10)
-    with pytest.raises(BackendError, match=r"12 x 12 x 12 voxels.*has buffers of.*Downsample it"):
+    with pytest.raises(BackendError, match=r"12 x 12 x 12 voxels.*has buffers of.*Downsample or crop"):
         solve(pressed(12, True), backend="opengl")
     assert left(made) == 0
 
@@ -390,7 +390,7 @@ def test_shaders_name_what_they_leave_to_the_loops(kind):
     assert refusal == f'only the compiled loops solve {kind}. Use backend="cpu" or "auto".'
     assert none is None
     assert choice == (f"only the compiled loops solve {kind}", False)
-    with pytest.raises(BackendError, match=f"solve {kind}, not opengl. Take"):
+    with pytest.raises(BackendError, match=f"solve {kind}, not opengl. Use"):
         on_compute_thread(lambda: open_backend(job, "opengl", lambda: None))
 
 
@@ -408,7 +408,7 @@ def test_a_gpu_takes_a_volume_unless_it_is_too_large(monkeypatch):
     monkeypatch.setattr(on_compute_thread(the_device), "largest_buffer", 1000)
     name, reason = on_compute_thread(choice)
     assert name == "cpu"
-    assert "refuse this volume" in reason
+    assert "do not support this volume" in reason
     assert on_compute_thread(lambda: choice(has_loads=True))[0] == "cpu"
 
 
