@@ -102,7 +102,15 @@ class Backend(Protocol[FieldType]):
         ...
 
     def project(self, finest: FieldType, level: Level) -> FieldType:
-        """Project a field of level 0 to a coarser level by nearest neighbour (lines 4 to 6)."""
+        """Project a field of level 0 to a coarser level by nearest neighbour (lines 4 to 6).
+
+        Parameters
+        ----------
+        finest : field
+            Stiffness or observation on level 0.
+        level : Level
+            Target level.
+        """
         ...
 
     def prolong(
@@ -113,6 +121,13 @@ class Backend(Protocol[FieldType]):
         Along each axis, the two nearest coarse sites have the weights 3/4 and 1/4; border sites are
         repeated outwards. Coarse sites in void have weight 0, and the other weights are scaled to
         a sum of 1. A fine site in void, or without a coarse neighbour in tissue, gets zero.
+
+        Parameters
+        ----------
+        coarse : field
+            Displacement on the coarser level, in pixels.
+        coarse_stiffness, stiffness : field
+            Stiffness on the coarser and on the finer level.
         """
         ...
 
@@ -126,7 +141,15 @@ class Backend(Protocol[FieldType]):
     ) -> tuple[FieldType, EnergyArray]:
         """Update all sites simultaneously, `sweeps` times (lines 8 and 9).
 
-        `displacement` is released and must not be used again.
+        Parameters
+        ----------
+        displacement : field
+            Displacement in pixels; it is released and must not be used again.
+        stiffness, observation : field
+            Tissue and observations on the same level; see `upload`.
+        rule : SiteRule
+        sweeps : int
+            Number of sweeps.
 
         Returns
         -------
@@ -140,7 +163,7 @@ class Backend(Protocol[FieldType]):
     def energy(
         self, displacement: FieldType, stiffness: FieldType, observation: FieldType, rule: SiteRule
     ) -> float:
-        """Return U_total of a displacement, in pixels squared."""
+        """Return U_total of a displacement, in pixels squared; the arguments are as in `relax`."""
         ...
 
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:

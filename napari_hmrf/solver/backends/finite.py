@@ -118,8 +118,23 @@ class FiniteModel(Protocol):
     ) -> tuple[float, npt.NDArray[np.float64]]:
         """Return the largest step along `way` that keeps the Jacobians of all element corners.
 
-        The Jacobian of each corner stays at least `part` of its present value, and above `floor`.
-        If `each`, also return the largest step of each element, (H - 1, W - 1).
+        Parameters
+        ----------
+        d, way : ndarray, planes
+            Displacement and search direction, in pixels.
+        part : float
+            Least ratio of a corner's Jacobian to its present value.
+        floor : float
+            Least Jacobian of a corner; a corner below it must keep its present value.
+        each : bool
+            True to compute the largest step of each element, too.
+
+        Returns
+        -------
+        float
+            Largest step, as a factor of `way`; may be infinite.
+        ndarray, shape (H - 1, W - 1)
+            Largest step of each element; empty unless `each`.
         """
         ...
 

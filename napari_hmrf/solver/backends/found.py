@@ -45,8 +45,9 @@ def remember(displacement: npt.NDArray[Any], met: Met) -> None:
     Parameters
     ----------
     displacement : ndarray
-        The array itself; only a weak reference is kept.
+        Displacement; only a weak reference to this array is kept.
     met : Met
+        Properties found by its solve.
     """
     _met[:] = [each for each in _met if each[0]() is not None]
     _met.append((weakref.ref(displacement), met))
@@ -61,6 +62,11 @@ def met_by(start: Beginning) -> Met:
     Parameters
     ----------
     start : Beginning
+
+    Returns
+    -------
+    Met
+        Least eigenvalue of all parts, and sum of their weighted errors.
     """
     least, error = 1.0, 0.0
     for share, part in zip(start.shares, start.displacements, strict=True):
@@ -82,7 +88,7 @@ class Beginning:
     Attributes
     ----------
     displacements : tuple of ndarray, each of shape (H, W, 2)
-        At least one.
+        One or more displacements.
     shares : tuple of float
         Factor of each displacement.
     unit : float
@@ -173,7 +179,7 @@ class Found:
 
         Return None if the quality of one of its displacements is unknown.
         """
-        parts = [self._of(each) for each in start.displacements]
+        parts = [self._quality_of(each) for each in start.displacements]
         error = residual = 0.0
         for share, part in zip(start.shares, parts, strict=True):
             if part is None:
@@ -182,6 +188,6 @@ class Found:
             residual += abs(share) * part.residual
         return Quality(error, residual)
 
-    def _of(self, displacement: FloatArray) -> Quality | None:
+    def _quality_of(self, displacement: FloatArray) -> Quality | None:
         found = (quality for known, quality in self._known if known() is displacement)
         return next(found, None)

@@ -50,6 +50,12 @@ def prescribed(problem: Problem, start: Beginning | None = None) -> tuple[Planes
 
     Observed components have the observed displacement, in pixels, and are held. The others have
     that of `start`, or zero.
+
+    Parameters
+    ----------
+    problem : Problem
+    start : Beginning, optional
+        Warm start.
     """
     exact, axes = _exact(len(problem.shape)), len(problem.shape)
 
@@ -105,7 +111,15 @@ def reuse(d: Planes, held: HeldPlanes) -> None:
 def noise(shape: tuple[int, ...]) -> Planes:
     """Return a reproducible random displacement with components of all wavelengths.
 
-    Its largest absolute value is 1.
+    Parameters
+    ----------
+    shape : tuple of int
+        Shape of planes, with their border.
+
+    Returns
+    -------
+    ndarray, planes
+        Displacement with a largest absolute value of 1.
     """
     made: Planes = np.zeros(shape)
     random = np.random.default_rng(0)
@@ -126,9 +140,19 @@ def noise(shape: tuple[int, ...]) -> Planes:
 
 
 def settle(displacement: FloatArray, tissue: npt.NDArray[np.bool_], unit: float) -> bool:
-    """Convert displacement (H, W, 2) from pixels to lengths, in place, and set void to 0.
+    """Convert displacement from pixels to lengths, in place, and set void to 0.
 
-    Return whether all values are finite.
+    Parameters
+    ----------
+    displacement : ndarray, shape (H, W, 2)
+    tissue : ndarray of bool, shape (H, W)
+    unit : float
+        Length of a pixel.
+
+    Returns
+    -------
+    bool
+        True if all values are finite.
     """
     if displacement.dtype == np.float64:
         displacement *= unit * tissue[..., None]
@@ -153,10 +177,23 @@ def add(d: Planes, correction: npt.NDArray[np.float32], scale: float) -> None:
 
 
 def gathered(d: Planes, tolerance: float) -> tuple[npt.NDArray[np.floating], float]:
-    """Return a displacement as an array (H, W, 2), and a bound on its rounding error, in pixels.
+    """Return a displacement as an array, and a bound on its rounding error.
 
-    The array has single precision, unless its rounding error would exceed the tolerance. The bound
-    includes the rounding in `settle`.
+    The array has single precision, unless its rounding error would exceed the tolerance.
+
+    Parameters
+    ----------
+    d : ndarray, planes
+        Displacement, in pixels.
+    tolerance : float
+        Largest rounding error, in pixels.
+
+    Returns
+    -------
+    ndarray, shape (H, W, 2)
+        Displacement, in pixels.
+    float
+        Bound on the rounding error of a vector, in pixels, including the rounding in `settle`.
     """
     most = math.sqrt(len(d)) * max(float(d.max()), -float(d.min()))
     single = np.finfo(np.float32)

@@ -64,7 +64,7 @@ class HostModel:
         return tuple(self.levels[0].grid)
 
     def hold(self, held: HeldPlanes) -> None:
-        """Hold components on all levels."""
+        """Set the held components on all levels."""
         if self._held is not None and np.array_equal(held, self._held):
             return
         self._held = None  # set last, because a cancellation may interrupt the update

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-_forget: list[Callable[[], None]] = []
+_callbacks: list[Callable[[], None]] = []
 
 
 def forgotten_by(forget: Callable[[], None]) -> None:
     """Register a callback that clears the cache of a module."""
-    _forget.append(forget)
+    _callbacks.append(forget)
 
 
 def forget() -> None:
     """Clear all registered caches."""
-    for each in _forget:
+    for each in _callbacks:
         each()

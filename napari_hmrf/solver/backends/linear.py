@@ -62,8 +62,16 @@ class LinearLevel(Protocol):
     def descend(self, steps: Steps, coarse: Any | None, again: bool = False) -> None:
         """Smooth from a correction of zero, and restrict the residual to the load of `coarse`.
 
-        If `again`, start from the present correction. Each step of smoothing is
-        step = scale D^-1 (load - A d) + momentum step, d += step.
+        Each step of smoothing is step = scale D^-1 (load - A d) + momentum step, d += step.
+
+        Parameters
+        ----------
+        steps : tuple of (float, float)
+            Scale and momentum of each step.
+        coarse : LinearLevel or None
+            Next coarser level; None for the last level.
+        again : bool
+            True to start from the present correction.
         """
         ...
 
@@ -71,7 +79,11 @@ class LinearLevel(Protocol):
     takes_rest: bool
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
-        """Compute a correction for the load from zero, with `coarsest` steps on the last level."""
+        """Compute a correction for the load from zero.
+
+        If `takes_rest`, all coarser levels are visited: with `steps`, and `coarsest` on the last
+        level. Otherwise this level is smoothed with `coarsest` steps.
+        """
         ...
 
     def ascend(self, steps: Steps, coarse: Any) -> None:
@@ -240,15 +252,29 @@ class LinearModel(Protocol):
     def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:
         """Compute the residual load - A d.
 
-        `unit` is an estimate of its largest value; a few powers of ten of error do no harm.
+        Parameters
+        ----------
+        d : ndarray, planes
+            Displacement, in pixels.
+        load : ndarray, planes, or None
+            Load, in the model's units; None for no load.
+        unit : float
+            Estimate of the largest value of the residual. An error of a few powers of ten does no
+            harm.
         """
         ...
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
         """Return the force of the tissue on every component: -A d, in double precision.
 
-        `low` is the part of the displacement that was rounded off in `d`. The result is valid until
-        the next call.
+        The result is valid until the next call.
+
+        Parameters
+        ----------
+        d : ndarray, planes
+            Displacement, in pixels.
+        low : ndarray, planes, optional
+            Part of the displacement that was rounded off in `d`.
         """
         ...
 

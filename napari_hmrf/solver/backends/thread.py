@@ -38,7 +38,7 @@ class ComputeThread:
     """Worker thread that runs one job at a time and returns results as futures."""
 
     def __init__(self) -> None:
-        self._forked = self._torn = False
+        self._forked = self._is_inconsistent = False
         self._begin()
 
     def _begin(self) -> None:
@@ -68,7 +68,7 @@ class ComputeThread:
         BackendError
             In the child of a fork that happened while another thread's job was running.
         """
-        if self._torn:
+        if self._is_inconsistent:
             raise BackendError(
                 "this process was forked while its parent was computing, so the state of the "
                 'compiler may be inconsistent. Start the process by "spawn" '
@@ -179,7 +179,7 @@ class ComputeThread:
     def after_fork(self) -> None:
         """Reset to a new thread in the child of a fork; the parent keeps the callbacks."""
         self._forked = True
-        self._torn |= self._working and not self.is_current()
+        self._is_inconsistent |= self._working and not self.is_current()
         self._begin()
 
     def _run(self) -> None:
@@ -188,7 +188,7 @@ class ComputeThread:
         while True:
             item = self._jobs.get()
             if item is None:
-                if self._ended():
+                if self._try_to_end():
                     return
                 continue
             job, future, doing = item
@@ -208,7 +208,7 @@ class ComputeThread:
             self._doing = self.stage = ""
             del item, job, future, doing
 
-    def _ended(self) -> bool:
+    def _try_to_end(self) -> bool:
         """Release everything and end the thread, unless more jobs are queued."""
         with self._lock:
             if not self._jobs.empty():

@@ -69,7 +69,7 @@ class ArrayElasticModel(ArrayModel):
         self._rest = self.levels[0].vector()
 
     def hold(self, held: HeldPlanes) -> None:
-        """Hold components on all levels."""
+        """Set the held components on all levels."""
         if self.material.rigid and (self._held is None or not np.array_equal(held, self._held)):
             self.bodies = Bodies(self._sites, self.material, held)
         super().hold(held)

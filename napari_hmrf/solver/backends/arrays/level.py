@@ -58,7 +58,7 @@ class ArrayLevel:
         return float(np.abs(a).max()), float(np.vdot(a.astype(np.float64), b.astype(np.float64)))
 
     def hold(self, held: HeldPlanes) -> None:
-        """Hold components on the finest level."""
+        """Set the held components of the finest level."""
         self.pins[...] = self._pinned(held)
         self._invert(self.diagonal, (self.steep > 0) & ~held)
 

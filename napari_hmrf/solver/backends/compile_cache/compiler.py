@@ -189,7 +189,13 @@ def tell(reached: Stage) -> None:
 
 
 def end(compiled: bool) -> None:
-    """End the claim of `begin`; if `compiled`, mark all usual loops as compiled."""
+    """Remove the status file of this process, which `begin` wrote, and any request.
+
+    Parameters
+    ----------
+    compiled : bool
+        True to mark all usual loops as compiled.
+    """
     with suppress(OSError):
         if compiled:
             kept.mark().touch()

@@ -66,7 +66,13 @@ class _Loader:
 
 
 def loaded(wait: float = 0.0) -> bool:
-    """Start to load all loops; return whether they are in memory within `wait` seconds."""
+    """Start to load all loops; return whether they are in memory.
+
+    Parameters
+    ----------
+    wait : float
+        Longest time to wait for the loader, in seconds.
+    """
     _loader.start()
     return _loader.done.wait(wait)
 

@@ -1,6 +1,6 @@
 """State of the processor's loops: whether this process computes with them.
 
-Compiling all loops takes a minute or more, and in the process of a window it would block the
+Compiling all loops takes a minute or more, and in the process of a window it would hold the
 interpreter's lock. Another process therefore compiles them (`compile_cache.compiler`), and numba
 stores them on disk (`compile_cache.kept`). Until then shaders solve, and `backends.arrays` does the
 host's part in NumPy. A process that has started without loops loads them in the background

@@ -8,7 +8,8 @@ EVERYTHING = ""
 PICTURES = "pictures"
 #: Loops that solve elastic volumes.
 VOLUMES = "volume"
-#: Loops for tissue that cycles hardly reduce; a solve compiles them when it needs them, and no job.
+#: Loops for tissue on which cycles converge slowly. No job compiles them, so a solve compiles them
+#: when it needs them.
 HARDER = "harder"
 #: Sets that are compiled only when a solve needs them.
 ON_REQUEST = (VOLUMES, "volume-schedule", "volume-converged")

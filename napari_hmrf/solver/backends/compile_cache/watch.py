@@ -50,8 +50,7 @@ def watched(job: str, tell: Callable[[Stage], object]) -> Iterator[None]:
             nonlocal depth
             if threading.get_ident() == here:
                 depth += 1
-                # Only the outermost loop is reported: inside, numba would catch an error that
-                # `tell` raises.
+                # Report the outermost loop only: inside it, numba would catch an error of `tell`.
                 if depth == 1:
                     compiled = _State.compiled - before
                     pace = (time.perf_counter() - begun) / compiled if compiled else 0.0

@@ -47,7 +47,7 @@ class _Uncollected(event.Listener):  # type: ignore[misc]
 event.register("numba:compile", _Uncollected())
 
 
-def _kept(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+def _cached(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that compiles and caches a function until any file of loops changes."""
 
     def decorate(function: Callable[..., Any]) -> Any:
@@ -74,15 +74,15 @@ shared = _callee(fastmath=_ARITHMETIC, forceinline=True)
 callee = _callee(fastmath=_ARITHMETIC)
 #: Function that other loops call, with exact IEEE arithmetic.
 strict_callee = _callee()
-#: Function with sums in any order.
+#: Function that may add terms in any order.
 reduction = _callee(fastmath={"reassoc", "nsz"})
-#: Function with sums in any order, and contraction.
+#: Function that may add terms in any order, with contraction.
 contracted_reduction = _callee(fastmath=_ARITHMETIC | {"reassoc"})
 #: Loop that Python calls, on one thread, with contraction.
-alone = _kept(fastmath=_ARITHMETIC)
+alone = _cached(fastmath=_ARITHMETIC)
 #: Loop that Python calls, on one thread, with exact IEEE arithmetic.
-strict = _kept()
+strict = _cached()
 #: Loop that Python calls, on all threads, with exact IEEE arithmetic.
-strict_parallel = _kept(parallel=True)
+strict_parallel = _cached(parallel=True)
 #: Loop that Python calls, on all threads, with contraction.
-parallel = _kept(parallel=True, fastmath=_ARITHMETIC)
+parallel = _cached(parallel=True, fastmath=_ARITHMETIC)

@@ -75,7 +75,7 @@ class CpuElasticLevel(SmallLevel):
         vectors.hold(self.inverse, held, self.pins, self.spans)
         # Deflation also changes the correction at bodies, so the next cycle must clear it there.
         self.spans[:] = self.reach
-        self._forget(before)
+        self._clear_vectors(before)
 
     @cached_property
     def _with_bodies(self) -> tuple[Vector, npt.NDArray[np.int64]]:
@@ -86,10 +86,10 @@ class CpuElasticLevel(SmallLevel):
         """Set the springs of sites near held sites of the next finer level."""
         before = self.spans.copy()
         assembly.diagonal(self.lame, self.shape, self.inverse)
-        self._spring(finer)
-        self._forget(before)
+        self._set_springs(finer)
+        self._clear_vectors(before)
 
-    def _forget(self, before: npt.NDArray[np.int64]) -> None:
+    def _clear_vectors(self, before: npt.NDArray[np.int64]) -> None:
         """Clear the corrections if spans have shrunk, because kernels write within spans only."""
         if (self.spans[:, 0] > before[:, 0]).any() or (self.spans[:, 1] < before[:, 1]).any():
             for vector in (self.correction, self._other):
@@ -117,7 +117,7 @@ class CpuElasticLevel(SmallLevel):
             elastic.smooth(self.correction, *about, self._other, *pace, self.parts)
             self.correction, self._other = self._other, self.correction
 
-    def _hand_down(self, coarse: CpuElasticLevel) -> None:
+    def _restrict_residual(self, coarse: CpuElasticLevel) -> None:
         elastic.leave(self.correction, *self._about, coarse.load, self.parts)
 
     @property

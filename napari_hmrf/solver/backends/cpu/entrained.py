@@ -39,7 +39,7 @@ class CpuEntrained:
     Attributes
     ----------
     close : bool
-        The parameter of the same name.
+        True if the small level does not resolve the gap between bodies.
     sure : bool
         True if single precision separates the motions.
     """

@@ -95,7 +95,7 @@ class TangentLevel(SmallLevel):
     def hold_as(self, finer: TangentLevel) -> None:
         """Set the springs of sites near held sites of the next finer level."""
         tangents.diagonal(self.cycled, self.inverse)
-        self._spring(finer)
+        self._set_springs(finer)
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Run Chebyshev-Jacobi steps on `correction` for `load`."""
@@ -108,7 +108,7 @@ class TangentLevel(SmallLevel):
             tangents.smooth(self.correction, *about, self._other, *pace, self.parts)
             self.correction, self._other = self._other, self.correction
 
-    def _hand_down(self, coarse: TangentLevel) -> None:
+    def _restrict_residual(self, coarse: TangentLevel) -> None:
         about = self.load, self.cycled, self.inverse, *self._springs
         tangents.rest(self.correction, *about, self._left, self.parts)
         self._restrict(self._left, coarse.load)

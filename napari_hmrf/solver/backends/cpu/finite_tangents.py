@@ -37,7 +37,7 @@ _CALM, _STRETCHED = 0.9, 2.3
 
 @inline
 def _positive(a0, a1, b0, b1, shear, of_mean, bend):
-    """Return the tangent of stretch and volume, with small eigenvalues raised to a positive one."""
+    """Return the tangent of stretch and volume, with eigenvalues of at least `LEAST` mu."""
     # The sides split into a conformal part P and an anticonformal part Q, with the Jacobian
     # (P^2 - Q^2) / 2. Along P and Q the tangent is a 2 x 2 block; across P and across Q it is
     # diagonal.

@@ -13,7 +13,7 @@ from numba import get_num_threads, int64
 
 from napari_hmrf.solver.backends.cpu.compiled import inline, shared
 
-# Least number of rows of a thread; with fewer, the rows that two threads both compute dominate.
+# Least number of rows of a thread; with fewer rows, too many are computed by two threads.
 _FEW_ROWS = 16
 
 

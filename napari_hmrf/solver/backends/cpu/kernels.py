@@ -290,7 +290,7 @@ def sweeps(
 
 @parallel
 def energy(source, stiffness, spans, weights, share, row_totals):
-    """Compute the energy of the cliques in each row; also square pixels need `weights`."""
+    """Compute the energy of the cliques in each row; square pixels need `weights`, too."""
     for number in prange(source.shape[1] - 4):
         i = int64(number)
         start = max(spans[i, 0], 0)

@@ -67,7 +67,7 @@ class CpuLevel:
         self.load, self.correction, self._other = (self.vector() for _ in range(3))
         self._rows, self._most = np.zeros((2, rows(self.inverse).shape[1] - 2 * PAD))
 
-    def _spring(self, finer: Self) -> None:
+    def _set_springs(self, finer: Self) -> None:
         """Set the springs of sites near held sites of the next finer level.
 
         On entry `inverse` is the diagonal D; on return it is the reciprocal of D with springs.
@@ -100,13 +100,13 @@ class CpuLevel:
         """Compute one Chebyshev step from `correction` to `_other`, and store it in `_step`."""
         raise NotImplementedError
 
-    def _leave(self) -> None:
+    def _compute_residual(self) -> None:
         """Write the residual of the correction to `_rest`."""
         raise NotImplementedError
 
-    def _hand_down(self, coarse: Self) -> None:
+    def _restrict_residual(self, coarse: Self) -> None:
         """Restrict the residual of the correction to the load of `coarse`."""
-        self._leave()
+        self._compute_residual()
         self._restrict(self._rest, coarse.load)
 
     @staticmethod
@@ -114,7 +114,7 @@ class CpuLevel:
         """Restrict forces to the next coarser level."""
         vectors.restrict(fine, coarse)
 
-    def _take(self, coarse: Vector) -> None:
+    def _add_coarse(self, coarse: Vector) -> None:
         """Add the interpolated correction of the next coarser level."""
         vectors.interpolate(coarse, self.correction, self.inverse)
 
@@ -126,7 +126,7 @@ class CpuLevel:
         """Smooth from zero, or again, and restrict the residual to the load of `coarse`."""
         self.relax(steps, from_zero=not again)
         if coarse is not None:
-            self._hand_down(coarse)
+            self._restrict_residual(coarse)
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
         """Smooth from zero with `coarsest` steps."""
@@ -134,7 +134,7 @@ class CpuLevel:
 
     def ascend(self, steps: Steps, coarse: Self) -> None:
         """Add the interpolated coarse correction, and smooth."""
-        self._take(coarse.correction)
+        self._add_coarse(coarse.correction)
         self.relax(steps, from_zero=False)
 
     def relax(self, steps: Steps, from_zero: bool) -> None:

@@ -88,7 +88,7 @@ def residual(
 
 @parallel
 def pull(d, stiffness, lines, blanket, spans, out):
-    """Write -A d to `out` within the spans; also square pixels need `lines`."""
+    """Write -A d to `out` within the spans; square pixels need `lines`, too."""
     for number in prange(d.shape[1] - 4):
         i = int64(number)
         start = max(spans[i, 0], 0)
@@ -138,7 +138,7 @@ def smooth(
 
 @parallel
 def curvature(stiffness, lines, blanket, out):
-    """Compute the curvature of each site's cliques; also square pixels need `lines`."""
+    """Compute the curvature of each site's cliques; square pixels need `lines`, too."""
     for number in prange(out.shape[1] - 4):
         i = int64(number) + 2
         for k in range(out.shape[2] - 4):

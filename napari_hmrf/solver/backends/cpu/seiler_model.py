@@ -86,13 +86,13 @@ class CpuSeilerLevel(CpuLevel):
         # Sites without cliques are fixed, too.
         alone = (self.stiffness[0] > 0) & (self._diagonal == 0)
         vectors.hold(rows(self.inverse), rows(held | alone), rows(self.pins), self.spans)
-        self._forget()
+        self._clear_vectors()
 
     def hold_as(self, finer: CpuSeilerLevel) -> None:
         """Set the springs of sites near held sites of the next finer level."""
         self.inverse[...] = self._diagonal
-        self._spring(finer)
-        self._forget()
+        self._set_springs(finer)
+        self._clear_vectors()
 
     def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
         """Smooth from zero, or again, and restrict the residual to the load of `coarse`.
@@ -114,7 +114,7 @@ class CpuSeilerLevel(CpuLevel):
         numba.set_num_threads(self.threads)
         super().ascend(steps, coarse)
 
-    def _forget(self) -> None:
+    def _clear_vectors(self) -> None:
         """Clear all vectors, because kernels write within the spans only."""
         for vector in (self.correction, self._other, self._step, self._rest):
             vector.fill(0)
@@ -135,7 +135,7 @@ class CpuSeilerLevel(CpuLevel):
             momentum,
         )
 
-    def _leave(self) -> None:
+    def _compute_residual(self) -> None:
         self._residual(self.correction, (self.load, 1), self._springs, (1, self._rest), _NO_ROWS)
 
     def apply(self, direction: Vector, image: Vector) -> float:

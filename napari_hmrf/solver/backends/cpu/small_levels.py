@@ -14,8 +14,8 @@ from napari_hmrf.solver.backends.linear import Steps
 
 Grids = Sequence[tuple[int, ...]]
 
-# Number of sites below which a level is small, and number of finest levels that never count as
-# small: thus a small problem compiles all kernels that a large one needs.
+# Number of sites below which a level is small; and number of finest levels that never count as
+# small, so that a small problem compiles all kernels that a large one needs.
 _SMALL, _LARGE = 8000, 2
 
 

@@ -28,7 +28,7 @@ from napari_hmrf.solver.backends.cpu.forces import part
 from napari_hmrf.solver.backends.cpu.hexahedra import BLOCK, block_forces, force_of, scratch
 from napari_hmrf.solver.backends.cpu.vectors import restrict_row
 
-# Least number of planes of a thread; with fewer, the planes that two threads both compute dominate.
+# Least number of planes of a thread; with fewer planes, too many are computed by two threads.
 _FEW_PLANES = 8
 
 

@@ -88,7 +88,7 @@ class CpuVolumeLevel(CpuLevel):
     def hold_as(self, finer: CpuVolumeLevel) -> None:
         """Set the springs of sites near held sites of the next finer level."""
         volume.diagonal(self.lame, self.share, self.shape, self.inverse)
-        self._spring(finer)
+        self._set_springs(finer)
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Run Chebyshev-Jacobi steps on `correction` for `load`."""
@@ -105,7 +105,7 @@ class CpuVolumeLevel(CpuLevel):
                 self.correction, self._other = self._other, self.correction
             self.checkpoint()
 
-    def _hand_down(self, coarse: CpuVolumeLevel) -> None:
+    def _restrict_residual(self, coarse: CpuVolumeLevel) -> None:
         # `_other` is free for the residual: the next step has no momentum and does not read it.
         self._rest_of(self.correction, self.load, np.float32(1), np.float32(1), self._other)
         self._restrict(self._other, coarse.load)
@@ -132,7 +132,7 @@ class CpuVolumeLevel(CpuLevel):
     def _restrict(fine: Vector, coarse: Vector) -> None:
         volume.restrict(fine, coarse)
 
-    def _take(self, coarse: Vector) -> None:
+    def _add_coarse(self, coarse: Vector) -> None:
         volume.interpolate(coarse, self.correction, self.inverse)
 
 

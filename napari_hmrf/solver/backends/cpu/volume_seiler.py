@@ -141,7 +141,7 @@ def _curvature_row(tissue, span, out, i):
     f = scratch(out)
     for x in range(max(span[0], 0) + 2, span[1] + 2, BLOCK):
         end = min(x + BLOCK, span[1] + 2)
-        look(out, stiffness, lines, offsets, i, x, end - x, f)  # curvature ignores displacement
+        look(out, stiffness, lines, offsets, i, x, end - x, f)  # for any displacement
         for k in range(3):
             out[k, i, x:end] = curvature_of(f, k)[: end - x]
 

@@ -82,7 +82,7 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
         if len(paces) % 2 == 1:
             self.correction, self._other = self._other, self.correction
 
-    def _hand_down(self, coarse: CpuSeilerLevel) -> None:
+    def _restrict_residual(self, coarse: CpuSeilerLevel) -> None:
         # `_other` is free for the residual: the next step has no momentum and does not read it.
         out = 1, self._other
         self._residual(self.correction, (self.load, 1), self._springs, out, np.zeros(0))
@@ -92,10 +92,10 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
     def _restrict(fine: Vector, coarse: Vector) -> None:
         volume.restrict(fine, coarse)
 
-    def _take(self, coarse: Vector) -> None:
+    def _add_coarse(self, coarse: Vector) -> None:
         volume.interpolate(coarse, self.correction, self.inverse)
 
-    def _forget(self) -> None:
+    def _clear_vectors(self) -> None:
         """Clear the corrections, because kernels write within the spans only."""
         self.clear()
 

@@ -42,7 +42,7 @@ class _ThreadBound:
 
 
 class BrickFactors:
-    """Factors of a matrix.
+    """Factors of a matrix on a voxel grid, by SuperLU.
 
     Parameters
     ----------

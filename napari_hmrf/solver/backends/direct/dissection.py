@@ -67,7 +67,7 @@ class _Share(NamedTuple):
 
 
 class Dissection:
-    """Factors of a matrix.
+    """Factors of a matrix on a pixel grid, by nested dissection.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class Dissection:
         self._span = tuple(size - patch + 1 for size in moves.shape[:2])
         self._tiles = tuple(-(-size // TILE) for size in self._span)
         self._progress, self._done, self._work = progress, 0.0, work(moves.shape)
-        self._place()
+        self._number_components()
         # Diagonal of the matrix, summed over the elements that have been assembled so far.
         self._diagonal, self._lock = np.zeros(moves.size + 1), threading.Lock()
         self._springs = np.zeros(moves.size + 1)
@@ -135,7 +135,7 @@ class Dissection:
         """Memory of the factors, in bytes."""
         return sum(part.nbytes for step in self._steps for part in step if part is not None)
 
-    def _place(self) -> None:
+    def _number_components(self) -> None:
         """Set the numbers of the components of each tile; all fixed components have the last."""
         side = TILE + self._patch - 1
         height, width, fields = self._moves.shape

@@ -53,7 +53,7 @@ class Assembled(Protocol):
 
 
 class Factors:
-    """Factors of a model.
+    """Direct factors of the matrix of a linear model.
 
     Parameters
     ----------

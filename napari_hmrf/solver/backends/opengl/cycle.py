@@ -20,7 +20,7 @@ class CycleLevel(Generic[ScalarType]):
         """Smooth from zero, or again, and restrict the residual to the load of `coarse`."""
         self._relax(steps, from_zero=not again)
         if coarse is not None:
-            self._hand_down(coarse)
+            self._restrict_residual(coarse)
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
         """Smooth from zero with `coarsest` steps."""
@@ -40,6 +40,6 @@ class CycleLevel(Generic[ScalarType]):
         """Smooth the correction for the load."""
         raise NotImplementedError
 
-    def _hand_down(self, coarse: Self) -> None:
+    def _restrict_residual(self, coarse: Self) -> None:
         """Restrict the residual of the correction to the load of `coarse`."""
         raise NotImplementedError

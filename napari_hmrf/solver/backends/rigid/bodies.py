@@ -194,7 +194,18 @@ class Bodies:
 
 
 def bodies_of(m: npt.NDArray[np.float32]) -> list[BodySites]:
-    """Find rigid bodies in a stiffness image; return the indices of each body's sites."""
+    """Find rigid bodies, the connected regions of infinite stiffness.
+
+    Parameters
+    ----------
+    m : ndarray, shape (H, W) or (D, H, W)
+        Stiffness.
+
+    Returns
+    -------
+    list of tuple of ndarray
+        Indices of the sites of each body along each axis.
+    """
     rigid = np.isinf(m)
     box = scipy.ndimage.find_objects(rigid.astype(np.uint8))
     if not box:
@@ -224,7 +235,20 @@ def rigid_sites(m: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
 
 
 def rigid_elements(m: npt.NDArray[np.float32], bodies: list[BodySites]) -> npt.NDArray[np.int32]:
-    """Return the number of each element's body, counted from 1; 0 if the element is not rigid."""
+    """Return the number of each element's body.
+
+    Parameters
+    ----------
+    m : ndarray, shape (H, W) or (D, H, W)
+        Stiffness.
+    bodies : list of tuple of ndarray
+        Result of `bodies_of`.
+
+    Returns
+    -------
+    ndarray of int, shape (H - 1, W - 1) or (D - 1, H - 1, W - 1)
+        Number of the body, counted from 1; 0 if the element is not rigid.
+    """
     numbers = np.zeros(m.shape, dtype=np.int32)
     for number, sites in enumerate(bodies, 1):
         numbers[sites] = number

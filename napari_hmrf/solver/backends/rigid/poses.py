@@ -70,7 +70,7 @@ class Poses:
             wanted = body.places + y[body.at]
             sites = body.held.all(axis=0)
             begin = _nearest(body.places[:, sites], wanted[:, sites], body.places)
-            found = _fitted(body.places, begin, wanted, body.held, nearest=False)
+            found = _fit_pose(body.places, begin, wanted, body.held, nearest=False)
             off = float(np.abs(found - wanted)[body.held].max())
             if off > _OFF + _PART * float(np.abs(y[body.at])[body.held].max()):
                 row, col = (float(index.mean() - 2) for index in body.at[1:])
@@ -92,7 +92,7 @@ class Poses:
             wanted = body.places + d[body.at]
             found = _nearest(body.places, wanted, body.places)
             if body.held.any() and not body.held.all():
-                found = _fitted(body.places, found, wanted, body.held)
+                found = _fit_pose(body.places, found, wanted, body.held)
                 found = np.where(body.held, wanted, found)
             d[body.at] = found - body.places
 
@@ -100,7 +100,16 @@ class Poses:
         """Return an intermediate displacement between `d` and `y`.
 
         Held bodies are rotated by at most 0.25 radians, so that they keep their shape on the way.
-        The result is `y` itself if no body has to rotate further.
+
+        Parameters
+        ----------
+        d, y : ndarray, planes
+            Present and final displacement, in pixels.
+
+        Returns
+        -------
+        ndarray, planes
+            Displacement in pixels; `y` itself if no body has to rotate further.
         """
         made = y
         for body in self._bodies:
@@ -151,7 +160,7 @@ def _turn(angle: float) -> Float64Array:
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
-def _fitted(
+def _fit_pose(
     places: Float64Array,
     begin: Float64Array,
     wanted: Float64Array,

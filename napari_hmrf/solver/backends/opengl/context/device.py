@@ -79,8 +79,8 @@ class Device:
         self._checked: set[str] = set()
         # When moderngl creates a framebuffer, it binds the current one again afterwards, even if
         # that has been released. Therefore a permanent framebuffer is bound before each release.
-        self._home = self.ctx.simple_framebuffer((1, 1))
-        self._home.use()
+        self._idle_framebuffer = self.ctx.simple_framebuffer((1, 1))
+        self._idle_framebuffer.use()
         # The triangle has depth 0.5. The depth test passes where the mask is 1, and everywhere in a
         # framebuffer without a mask.
         self.ctx.enable_only(self.ctx.DEPTH_TEST)
@@ -192,12 +192,12 @@ class Device:
         target.clear()
         # Mesa's softpipe drops the next pass into a framebuffer that was just cleared, unless
         # another framebuffer was bound in between.
-        self._home.use()
+        self._idle_framebuffer.use()
 
     def free(self, objects: Iterable[Any]) -> None:
         """Release textures and framebuffers, unless they were released with the context."""
         if not self.lost:
-            self._home.use()
+            self._idle_framebuffer.use()
             for made in objects:
                 made.release()
 
@@ -304,14 +304,14 @@ _device: Device | None = None
 _parent_devices: list[Device] = []
 
 
-def _disown() -> None:
+def _disown_device() -> None:
     global _device
     if _device is not None:
         _parent_devices.append(_device)
         _device = None
 
 
-in_child_of_fork(_disown)
+in_child_of_fork(_disown_device)
 
 
 def the_device() -> Device:

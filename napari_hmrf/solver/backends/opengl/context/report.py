@@ -50,14 +50,14 @@ def describe() -> dict[str, Any]:
         "made_by": device.way,
         "context_seconds": round(device.seconds, 3),
         "limits": {name: info[name] for name in _LIMITS if name in info},
-        "render_targets": [name for name, k in _FORMATS.items() if _works(device, k)],
+        "render_targets": [name for name, k in _FORMATS.items() if _is_exact(device, k)],
         "stages": list(device.stages),
         "default_stage": device.best_stage,
         "canary": {stage: _canary(stage) for stage in device.stages},
     }
 
 
-def _works(device: Device, components: int) -> bool:
+def _is_exact(device: Device, components: int) -> bool:
     """Return whether values can be written to a texture format and read back unchanged."""
     value = (0.1, -2e-30, 3e30, 7.0)
     made: list[Any] = []

@@ -35,7 +35,7 @@ class GLElasticLevel(RelaxingLevel):
         self._lame, self._element = host.lame, shape
         self._tissue_textures = [passes.texture(stored_planes(host.lame))]
 
-    def _hand_down(self, coarse: Self) -> None:
+    def _restrict_residual(self, coarse: Self) -> None:
         inputs = [
             self.correction.texture,
             self.load.texture,

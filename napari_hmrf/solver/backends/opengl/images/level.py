@@ -38,7 +38,7 @@ class Vector:
     """
 
     def __init__(self, take: Callable[[], Any], spare: list[Any]) -> None:
-        self._take, self._spare = take, spare
+        self._zero_texture, self._spare = take, spare
         self._textures: list[Any] = []  # `__del__` needs the list even if `take` fails
         self._textures.append(take())
 
@@ -51,7 +51,7 @@ class Vector:
     def other(self) -> Any:
         """Texture for the next values; 0 outside tissue."""
         if len(self._textures) == 1:
-            self._textures.append(self._take())
+            self._textures.append(self._zero_texture())
         return self._textures[1]
 
     def turn(self) -> None:
@@ -115,7 +115,7 @@ class GLLevel(CycleLevel[Scalar]):
 
     def vector(self, values: FloatArray | None = None) -> Vector:
         """Return a vector of zeros, or of the values in planes."""
-        made = Vector(self._take, self._spare)
+        made = Vector(self._zero_texture, self._spare)
         if values is not None:
             made.texture.write(stored_planes(values))
             self._passes.device.check("uploading a vector")
@@ -139,11 +139,11 @@ class GLLevel(CycleLevel[Scalar]):
 
     def product(self, a: Vector, b: Vector) -> Scalar:
         """Return the scalar product."""
-        return self._reduced("product", {}, [a.texture, b.texture], "sum", {})
+        return self._reduce("product", {}, [a.texture, b.texture], "sum", {})
 
     def largest(self, a: Vector) -> Scalar:
         """Return the largest absolute value."""
-        return self._reduced("largest", {"PAIRS": 1}, [a.texture], "largest", {"PAIRS": 0})
+        return self._reduce("largest", {"PAIRS": 1}, [a.texture], "largest", {"PAIRS": 0})
 
     def weigh(self, a: Vector, b: Vector) -> tuple[Scalar, Scalar]:
         """Return the largest absolute value of `a`, and the scalar product of both."""
@@ -151,8 +151,8 @@ class GLLevel(CycleLevel[Scalar]):
 
     def quotient(self, a: Scalar | Product, b: Scalar | Product) -> Scalar:
         """Return a / b for numbers of any sign; 0 if b is 0."""
-        made = Scalar(self._one(), self._spare_scalars)
-        inputs = [*self._factors(a), *self._factors(b)]
+        made = Scalar(self._scalar_texture(), self._spare_scalars)
+        inputs = [*self._factor_textures(a), *self._factor_textures(b)]
         self._passes.run(self._passes.program("quotient"), inputs, [made.texture], (1, 1))
         return made
 
@@ -164,7 +164,13 @@ class GLLevel(CycleLevel[Scalar]):
         self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: Number
     ) -> Scalar:
         """Compute d += length direction and rest -= length image; return rest . rest."""
-        inputs = [d.texture, rest.texture, direction.texture, image.texture, *self._over(length)]
+        inputs = [
+            d.texture,
+            rest.texture,
+            direction.texture,
+            image.texture,
+            *self._ratio_textures(length),
+        ]
         signed = {"SIGNED": int(isinstance(length, Scalar))}
         self._run("advance", signed, inputs, [d.other, rest.other, self._shares()])
         d.turn()
@@ -173,7 +179,7 @@ class GLLevel(CycleLevel[Scalar]):
 
     def turn(self, steepest: Vector, direction: Vector, share: Number) -> None:
         """Compute direction = steepest + share direction."""
-        inputs = [steepest.texture, direction.texture, *self._over(share)]
+        inputs = [steepest.texture, direction.texture, *self._ratio_textures(share)]
         self._run("turn", {}, inputs, [direction.other])
         direction.turn()
 
@@ -210,7 +216,7 @@ class GLLevel(CycleLevel[Scalar]):
         program.set(uniforms or {})
         self._passes.run(program, inputs, outputs, self._pairs, tissue=self._tissue)
 
-    def _take(self) -> Any:
+    def _zero_texture(self) -> Any:
         """Return a texture of zeros, reused if possible."""
         if not self._spare:
             return self._passes.blank(self._pairs, 4)
@@ -225,9 +231,9 @@ class GLLevel(CycleLevel[Scalar]):
         return self._share
 
     def _sum_of_shares(self) -> Scalar:
-        return self._reduced("sum", {}, [self._share], "sum", {})
+        return self._reduce("sum", {}, [self._share], "sum", {})
 
-    def _reduced(
+    def _reduce(
         self,
         first: str,
         first_defines: dict[str, int],
@@ -240,7 +246,7 @@ class GLLevel(CycleLevel[Scalar]):
         while True:
             rows, cols = (-(-size // BLOCK) for size in grid)
             grid = rows, cols
-            scalar = Scalar(self._one(), self._spare_scalars) if grid == (1, 1) else None
+            scalar = Scalar(self._scalar_texture(), self._spare_scalars) if grid == (1, 1) else None
             output = scalar.texture if scalar else self._block(grid)
             program = self._passes.program(name, {"BLOCK": BLOCK, **defines})
             self._passes.run(program, inputs, [output], grid)
@@ -248,7 +254,7 @@ class GLLevel(CycleLevel[Scalar]):
                 return scalar
             name, defines, inputs = then, then_defines, [output]
 
-    def _one(self) -> Any:
+    def _scalar_texture(self) -> Any:
         return self._spare_scalars.pop() if self._spare_scalars else self._passes.empty((1, 1), 1)
 
     def _block(self, grid: tuple[int, int]) -> Any:
@@ -256,13 +262,13 @@ class GLLevel(CycleLevel[Scalar]):
             self._blocks[grid] = self._passes.empty(grid, 1)
         return self._blocks[grid]
 
-    def _over(self, number: Number) -> list[Any]:
+    def _ratio_textures(self, number: Number) -> list[Any]:
         """Return the textures of numerator and denominator of a number, as inputs of a kernel."""
         if isinstance(number, Ratio):
             return [number.above.texture, number.below.texture]
         return [number.texture, self._passes.unit]
 
-    def _factors(self, number: Scalar | Product) -> list[Any]:
+    def _factor_textures(self, number: Scalar | Product) -> list[Any]:
         """Return the textures of both factors of a number, as inputs of a kernel."""
         if isinstance(number, Product):
             return [number.first.texture, number.second.texture]

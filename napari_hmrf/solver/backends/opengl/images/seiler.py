@@ -46,7 +46,7 @@ class GLSeilerLevel(RelaxingLevel):
         if not host.blanket:
             self._even = passes.texture(stored_planes(np.stack([host.even] * 2)))
 
-    def _hand_down(self, coarse: Self) -> None:
+    def _restrict_residual(self, coarse: Self) -> None:
         inputs = [
             self.correction.texture,
             self.load.texture,

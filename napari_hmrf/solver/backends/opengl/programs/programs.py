@@ -125,7 +125,7 @@ class Compiled:
                 if name in self._uniforms:  # the compiler may remove unused uniforms
                     self._program[name].write(data)
 
-    def _place(self, name: str, *numbers: int) -> None:
+    def _set_integers(self, name: str, *numbers: int) -> None:
         if self._placed.get(name) != numbers:
             self._placed[name] = numbers
             self.set({name: np.array(numbers, np.int32)})
@@ -155,7 +155,7 @@ class _Fragment(Compiled):
         for unit, texture in enumerate(inputs):
             texture.use(unit)
         rows, cols = region.size
-        self._place("origin", 0, first_row)
+        self._set_integers("origin", 0, first_row)
         target.viewport = (region.left, first_row + region.top, cols, rows)
         target.use()
         self._vertices.render(vertices=3)
@@ -194,16 +194,16 @@ class _Compute(Compiled):
             texture.use(unit)
         for unit, texture in enumerate(outputs):
             texture.bind_to_image(unit, read=False, write=True)
-        self._place("origin", 0, first_row)
+        self._set_integers("origin", 0, first_row)
         if isinstance(region, Window):
             rows, cols = (-(-size // side) for size, side in zip(region.size, GROUP, strict=True))
-            self._place("begin", region.left, region.top)
-            self._place("end", region.right, region.bottom)
+            self._set_integers("begin", region.left, region.top)
+            self._set_integers("end", region.right, region.bottom)
         else:
             rows, cols = region.bottom - region.top, region.places.width
             region.places.use(len(inputs))
-            self._place("first", region.top)
-            self._place("end", *reversed(region.grid))
+            self._set_integers("first", region.top)
+            self._set_integers("end", *reversed(region.grid))
         if self._first and self._dispatch is not None:
             self._first -= 1
             self._dispatch(self._program.glo, cols, rows)

@@ -210,7 +210,7 @@ class Source:
         number = 0
         for line in self.text.splitlines():
             directive = re.match(r"#line (\d+)", line)
-            place = "" if directive or not number else ":".join(self._place(number))
+            place = "" if directive or not number else ":".join(self._position(number))
             lines.append(f"{place:>24} | {line}")
             number = int(directive[1]) if directive else number + bool(number)
         return "\n".join(lines)
@@ -219,12 +219,12 @@ class Source:
         """Return a compiler's log with file names, followed by the numbered text."""
 
         def named(match: re.Match[str]) -> str:
-            name, line = self._place(int(match[2]))
+            name, line = self._position(int(match[2]))
             return f"{name}{match[1]}{line}"
 
         return f"{_PLACE.sub(named, log.strip())}\n\n{self.numbered()}"
 
-    def _place(self, number: int) -> tuple[str, str]:
+    def _position(self, number: int) -> tuple[str, str]:
         """Return the file name and line for a line number of the compiler."""
         file, line = divmod(number, _FILE_LINES)
         return self.files[min(file, len(self.files) - 1)], str(line)

@@ -130,8 +130,8 @@ class VolumeProgram(Compiled):
 
     def run(self, first: int, past: int) -> None:
         """Start the groups from `first` to `past` (excluded), without waiting for the device."""
-        self._place("first", first)
-        self._place("past", past)
+        self._set_integers("first", first)
+        self._set_integers("past", past)
         groups = past - first
         cols = min(groups, _ACROSS)
         self._dispatch(self._program.glo, cols, -(-groups // cols))

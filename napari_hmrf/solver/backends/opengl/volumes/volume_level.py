@@ -124,15 +124,15 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         for buffer, each in zip(self._other.buffers, held, strict=True):
             buffer.write(each.astype(np.float32))
         self.diagonal(self.inverse)
-        self._hold("volume_hold", {})
+        self._invert_diagonal("volume_hold", {})
 
     def hold_as(self, finer: Self) -> None:
         """Set the springs of sites near held sites of the next finer level."""
         self.diagonal(self.inverse)
         self._restrict(finer, finer._other, self._other, self.everywhere)
-        self._hold("volume_spring", _numbers(most_pins=MOST_PINS, strength=SPRING))
+        self._invert_diagonal("volume_spring", _numbers(most_pins=MOST_PINS, strength=SPRING))
 
-    def _hold(self, name: str, uniforms: Uniforms) -> None:
+    def _invert_diagonal(self, name: str, uniforms: Uniforms) -> None:
         """Invert the diagonal for the pins in `_other`, and list the groups with moving sites."""
         buffers = {"inverse": self.inverse, "pins": self._other.buffers, "springs": self._springs}
         self._run_everywhere(name, {**buffers, "shares": [self._shares]}, uniforms)
@@ -167,7 +167,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         uniforms = {**self.shape, "paces": paces, **_integers(count=len(coarsest))}
         self._passes.run_alone("volume_finish", buffers, self._region, uniforms, self._defines)
 
-    def _hand_down(self, coarse: Self) -> None:
+    def _restrict_residual(self, coarse: Self) -> None:
         """Restrict the residual of the correction to the load of `coarse`."""
         buffers = {
             "displacement": self.correction.buffers,
@@ -292,13 +292,15 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         """Compute d += length direction and rest -= length image; return rest . rest."""
         vectors = {"found": d, "rest": rest, "direction": direction, "image": image}
         buffers = {name: vector.buffers for name, vector in vectors.items()}
-        self._run("volume_advance", {**buffers, "shares": [self._shares]}, self._over(length))
+        self._run(
+            "volume_advance", {**buffers, "shares": [self._shares]}, self._ratio_uniforms(length)
+        )
         return self._passes.total(self._shares, self._region.number)[0]
 
     def turn(self, steepest: Vector, direction: Vector, share: Number) -> None:
         """Compute direction = steepest + share direction."""
         buffers = {"steepest": steepest.buffers, "direction": direction.buffers}
-        self._run("volume_turn", buffers, self._over(share))
+        self._run("volume_turn", buffers, self._ratio_uniforms(share))
 
     def read(self, *scalars: Number) -> tuple[float, ...]:
         """Wait for the device, and return the values of scalars."""
@@ -326,7 +328,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         for buffer in buffers:
             self._passes.device.clear_buffer(buffer)
 
-    def _over(self, number: Number) -> Uniforms:
+    def _ratio_uniforms(self, number: Number) -> Uniforms:
         """Return the uniforms `above` and `below` of a kernel for a scalar or a ratio."""
         above, below = number if isinstance(number, Ratio) else (number, self._passes.unit)
         return _integers(above=above.slot, below=below.slot)
