@@ -78,7 +78,7 @@ _NO_STAGE = Stage("", 0, 0, 0.0)
 
 
 def compile_meanwhile(job: str = "") -> None:
-    """Start another process that compiles the loops, unless it is running or not needed.
+    """Start another process that compiles the loops, unless one runs or they are compiled.
 
     Parameters
     ----------

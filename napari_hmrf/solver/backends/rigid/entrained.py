@@ -11,7 +11,7 @@ class Entrained(Protocol):
     Attributes
     ----------
     close : bool
-        True if bodies are so close together that cycles reduce the error between them badly.
+        True if bodies are so close together that cycles reduce errors between them slowly.
     sure : bool
         True if single precision separates the motions.
     """
