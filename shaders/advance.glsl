@@ -1,4 +1,4 @@
-// A step of an iteration along a direction.
+// Step of an iteration along a direction.
 //
 //     length = above / below, or `above` alone if SIGNED
 //     further = found + length direction,    left = rest - length image,    share = left . left
@@ -8,8 +8,8 @@
 //          above, below      scalars (scalars.glsl)
 // Outputs: further           pixels; pairs
 //          left              pixels times stiffness; pairs
-//          share             a pair's part of the square
-// Border rule: none needed, a pair reads its own texel only.
+//          share             part of each pair in left . left
+// Border rule: none needed, because a pair reads only its own texel.
 
 void kernel(ivec2 pair)
 {

@@ -1,13 +1,13 @@
-// What the tissue answers to a displacement, such as the direction of a step.
+// Product of the matrix and a displacement, such as a search direction.
 //
 //     image = A d where a component moves, 0 elsewhere;    share = d . image
 //
 // Inputs:  displacement      d, pixels; pairs
-//          lame              elastic: Lame's parameters of the elements (elements.glsl); pairs
-//          straight, diagonal  the paper's: stiffness ratios (ratios.glsl)
-//          inverse_diagonal  D^-1, 0 where a component does not move; pairs
+//          lame              elastic prior: Lame parameters of elements (elements.glsl); pairs
+//          straight, diagonal  paper's prior: stiffness ratios (ratios.glsl)
+//          inverse_diagonal  D^-1; 0 where a component does not move; pairs
 // Outputs: image             pixels times stiffness; pairs
-//          share             a pair's part of the scalar product
+//          share             part of each pair in the scalar product
 // Border rule: elements and cliques that leave the image do not exist; reads are clamped.
 
 void read_row(ivec2 pair, out vec2 row[4])

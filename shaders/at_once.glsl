@@ -1,12 +1,12 @@
-// All steps of a small level's smoother at once: from zero they are one matrix times the load.
+// All steps of a small level's smoother from zero, as one product of a matrix and the load.
 //
-//     corrected(pair) = sum over the pairs q of matrix(pair, q) load(q),    4 x 4 values each
+//     corrected(p) = sum over the pairs q of matrix(p, q) load(q),    with blocks of 4 x 4 values
 //
-// Inputs:  load    what the level is relaxed for, pixels times stiffness; pairs
-//          matrix  row p has what pair p gets, pairs counted row by row; its texel 4 q + k has the
-//                  answer of the four values to the value k of pair q
-// Outputs: corrected  pixels; pairs
-// Border rule: none needed, all pairs are read once.
+// Inputs:  load    load of the level, pixels times stiffness; pairs
+//          matrix  1 / stiffness; row p belongs to pair p, in row-major order of the pairs, and its
+//                  texel 4 q + k has the effect of value k of pair q on the four values of pair p
+// Outputs: corrected  correction, pixels; pairs
+// Border rule: none needed, because each pair is read once.
 
 void kernel(ivec2 pair)
 {

@@ -1,15 +1,18 @@
-// Where a level's smoother begins, for models whose steps cannot find that on the way (smooth.glsl).
+// Start of a level's smoother, for kernels of smooth.glsl that support START 0 only.
 //
-//     START 1    begun = taken = first_scale D^-1 load: the first step from zero
-//     START 2    begun = displacement + the coarser level's correction where sites move,    taken = 0
+//     START 1    begun = taken = first_scale D^-1 load, the first step from zero
+//     START 2    begun = displacement + P coarse where components move,    taken = 0
 //
-// Inputs:  displacement      the correction so far, pixels; pairs
-//          load              what the level is relaxed for; pairs
+// with the bilinear interpolation P.
+//
+// Inputs:  displacement      correction of the level, pixels; pairs
+//          load              load of the level, pixels times stiffness; pairs
 //          inverse_diagonal  D^-1; 0 where a component does not move; pairs
-//          coarse            the coarser level's correction, pixels (interpolation.glsl); pairs
+//          coarse            correction of the coarser level, pixels (interpolation.glsl); pairs
 //          first_scale       no unit
-// Outputs: begun, taken      pixels; pairs
-// Border rule: as that of the interpolation; otherwise a pair reads its own texel only.
+// Outputs: begun             correction after the start, pixels; pairs
+//          taken             last step, pixels; pairs
+// Border rule: that of interpolation.glsl; other inputs are read at the pair itself only.
 
 uniform float first_scale;
 

@@ -1,15 +1,16 @@
-// A kernel whose answer is known exactly: it tells a device that computes from one that does not.
+// Test kernel with a known result, which detects a device that computes wrong values.
 //
-//     first  = (3 n, n + col, n - row, 2^20 + n) with n the number stored at the mirrored site
+//     first  = (3 n, n + col, n - row, 2^20 + n)
 //     second = (n / 4, row - col)
 //     third  = n / 8 + row col
 //
-// Small whole numbers and eighths only, so that every operation is exact in float32; it takes a
-// read at an unequal address, arithmetic, three outputs and integer coordinates to get it right.
+// where n is the number at the mirrored site. All numbers are small integers or eighths, so that
+// all operations are exact in float32. The kernel tests a read from another address, arithmetic,
+// three outputs and integer coordinates.
 //
-// Inputs:  numbers  whole numbers below 1000, no unit
+// Inputs:  numbers  integers below 1000, no unit
 // Outputs: first, second, third  no unit
-// Border rule: none needed, the mirrored site lies in the image.
+// Border rule: none needed, because the mirrored site is in the image.
 
 void kernel(ivec2 site)
 {

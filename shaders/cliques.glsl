@@ -1,20 +1,23 @@
-// The potentials of three sites s - t - u in a line, t in the middle (eqs. 9 to 11):
+// Potentials of cliques: three sites s - t - u on a line, with t in the middle (eqs. 9 to 11).
 //
 //     V = w . [ (r_u (d_t - d_s) - (d_u - d_t))^2 + (r_s (d_t - d_u) - (d_s - d_t))^2 ]
 //
-// with r_s = m_t/m_s, r_u = m_t/m_u and w the weight of the line for the (row, col) component.
-// As a function of one site's displacement it is a parabola; curvature A and slope b (minus half
-// the derivative at the present displacement) of all cliques of a site add up, and the lowest
-// point is b / A away from where the site is.
+// with r_s = m_t/m_s, r_u = m_t/m_u and the weight w of the line for the (row, col) component.
+// V is a parabola in the displacement of each site. The curvatures A and the slopes b (minus half
+// the derivative at the present displacement) of all cliques of a site are added. The distance of
+// the site from its minimum is then b / A.
 //
-// Everything is built from differences of displacement, taken first: the energy of an assembled
-// stencil loses whole pixels to cancellation in a large image.
+// Differences of displacement are computed first, because an assembled stencil would lose whole
+// pixels to cancellation in a large image.
 //
+// Inputs:  displacement  d, pixels; pairs (by `read_row`, which a kernel defines)
+//          straight, diagonal  stiffness ratios, no unit (ratios.glsl)
+//          weights       w, no unit
 // Border rule: a clique that leaves the image or touches void has both ratios 0 (ratios.glsl) and
-// counts for nothing, whatever the displacements given for it.
+// contributes nothing, whatever the displacements.
 
-// Weight of each line for the (row, col) component, no unit: `napari_hmrf.solver.priors.line_weights`.
-// Those of square pixels are given here, because the compiler leaves out what they make zero.
+// Weight of each line for the (row, col) component: `napari_hmrf.solver.priors.line_weights`. The
+// weights of square pixels are constants, so that the compiler removes terms with weight zero.
 #if SQUARE
 const vec2 weights[4] = vec2[4](vec2(1.0, 0.0), vec2(0.0, 1.0), vec2(1.0), vec2(1.0));
 #else
@@ -23,14 +26,14 @@ uniform vec2 weights[4];
 
 const float TINY = 1e-30;
 
-/// What the cliques of a site say about it; energy is that of those whose middle it is.
+/// Sums over the cliques of a site; the energy includes only cliques with the site as middle.
 struct Evidence {
     vec2 curvature;
     vec2 slope;
     float energy;
 };
 
-/// Add the clique that the site is the middle of; s and u are d_s - d_t and d_u - d_t.
+/// Add a clique with the site as middle; s and u are d_s - d_t and d_u - d_t.
 void add_middle(inout Evidence evidence, vec2 weight, vec2 ratio, vec2 s, vec2 u)
 {
     float exists = ratio.x > 0.0 ? 1.0 : 0.0;
@@ -43,9 +46,9 @@ void add_middle(inout Evidence evidence, vec2 weight, vec2 ratio, vec2 s, vec2 u
     evidence.energy += energy.x + energy.y;
 }
 
-/// Add a clique that the site is an end of: `near` is the site's own d minus that of the middle,
-/// `far` that of the other end minus that of the middle; `ratio` is (m_t / m of the site,
-/// m_t / m of the other end).
+/// Add a clique with the site as an end. `near` is the displacement of the site minus that of the
+/// middle, and `far` that of the other end minus that of the middle. `ratio` is (m_t / m of the
+/// site, m_t / m of the other end).
 void add_end(inout Evidence evidence, vec2 weight, vec2 ratio, vec2 near, vec2 far)
 {
     float exists = ratio.x > 0.0 ? 1.0 : 0.0;
@@ -55,24 +58,24 @@ void add_end(inout Evidence evidence, vec2 weight, vec2 ratio, vec2 near, vec2 f
         counted * (ratio.y * (ratio.y * near + far) + (ratio.x * far + near));
 }
 
-// The displacements around a pair: three rows of four sites, the pair being sites 1 and 2 of the
-// middle one. An invocation may do several pairs, one below the other; for each after the first it
-// has two of the three rows already.
+// Displacements around a pair: three rows of four sites, with the pair as sites 1 and 2 of the
+// middle row. An invocation may compute several pairs, one below the other; after the first pair
+// it reads only one new row for each.
 vec2 above[4];
 vec2 here[4];
 vec2 below[4];
 
-/// Find the displacement of a pair and of the sites before and after it. A kernel defines this.
+/// Read the displacement of a pair and of the sites before and after it. A kernel defines this.
 void read_row(ivec2 pair, out vec2 row[4]);
 
-/// Get ready for an invocation's first pair. The stage does this, once.
+/// Prepare the first pair of an invocation. The stage calls this once.
 void enter(ivec2 pair)
 {
     read_row(pair - VERTICAL, here);
     read_row(pair, below);
 }
 
-/// Get ready for a pair: the first, or the one below the last.
+/// Read the rows for a pair: the first one, or the one below the previous pair.
 void look_around(ivec2 pair)
 {
     above = here;
@@ -80,7 +83,7 @@ void look_around(ivec2 pair)
     read_row(pair + VERTICAL, below);
 }
 
-/// What the four cliques say that a site, number k of the middle row, is the middle of.
+/// Return the sums over the four cliques with a site, number k of the middle row, as middle.
 Evidence centred(ivec2 site, int k)
 {
     vec2 d = here[k];
@@ -94,7 +97,7 @@ Evidence centred(ivec2 site, int k)
     return evidence;
 }
 
-/// The observation energy of a site (eqs. 17 and 18); observation is (y, p = K c).
+/// Return the observation energy of a site (eqs. 17 and 18); `observation` is (y, p = K c).
 float observed(vec2 displacement, vec4 observation)
 {
     vec2 energy = observation.zw * abs(observation.xy - displacement);

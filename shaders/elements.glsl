@@ -1,29 +1,32 @@
-// The forces of elastic elements, 2 x 2 blocks of sites (`napari_hmrf.solver.priors.elastic`).
+// Forces of elastic elements, 2 x 2 blocks of sites (`napari_hmrf.solver.priors.elements`).
 //
-// An element has the number of its first site (least row and col). Its displacement is seen as
-// three differences per component, D_r along rows, D_c along columns and the twist D_x; from each
-// follows what it pulls with at the four corners. Forces are built from these differences and
-// never from an assembled stencil, which would lose whole pixels to cancellation in a large image.
+//     f = B^T C B d,    B d = (D_r, D_c, D_x)
 //
-// Kernels that include this read `lame`: Lame's parameters of the elements, relative to the
-// stiffest, 0 where one of the four sites is void; pairs.
+// An element has the index of its first site (least row and column). Its displacement is described
+// by three differences per component: D_r along rows, D_c along columns and the twist D_x. C
+// follows from the Lame parameters and the shape of a pixel. Forces are computed from these
+// differences, because an assembled stencil would lose whole pixels to cancellation in a large
+// image.
 //
-// Border rule: an element that leaves the image is void. The last row and col of `lame` are so
-// already, before the first ones `lame_at` sees to it.
+// Inputs:  lame   Lame parameters of the elements, relative to the stiffest tissue; 0 if one of the
+//                 four sites is void; pairs
+//          shape  constants of the shape of a pixel, no unit
+// Border rule: an element that leaves the image is void. The last row and column of `lame` are 0;
+// before the first ones `lame_at` returns 0.
 
-// What the shape of a pixel makes of the differences: `priors.elastic.ElementShape`, in its order:
-// rows, cols, mixed, twist_rows, twist_cols, twist_volume.
+// Constants of `napari_hmrf.solver.priors.elements.ElementShape`, in its order: rows, cols, mixed,
+// twist_rows, twist_cols, twist_volume.
 uniform float shape[6];
 
-/// Lame's parameters of a pair of elements.
+/// Return the Lame parameters of a pair of elements.
 vec4 lame_at(ivec2 pair)
 {
     vec4 both = texelFetch(lame, clamped(pair, textureSize(lame, 0)), 0);
     return min(pair.x, pair.y) < 0 ? vec4(0.0) : both;
 }
 
-/// Add what an element pulls with at its corners, given their displacements; the first digit counts
-/// rows, the second columns.
+/// Add the forces of an element at its corners, given their displacements. The first digit of a
+/// corner counts rows, the second columns.
 void add_element(
     vec2 lame, vec2 d00, vec2 d01, vec2 d10, vec2 d11,
     inout vec2 f00, inout vec2 f01, inout vec2 f10, inout vec2 f11)

@@ -1,10 +1,10 @@
-// The cliques that a site is an end of: with those whose middle it is (cliques.glsl), all that
-// contain it, which is the textbook reading of eq. 7.
+// Cliques that have a site as an end. Together with those that have it as the middle (cliques.glsl)
+// they are all cliques that contain the site, as in the usual interpretation of eq. 7.
 //
-// Border rule: a clique whose middle lies outside of the image does not exist; reads are clamped.
+// Border rule: a clique with its middle outside the image does not exist; reads are clamped.
 
 #if BLANKET
-/// Add the two cliques of a line; `ratios` is the image that holds the line's.
+/// Add the two cliques of a line; `ratios` is the texture with the ratios of that line.
 void add_ends(
     inout Evidence evidence, ivec2 site, vec2 d, ivec2 line, vec2 weight, sampler2D ratios, bool second)
 {
@@ -13,7 +13,7 @@ void add_ends(
         ivec2 middle = site + end * line;
         vec4 both = texelFetch(ratios, clamped(middle, size), 0);
         vec2 ratio = second ? both.zw : both.xy;
-        // Seen from the middle the site lies behind, at its end s, where it came from `end` > 0.
+        // The site is the end s of the clique if `end` > 0, otherwise the end u.
         ratio = end > 0 ? ratio : ratio.yx;
         ratio = in_image(middle, size) ? ratio : vec2(0.0);
         vec2 d_t = value_at(displacement, clamped(middle, size));
@@ -22,7 +22,7 @@ void add_ends(
     }
 }
 
-/// Add all eight; d is the site's displacement.
+/// Add all eight cliques; d is the displacement of the site.
 void add_all_ends(inout Evidence evidence, ivec2 site, vec2 d)
 {
     add_ends(evidence, site, d, VERTICAL, weights[0], straight, false);

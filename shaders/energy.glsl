@@ -1,13 +1,14 @@
-// Each pair's share of U_total (eq. 7): the cliques its sites are the middle of, and their data
-// terms.
+// Part of each pair in U_total (eq. 7): cliques with its sites as middle, and their data terms.
 //
-//     share = sum over the four lines of V(s, t, u) + p_row |y_row - d_row| + p_col |y_col - d_col|,
-//             of both sites
+//     share = sum over the four lines of V(s, t, u) + p_row |y_row - d_row| + p_col |y_col - d_col|
+//
+// added for both sites of the pair.
 //
 // Inputs:  displacement  d, pixels; pairs
-//          straight, diagonal  stiffness ratios (ratios.glsl); the lines' weights: cliques.glsl
+//          straight, diagonal  stiffness ratios (ratios.glsl)
+//          weights       weight of each line, no unit (cliques.glsl)
 //          observation   (y in pixels, p = K c in energy per pixel)
-// Outputs: share         pixels squared; one value for a pair
+// Outputs: share         pixels squared; one value for each pair
 // Border rule: cliques that leave the image do not exist; reads are clamped to the image.
 
 void read_row(ivec2 pair, out vec2 row[4])
@@ -15,7 +16,7 @@ void read_row(ivec2 pair, out vec2 row[4])
     read_pairs(displacement, pair, row);
 }
 
-/// The share of a site, number k of the middle row.
+/// Return the energy of a site, number k of the middle row.
 float share_of(ivec2 site, int k)
 {
     return centred(site, k).energy + observed(here[k], texelFetch(observation, site, 0));

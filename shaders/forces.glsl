@@ -1,23 +1,27 @@
-// What the elements around a pair of sites pull at it with: the stiffness matrix times displacement.
+// Force of the elements around a pair of sites: the stiffness matrix times displacement.
 //
-// An invocation may do several pairs, one below the other; what the row of elements between two of
-// them pulls with is found once for both. The kernel says what displacement is, by `read_row`.
+//     force = (A d) at both sites of the pair
 //
-// Border rule: elements beyond the border are void (elements.glsl), so that whatever a clamped read
-// gives for the sites there counts for nothing.
+// An invocation may compute several pairs, one below the other; the forces of the row of elements
+// between two pairs are computed once for both.
+//
+// Inputs:  displacement  pixels, by the function `read_row` of the kernel
+//          lame, shape   elements (elements.glsl)
+// Border rule: elements outside the image are void (elements.glsl), so the values of clamped reads
+// do not matter.
 
-// Displacement of four sites of a row, the pair being the middle two: the row that is done, and the
-// one below it.
+// Displacement of four sites of a row, with the pair as the middle two: the present row, and the
+// row below it.
 vec2 here[4];
 vec2 below[4];
-// At the two sites of the pair: the force, and what the next row of sites has of its own so far.
+// At the two sites of the pair: the force, and the part of the next row's force that is known.
 vec2 force[2];
 vec2 carried[2];
 
-/// Find the displacement of a pair and of the sites before and after it. A kernel defines this.
+/// Read the displacement of a pair and of the sites before and after it. A kernel defines this.
 void read_row(ivec2 pair, out vec2 row[4]);
 
-/// What the elements between two rows of sites pull with; the pair is that of the upper row.
+/// Compute the forces of the elements between two rows of sites on both; `pair` is the upper one.
 void pull(ivec2 pair, vec2 up[4], vec2 down[4], out vec2 upper[2], out vec2 lower[2])
 {
     vec2 before = lame_at(pair - HORIZONTAL).zw;
@@ -29,7 +33,7 @@ void pull(ivec2 pair, vec2 up[4], vec2 down[4], out vec2 upper[2], out vec2 lowe
     add_element(both.zw, up[2], up[3], down[2], down[3], upper[1], other, lower[1], other);
 }
 
-/// Get ready for an invocation's first pair. The stage does this, once.
+/// Prepare the first pair of an invocation. The stage calls this once.
 void enter(ivec2 pair)
 {
     read_row(pair - VERTICAL, here);
@@ -37,7 +41,7 @@ void enter(ivec2 pair)
     pull(pair - VERTICAL, here, below, force, carried);
 }
 
-/// Find the force at a pair: the first, or the one below the last.
+/// Compute the force at a pair: the first one, or the one below the previous pair.
 void find_forces(ivec2 pair)
 {
     here = below;

@@ -1,18 +1,18 @@
-// What is left of a level's load, handed down to the next coarser level.
+// Restriction of a level's residual to the next coarser level, for the paper's prior.
 //
 //     coarse_load = even P^T rest
 //
-// with P the bilinear interpolation by which the correction will come back: coarse site i lies on
-// fine site 2 i and takes a half of what the fine sites beside it have. A load that is a mean over
-// sites, as it is in the paper's centred reading, must stay one: with EVEN the factor `even` makes
-// the sum over the tissue there is as large as one over tissue everywhere.
+// with the bilinear interpolation P (interpolation.glsl): coarse site i lies on fine site 2 i, and
+// the fine sites beside it count with weight 1/2 along each axis. With centred cliques a load is a
+// mean over sites. With EVEN the factor `even` therefore makes the sum over tissue as large as a
+// sum over full surroundings; otherwise it is 1.
 //
-// Inputs:  rest         on the fine level, any unit; 0 where nothing moves; pairs
-//          even         of the coarse level, no unit; pairs
-// Outputs: coarse_load  the unit of the rest; pairs
-// Border rule: beyond the border nothing is left.
+// Inputs:  rest         residual of the fine level, any unit; 0 where nothing moves; pairs
+//          even         factor on the coarse level, no unit; pairs
+// Outputs: coarse_load  unit of the residual; pairs
+// Border rule: the residual is 0 outside the image.
 
-/// What is left at a pair of fine sites.
+/// Return the residual at a pair of fine sites.
 vec4 left(ivec2 pair)
 {
     ivec2 size = textureSize(rest, 0);
@@ -20,7 +20,7 @@ vec4 left(ivec2 pair)
     return in_image(pair, size) ? values : vec4(0.0);
 }
 
-/// The sum along a row of fine sites, at both sites of a coarse pair; `pair` is its first one's.
+/// Sum the residual along a row of fine sites; `pair` is the pair of the first coarse site.
 vec4 along(ivec2 pair)
 {
     vec2 before = left(pair - HORIZONTAL).zw;

@@ -1,43 +1,46 @@
-// What the elements around a site pull at it with: the stiffness matrix times displacement.
+// Force of the elements around a site: the stiffness matrix times displacement.
 //
-// Elements are blocks of 2 x 2 x 2 sites (`napari_hmrf.solver.priors.hexahedra`) and have the number
-// of their first site. An element's displacement is seen as seven modes per component, its sums and
-// differences along the axes: m100 differs along planes, m010 along rows, m001 along columns, and
-// so on. Forces are built from differences and never from an assembled stencil, which would lose
-// whole voxels to cancellation in a large volume. Each mode answers by itself, but for those of the
-// same strain; lambda counts for the mean change of volume only.
+//     force = (A d) at the site
 //
-// An invocation does some sites, one below the other along planes; what the layer of elements
-// between two of them pulls with is found once for both.
+// Elements are blocks of 2 x 2 x 2 sites (`napari_hmrf.solver.priors.hexahedra`) and have the index
+// of their first site. The displacement of an element is described by seven modes per component,
+// which are its sums and differences along the axes: m100 varies along planes, m010 along rows,
+// m001 along columns, and so on. Forces are computed from differences, because an assembled stencil
+// would lose whole voxels to cancellation in a large volume. Only modes that belong to the same
+// strain are coupled; lambda enters through the mean change of volume only.
 //
-// Kernels that include this read `displacement` (or what DISPLACED says), and `lame`: mu of each element, and lambda unless
-// that is a fixed `share` of mu (PARAMETERS is 2 or 1; with 2 `share` is 1), 0 where one of the
-// eight sites is void.
+// An invocation computes several sites, one below the other along planes; the forces of the layer
+// of elements between two sites are computed once for both.
 //
-// Border rule: an element that leaves the volume is void, as `lame` is 0 there.
+// Inputs:  displacement  d, voxels; or the array that DISPLACED defines
+//          lame          mu of each element, and lambda if PARAMETERS is 2; 0 if one of the eight
+//                        sites is void
+//          share         lambda / mu if PARAMETERS is 1, else 1
+//          shape         factors of derivatives along planes, rows and columns
+// Border rule: an element that leaves the volume is void, because `lame` is 0 there.
 
 #ifndef DISPLACED
 #define DISPLACED(k, number) REAL(displacement[k].at[number])
 #endif
 
-// What the size of a voxel makes of derivatives along planes, rows and columns: `BrickShape`.
+// Factors of derivatives along planes, rows and columns: `BrickShape`.
 uniform REAL shape[3];
 uniform REAL share;
 
-// Displacement of 3 x 3 sites of a plane, the invocation's in the middle, component by component:
-// the plane that is done, and the one below it.
+// Displacement of 3 x 3 sites of a plane, with the invocation's site in the middle, component by
+// component: the present plane, and the plane below it.
 REAL here[27];
 REAL below[27];
-// The force at the site, and what the next site has of its own so far.
+// Force at the site, and the part of the next site's force that is known.
 REAL force[3];
 REAL carried[3];
-// What a layer of elements pulls with at the site above it and at the one below.
+// Forces of a layer of elements on the site above it, and on the site below it.
 REAL upper[3];
 REAL lower[3];
 
 struct Modes { REAL m001, m010, m011, m100, m101, m110, m111; };
 
-/// Read the plane below.
+/// Read 3 x 3 sites of a plane into `below`.
 void read_plane(int at)
 {
     int next = pitch();
@@ -54,7 +57,7 @@ void read_plane(int at)
     }
 }
 
-/// The modes of one component of an element, given which of the 27 values is its first.
+/// Return the modes of one component of an element, given the index of its first value.
 Modes modes_of(int first)
 {
     REAL here00 = here[first], here01 = here[first + 1];
@@ -78,7 +81,7 @@ Modes modes_of(int first)
     return m;
 }
 
-/// Add what the modes of one component pull with, at the corners on this side along rows and columns.
+/// Add the forces of the modes of component k at the corner with signs `by_row` and `by_col`.
 void add_pulls(int k, REAL by_row, REAL by_col, Modes pull)
 {
     REAL both = by_row * by_col;
@@ -88,15 +91,15 @@ void add_pulls(int k, REAL by_row, REAL by_col, Modes pull)
     lower[k] += even + odd;
 }
 
-/// A third of the stiffness of modes that vary along two axes, and a ninth if along all.
+/// Return the stiffness factor of modes that vary along two axes, and of those along all axes.
 REAL of_two(REAL own, REAL other) { return (REAL(2) * own * own + other * other) / REAL(3); }
 REAL of_three(REAL own, REAL one, REAL other)
 {
     return (REAL(2) * own * own + one * one + other * other) / REAL(9);
 }
 
-/// Add what an element pulls with at the invocation's sites, which are its corners: of its rows the
-/// first if `behind_row` is 0, else the last; and so its columns.
+/// Add the forces of an element on the invocation's sites, which are corners of the element: in its
+/// first row if `behind_row` is 0, else in its last row; and so for its columns.
 void add_element(int at, int behind_row, int behind_col)
 {
     REAL mu = REAL(lame[0].at[at]);
@@ -131,20 +134,20 @@ void add_element(int at, int behind_row, int behind_col)
         q0 * t02 + q1 * t12, of_three(q2, q0, q1) * mu * w.m111));
 }
 
-/// Find what the layer of elements between the two planes pulls with; the site is that above it.
+/// Compute the forces of the layer of elements between the two planes; `at` is the upper site.
 void pull(int at)
 {
     for (int k = 0; k < 3; ++k) {
         upper[k] = lower[k] = REAL(0);
     }
-    // Not a loop, which not every compiler would unroll; and then arrays would lie in memory.
+    // No loop, because some compilers would not unroll it and would then keep arrays in memory.
     add_element(at - pitch() - 1, 1, 1);
     add_element(at - pitch(), 1, 0);
     add_element(at - 1, 0, 1);
     add_element(at, 0, 0);
 }
 
-/// Get ready for an invocation's first site. The stage does this, once.
+/// Prepare the first site of an invocation. The stage calls this once.
 void enter(int at)
 {
     read_plane(at - stride());
@@ -154,7 +157,7 @@ void enter(int at)
     carried = lower;
 }
 
-/// Find the force at a site: the first, or the one below the last.
+/// Compute the force at a site: the first one, or the one below the previous site.
 void find_forces(int at)
 {
     here = below;
@@ -166,5 +169,5 @@ void find_forces(int at)
     carried = lower;
 }
 
-/// A component of the displacement at the site.
+/// Return component k of the displacement at the site.
 REAL displaced(int k) { return here[9 * k + 4]; }

@@ -1,20 +1,22 @@
-// One sweep of iterated conditional modes: every site moves to its best displacement, given its
+// One sweep of iterated conditional modes: each site moves to its best displacement, given its
 // neighbours (lines 8 and 9 of the algorithm).
 //
-//     local energy(e) = A/g e (e - 2 g b/A) + p (|y - d - e| - |y - d|)   for a move e, g the damping
+//     local energy(e) = A/g e (e - 2 g b/A) + p (|y - d - e| - |y - d|)
 //
-// A and b are what the site's cliques say (cliques.glsl): those whose middle it is, or with
-// BLANKET all that contain it. With STEPS > 0 the move is the best of {0} and {-e, 0, e}^2 for
-// each of the steps e, the earlier one of equals; with STEPS 0 the exact minimiser,
-// d = y + soft(q - y, g p / 2A), q = d + g b/A.
+// for a move e, with the damping g. A and b are curvature and slope of the site's cliques
+// (cliques.glsl): of those with the site as middle, or with BLANKET of all that contain it. If
+// STEPS > 0, the move is the best of {0} and {-e, 0, e}^2 for each of the steps e; if two moves are
+// equal, the earlier one is taken. If STEPS is 0, the site moves to the exact minimiser,
+// d = y + soft(q - y, g p / 2A), with q = d + g b/A.
 //
 // Inputs:  displacement  d, pixels; pairs
-//          straight, diagonal  stiffness ratios (ratios.glsl); the lines' weights: cliques.glsl
+//          straight, diagonal  stiffness ratios (ratios.glsl)
+//          weights       weight of each line, no unit (cliques.glsl)
 //          observation   (y in pixels, p = K c in energy per pixel)
 //          relaxation    g, in (0, 1]
 //          steps         e, pixels
-// Outputs: moved         the new d, pixels; pairs
-//          share         the pair's share of U_total *before* it moved, pixels squared
+// Outputs: moved         new displacement, pixels; pairs
+//          share         energy of each pair *before* the move, pixels squared; the sum is U_total
 // Border rule: cliques that leave the image do not exist; reads are clamped to the image.
 
 uniform float relaxation;
@@ -22,16 +24,16 @@ uniform float relaxation;
 uniform float steps[STEPS];
 #endif
 
-// Below this a displacement becomes 0: arithmetic on denormal numbers is slow on some devices.
+// Displacement below which it is rounded to 0: denormal numbers are slow on some devices.
 const float FLUSH = 1e-18;
 
-/// The displacement of least local energy among those the site may choose from.
+/// Return the displacement with the least local energy among the candidates.
 vec2 best(vec2 d, vec2 curvature, vec2 slope, vec4 seen)
 {
 #if STEPS > 0
     vec2 off = seen.xy - d;
     vec2 now = seen.zw * abs(off);
-    // The energy is convex: it falls in at most one of the two directions, and only that is tried.
+    // The energy is convex, so it decreases in at most one of the two directions.
     vec2 direction = mix(vec2(1.0), vec2(-1.0), lessThan(2.0 * slope + seen.zw * sign(off), vec2(0.0)));
     vec2 twice = 2.0 * direction * slope;
     off *= direction;
@@ -59,7 +61,7 @@ void read_row(ivec2 pair, out vec2 row[4])
     read_pairs(displacement, pair, row);
 }
 
-/// Where a site, number k of the middle row, moves to, and what it gives to U_total before that.
+/// Return the new displacement of a site, number k of the middle row, and its energy before.
 vec2 move(ivec2 site, int k, out float energy)
 {
     vec2 d = here[k];

@@ -1,10 +1,11 @@
-// The coarser level's correction on the sites of a level: bilinear, coarse site i on fine site 2 i.
+// Bilinear interpolation of the coarser level's correction; coarse site i lies on fine site 2 i.
 //
-// Kernels that include this read `coarse`, the coarser level's correction; pairs.
+//     fine(2 i) = coarse(i),    fine(2 i + 1) = (coarse(i) + coarse(i + 1)) / 2    along each axis
 //
-// Border rule: reads are clamped; every site that moves lies between coarse ones.
+// Inputs:  coarse  correction of the coarser level, pixels; pairs
+// Border rule: reads are clamped; all sites that move lie between coarse sites.
 
-/// The coarser level's correction at the sites of a row.
+/// Read the interpolated correction at the sites of a row.
 void read_coarse(ivec2 pair, out vec2 row[4])
 {
     ivec2 size = textureSize(coarse, 0);
@@ -15,7 +16,7 @@ void read_coarse(ivec2 pair, out vec2 row[4])
     near.x = far.x = (pair.x + 1) >> 1;
     vec4 second = texelFetch(coarse, clamped(near, size), 0);
     second += texelFetch(coarse, clamped(far, size), 0);
-    // Twice the correction at three coarse sites: before the pair, on its first site and after it.
+    // Twice the correction at three coarse sites: before the pair, on its first site, and after it.
     bool odd = (pair.x & 1) == 1;
     vec2 before = odd ? first.xy : first.zw;
     vec2 on = odd ? first.zw : second.xy;

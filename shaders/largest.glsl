@@ -1,10 +1,10 @@
-// The largest absolute values of square blocks of BLOCK x BLOCK texels.
+// Largest absolute values of square blocks of BLOCK x BLOCK texels.
 //
-//     most(block) = max of |value| over the block's texels
+//     most(block) = max of |value| over the texels of the block
 //
 // Inputs:  values  any unit: with PAIRS a field of pairs, otherwise one value in each texel
-// Outputs: most    the same unit; one texel per block
-// Border rule: a block that reaches beyond the image takes the texels it has there.
+// Outputs: most    unit of the values; one texel for each block
+// Border rule: a block that leaves the image uses only its texels inside.
 
 void kernel(ivec2 block)
 {

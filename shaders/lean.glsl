@@ -1,11 +1,11 @@
-// The next direction of stabilised biconjugate gradients.
+// Next search direction of stabilised biconjugate gradients.
 //
 //     leaned = rest + share (direction - stride image)
 //
 // Inputs:  rest, direction, image  pixels; pairs
 //          share, stride           scalars (scalars.glsl)
 // Outputs: leaned                  pixels; pairs
-// Border rule: none needed, a pair reads its own texel only.
+// Border rule: none needed, because a pair reads only its own texel.
 
 void kernel(ivec2 pair)
 {

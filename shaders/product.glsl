@@ -1,10 +1,10 @@
-// Scalar products of square blocks of BLOCK x BLOCK texels; the kernel sum adds the blocks up.
+// Scalar products of square blocks of BLOCK x BLOCK texels; the kernel sum.glsl adds the blocks.
 //
-//     total(block) = sum of first . second over the block's texels, row by row
+//     total(block) = sum of first . second over the texels of the block, row by row
 //
 // Inputs:  first, second  any units; pairs
-// Outputs: total          their product; one texel per block
-// Border rule: a block that reaches beyond the image sums the texels it has there.
+// Outputs: total          product of the units; one texel for each block
+// Border rule: a block that leaves the image adds only its texels inside.
 
 void kernel(ivec2 block)
 {

@@ -1,19 +1,21 @@
-// A field of level 0 on the sites of a coarser level, by nearest neighbour (lines 4 to 6).
+// Projection of a field of level 0 to a coarser level, by nearest neighbour (lines 4 to 6).
 //
-//     values(site) = finest(2^level site + 2^(level - 1)), the pixel nearest to the site's centre;
-//                    half-way between two, the later one
+//     values(site) = finest(2^level site + 2^(level - 1))
+//
+// This is the pixel nearest to the centre of the site. If two pixels are equally near, it is the
+// one with the larger index.
 //
 // Inputs:  finest  any unit: with PAIRS stiffness (m, 1/m), pairs, otherwise observation (y, p)
-//          level   the scale level n >= 0
+//          level   scale level n >= 0
 //          size    (cols, rows) of the image
-// Outputs: values  the same unit, in pairs or not as `finest` is
-// Border rule: a site whose centre lies beyond the image takes the last row or column. A site all
-// of which lies beyond it, the one more of an odd number of columns, is void and gets 0.
+// Outputs: values  unit and layout of `finest`
+// Border rule: a site with its centre outside the image takes the last row or column. A site that
+// is entirely outside, in the additional column of an odd number of columns, is void and gets 0.
 
 uniform int level;
 uniform ivec2 size;
 
-/// The pixel that a site takes its value from.
+/// Return the pixel from which a site takes its value.
 ivec2 nearest(ivec2 site)
 {
     return clamped((site << level) + ((1 << level) >> 1), size);

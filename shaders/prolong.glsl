@@ -1,14 +1,16 @@
-// Displacement one level down, by linear interpolation (line 3).
+// Linear interpolation of displacement to the next finer level (line 3).
 //
-//     fine(site) = sum of w coarse(k) / sum of w over the four nearest coarse sites k in tissue,
-//                  w = (3/4 or 1/4 for the row) (3/4 or 1/4 for the column)
+//     fine(site) = sum of w coarse(k) / sum of w
+//
+// over those of the four nearest coarse sites k that are in tissue. The weight w is the product of
+// 3/4 or 1/4 for the row and 3/4 or 1/4 for the column.
 //
 // Inputs:  coarse            d, pixels; pairs
 //          coarse_stiffness  (m, 1/m), any unit, 0 in void; pairs
-//          stiffness         (m, 1/m) of the finer level; pairs
+//          stiffness         (m, 1/m) of the finer level, any unit; pairs
 // Outputs: fine              d, pixels; 0 in void, and where no coarse neighbour is tissue; pairs
-// Border rule: the coarse border site is repeated outwards. Void beside it comes to the same, since
-// all weights of that column are then smaller by the same factor.
+// Border rule: coarse border sites are repeated outwards. Void outside would give the same result,
+// because all weights of the remaining column are smaller by the same factor.
 
 vec2 interpolated(ivec2 site)
 {

@@ -1,17 +1,18 @@
-// What the paper's cliques answer to a displacement: A d, at a pair of sites.
+// Force of the paper's cliques at a pair of sites: A d of their linear model.
 //
-//     A d = d - q(d) = - b / a                  by the cliques whose middle the site is
-//     A d = - b, half the slope of the energy   with BLANKET, by all that contain it
+//     A d = d - q(d) = - b / a                     for cliques with the site as middle
+//     A d = - b, half the gradient of the energy   with BLANKET, for all that contain the site
 //
-// with a the curvature and b the slope of what the cliques say (cliques.glsl). Centred, the model is
-// how far a site is from the weighted mean q of its neighbours: a length, and a diagonal of 1.
+// with the curvature a and the slope b of the cliques (cliques.glsl). Without BLANKET, A d is the
+// distance of a site from the minimum q of its local energy: a length, and the diagonal is 1.
 //
-// Border rule: cliques that leave the image do not exist; a site that is in none has no answer.
+// Inputs:  displacement, straight, diagonal, weights  see cliques.glsl
+// Border rule: cliques that leave the image do not exist; a site without cliques has force 0.
 
-// At the two sites of the pair.
+// Force at the two sites of the pair.
 vec2 force[2];
 
-/// The answer at a site, number k of the middle row.
+/// Return the force at a site, number k of the middle row.
 vec2 answer(ivec2 site, int k)
 {
     Evidence evidence = centred(site, k);
@@ -23,7 +24,7 @@ vec2 answer(ivec2 site, int k)
 #endif
 }
 
-/// Find the answers at a pair: the first, or the one below the last.
+/// Compute the forces at a pair: the first one, or the one below the previous pair.
 void find_forces(ivec2 pair)
 {
     look_around(pair);

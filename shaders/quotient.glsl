@@ -1,12 +1,12 @@
-// A scalar over another, of either sign, each of them a product of two.
+// Quotient of two products of scalars of any sign.
 //
-//     value = (above / below) (above_by / below_by); 0 where one of those below is 0
+//     value = (above / below) (above_by / below_by); 0 if a denominator is 0
 //
 // Inputs:  above, above_by, below, below_by  scalars (scalars.glsl), any units
-// Outputs: value  a scalar
-// Border rule: none needed, there is one texel.
+// Outputs: value  scalar, the unit of the quotient
+// Border rule: none needed, because there is one texel.
 
-/// a / b; 0 where b is 0.
+/// Return a / b; 0 if b is 0.
 float part(sampler2D a, sampler2D b)
 {
     float under = texelFetch(b, ivec2(0), 0).x;

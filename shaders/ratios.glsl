@@ -1,15 +1,15 @@
-// The stiffness ratios of the four cliques that a site is the middle of.
+// Stiffness ratios of the four cliques that have a site as middle.
 //
 //     straight = (m_t/m_s, m_t/m_u) of the vertical line, then of the horizontal line
 //     diagonal = (m_t/m_s, m_t/m_u) of the diagonal, then of the antidiagonal
 //
 // Inputs:  stiffness  (m, 1/m), any unit, both 0 in void; pairs
-// Outputs: straight, diagonal  no unit; both ratios of a clique are 0 where it does not exist
-// Border rule: outside the image is void, so a clique that leaves the image does not exist.
+// Outputs: straight, diagonal  no unit; both ratios of a clique are 0 if it does not exist
+// Border rule: the outside of the image is void, so a clique that leaves the image does not exist.
 //
-// They do not change on a level, so they are computed once for all of its sweeps.
+// The ratios are computed once for all sweeps on a level.
 
-/// 1/m, or 0 in void and outside the image.
+/// Return 1/m of a site; 0 in void and outside the image.
 float inverse_stiffness(ivec2 site)
 {
     ivec2 size = sites_of(stiffness);

@@ -1,27 +1,27 @@
-// What a level's correction leaves of its load, handed down to the next coarser level.
+// Restriction of a level's residual to the next coarser level, for the elastic prior.
 //
-//     coarse_load = P^T (load - (A + W) d),    0 in the bracket where a component does not move
+//     coarse_load = P^T rest,    rest = load - (A + W) d where a component moves, 0 elsewhere
 //
-// with P the bilinear interpolation by which the correction will come back: coarse site i lies on
-// fine site 2 i and takes a half of what the fine sites beside it have.
+// with the bilinear interpolation P (interpolation.glsl): coarse site i lies on fine site 2 i, and
+// the fine sites beside it count with weight 1/2 along each axis.
 //
 // Inputs:  correction        d on the fine level, pixels; pairs
-//          load              of the fine level, pixels times stiffness; pairs
-//          lame              Lame's parameters of its elements (elements.glsl); pairs
-//          inverse_diagonal  D^-1, 0 where a component does not move; pairs
-//          springs           the diagonal matrix W, if SPRINGS; pairs
-// Outputs: coarse_load       pixels times stiffness; pairs
-// Border rule: beyond the border nothing is left; elements there are void; reads are clamped.
+//          load              load of the fine level, pixels times stiffness; pairs
+//          lame              Lame parameters of its elements (elements.glsl); pairs
+//          inverse_diagonal  D^-1; 0 where a component does not move; pairs
+//          springs           diagonal matrix W, if SPRINGS; pairs
+// Outputs: coarse_load       load of the coarser level, pixels times stiffness; pairs
+// Border rule: the residual is 0 outside the image; elements there are void; reads are clamped.
 //
-// For the two coarse sites 2 J and 2 J + 1 it takes what is left at the fine sites 4 J - 1 to
-// 4 J + 3 of three rows, and for that the displacement of seven sites of five rows. An invocation
-// may do several pairs, one below the other; the fine row between two is found once for both.
+// The two coarse sites 2 J and 2 J + 1 need the residual at the fine sites 4 J - 1 to 4 J + 3 of
+// three rows, and thus the displacement of seven sites in five rows. An invocation may compute
+// several pairs, one below the other; the fine row between two pairs is computed once for both.
 
 const int SITES = 5;
 
 vec2 below[SITES + 2];
 vec2 carried[SITES];
-// The last fine row's half, at the two coarse sites.
+// Sum along the fine row above, at the two coarse sites.
 vec2 half_above[2];
 
 void read_row(ivec2 pair, out vec2 row[SITES + 2])
@@ -39,7 +39,7 @@ void read_row(ivec2 pair, out vec2 row[SITES + 2])
     row[6] = texelFetch(correction, clamped(pair + 2 * HORIZONTAL, size), 0).xy;
 }
 
-/// What the elements between two rows of fine sites pull with.
+/// Compute the forces of the elements between two rows of fine sites on both rows.
 void pull(ivec2 pair, vec2 up[SITES + 2], vec2 down[SITES + 2], out vec2 upper[SITES], out vec2 lower[SITES])
 {
     vec4 first = lame_at(pair - HORIZONTAL);
@@ -57,7 +57,7 @@ void pull(ivec2 pair, vec2 up[SITES + 2], vec2 down[SITES + 2], out vec2 upper[S
     add_element(third.zw, up[5], up[6], down[5], down[6], upper[4], other, lower[4], other);
 }
 
-/// What is left of the load at a pair of fine sites, given the force and the displacement there.
+/// Return the residual at a pair of fine sites, given the force and the displacement there.
 vec4 left(ivec2 pair, vec4 pulls, vec4 d)
 {
     ivec2 size = textureSize(load, 0);
@@ -70,7 +70,7 @@ vec4 left(ivec2 pair, vec4 pulls, vec4 d)
     return in_image(pair, size) ? rest : vec4(0.0);
 }
 
-/// Hand a row of fine sites down, along the row; `pair` is that of the first coarse site.
+/// Sum the residual along a row of fine sites; `pair` is the pair of the first coarse site.
 void gather(ivec2 pair, out vec2 across[2])
 {
     vec2 here[SITES + 2] = below;
@@ -89,7 +89,7 @@ void gather(ivec2 pair, out vec2 across[2])
     across[1] = second.xy + 0.5 * (first.zw + second.zw);
 }
 
-/// Get ready for an invocation's first pair of coarse sites. The stage does this, once.
+/// Prepare the first pair of coarse sites of an invocation. The stage calls this once.
 void enter(ivec2 pair)
 {
     ivec2 fine = 2 * pair - VERTICAL;

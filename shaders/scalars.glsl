@@ -1,10 +1,11 @@
-// Numbers that stay on the device: images of one texel, written by one kernel and read by the next.
+// Scalars that stay on the device: textures of one texel, which kernels write and read.
 //
-// A kernel that takes one may read two, `above` and `below`, and take their ratio.
+//     ratio = above / below; 0 unless both are positive
 //
-// Border rule: none needed, there is one texel.
+// Inputs:  above, below  scalars, any units
+// Border rule: none needed, because there is one texel.
 
-/// above / below; 0 unless both are positive.
+/// Return above / below; 0 unless both are positive.
 float ratio()
 {
     vec2 both = vec2(texelFetch(above, ivec2(0), 0).x, texelFetch(below, ivec2(0), 0).x);

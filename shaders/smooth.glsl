@@ -1,27 +1,28 @@
-// A Chebyshev-Jacobi step of a level's smoother.
+// Chebyshev-Jacobi step of a level's smoother.
 //
 //     taken = scale D^-1 (load - (A + W) d) + momentum last,    corrected = d + taken
 //
-// with d what the correction is before it. START says what that is:
-//     0  `displacement`
-//     1  the first step from zero, first_scale D^-1 load, which is `last` as well: two steps at once
-//     2  `displacement` with the coarser level's correction added (interpolation.glsl), where sites
-//        move; a first step, so that there is no `last`
+// START selects the correction d before the step:
+//     0  d = `displacement`
+//     1  d = last = first_scale D^-1 load, the first step from zero; this pass adds the second step
+//     2  d = `displacement` plus the interpolated correction of the coarser level
+//        (interpolation.glsl) where components move; a first step, without `last`
 //
-// Inputs:  displacement      the correction d, pixels; pairs
-//          load              what the level is relaxed for, pixels times stiffness; pairs
-//          lame              elastic: Lame's parameters of the elements (elements.glsl); pairs
-//          straight, diagonal  the paper's: stiffness ratios (ratios.glsl)
+// Inputs:  displacement      correction, pixels; pairs
+//          load              load of the level, pixels times stiffness; pairs
+//          lame              elastic prior: Lame parameters of elements (elements.glsl); pairs
+//          straight, diagonal  paper's prior: stiffness ratios (ratios.glsl)
 //          inverse_diagonal  D^-1 of A + W; 0 where a component does not move; pairs
-//          springs           the diagonal matrix W, if SPRINGS; pairs
-//          last              the step before, pixels; pairs
-//          coarse            the coarser level's correction, pixels; pairs
+//          springs           diagonal matrix W, if SPRINGS; pairs
+//          last              previous step, pixels; pairs
+//          coarse            correction of the coarser level, pixels; pairs
 //          first_scale, scale, momentum  no unit
-// Outputs: corrected, taken  pixels; pairs
+// Outputs: corrected         correction after the step, pixels; pairs
+//          taken             the step, pixels; pairs
 // Border rule: elements and cliques that leave the image do not exist; reads are clamped.
 //
-// What looks further than a pair's neighbours, as the paper's prior does in its blanket reading,
-// takes START 0 only (begin.glsl).
+// Kernels that read beyond the neighbours of a pair, such as those of blanket cliques, support
+// START 0 only; begin.glsl computes the start for them.
 
 uniform float scale;
 uniform float momentum;

@@ -1,13 +1,13 @@
-// A kernel as a compute shader, in work groups that cover GROUP_COLS x GROUP_ROWS texels.
+// Compute shader of a kernel, in work groups of GROUP_COLS x GROUP_ROWS texels.
 //
-// A kernel that is for tissue is run for the groups in a list, those that have some; of one that
-// carries, an invocation does ROWS texels, one below the other. Others are run for a window, `begin`
-// and `end` being its corners, (cols, rows). `origin` is where texel (0, 0) lies in the written
-// textures.
+// A kernel for tissue runs on the listed groups, which contain tissue. If it carries values, an
+// invocation computes ROWS texels, one below the other. Other kernels run on a window.
 //
-// Inputs:  groups  the places of the groups to run, (col, row), counted in groups
-//          first   the row of that list which the dispatch begins with
-// Border rule: nothing is stored beyond `end`, the window's or the grid's.
+// Inputs:  groups      list of groups: (col, row) of each, counted in groups
+//          first       first row of the list for this dispatch
+//          begin, end  corners of the window, (col, row); for tissue, `end` is that of the grid
+//          origin      position of texel (0, 0) in the output textures, (col, row)
+// Border rule: nothing is stored outside the window or the grid.
 
 layout(local_size_x = GROUP_COLS, local_size_y = LOCAL_ROWS) in;
 
@@ -43,7 +43,7 @@ void main()
 #if CARRIES
     enter(at);
 #endif
-    RUN_ROWS(at) // not a loop, which a program that plays the GPU is slow at
+    RUN_ROWS(at) // unrolled, because loops are slow on a software renderer
 #else
     run(begin + ivec2(gl_WorkGroupID.xy) * ivec2(GROUP_COLS, GROUP_ROWS) + local);
 #endif

@@ -1,8 +1,7 @@
-// A kernel as a fragment shader: the rasteriser calls it once per texel of the viewport.
+// Fragment shader of a kernel: the rasteriser runs it once for each texel of the viewport.
 //
-// `origin` is where texel (0, 0) lies in the written textures; the viewport is the window of texels
-// that is run.
-// Border rule: nothing outside of the viewport is run.
+// Inputs:  origin  position of texel (0, 0) in the output textures, (col, row)
+// Border rule: texels outside the viewport are not computed.
 
 uniform ivec2 origin;
 

@@ -1,14 +1,14 @@
-// A kernel for volumes as a compute shader, in work groups of GROUP_COLS x GROUP_ROWS columns of
-// sites, `planes` deep. An invocation does a column, plane by plane.
+// Compute shader of a kernel for volumes, in work groups of GROUP_COLS x GROUP_ROWS columns of
+// sites, `planes` deep. An invocation computes the sites of one column, plane by plane.
 //
-// A kernel is run for the groups in a list, those in which something moves, or for all there are.
-// One that has shares adds to `total` and `most`; what its group makes of them is the sum of the
-// former and the largest of the latter.
+// A kernel runs on listed groups, those with moving sites, or on all groups. If SHARES, the kernel
+// updates `total` and `most`, and the group computes the sum and the maximum over its invocations.
 //
-// Inputs:  places        the groups to run, by number: columns first, then rows, then planes
-//          first, past   which of them, or of all groups if not `listed`
-// Outputs: shares        if SHARES, (total, most) of each group that is run, in their order
-// Border rule: nothing is run beyond the grid.
+// Inputs:  places        numbers of the listed groups, counted along columns, rows, then planes
+//          listed        1 for listed groups, 0 for all groups
+//          first, past   range in the list, or of the numbers of groups; `past` is excluded
+// Outputs: shares        if SHARES, (total, most) of each group that runs, in the same order
+// Border rule: sites outside the grid are not computed.
 
 layout(local_size_x = GROUP_COLS, local_size_y = GROUP_ROWS) in;
 
@@ -21,7 +21,7 @@ uniform int past;
 shared REAL totals[GROUP_COLS * GROUP_ROWS];
 shared REAL largest[GROUP_COLS * GROUP_ROWS];
 
-/// Reduce the group's totals and largest values to the first.
+/// Reduce the totals and the largest values of all invocations to the first entry.
 void reduce()
 {
     int local = int(gl_LocalInvocationIndex);

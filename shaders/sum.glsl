@@ -1,10 +1,10 @@
-// Totals of square blocks of BLOCK x BLOCK texels; the host adds the blocks up in double precision.
+// Sums of square blocks of BLOCK x BLOCK texels.
 //
-//     total(block) = sum of share over the block's texels, row by row
+//     total(block) = sum of share over the texels of the block, row by row
 //
-// Inputs:  share  any unit
-// Outputs: total  the same unit; one texel per block
-// Border rule: a block that reaches beyond the image sums the texels it has there.
+// Inputs:  share  any unit; one value in each texel
+// Outputs: total  unit of the shares; one texel for each block
+// Border rule: a block that leaves the image adds only its texels inside.
 
 void kernel(ivec2 block)
 {

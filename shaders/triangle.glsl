@@ -1,8 +1,8 @@
-// The vertex shader of every fragment kernel: one triangle that covers the whole viewport, half-way
-// into the picture. A kernel that is drawn with a mask runs only where the mask is deeper: it is 1
-// in tissue and 0 in void.
+// Vertex shader of all fragment shaders: one triangle that covers the whole viewport, at depth 0.5.
+// With a mask, which is a depth texture with 1 in tissue and 0 in void, a kernel runs only where
+// the mask is deeper than the triangle.
 //
-// Border rule: the triangle's corners lie outside, the rasteriser cuts it to the viewport.
+// Border rule: the corners of the triangle are outside; the rasteriser clips it to the viewport.
 
 void main()
 {

@@ -1,11 +1,11 @@
-// The next direction of conjugate gradients.
+// Next search direction of conjugate gradients.
 //
 //     turned = steepest + above / below direction
 //
 // Inputs:  steepest, direction  pixels; pairs
 //          above, below         scalars (scalars.glsl)
 // Outputs: turned               pixels; pairs
-// Border rule: none needed, a pair reads its own texel only.
+// Border rule: none needed, because a pair reads only its own texel.
 
 void kernel(ivec2 pair)
 {

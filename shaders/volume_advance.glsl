@@ -1,14 +1,14 @@
-// A step of an iteration along a direction.
+// Step of an iteration along a direction.
 //
 //     found += ratio direction,    rest -= ratio image,    total = rest . rest
 //
 // Inputs:  found, direction  voxels
 //          rest, image       voxels times stiffness
-//          scalars           of the ratio (volume_scalars.glsl)
+//          scalars, above, below  scalars of the ratio (volume_scalars.glsl)
 // Outputs: found             voxels
 //          rest              voxels times stiffness
-//          shares            of the square
-// Border rule: none needed, a site reads its own values only.
+//          shares            rest . rest of each group
+// Border rule: none needed, because a site reads only its own values.
 
 void kernel(int at)
 {

@@ -1,13 +1,13 @@
-// What the tissue answers to a displacement, such as the direction of a step.
+// Product of the matrix and a displacement, such as a search direction.
 //
 //     image = (A + W) d where a component moves, 0 elsewhere;    total = d . image
 //
 // Inputs:  displacement  d, voxels
 //          inverse       D^-1; 0 where a component does not move
-//          lame, shape, share  the elements (hexahedra.glsl)
-//          springs       the diagonal matrix W, if SPRINGS, one component after the other
+//          lame, shape, share  elements (hexahedra.glsl)
+//          springs       diagonal matrix W, if SPRINGS, one component after the other
 // Outputs: image         voxels times stiffness
-//          shares        of the scalar product
+//          shares        d . image of each group
 // Border rule: elements that leave the volume do not exist.
 
 void kernel(int at)

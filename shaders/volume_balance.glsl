@@ -1,13 +1,13 @@
-// What a displacement leaves, in double precision: the residual that decides.
+// Residual of a displacement in double precision, which decides whether a solve has converged.
 //
 //     rest = - A d / unit where a component moves, 0 elsewhere
 //
 // Inputs:  displacement  d in double precision, voxels
 //          inverse       D^-1; 0 where a component does not move
-//          lame, shape, share  the elements (hexahedra.glsl)
-//          unit          what the rest is counted in, voxels times stiffness
-// Outputs: rest          in single precision
-//          shares        of the square of its norm, and its largest absolute value
+//          lame, shape, share  elements (hexahedra.glsl)
+//          unit          unit of the result, voxels times stiffness
+// Outputs: rest          in units of `unit`, in single precision
+//          shares        rest . rest and the largest absolute value of each group
 // Border rule: elements that leave the volume do not exist.
 
 uniform double unit;

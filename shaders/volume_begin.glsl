@@ -1,12 +1,12 @@
-// The first step of a level's smoother, from zero.
+// First step of a level's smoother, from zero.
 //
 //     begun = scale D^-1 load
 //
-// Inputs:  load     what the level is relaxed for, voxels times stiffness
+// Inputs:  load     load of the level, voxels times stiffness
 //          inverse  D^-1; 0 where a component does not move
 //          scale    no unit
 // Outputs: begun    voxels
-// Border rule: none needed, a site reads its own values only.
+// Border rule: none needed, because a site reads only its own values.
 
 uniform float scale;
 

@@ -1,9 +1,13 @@
-// The parameters of a coarser level's elements, in its own unit: the sum of the eight over four.
+// Parameters of a coarser level's elements, relative to the side of its voxels.
+//
+//     coarse = (sum of fine over the eight elements) / 4
+//
+// This is twice the mean, because the energy of an element grows with its side.
 //
 // Inputs:  fine                     mu or lambda of the finer level's elements
-//          fine_height, fine_width  how many sites that level has
-// Outputs: coarse                   the same of the coarser level, which the kernel runs for
-// Border rule: beyond the border elements are void.
+//          fine_height, fine_width  number of rows and columns of that level
+// Outputs: coarse                   unit of `fine`; the kernel runs on the coarser level
+// Border rule: elements outside the grid are void.
 
 uniform int fine_height;
 uniform int fine_width;

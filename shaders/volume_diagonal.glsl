@@ -1,17 +1,17 @@
-// The diagonal of the stiffness matrix.
+// Diagonal of the stiffness matrix.
 //
-//     diagonal_k = sum over the eight elements of share lambda q_k^2 + 16 mu (q_k^2 + sum of q^2) / 9
+//     diagonal_k = sum over 8 elements of share lambda q_k^2 + 16 mu (q_k^2 + sum of q^2) / 9
 //
 // Inputs:  lame      mu, and lambda if PARAMETERS is 2 (hexahedra.glsl)
 //          shape     q along planes, rows and columns
-//          share     lambda over what stands in for it
-// Outputs: diagonal  by component
-// Border rule: beyond the border elements are void.
+//          share     lambda / mu if PARAMETERS is 1, else 1
+// Outputs: diagonal  stiffness, for each component; relative to the stiffest tissue
+// Border rule: elements outside the grid are void.
 
 uniform float shape[3];
 uniform float share;
 
-/// The sum of a parameter over the elements around a site.
+/// Return the sum of a parameter over the eight elements around a site.
 float around(int parameter, int at)
 {
     int next = pitch();

@@ -1,15 +1,15 @@
-// The parameters of each element, of the means of its sites; 0 if one of them is void.
+// Parameters of each element, from the means over its sites; 0 if one of the sites is void.
 //
 //     PARAMETERS 1    mu = scale (sum of m over the eight sites)
-//     PARAMETERS 2    mu = scale (the same) / (2 + 2 nu),    lambda = 2 mu nu / (1 - 2 nu)
+//     PARAMETERS 2    mu = scale (sum of m) / (2 + 2 nu),    lambda = 2 mu nu / (1 - 2 nu)
 //
-// with nu the mean of Poisson's ratio over the eight sites.
+// where nu is the mean of Poisson's ratio over the eight sites.
 //
 // Inputs:  stiffness  m, any unit; 0 in void
-//          poisson    nu of each site, if PARAMETERS is 2
-//          scale      what makes of a sum a mean in units of the stiffest tissue
-// Outputs: lame       mu, and lambda if PARAMETERS is 2
-// Border rule: what lies beyond the grid is void.
+//          poisson    nu of each site, no unit, if PARAMETERS is 2
+//          scale      factor that turns the sum into a mean, relative to the stiffest tissue
+// Outputs: lame       mu, and lambda if PARAMETERS is 2, relative to the stiffest tissue
+// Border rule: the border around the grid is void.
 
 uniform double scale;
 
@@ -24,7 +24,7 @@ void kernel(int at)
         sum += m;
         least = min(least, m);
 #if PARAMETERS == 2
-        ratio += m > 0.0lf ? double(poisson.at[site]) : 0.0lf; // what void is said to be does not count
+        ratio += m > 0.0lf ? double(poisson.at[site]) : 0.0lf; // ratios in void may be invalid
 #endif
     }
     double mu = least > 0.0lf ? scale * sum : 0.0lf;

@@ -1,12 +1,13 @@
-// All steps of the coarsest level's smoother at once, by one work group: each invocation has a site.
+// All steps of the coarsest level's smoother in one work group, with one site for each invocation.
 //
 //     step = scale D^-1 (load - (A + W) d) + momentum step,    d = d + step,    from d = 0
 //
-// Inputs:  load          what the level is relaxed for, voxels times stiffness
+// Inputs:  load          load of the level, voxels times stiffness
 //          inverse       D^-1 of A + W; 0 where a component does not move
-//          lame, shape, share  the elements (hexahedra.glsl)
-//          springs       the diagonal matrix W, if SPRINGS, one component after the other
-//          count, paces  how many steps there are, and (scale, momentum) of each; no unit
+//          lame, shape, share  elements (hexahedra.glsl)
+//          springs       diagonal matrix W, if SPRINGS, one component after the other
+//          count         number of steps
+//          paces         (scale, momentum) of each step, no unit
 // Outputs: correction    d, voxels
 // Border rule: elements that leave the volume do not exist.
 

@@ -1,10 +1,12 @@
-// The inverse of the finest level's diagonal; 0 where a component is held, or has no elements.
+// Reciprocal of the finest level's diagonal.
 //
-// Inputs:  inverse  the diagonal
+//     inverse = 1 / diagonal; 0 where a component is held, or has no elements
+//
+// Inputs:  inverse  diagonal, stiffness
 //          pins     1 where a component is held, 0 elsewhere
-// Outputs: inverse  its inverse
-//          shares   the largest inverse: above 0 where something moves
-// Border rule: none needed, a site reads its own values only.
+// Outputs: inverse  its reciprocal, 1 / stiffness
+//          shares   largest reciprocal of each group: positive if a site in the group moves
+// Border rule: none needed, because a site reads only its own values.
 
 void kernel(int at)
 {

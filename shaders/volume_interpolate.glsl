@@ -1,11 +1,15 @@
-// The coarser level's correction added on a level, trilinear, to the sites that move.
+// Trilinear interpolation of the coarser level's correction.
 //
-// Inputs:  correction  so far, voxels
-//          coarse      the coarser level's, voxels: its site i lies on site 2 i
+//     correction += P coarse where a component moves
+//
+// with coarse site i on fine site 2 i along each axis.
+//
+// Inputs:  correction  correction of the level, voxels
+//          coarse      correction of the coarser level, voxels
 //          inverse     D^-1; 0 where a component does not move
-//          coarse_height, coarse_width  how many sites that level has
+//          coarse_height, coarse_width  number of rows and columns of the coarser level
 // Outputs: correction  voxels
-// Border rule: every site of the grid lies between coarse ones.
+// Border rule: none needed, because all sites of the grid lie between coarse sites.
 
 uniform int coarse_height;
 uniform int coarse_width;

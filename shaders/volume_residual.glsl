@@ -1,12 +1,12 @@
-// What a level's correction leaves of its load.
+// Residual of a level.
 //
-//     rest = load - (A + W) d,    0 where a component does not move
+//     rest = load - (A + W) d where a component moves, 0 elsewhere
 //
-// Inputs:  displacement  the correction d, voxels
-//          load          voxels times stiffness
+// Inputs:  displacement  correction d, voxels
+//          load          load of the level, voxels times stiffness
 //          inverse       D^-1; 0 where a component does not move
-//          lame, shape, share  the elements (hexahedra.glsl)
-//          springs       the diagonal matrix W, if SPRINGS, one component after the other
+//          lame, shape, share  elements (hexahedra.glsl)
+//          springs       diagonal matrix W, if SPRINGS, one component after the other
 // Outputs: rest          voxels times stiffness
 // Border rule: elements that leave the volume do not exist.
 

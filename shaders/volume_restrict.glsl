@@ -1,25 +1,25 @@
-// Forces of a finer level, or what it holds, handed down to a level.
+// Restriction of forces, or of held components, to the next coarser level.
 //
 //     coarse = P^T fine
 //
-// with P the trilinear interpolation by which the correction will come back: coarse site i lies on
-// fine site 2 i and takes a half of what the fine sites beside it have, along each axis.
+// with the trilinear interpolation P (volume_interpolate.glsl): coarse site i lies on fine site 2
+// i, and the fine sites beside it count with weight 1/2 along each axis.
 //
-// Inputs:  fine                     any unit
-//          fine_height, fine_width  how many sites that level has
-// Outputs: coarse                   the same unit, on the level that the kernel runs for
-// Border rule: beyond the border there is nothing.
+// Inputs:  fine                     vector of the finer level, any unit
+//          fine_height, fine_width  number of rows and columns of that level
+// Outputs: coarse                   unit of `fine`; the kernel runs on the coarser level
+// Border rule: the border around the finer grid is 0.
 
 uniform int fine_height;
 uniform int fine_width;
 
-/// What a row of fine sites hands down.
+/// Return the sum along a row of fine sites.
 float along(int k, int at)
 {
     return fine[k].at[at] + 0.5 * (fine[k].at[at - 1] + fine[k].at[at + 1]);
 }
 
-/// What a plane of fine sites hands down.
+/// Return the sum over a plane of fine sites.
 float across(int k, int at, int next)
 {
     return along(k, at) + 0.5 * (along(k, at - next) + along(k, at + next));

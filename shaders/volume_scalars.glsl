@@ -1,15 +1,15 @@
-// Numbers that stay on the device: one buffer of them, written by volume_total and read by others.
+// Scalars that stay on the device: one buffer, which volume_total.glsl writes.
 //
-// A kernel that takes one takes the ratio of two.
+//     ratio = scalars[above] / scalars[below]; 0 unless both are positive
 //
-// Inputs:  scalars       the numbers
-//          above, below  which of them
-// Border rule: none needed.
+// Inputs:  scalars       buffer of all scalars, any units
+//          above, below  indices of the numerator and the denominator
+// Border rule: none needed, because no sites are read.
 
 uniform int above;
 uniform int below;
 
-/// The first over the second; 0 unless both are positive.
+/// Return the ratio.
 float ratio()
 {
     float first_of = scalars.at[above];

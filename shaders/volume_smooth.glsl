@@ -1,17 +1,15 @@
-// A Chebyshev-Jacobi step of a level's smoother.
+// Chebyshev-Jacobi step of a level's smoother.
 //
 //     other = d + scale D^-1 (load - (A + W) d) + ahead d - back other
 //
-// What `other` holds before is the displacement before the last step, if `back` is not 0.
-//
-// Inputs:  displacement  the correction d, voxels
-//          load          what the level is relaxed for, voxels times stiffness
+// Inputs:  displacement  correction d, voxels
+//          load          load of the level, voxels times stiffness
 //          inverse       D^-1 of A + W; 0 where a component does not move
-//          lame, shape, share  the elements (hexahedra.glsl)
-//          springs       the diagonal matrix W, if SPRINGS, one component after the other
-//          other         the displacement before the last step, voxels
+//          lame, shape, share  elements (hexahedra.glsl)
+//          springs       diagonal matrix W, if SPRINGS, one component after the other
+//          other         correction before the last step, voxels; unused if `back` is 0
 //          scale, ahead, back  no unit
-// Outputs: other         the displacement after this one
+// Outputs: other         correction after this step, voxels
 // Border rule: elements that leave the volume do not exist.
 
 uniform float scale;

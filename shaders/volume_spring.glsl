@@ -1,15 +1,16 @@
-// A coarser level's springs, and the inverse of its diagonal with them.
+// Springs of a coarser level, and the reciprocal of its diagonal with them.
 //
-//     pins = min(pins, MOST_PINS),    springs = strength pins diagonal
+//     pins = min(pins, most_pins),    springs = strength pins diagonal,
+//     inverse = 1 / (diagonal + springs); 0 where there are no elements
 //
-// Inputs:  inverse   the diagonal
-//          pins      how much of what the finer level holds counts at a site
+// Inputs:  inverse   diagonal, stiffness
+//          pins      interpolated count of held components of the finer level, no unit
 //          most_pins, strength  no unit (`solver.coarse_levels`)
-// Outputs: inverse   1 / (diagonal + springs); 0 where there are no elements
-//          pins      what counts for the next level
-//          springs   W, one component after the other
-//          shares    the largest inverse: above 0 where something moves
-// Border rule: none needed, a site reads its own values only.
+// Outputs: inverse   reciprocal, 1 / stiffness
+//          pins      count of held components for the next level, no unit
+//          springs   diagonal matrix W, stiffness, one component after the other
+//          shares    largest reciprocal of each group: positive if a site in the group moves
+// Border rule: none needed, because a site reads only its own values.
 
 uniform float most_pins;
 uniform float strength;

@@ -1,9 +1,10 @@
-// The displacement of a level that is small enough for one work group, in memory that it shares.
+// Displacement of a level that fits into the shared memory of one work group, in voxels.
 //
-// Kernels that include this before hexahedra.glsl have its elements read `tile` in place of
-// `displacement`: one component after the other, TILE values each, by the numbers of sites.
+// In kernels that include this file before hexahedra.glsl, elements read `tile` instead of
+// `displacement`. Its components follow each other, with TILE values each, by the index of the
+// site.
 //
-// Border rule: what lies beside the grid is void, and 0 in the tile.
+// Border rule: the border around the grid is void, and 0 in the tile.
 
 shared float tile[3 * TILE];
 

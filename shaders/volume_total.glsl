@@ -1,10 +1,12 @@
-// The sum of all groups' totals and the largest of their largest values, by one work group.
+// Sum of the totals of all groups, and maximum of their largest values, in one work group.
 //
-// Inputs:  shares      (total, most) of each group (stage_volume.glsl)
-//          count       how many groups there are
-//          slot        where the results go
-// Outputs: scalars     total at `slot`, most after it
-// Border rule: none needed.
+//     scalars[slot] = sum of total,    scalars[slot + 1] = max of most
+//
+// Inputs:  shares      (total, most) of each group, any units (stage_volume.glsl)
+//          count       number of groups
+//          slot        index of the first result
+// Outputs: scalars     units of the shares
+// Border rule: none needed, because no sites are read.
 
 layout(local_size_x = TOGETHER) in;
 

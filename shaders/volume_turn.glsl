@@ -1,11 +1,11 @@
-// The next direction of conjugate gradients.
+// Next search direction of conjugate gradients.
 //
 //     direction = steepest + ratio direction
 //
 // Inputs:  steepest, direction  voxels
-//          scalars              of the ratio (volume_scalars.glsl)
+//          scalars, above, below  scalars of the ratio (volume_scalars.glsl)
 // Outputs: direction            voxels
-// Border rule: none needed, a site reads its own values only.
+// Border rule: none needed, because a site reads only its own values.
 
 void kernel(int at)
 {

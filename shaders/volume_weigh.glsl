@@ -1,10 +1,10 @@
-// A scalar product, and a largest absolute value.
+// Scalar product, and largest absolute value.
 //
 //     total = one . other,    most = max |one|
 //
 // Inputs:  one, other  any units
-// Outputs: shares      their product, and the unit of the first
-// Border rule: none needed, a site reads its own values only.
+// Outputs: shares      (total, most) of each group: product of the units, and unit of `one`
+// Border rule: none needed, because a site reads only its own values.
 
 void kernel(int at)
 {

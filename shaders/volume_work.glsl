@@ -1,11 +1,11 @@
-// The work that a displacement took and the forces with which tissue answers, in double precision.
+// Energy or squared forces of a displacement, in double precision.
 //
-//     total = d . A d,    or |A d|^2
+//     total = d . A d if power is 1,    |A d|^2 if power is 2
 //
 // Inputs:  displacement  d in double precision, voxels
-//          lame, shape, share  the elements (hexahedra.glsl)
-//          power         1: of the work; 2: of the square of the forces
-// Outputs: shares        of the work, or of the square
+//          lame, shape, share  elements (hexahedra.glsl)
+//          power         1 or 2
+// Outputs: shares        total of each group
 // Border rule: elements that leave the volume do not exist.
 
 uniform int power;

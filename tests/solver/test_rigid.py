@@ -122,7 +122,7 @@ def test_a_bone_that_is_told_to_bend_is_refused_by_its_place():
     y, c = problem.observed.copy(), problem.confidence.copy()
     c[disc()] = 1
     y[24, 20] = (2, 0)
-    with pytest.raises(ProblemError, match=r"what is rigid around \(24, 20\)"):
+    with pytest.raises(ProblemError, match=r"the rigid body around \(24, 20\)"):
         solve(Problem(y, c, problem.stiffness), PRIOR, optimizer=Multigrid(), backend="cpu")
 
 

@@ -557,7 +557,7 @@ def test_the_smallest_volumes_are_solved():
 
 @pytest.mark.parametrize("optimizer", [ICM(), WITHIN])
 def test_shaders_refuse_volumes(optimizer):
-    with pytest.raises(BackendError, match='Take backend="cpu"'):
+    with pytest.raises(BackendError, match='Use backend="cpu"'):
         solve(squeezed(), SeilerPrior(), optimizer=optimizer, backend="opengl")
 
 

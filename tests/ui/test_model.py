@@ -179,7 +179,7 @@ def test_a_boundary_that_would_deform_bone_is_named(widget, small_sample, run):
     paint_bone(widget, slice(4, 16), slice(2, -2))
     elastic(widget)
     assert run(widget) is None
-    assert widget.status.startswith("'Boundary' moves pixels of what is rigid around")
+    assert widget.status.startswith("'Boundary' moves pixels of the rigid body around")
 
 
 def test_an_earlier_result_does_not_hide_what_is_wrong_now(widget, small_sample, run, wait_for):

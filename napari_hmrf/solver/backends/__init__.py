@@ -2,18 +2,18 @@
 
 Data passes through a backend in five steps:
 
-1. *Choice.* `job` says what a solve needs, and `open_backend` picks the device that supports it.
-   `compile_cache` compiles the loops of the processor and keeps them on disk.
-2. *Model.* A backend (protocol: `base`) takes the tissue to its device: `cpu` as arrays, `opengl`
-   as textures or buffers, and `arrays` in NumPy for shaders that run before there are loops. The
+1. *Choice.* `job` describes the requirements of a solve, and `open_backend` picks the device that
+   supports it. `compile_cache` compiles the loops of the processor and keeps them on disk.
+2. *Model.* A backend (protocol: `base`) copies the tissue to its device: `cpu` as arrays, `opengl`
+   as textures or buffers. `arrays` does the host's part in NumPy until the loops are compiled. The
    result is a `linear` model, or a `finite` one for large motion.
 3. *Levels.* The model builds its coarser levels. Vectors and scalars stay on the device; fields on
    the host are `planes`, and `host` keeps the displacement there in double precision.
 4. *Kernels.* An optimizer calls the methods of a level, and each of them runs one or two kernels:
-   compiled loops in `cpu`, shaders from the folder `shaders/` in `opengl`. `rigid` moves rigid
-   bodies as one, and `direct` factorizes the system where cycles cannot be trusted.
-5. *Result.* The optimizer reads the displacement back as planes. `found` remembers what a solve has
-   learnt of its system for the next solve of it.
+   compiled loops in `cpu`, shaders from the folder `shaders/` in `opengl`. `rigid` constrains the
+   motion of rigid bodies, and `direct` factorizes the system where cycles cannot be trusted.
+5. *Result.* The optimizer reads the displacement back as planes. `found` keeps results about the
+   system for later solves of the same system.
 
 All of this runs on one thread (`thread`), because OpenGL and numba both require it.
 """
@@ -31,13 +31,15 @@ from napari_hmrf.solver.backends.cpu import CpuBackend
 from napari_hmrf.solver.backends.job import SolveJob
 from napari_hmrf.solver.backends.thread import compute_thread
 
-#: Names of the backends. "opengl" is compute shaders where the driver has them, else fragment.
+#: Names of the backends. "opengl" uses compute shaders if the driver has them, else fragment
+#: shaders.
 BackendName = Literal["auto", "opengl", "opengl:fragment", "opengl:compute", "cpu"]
 BACKEND_NAMES: tuple[str, ...] = get_args(BackendName)
 
 #: Reason for the choice of a software rasteriser by "auto".
 COMPILING = "until the loops for the processor are compiled"
-#: Voxels above which waiting for the loops takes less time than a solve on a software rasteriser.
+#: Number of voxels above which waiting for the compiled loops is faster than a solve on a software
+#: rasteriser.
 LARGE_VOLUME = 1_000_000
 
 __all__ = [
@@ -75,7 +77,7 @@ def open_backend(
     checkpoint: Checkpoint,
     provide_loops: Callable[[], None] = loops.use,
 ) -> Choice:
-    """Choose a backend and make it ready; on the compute thread only.
+    """Choose a backend and open it; on the compute thread only.
 
     Parameters
     ----------
@@ -84,12 +86,17 @@ def open_backend(
         One of `BACKEND_NAMES`. "auto" takes the shaders on a real GPU, and the compiled loops
         where there is only a software rasteriser (ten times slower than the loops) or no OpenGL,
         or where the shaders do not support the job. Until another process has compiled the loops,
-        it takes the rasteriser; for a volume of more than `LARGE_VOLUME` voxels it waits for them.
+        it takes the rasteriser, except that a volume of more than `LARGE_VOLUME` voxels waits for
+        the loops.
     checkpoint : callable
         Called by the backend at least every `BATCH_SECONDS`; raises to stop the work.
     provide_loops : callable
-        Called before loops are taken that may not be compiled yet; returns once they are. By
-        default the loops are compiled when they are first called.
+        Called before the loops are used; returns once they are compiled. By default each loop is
+        compiled at its first call.
+
+    Returns
+    -------
+    Choice
 
     Raises
     ------
@@ -97,17 +104,17 @@ def open_backend(
         If the requested backend is missing or does not support the job.
     """
     if name not in BACKEND_NAMES:
-        raise BackendError(f"there is no backend {name!r}; take one of {', '.join(BACKEND_NAMES)}")
+        raise BackendError(f"there is no backend {name!r}; use one of {', '.join(BACKEND_NAMES)}")
     if name == "cpu":
         provide_loops()
-        return Choice(_compiled_loops(checkpoint), "asked for")
+        return Choice(_compiled_loops(checkpoint), "requested")
     from napari_hmrf.solver.backends.opengl import missing_shaders  # heavy: opengl
 
     missing = missing_shaders(job)
     if name != "auto":
         if missing is not None:
-            raise BackendError(f'{missing}, not {name}. Take backend="cpu", or "auto".')
-        return Choice(_requested_shaders(job, name, checkpoint), "asked for")
+            raise BackendError(f'{missing}, not {name}. Use backend="cpu" or "auto".')
+        return Choice(_requested_shaders(job, name, checkpoint), "requested")
     if missing is not None:
         provide_loops()
         return Choice(_compiled_loops(checkpoint), missing)
@@ -115,7 +122,7 @@ def open_backend(
 
 
 def _fastest(job: SolveJob, checkpoint: Checkpoint, provide_loops: Callable[[], None]) -> Choice:
-    """Choose between shaders and loops that both support the job, apart from its size."""
+    """Choose between shaders and loops; both support the job, except perhaps its size."""
     from napari_hmrf.solver.backends.opengl import (  # heavy: opengl
         OpenGLBackend,
         is_software_renderer,
@@ -133,10 +140,10 @@ def _fastest(job: SolveJob, checkpoint: Checkpoint, provide_loops: Callable[[], 
         shaders.close()
         provide_loops()
         kind = "volume" if job.is_volume else "image"
-        reason = f"the shaders refuse this {kind} ({refusal})"
+        reason = f"the shaders do not support this {kind} ({refusal})"
         return Choice(_compiled_loops(checkpoint), reason)
     if not is_software_renderer(shaders.renderer):
-        return Choice(shaders, "a GPU is there")
+        return Choice(shaders, "a GPU is available")
     is_large = job.is_volume and math.prod(job.shape) > LARGE_VOLUME
     if not (compiled or is_large):
         if job.is_volume:
@@ -150,10 +157,10 @@ def _fastest(job: SolveJob, checkpoint: Checkpoint, provide_loops: Callable[[], 
 
 
 def _requested_shaders(job: SolveJob, name: str, checkpoint: Checkpoint) -> Backend[Any]:
-    """Return the backend of shaders of a name, or refuse the job."""
+    """Return the shader backend of a name; raise `BackendError` if it cannot solve the job."""
     from napari_hmrf.solver.backends.opengl import OpenGLBackend  # heavy: opengl
 
-    _loops_are_ready(job)  # a later solve may take them
+    _loops_are_ready(job)  # starts to load them for a later solve
     _compile_meanwhile(job)
     shaders = OpenGLBackend(checkpoint, stage=name.partition(":")[2] or None)
     refusal = shaders.supports(job)
@@ -164,12 +171,12 @@ def _requested_shaders(job: SolveJob, name: str, checkpoint: Checkpoint) -> Back
 
 
 def _loops_are_ready(job: SolveJob) -> bool:
-    """Return whether the loops can solve at once."""
+    """Return whether the loops for a job are compiled and can be used now."""
     return loops.ready_for_volumes() if job.is_volume else loops.ready()
 
 
 def _compile_meanwhile(job: SolveJob) -> None:
-    """Let another process compile the usual loops; those for volumes only on request."""
+    """Start another process that compiles the usual loops; loops for volumes are left out."""
     if not job.is_volume:
         compiler.compile_meanwhile()
 

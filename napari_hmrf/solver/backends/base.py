@@ -1,9 +1,8 @@
 """Protocol of a backend: the fields on its device, and the kernels that run on them.
 
-The kernels are pure functions from a site to its new value, of the same name and meaning on every
-backend; `solver.priors` defines them. All lengths are in pixels (``Problem.unit``), all values are
-float32. Displacement is zero in void, and stays so. A backend is used by one thread only, the
-compute thread.
+A kernel is a pure function from a site to its new value. It has the same name and meaning on every
+backend; `solver.priors` defines it. All lengths are in pixels (``Problem.unit``), and all values
+are float32. Displacement is zero in void. Only the compute thread uses a backend.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ class Field(Protocol):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The level's grid, (H, W) or (D, H, W)."""
+        """Grid of the level, (H, W) or (D, H, W)."""
         ...
 
 
@@ -52,15 +51,16 @@ class SiteRule:
     Attributes
     ----------
     blanket : bool
-        Whether the cliques count that contain the site as an end, too.
+        True if the local energy also includes the cliques that have the site at an end.
     relaxation : float
-        The damping: the parabola is taken 1/relaxation times as steep and its lowest point that
-        fraction of the way from where the site is.
+        Damping g in (0, 1]: the curvature of the local energy is divided by g, so a site without
+        an observation moves by g times its distance to the minimum.
     steps : tuple of float
-        The candidate set Gamma: ``{0} and {-e, 0, e} x {-e, 0, e}`` for each step e, in pixels;
-        in volumes of three components. Empty: the exact minimiser in closed form.
+        Candidate set Gamma of moves: 0, and ``{-e, 0, e} x {-e, 0, e}`` for each step e, in
+        pixels; in a volume each move has three components. If empty, a site moves to the exact
+        minimiser in closed form.
     weights : ndarray, shape (4, 2) or (13, 3)
-        Weight of each line of cliques, for each component: `priors.line_weights`.
+        Weight of each line of cliques for each component: `priors.line_weights`.
     """
 
     blanket: bool
@@ -70,11 +70,11 @@ class SiteRule:
 
 
 class Backend(Protocol[FieldType]):
-    """Kernels on one device. The layouts are those of the arrays `upload` takes."""
+    """Kernels on one device. Fields have the layouts of the arrays given to `upload`."""
 
     #: "cpu", "opengl:fragment" or "opengl:compute".
     name: str
-    #: Device in words: the processor with its loops, or the renderer string of OpenGL.
+    #: Description of the device: the processor, or the renderer string of OpenGL.
     renderer: str
 
     def supports(self, job: SolveJob) -> str | None:
@@ -82,37 +82,52 @@ class Backend(Protocol[FieldType]):
         ...
 
     def upload(self, values: FloatArray) -> FieldType:
-        """Bring values to the device.
+        """Copy values to the device.
 
         Parameters
         ----------
         values : ndarray, shape (H, W, C) or (D, H, W, C)
             C = 2: displacement (row, col), or stiffness (m, 1/m with 0 in void).
             C = 4: observation (y_row, y_col, p_row, p_col) with p = K c, eq. 19.
-            In a volume displacement has three, and observation six.
+            In a volume C = 3 for displacement, and C = 6 for observation.
         """
         ...
 
     def download(self, field: FieldType) -> FloatArray:
-        """Bring a field back, shape (H, W, C) or (D, H, W, C)."""
+        """Copy a field to the host, shape (H, W, C) or (D, H, W, C)."""
         ...
 
     def zeros(self, level: Level) -> FieldType:
-        """Return a displacement of zero on every site of a level."""
+        """Return a displacement field of zeros on a level."""
         ...
 
     def project(self, finest: FieldType, level: Level) -> FieldType:
-        """Project a field of level 0 to a coarser level by nearest neighbour (lines 4 to 6)."""
+        """Project a field of level 0 to a coarser level by nearest neighbour (lines 4 to 6).
+
+        Parameters
+        ----------
+        finest : field
+            Stiffness or observation on level 0.
+        level : Level
+            Target level.
+        """
         ...
 
     def prolong(
         self, coarse: FieldType, coarse_stiffness: FieldType, stiffness: FieldType
     ) -> FieldType:
-        """Project displacement one level down by linear interpolation (line 3).
+        """Interpolate displacement linearly to the next finer level (line 3).
 
-        A site takes 3/4 and 1/4 of the two nearest coarse sites along each axis, the border
-        repeated. Coarse sites in void have no displacement and no weight; a site with no tissue
-        around it, or in void itself, gets zero.
+        Along each axis, the two nearest coarse sites have the weights 3/4 and 1/4; border sites are
+        repeated outwards. Coarse sites in void have weight 0, and the other weights are scaled to
+        a sum of 1. A fine site in void, or without a coarse neighbour in tissue, gets zero.
+
+        Parameters
+        ----------
+        coarse : field
+            Displacement on the coarser level, in pixels.
+        coarse_stiffness, stiffness : field
+            Stiffness on the coarser and on the finer level.
         """
         ...
 
@@ -124,12 +139,22 @@ class Backend(Protocol[FieldType]):
         rule: SiteRule,
         sweeps: int,
     ) -> tuple[FieldType, EnergyArray]:
-        """Move all sites at once, `sweeps` times (lines 8 and 9); consumes `displacement`.
+        """Update all sites simultaneously, `sweeps` times (lines 8 and 9).
+
+        Parameters
+        ----------
+        displacement : field
+            Displacement in pixels; it is released and must not be used again.
+        stiffness, observation : field
+            Tissue and observations on the same level; see `upload`.
+        rule : SiteRule
+        sweeps : int
+            Number of sweeps.
 
         Returns
         -------
         field
-            The displacement after the last sweep.
+            Displacement after the last sweep.
         ndarray, shape (sweeps,)
             U_total before each sweep, in pixels squared.
         """
@@ -138,19 +163,19 @@ class Backend(Protocol[FieldType]):
     def energy(
         self, displacement: FieldType, stiffness: FieldType, observation: FieldType, rule: SiteRule
     ) -> float:
-        """Return U_total of a displacement, in pixels squared."""
+        """Return U_total of a displacement, in pixels squared; the arguments are as in `relax`."""
         ...
 
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
-        """Bring elastic tissue to the device, on all levels of multigrid."""
+        """Build the model of elastic tissue on the device, on all levels of multigrid."""
         ...
 
     def seiler_model(self, material: SeilerMaterial) -> LinearModel:
-        """Bring the paper's cliques to the device, on all levels of multigrid."""
+        """Build the model of the paper's cliques on the device, on all levels of multigrid."""
         ...
 
     def finite_model(self, material: FiniteMaterial) -> FiniteModel:
-        """Bring tissue that moves far to the device; the processor's backend alone takes it."""
+        """Build the model of large motion; only the processor's backend supports it."""
         ...
 
     def release(self, *fields: FieldType) -> None:
@@ -158,5 +183,5 @@ class Backend(Protocol[FieldType]):
         ...
 
     def close(self) -> None:
-        """Free everything that is left."""
+        """Free all resources of the backend."""
         ...

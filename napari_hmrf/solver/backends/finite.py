@@ -1,4 +1,4 @@
-"""Protocol of a model of large motion: an energy, and a linear model of the present state."""
+"""Protocol of a model of large motion: an energy, and its linearisation at a displacement."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from napari_hmrf.solver.priors.finite_strain import FiniteMaterial
 
 
 class FiniteModel(Protocol):
-    """Tissue that moves far; lengths are in pixels."""
+    """Model of tissue in large motion, with lengths in pixels."""
 
     @property
     def levels(self) -> Sequence[Any]:
-        """`LinearLevel`s of the linear model, finest first."""
+        """Levels (`LinearLevel`) of the linear model, finest first."""
         ...
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """As of a `LinearModel`."""
+        """Upper bounds of the spectrum, as in `LinearModel.bounds`."""
         ...
 
     #: Held components, and the factor by which cycles underestimate the error; None if unknown.
     rehearsed: tuple[HeldPlanes, float] | None
 
     def assemble(self, material: FiniteMaterial) -> None:
-        """Take another material of the same grid."""
+        """Replace the material by another one on the same grid."""
         ...
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The grid, (H, W)."""
+        """Grid, (H, W)."""
         ...
 
     @property
@@ -46,17 +46,17 @@ class FiniteModel(Protocol):
 
     @property
     def tangents(self) -> Any:
-        """The linear model as an `Assembled` material: what factors take."""
+        """Linear model as an `Assembled` material, for `direct.factors`."""
         ...
 
     def energy(self, d: Planes) -> tuple[float, float]:
-        """Return the energy of a displacement, and the least Jacobian of any corner."""
+        """Return the energy of a displacement, and the least Jacobian of all element corners."""
         ...
 
     def forces(self, d: Planes) -> Planes:
-        """Return the derivative of the energy by all components; valid until the next call.
+        """Return the gradient of the elastic energy, without external forces.
 
-        Forces from outside are no business of the model's.
+        The result is valid until the next call.
         """
         ...
 
@@ -68,29 +68,33 @@ class FiniteModel(Protocol):
         positive: float = 0.0,
         springs: Planes | None = None,
     ) -> None:
-        """Make the linear model that of small motion around a displacement, with what is held.
+        """Build the linear model of small motion around a displacement.
 
         Parameters
         ----------
         d : ndarray, planes
+            Displacement, in pixels.
         held : ndarray of bool, planes
+            Components that do not move.
         forces : ndarray, planes
-            The derivative of all energy there is: it turns rigid bodies further, or back.
+            Gradient of the total energy. Its moments add to the rotational stiffness of rigid
+            bodies.
         positive : float
-            How much of what lets tissue buckle is left out: 1 for all, and it does not.
+            Part of the indefinite terms that is left out, from 0 to 1; with 1 the matrix is
+            positive definite.
         springs : ndarray, planes, optional
-            What else resists motion of each component.
+            Values added to the diagonal.
         """
         ...
 
     @property
     def springs(self) -> Planes | None:
-        """Those that it was made with."""
+        """Values added to the diagonal of the present linear model."""
         ...
 
     @property
     def bodies(self) -> list[BodySites]:
-        """The sites of each rigid body."""
+        """Indices of the sites of each rigid body."""
         ...
 
     def poses(self, held: HeldPlanes) -> Poses:
@@ -98,26 +102,42 @@ class FiniteModel(Protocol):
         ...
 
     def project(self, values: Planes) -> None:
-        """Replace displacements or forces by those of bodies that move as one, in place."""
+        """Project displacements or forces onto the rigid motions of bodies, in place."""
         ...
 
     def balance(self, load: Planes) -> Balance:
-        """Return a load as iterations take it: 0 where nothing moves, and of bodies as one."""
+        """Return the load of an iteration: 0 at fixed components, projected for rigid bodies."""
         ...
 
     def image(self, way: Planes) -> Planes:
-        """Return the force of the linear model along a way, where components move."""
+        """Return A `way` of the linear model; 0 at fixed components."""
         ...
 
     def length(
         self, d: Planes, way: Planes, part: float, floor: float, each: bool = False
     ) -> tuple[float, npt.NDArray[np.float64]]:
-        """Return how far along a way all corners keep a part of their Jacobian, above a floor.
+        """Return the largest step along `way` that keeps the Jacobians of all element corners.
 
-        If `each`, also that of each element, (H - 1, W - 1).
+        Parameters
+        ----------
+        d, way : ndarray, planes
+            Displacement and search direction, in pixels.
+        part : float
+            Least ratio of a corner's Jacobian to its present value.
+        floor : float
+            Least Jacobian of a corner; a corner below it must keep its present value.
+        each : bool
+            True to compute the largest step of each element, too.
+
+        Returns
+        -------
+        float
+            Largest step, as a factor of `way`; may be infinite.
+        ndarray, shape (H - 1, W - 1)
+            Largest step of each element; empty unless `each`.
         """
         ...
 
     def clear(self) -> None:
-        """Make all corrections zero: numbers may have overflowed."""
+        """Set all corrections to zero, because they may not be finite."""
         ...

@@ -1,7 +1,7 @@
 """Start of a solve, and the known quality of that start.
 
-A system is linear: a sum of its solutions solves it for the same sum of observations and loads, and
-its error is at most the sum of the errors of its parts.
+The system is linear: a weighted sum of its solutions is the solution for the same sum of
+observations and loads. The error of the sum is at most the sum of the errors of its parts.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ FloatArray = npt.NDArray[np.float32]
 
 
 class Met(NamedTuple):
-    """Knowledge that a warm start takes from the solves of its parts.
+    """Properties of a warm start that are known from earlier solves.
 
     Attributes
     ----------
     least : float
-        The least eigenvalue that they have met; 1 if they have met none.
+        Least eigenvalue of the preconditioned system that the iterations have found; at most 1.
     error : float
-        Estimated error of their sum, in pixels: distance from the sum of converged fields.
+        Estimated error of the start, in pixels: its largest distance from the converged field.
     """
 
     least: float
     error: float
 
 
-# Displacements, each with its least eigenvalue and error; used on the compute thread only.
+# Displacements, each with its properties; used on the compute thread only.
 _met: list[tuple[weakref.ref[Any], Met]] = []
 
 
@@ -45,22 +45,28 @@ def remember(displacement: npt.NDArray[Any], met: Met) -> None:
     Parameters
     ----------
     displacement : ndarray
-        The array itself; only a weak reference is kept.
+        Displacement; only a weak reference to this array is kept.
     met : Met
+        Properties found by its solve.
     """
     _met[:] = [each for each in _met if each[0]() is not None]
     _met.append((weakref.ref(displacement), met))
 
 
 def met_by(start: Beginning) -> Met:
-    """Return the combined knowledge of the solves of a start.
+    """Combine the known properties of the parts of a warm start.
 
-    A warm start is close to converged except for motions that cycles hardly reduce, so its own
-    iteration meets them late, and its estimate alone would be too small.
+    A warm start is nearly converged, except for motions that cycles hardly reduce. The iteration
+    detects these motions late, so its own estimate of the error would be too small.
 
     Parameters
     ----------
     start : Beginning
+
+    Returns
+    -------
+    Met
+        Least eigenvalue of all parts, and sum of their weighted errors.
     """
     least, error = 1.0, 0.0
     for share, part in zip(start.shares, start.displacements, strict=True):
@@ -70,7 +76,7 @@ def met_by(start: Beginning) -> Met:
     return Met(least, error)
 
 
-# A residual may exceed its known value by this factor, as stored fields are rounded.
+# A residual may exceed its known value by this factor, because stored fields are rounded.
 _ROUNDED = 4.0
 _TINY = 1e-300
 
@@ -82,14 +88,14 @@ class Beginning:
     Attributes
     ----------
     displacements : tuple of ndarray, each of shape (H, W, 2)
-        At least one.
+        One or more displacements.
     shares : tuple of float
         Factor of each displacement.
     unit : float
         Length of a pixel in the unit of the displacements.
     missing : float
         Largest distance of the sum from the observations, in pixels; or of its loads from the
-        given ones, as a part of the largest motion.
+        given loads, relative to the largest motion.
     """
 
     displacements: tuple[FloatArray, ...]
@@ -99,7 +105,7 @@ class Beginning:
 
     @property
     def weighted(self) -> list[tuple[FloatArray, float]]:
-        """The displacements, each with its factor in a sum in pixels."""
+        """Displacements, each with its factor in the sum in pixels."""
         weights = (share / self.unit for share in self.shares)
         return list(zip(self.displacements, weights, strict=True))
 
@@ -112,40 +118,45 @@ class Quality(NamedTuple):
     error : float
         Estimated largest error of any site, in pixels.
     residual : float
-        Norm of the load that the displacement leaves unbalanced, in the model's units.
+        Norm of the residual, load - A d, in the model's units.
     """
 
     error: float
     residual: float
 
     def suffices(self, tolerance: float, residual: float) -> bool:
-        """Return whether the error is within a tolerance, in pixels, and the residual as known."""
+        """Return whether the error is at most a tolerance, in pixels.
+
+        Also return False if the present residual exceeds the known one by more than rounding.
+        """
         if residual > _ROUNDED * self.residual:
             return False
-        # A larger residual is taken for a larger error, in proportion.
+        # The error is assumed to grow in proportion to the residual.
         return self.error * max(1.0, residual / max(self.residual, _TINY)) <= tolerance
 
 
 class Found:
-    """Results for one system: displacements, as long as the caller keeps them, and more.
+    """Results of earlier solves of one system.
+
+    Displacements are kept by weak reference.
 
     Attributes
     ----------
     doubt : float or None
-        Factor by which cycles underestimate the error, where a rehearsal has measured it.
+        Factor by which cycles underestimate the error; None until it is known.
     least : float
-        Least eigenvalue that cycles have met.
+        Least eigenvalue of the preconditioned system that the iterations have found.
     slow : bool
-        True if cycles have met a motion that they reduce so badly that the tissue is not mild.
+        True if the iterations have found a motion that cycles hardly reduce.
     care : int
-        Number of times that cycles had to smooth more for that reason.
+        Number of times that the number of smoothing steps was raised for that reason.
     factors : Factors or None
         Factors of the system, where cycles cannot be trusted.
     entrained : Entrained or None
         Motions that rigid bodies induce in the tissue around them, if there are any bodies.
     idle : ndarray of int or None
-        Indices in planes of tissue that is not observed and bears no load; None before they are
-        searched for.
+        Indices in planes of tissue that is not observed and bears no load; None until the search
+        for such tissue has run.
     """
 
     def __init__(self) -> None:
@@ -164,8 +175,11 @@ class Found:
         self._known.append((weakref.ref(displacement), quality))
 
     def quality(self, start: Beginning) -> Quality | None:
-        """Return the quality of a sum that matches the observations; None if a part is unknown."""
-        parts = [self._of(each) for each in start.displacements]
+        """Return the quality of a start that matches the observations.
+
+        Return None if the quality of one of its displacements is unknown.
+        """
+        parts = [self._quality_of(each) for each in start.displacements]
         error = residual = 0.0
         for share, part in zip(start.shares, parts, strict=True):
             if part is None:
@@ -174,6 +188,6 @@ class Found:
             residual += abs(share) * part.residual
         return Quality(error, residual)
 
-    def _of(self, displacement: FloatArray) -> Quality | None:
+    def _quality_of(self, displacement: FloatArray) -> Quality | None:
         found = (quality for known, quality in self._known if known() is displacement)
         return next(found, None)

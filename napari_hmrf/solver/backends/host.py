@@ -1,6 +1,6 @@
-"""Displacements in double precision, kept on the host whatever the backend: see `linear`.
+"""Displacements in double precision, which every backend keeps on the host: see `linear`.
 
-The docstrings give the shapes of images, (H, W, 2); volumes have (D, H, W, 3).
+The docstrings give the shapes for images, (H, W, 2); for volumes they are (D, H, W, 3).
 """
 
 from __future__ import annotations
@@ -33,7 +33,10 @@ kept_volumes.forgotten_by(_spare.clear)
 
 
 def _exact(axes: int = 2) -> Any:
-    """Return the loops, or before they are compiled, and for volumes, their twins in NumPy."""
+    """Return the module of compiled loops, or its twin in NumPy.
+
+    The twin is used until the loops are compiled, and for volumes.
+    """
     if loops.in_use() and axes == 2:
         from napari_hmrf.solver.backends.cpu import exact  # heavy: numba
 
@@ -42,9 +45,16 @@ def _exact(axes: int = 2) -> Any:
 
 
 def prescribed(problem: Problem, start: Beginning | None = None) -> tuple[Planes, HeldPlanes]:
-    """Return the displacement that is observed on tissue, in pixels, and where that is.
+    """Return the first displacement of a solve, and the mask of its held components, as planes.
 
-    Elsewhere it is that of `start`, or zero.
+    Observed components have the observed displacement, in pixels, and are held. The others have
+    that of `start`, or zero.
+
+    Parameters
+    ----------
+    problem : Problem
+    start : Beginning, optional
+        Warm start.
     """
     exact, axes = _exact(len(problem.shape)), len(problem.shape)
 
@@ -56,7 +66,7 @@ def prescribed(problem: Problem, start: Beginning | None = None) -> tuple[Planes
         d, held = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
     given = [] if start is None else start.weighted
     terms = [(loops.only_read(values), weight) for values, weight in given]
-    # The loops add two terms: missing ones have a weight of 0.
+    # The loops add exactly two terms; a missing term has the weight 0.
     nothing = problem.observed, 0.0
     (first, one), (second, two) = [*terms, nothing, nothing][:2]
     for at in slices(problem.shape):
@@ -69,16 +79,16 @@ def prescribed(problem: Problem, start: Beginning | None = None) -> tuple[Planes
 
 
 class Slice(NamedTuple):
-    """Index of a slice of a volume, in arrays of sites and in planes."""
+    """Index of a slice of a volume, in arrays (D, H, W, ...) and in planes."""
 
     sites: Any
     planes: Any
 
 
 def slices(grid: tuple[int, ...]) -> Iterator[Slice]:
-    """Yield the whole image, or each slice of a volume, for which NumPy takes less memory.
+    """Yield the index of the whole image, or of each slice of a volume.
 
-    Cancellation is checked before each slice.
+    Slices limit the memory of temporary arrays in NumPy. Cancellation is checked before each slice.
     """
     if len(grid) == 2:
         yield Slice(..., ...)
@@ -89,16 +99,27 @@ def slices(grid: tuple[int, ...]) -> Iterator[Slice]:
 
 
 def reuse(d: Planes, held: HeldPlanes) -> None:
-    """Take what `prescribed` made for the next time: fresh memory takes longer to get than to fill.
+    """Keep the arrays of `prescribed` for its next call: allocating takes longer than filling.
 
-    For the compute thread only, on which solves take turns. Those of a volume are left to others:
-    memory is what limits volumes.
+    Arrays of volumes are not kept, because memory limits volumes. Call it on the compute thread
+    only.
     """
     _spare[:] = [(d, held)] if d.ndim == 3 else []
 
 
 def noise(shape: tuple[int, ...]) -> Planes:
-    """Return the same random displacement each time: of all lengths at once, from -1 to 1."""
+    """Return a reproducible random displacement with components of all wavelengths.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Shape of planes, with their border.
+
+    Returns
+    -------
+    ndarray, planes
+        Displacement with a largest absolute value of 1.
+    """
     made: Planes = np.zeros(shape)
     random = np.random.default_rng(0)
     axes = range(1, len(shape))
@@ -118,7 +139,20 @@ def noise(shape: tuple[int, ...]) -> Planes:
 
 
 def settle(displacement: FloatArray, tissue: npt.NDArray[np.bool_], unit: float) -> bool:
-    """Bring pixels (H, W, 2) to lengths, and void to rest, in place; whether all were numbers."""
+    """Convert displacement from pixels to lengths, in place, and set void to 0.
+
+    Parameters
+    ----------
+    displacement : ndarray, shape (H, W, 2)
+    tissue : ndarray of bool, shape (H, W)
+    unit : float
+        Length of a pixel.
+
+    Returns
+    -------
+    bool
+        True if all values are finite.
+    """
     if displacement.dtype == np.float64:
         displacement *= unit * tissue[..., None]
         return bool(np.isfinite(displacement).all())
@@ -130,7 +164,7 @@ def settle(displacement: FloatArray, tissue: npt.NDArray[np.bool_], unit: float)
 
 
 def combined(start: Beginning) -> Planes:
-    """Return the sum that a solve begins with, as planes, in pixels."""
+    """Return the weighted sum of a start as planes, in pixels."""
     return planes(np.sum([weight * each for each, weight in start.weighted], axis=0))
 
 
@@ -142,10 +176,23 @@ def add(d: Planes, correction: npt.NDArray[np.float32], scale: float) -> None:
 
 
 def gathered(d: Planes, tolerance: float) -> tuple[npt.NDArray[np.floating], float]:
-    """Return a displacement as an array (H, W, 2), and the largest rounding error of its vectors.
+    """Return a displacement as an array, and a bound on its rounding error.
 
-    The array is in single precision, unless the tolerance needs double. The error is in pixels, and
-    includes that of the conversion to lengths by `settle`.
+    The array has single precision, unless its rounding error would exceed the tolerance.
+
+    Parameters
+    ----------
+    d : ndarray, planes
+        Displacement, in pixels.
+    tolerance : float
+        Largest rounding error, in pixels.
+
+    Returns
+    -------
+    ndarray, shape (H, W, 2)
+        Displacement, in pixels.
+    float
+        Bound on the rounding error of a vector, in pixels, including the rounding in `settle`.
     """
     most = math.sqrt(len(d)) * max(float(d.max()), -float(d.min()))
     single = np.finfo(np.float32)

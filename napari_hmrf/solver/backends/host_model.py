@@ -1,4 +1,4 @@
-"""Common part of the linear models of all priors, on the host."""
+"""Base class of the linear models on the host."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from napari_hmrf.solver.backends.rigid.bodies import Bodies
 from napari_hmrf.solver.backends.rigid.entrained import Entrained
 from napari_hmrf.solver.backends.thread import compute_thread
 
-# Squares of values between these are far from the ends of single precision.
+# Squares of values between these bounds neither overflow nor underflow in single precision.
 _SMALL, _GREAT = 1e-6, 1e6
 
 
 class HostModel:
-    """The part of `LinearModel` that is the same for all.
+    """Part of `LinearModel` that all priors share.
 
     Attributes
     ----------
     levels : sequence
-        Finest first; the finest has ``hold(held)``, the others ``hold_as(finer)``.
+        Levels, finest first; the finest has ``hold(held)``, the others ``hold_as(finer)``.
     bodies : Bodies or None
-        Of rigid tissue, with what is held now.
+        Rigid bodies with the present held components; None without rigid tissue.
     iterates : bool
-        Whether cycles can move bodies as one.
+        True if cycles can be used with such tissue.
     found : Found
-        For the tissue with what is held now.
+        Results of earlier solves with the present held components.
     """
 
     levels: Sequence[Any]
@@ -39,17 +39,17 @@ class HostModel:
     found: Found
     bodies: Bodies | None = None
     iterates: bool = True
-    #: The finest level for an iteration in double precision; volumes have it.
+    #: Finest level for an iteration in double precision; only volumes have one.
     exactly: Any = None
-    #: Loops go through a cycle in a hundredth of the time that factors take.
+    #: True if direct factors are faster than cycles; a cycle takes a hundredth of their time.
     slow = False
     _held: HeldPlanes | None
-    #: Residual of a load: 0 where held.
+    #: Residual of a load; 0 at held components.
     _rest: npt.NDArray[np.float32]
 
     @property
     def mild(self) -> bool:
-        """True if a cycle sees every motion of such tissue."""
+        """True if a cycle reduces every motion of such tissue."""
         return bool(self.material.mild)
 
     @property
@@ -60,14 +60,14 @@ class HostModel:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The finest grid, (H, W)."""
+        """Finest grid, (H, W) or (D, H, W)."""
         return tuple(self.levels[0].grid)
 
     def hold(self, held: HeldPlanes) -> None:
-        """Hold components on all levels."""
+        """Set the held components on all levels."""
         if self._held is not None and np.array_equal(held, self._held):
             return
-        self._held = None  # until all levels are done: this may be stopped on the way
+        self._held = None  # set last, because a cancellation may interrupt the update
         self.found = Found()
         self._rest.fill(0)
         compute_thread.look()
@@ -76,10 +76,10 @@ class HostModel:
             compute_thread.look()
             coarse.hold_as(fine)
         self._begin()
-        self._held = held.copy() if len(held) == 2 else held  # nothing changes that of a volume
+        self._held = held.copy() if len(held) == 2 else held  # the mask of a volume never changes
 
     def _begin(self) -> None:
-        """Other components are held: forget what was found before, if it is kept."""
+        """Reset results that depend on the held components; the base class has none."""
 
     def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:
         """Return the residual of a load for a displacement."""
@@ -97,17 +97,17 @@ class HostModel:
         return Balance(self._rest, unit, unit * most, unit * norm)
 
     def entrained(self, steps: Steps, coarsest: Steps) -> Entrained | None:
-        """Return None: there is nothing rigid."""
+        """Return None; models of rigid tissue override this method."""
         return None
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
-        """Write (load - A d) / unit to `_rest`; its largest absolute value, and its norm."""
+        """Write (load - A d) / unit to `_rest`; return its largest absolute value and its norm."""
         raise NotImplementedError
 
     def clear(self) -> None:
-        """Make all corrections zero."""
+        """Set all corrections to zero."""
         for level in self.levels:
             level.clear()
 
     def close(self) -> None:
-        """Ignore the call: memory goes with the last reference."""
+        """Ignore the call; memory is freed with the last reference."""

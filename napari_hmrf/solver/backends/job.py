@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class Schedule(Protocol):
-    """Optimizer, as far as the choice of loops goes."""
+    """Part of an optimizer that the choice of loops depends on."""
 
     @property
     def kernels(self) -> str:
@@ -32,10 +32,10 @@ class SolveJob:
     spacing : tuple of float
         Size of a pixel or voxel along each axis.
     prior : Prior
-        Prior in force, as returned by its `resolved`.
+        Prior as returned by its `resolved`.
     optimizer : Schedule
     has_loads : bool
-        True if tissue grows or forces pull at it.
+        True if growth of tissue or external forces are given.
     has_rigid_tissue : bool
         True if some stiffness is infinite.
     """
@@ -49,7 +49,7 @@ class SolveJob:
 
     @classmethod
     def of(cls, problem: Problem, prior: Prior, optimizer: Schedule) -> SolveJob:
-        """Return the requirements of the solve of a problem."""
+        """Return the requirements for solving a problem."""
         return cls(
             problem.shape,
             problem.spacing,
@@ -66,17 +66,17 @@ class SolveJob:
 
     @property
     def has_large_motion(self) -> bool:
-        """True if tissue moves far."""
+        """True if the prior is one of large motion."""
         return isinstance(self.prior, NeoHookeanPrior)
 
     @property
     def can_slip(self) -> bool:
-        """True if observations yield where they pull hard."""
+        """True if observations may be violated: the penalty is finite."""
         return not isinstance(self.prior, SeilerPrior) and self.prior.penalty != math.inf
 
     @property
     def loops(self) -> str:
-        """Name of the set of loops that covers most of the solve: a job of the compiler."""
+        """Name of the set of loops that contains most of the needed ones: a job of the compiler."""
         if self.has_large_motion:
             return "large-motion"
         if isinstance(self.prior, ElasticPrior):

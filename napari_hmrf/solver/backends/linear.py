@@ -1,12 +1,12 @@
-"""Protocol of a linear model, A d = load, on ever coarser levels.
+"""Protocol of a linear model, A d = load, on a hierarchy of levels.
 
 A *vector* is a displacement or a force on the sites of one level, kept on the device. A *scalar* is
-a number kept there too: it goes from kernel to kernel without the host, which waits for the device
-in `LinearLevel.read` only. Components that are held, or have no neighbours, do not move: a
-correction is zero there.
+a number on the device: kernels pass it on without the host, which waits for the device in
+`LinearLevel.read` only. A component that is held, or has no neighbours, is fixed: its correction is
+zero.
 
-On the host, fields are *planes*: float64, (2, H + 4, W + 4), the component first, in a ring of
-zeros two sites wide.
+On the host, fields are *planes*: float64 arrays (2, H + 4, W + 4), with the component as the first
+axis and a border of zeros, two sites wide. D is the diagonal of A.
 """
 
 from __future__ import annotations
@@ -28,15 +28,16 @@ Steps = tuple[tuple[float, float], ...]
 
 
 class Balance(NamedTuple):
-    """Residual of a load, load - A d: computed in double precision, 0 where held.
+    """Residual load - A d, computed in double precision; 0 at held components.
 
     Attributes
     ----------
     rest : ndarray of float32, planes
-        In units of `unit`. The caller may change it; valid until the next call.
+        Residual divided by `unit`. The caller may change it; valid until the next call.
     unit : float
+        Scale of `rest`, in the model's units.
     most, norm : float
-        The largest absolute value, and the norm; in the model's units.
+        Largest absolute value and norm of the residual, in the model's units.
     """
 
     rest: npt.NDArray[np.float32]
@@ -48,21 +49,29 @@ class Balance(NamedTuple):
 class LinearLevel(Protocol):
     """One level of the model."""
 
-    #: Load that the level is relaxed for: assign a vector on the finest level.
+    #: Right-hand side of the level's system; the caller assigns a vector on the finest level.
     load: Any
     #: Correction that `descend` and `ascend` change.
     correction: Any
 
     @property
     def worth_again(self) -> bool:
-        """True if another visit within a cycle gains more than its passes cost."""
+        """True if a second visit within a cycle is worth its cost."""
         ...
 
     def descend(self, steps: Steps, coarse: Any | None, again: bool = False) -> None:
-        """Smooth from a correction of zero, and make what is left of the load `coarse`'s load.
+        """Smooth from a correction of zero, and restrict the residual to the load of `coarse`.
 
-        If `again`, smooth on from the correction there is. Each step of smoothing is
-        step = scale D^-1 (load - A d) + momentum step, d += step.
+        Each step of smoothing is step = scale D^-1 (load - A d) + momentum step, d += step.
+
+        Parameters
+        ----------
+        steps : tuple of (float, float)
+            Scale and momentum of each step.
+        coarse : LinearLevel or None
+            Next coarser level; None for the last level.
+        again : bool
+            True to start from the present correction.
         """
         ...
 
@@ -70,27 +79,31 @@ class LinearLevel(Protocol):
     takes_rest: bool
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
-        """Find a correction for the load with `coarsest` steps, from zero."""
+        """Compute a correction for the load from zero.
+
+        If `takes_rest`, all coarser levels are visited: with `steps`, and `coarsest` on the last
+        level. Otherwise this level is smoothed with `coarsest` steps.
+        """
         ...
 
     def ascend(self, steps: Steps, coarse: Any) -> None:
-        """Add the correction of the next coarser level, interpolated, and smooth."""
+        """Add the interpolated correction of the next coarser level, and smooth."""
         ...
 
     def vector(self, values: npt.NDArray[np.float32] | None = None) -> Any:
-        """Return a new vector: zero, or of what is in these planes, which it may change."""
+        """Return a new vector, of zeros or of the values in planes, which may be overwritten."""
         ...
 
     def passing(self) -> Any:
-        """Return a vector of anything, which lasts until the next cycle."""
+        """Return an uninitialised vector that is valid until the next cycle."""
         ...
 
     def free(self, *vectors: Any) -> None:
-        """Take vectors back that are no longer used."""
+        """Release vectors for reuse."""
         ...
 
     def planes(self, vector: Any) -> npt.NDArray[np.float32]:
-        """Bring a vector to the host."""
+        """Copy a vector to the host as planes."""
         ...
 
     def product(self, a: Any, b: Any) -> Any:
@@ -106,7 +119,7 @@ class LinearLevel(Protocol):
         ...
 
     def ratio(self, a: Any, b: Any) -> Any:
-        """Return a scalar over another; 0 unless both are positive."""
+        """Return a / b for two scalars; 0 unless both are positive."""
         ...
 
     def apply(self, direction: Any, image: Any) -> Any:
@@ -114,7 +127,7 @@ class LinearLevel(Protocol):
         ...
 
     def advance(self, d: Any, rest: Any, direction: Any, image: Any, length: Any) -> Any:
-        """Add length direction to d, take length image from rest; return the square of the rest."""
+        """Compute d += length direction and rest -= length image; return rest . rest."""
         ...
 
     def turn(self, steepest: Any, direction: Any, share: Any) -> None:
@@ -122,27 +135,27 @@ class LinearLevel(Protocol):
         ...
 
     def project(self, vector: Any) -> None:
-        """Replace a displacement or a force, in place, by that of bodies that move as one."""
+        """Project a displacement or a force onto the rigid motions of bodies, in place."""
         ...
 
     def read(self, *scalars: Any) -> tuple[float, ...]:
-        """Wait for scalars."""
+        """Wait for the device, and return the values of scalars."""
         ...
 
 
 class UnsymmetricLevel(LinearLevel, Protocol):
-    """One level of a model that is not symmetric: it takes another iteration, with more steps."""
+    """One level of a model with an unsymmetric matrix, with the kernels of its iteration."""
 
     def multiply(self, direction: Any, image: Any) -> None:
-        """Compute image = A direction, whose product with it means nothing here."""
+        """Compute image = A direction."""
         ...
 
     def quotient(self, a: Any, b: Any) -> Any:
-        """Return a scalar over another of either sign; 0 where that is 0."""
+        """Return a / b for two scalars of any sign; 0 if b is 0."""
         ...
 
     def times(self, a: Any, b: Any) -> Any:
-        """Return a scalar times another."""
+        """Return a b for two scalars."""
         ...
 
     def lean(self, rest: Any, direction: Any, image: Any, share: Any, stride: Any) -> None:
@@ -155,21 +168,21 @@ class Hierarchy(Protocol):
 
     @property
     def levels(self) -> Sequence[Any]:
-        """`LinearLevel`s, finest first."""
+        """Levels (`LinearLevel`), finest first."""
         ...
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Upper bounds of the spectrum of D^-1 A: the usual one, and one for any material."""
+        """Upper bounds of the spectrum of D^-1 A: for usual materials, and for all materials."""
         ...
 
 
 class LinearModel(Protocol):
-    """A prior's model of one problem, and the same model again on coarser levels."""
+    """Linear model of one problem, with its coarser levels."""
 
     @property
     def levels(self) -> Sequence[LinearLevel]:
-        """Finest first."""
+        """Levels, finest first."""
         ...
 
     @property
@@ -179,32 +192,32 @@ class LinearModel(Protocol):
 
     @property
     def mild(self) -> bool:
-        """True if a cycle sees every motion of such tissue."""
+        """True if a cycle reduces every motion of such tissue."""
         ...
 
     @property
     def slow(self) -> bool:
-        """True if factors are faster than cycles on this device."""
+        """True if direct factors are faster than cycles on this device."""
         ...
 
     @property
     def exactly(self) -> Any:
-        """The finest level for an iteration in double precision; None if there is none."""
+        """Finest level for an iteration in double precision; None if the model has none."""
         ...
 
     @property
     def moves(self) -> HeldPlanes:
-        """Mask of the unknown components of the finest level, with the present held ones."""
+        """Mask of the unknown components of the finest level, given the held ones."""
         ...
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The finest grid, (H, W)."""
+        """Finest grid, (H, W) or (D, H, W)."""
         ...
 
     @property
     def bodies(self) -> Bodies | None:
-        """Rigid tissue, with what is held now."""
+        """Rigid bodies with the present held components; None without rigid tissue."""
         ...
 
     @property
@@ -214,53 +227,74 @@ class LinearModel(Protocol):
 
     @property
     def found(self) -> Found:
-        """Earlier results for the tissue with the present held components."""
+        """Results of earlier solves with the present held components."""
         ...
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Upper bounds of the spectrum of D^-1 A: the usual one, and one for any material."""
+        """Upper bounds of the spectrum of D^-1 A: for usual materials, and for all materials."""
         ...
 
     def hold(self, held: HeldPlanes) -> None:
-        """Say which components do not move, on the finest level and therefore on all."""
+        """Set the held components of the finest level, and update the coarser levels."""
         ...
 
     def entrained(self, steps: Steps, coarsest: Steps) -> Entrained | None:
-        """Return what bodies that cycles hold take along, by so much smoothing; None without."""
+        """Return the fields of rigid bodies' motions for deflation; None if there are none.
+
+        Parameters
+        ----------
+        steps, coarsest : tuple of (float, float)
+            Smoothing steps with which the fields are computed, the latter on the coarsest level.
+        """
         ...
 
     def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:
-        """Find what a displacement leaves of a load.
+        """Compute the residual load - A d.
 
-        `unit` is a guess of what will be left, good to a few powers of ten.
+        Parameters
+        ----------
+        d : ndarray, planes
+            Displacement, in pixels.
+        load : ndarray, planes, or None
+            Load, in the model's units; None for no load.
+        unit : float
+            Estimate of the largest value of the residual. An error of a few powers of ten does no
+            harm.
         """
         ...
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """Return the pull of the tissue everywhere, held or not: -A d, in double precision.
+        """Return the force of the tissue on every component: -A d, in double precision.
 
-        `low` is what rounding took from `d`. Valid until the next call.
+        The result is valid until the next call.
+
+        Parameters
+        ----------
+        d : ndarray, planes
+            Displacement, in pixels.
+        low : ndarray, planes, optional
+            Part of the displacement that was rounded off in `d`.
         """
         ...
 
     def work(self, d: Planes) -> tuple[float, float]:
-        """Return the model's energy of a displacement, and the norm of all its forces."""
+        """Return the energy of a displacement, and the norm of its forces A d."""
         ...
 
     @property
     def steepness(self) -> Planes:
-        """The diagonal of A on the finest level, whatever is held."""
+        """Diagonal of A on the finest level, including held components."""
         ...
 
     def clear(self) -> None:
-        """Make all corrections zero: numbers may have overflowed."""
+        """Set all corrections to zero, because they may not be finite."""
         ...
 
     def forget(self) -> None:
-        """Keep nothing for a later solve: numbers have overflowed."""
+        """Remove the model from the cache, after an overflow."""
         ...
 
     def close(self) -> None:
-        """Free what it has on the device."""
+        """Free the model's memory on the device."""
         ...

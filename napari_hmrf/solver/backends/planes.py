@@ -1,4 +1,4 @@
-"""Fields on the host: planes, float64, in a ring of zeros two sites wide."""
+"""Fields on the host as planes: float64 arrays with a border of zeros, two sites wide."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-#: A displacement or forces, (2, H + 4, W + 4) or (3, D + 4, H + 4, W + 4).
+#: Displacement or forces, shape (2, H + 4, W + 4) or (3, D + 4, H + 4, W + 4).
 Planes = npt.NDArray[np.float64]
-#: One truth value per component, in the same shape.
+#: Mask with one value for each component of each site, in the shape of `Planes`.
 HeldPlanes = npt.NDArray[np.bool_]
 
 
 def planes(values: npt.NDArray[Any]) -> Planes:
-    """Return values (H, W, 2) or (D, H, W, 3) as planes."""
+    """Return planes with a copy of values (H, W, 2) or (D, H, W, 3)."""
     made = np.zeros((values.shape[-1], *(size + 4 for size in values.shape[:-1])))
     inside(made)[...] = np.moveaxis(values, -1, 0)
     return made
 
 
 def inside(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return a view of planes without their ring."""
+    """Return a view of planes without their border."""
     return values[(slice(None), *[slice(2, -2)] * (values.ndim - 1))]
 
 
 def field(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return planes as values (H, W, 2) or (D, H, W, 3), a view."""
+    """Return a view of planes as values (H, W, 2) or (D, H, W, 3)."""
     return np.moveaxis(inside(values), 0, -1)

@@ -1,9 +1,9 @@
-"""The compute thread: the one thread that every kernel runs on, whatever the backend.
+"""Compute thread: the one thread on which the kernels of all backends run.
 
-An OpenGL context belongs to the thread that made it current; beside napari's own context no other
-thread, least of all the GUI's, may touch it. Numba's threads must not be entered from two threads
-at once either. So there is one such thread in a process, started by the first job, and jobs queue
-up for it. The child of a fork, in which only the thread that forked goes on, starts its own.
+An OpenGL context belongs to the thread that made it current. No other thread may use it, least of
+all the GUI thread, which has napari's own context. Numba's thread pool must not be entered from two
+threads at once either. Each process therefore has one compute thread, started by the first job, and
+a queue of jobs. After a fork, the child process starts a compute thread of its own.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from napari_hmrf.errors import BackendError, Cancelled
 
 T = TypeVar("T")
 _log = logging.getLogger("napari_hmrf")
-#: Present work in words, and how to stop it; a callable is read when it is needed.
+#: Description of the running work and how to stop it; a callable returns the present one.
 Doing = str | Callable[[], str]
 _Job = tuple[Callable[[], Any], "Future[Any]", Doing]
 
-#: Description of cancelled work, for callers that wait.
+#: Description of cancelled work, shown to callers that wait for it.
 STOPPED = "what was cancelled to come to its end, which happens by itself"
-# Longest time until a caller that waits for a job sees Ctrl-C, in seconds.
+# Longest time until Ctrl-C interrupts a caller that waits for a job, in seconds.
 _TICK = 0.1
 _SOMETHING = "a computation that a script or another plugin asked for, which only that can stop"
 
 
 class ComputeThread:
-    """A worker thread with a queue in and futures out; never two at once."""
+    """Worker thread that runs one job at a time and returns results as futures."""
 
     def __init__(self) -> None:
-        self._forked = self._torn = False
+        self._forked = self._is_inconsistent = False
         self._begin()
 
     def _begin(self) -> None:
@@ -50,29 +50,29 @@ class ComputeThread:
         self._doing: Doing = ""
         #: Progress of the running job, in words, if it reports any.
         self.stage = ""
-        # Each says whether the job that runs is to stop.
+        # Conditions under which the running job stops.
         self._stops: list[Callable[[], bool]] = []
 
     def submit(self, job: Callable[[], T], doing: Doing = _SOMETHING) -> Future[T]:
-        """Queue a job; its future holds the result, or the error it raised.
+        """Queue a job; its future receives the result or the error.
 
         Parameters
         ----------
         job : callable
         doing : str or callable
-            Description for callers that wait: the work, and how to stop it. A clause that goes
-            on from "waiting for".
+            Description for callers that wait: the work, and how to stop it. It completes a
+            sentence that begins with "waiting for".
 
         Raises
         ------
         BackendError
-            In the child of a fork that came in the middle of another thread's job.
+            In the child of a fork that happened while another thread's job was running.
         """
-        if self._torn:
+        if self._is_inconsistent:
             raise BackendError(
-                "this process was forked while its parent was computing, and what the compiler was "
-                'doing then cannot be trusted. Start it by "spawn" '
-                '(multiprocessing.get_context("spawn")), or between two solves.'
+                "this process was forked while its parent was computing, so the state of the "
+                'compiler may be inconsistent. Start the process by "spawn" '
+                '(multiprocessing.get_context("spawn")), or fork between two solves.'
             )
         future: Future[T] = Future()
         with self._lock:
@@ -85,9 +85,10 @@ class ComputeThread:
         return future
 
     def result_of(self, job: Callable[[], T], doing: Doing = _SOMETHING) -> T:
-        """Run a job, as `submit` does, and wait for it; at once if this is the thread itself.
+        """Run a job like `submit`, and wait for its result.
 
-        A caller that stops waiting, as after Ctrl-C, stops the job at its next `look`.
+        On the compute thread itself the job runs at once. If the wait is interrupted, as by Ctrl-C,
+        the job stops at its next `look`.
         """
         if self.is_current():
             return job()
@@ -101,7 +102,7 @@ class ComputeThread:
         try:
             future = self.submit(run, doing)
             while not wait([future], _TICK).done:
-                pass  # a lock alone may keep Ctrl-C waiting: on Windows always
+                pass  # without a timeout, Windows would not handle Ctrl-C during the wait
             return future.result()
         except BaseException:
             left.set()
@@ -111,12 +112,12 @@ class ComputeThread:
 
     @contextmanager
     def unless(self, stop: Callable[[], bool]) -> Iterator[None]:
-        """Stop the running job at its next `look`, too, once `stop` returns True.
+        """Let the running job stop at its next `look` once `stop` returns True.
 
         Parameters
         ----------
         stop : callable
-            Called on this thread, several times a second: whether to stop.
+            Called on this thread, several times a second; returns whether to stop.
         """
         self._stops.append(stop)
         try:
@@ -125,24 +126,23 @@ class ComputeThread:
             self._stops.pop()
 
     def look(self) -> None:
-        """Look whether the job that runs is still wanted: for long work, several times a second.
+        """Raise `Cancelled` if the running job has been cancelled.
 
-        Does nothing on any other thread.
+        Long work calls this several times a second. On other threads it does nothing.
 
         Raises
         ------
         Cancelled
-            If it is not.
         """
         if self.is_current() and any(stop() for stop in self._stops):
             raise Cancelled
 
     def delays(self, future: Future[Any]) -> str:
-        """Return the work that a job waits for, and how to stop it, in words; "" once it runs."""
+        """Describe the work that a queued job waits for, and how to stop it; "" once it runs."""
         if future.running() or future.done():
             return ""
         doing = self._doing() if callable(self._doing) else self._doing
-        # The progress of a solve means nothing to others; a compiler takes long, but only once.
+        # Only compilation is slow enough that a waiting caller needs its progress.
         stage = f" ({self.stage})" if self.stage.startswith("compiling") else ""
         return f"waiting for {doing}{stage}" if doing else "starting"
 
@@ -151,17 +151,22 @@ class ComputeThread:
         return threading.current_thread() is self._thread
 
     def at_end(self, release: Callable[[], None]) -> None:
-        """Register a callback that releases something on the compute thread before it ends."""
+        """Register a callback that releases a resource on the compute thread before it ends."""
         self._at_end.append(release)
 
     def stop(self, timeout: float = 2.0) -> bool:
-        """End the thread after the jobs it has, releasing what was registered.
+        """End the thread after its queued jobs, and call the callbacks of `at_end`.
+
+        Parameters
+        ----------
+        timeout : float
+            Longest time to wait for the end, in seconds.
 
         Returns
         -------
         bool
-            Whether it ended in time; if not, it ends when its job does. A job submitted meanwhile
-            keeps it going; one submitted afterwards starts a new thread.
+            True if the thread ended in time; otherwise it ends after its job. A job submitted
+            before the end keeps the thread running; a later job starts a new thread.
         """
         with self._lock:
             thread = self._thread
@@ -172,9 +177,9 @@ class ComputeThread:
         return not thread.is_alive()
 
     def after_fork(self) -> None:
-        """Start a new thread in the child of a fork; the parent releases what is registered."""
+        """Reset to a new thread in the child of a fork; the parent keeps the callbacks."""
         self._forked = True
-        self._torn |= self._working and not self.is_current()
+        self._is_inconsistent |= self._working and not self.is_current()
         self._begin()
 
     def _run(self) -> None:
@@ -183,7 +188,7 @@ class ComputeThread:
         while True:
             item = self._jobs.get()
             if item is None:
-                if self._ended():
+                if self._try_to_end():
                     return
                 continue
             job, future, doing = item
@@ -191,49 +196,50 @@ class ComputeThread:
                 self._working, self._doing = True, doing
                 try:
                     result = job()
-                except BaseException as error:  # noqa: BLE001 - it belongs to the one who waits
+                except BaseException as error:  # noqa: BLE001 - the future passes it to the caller
                     self._working = False
                     future.set_exception(error)
                 else:
-                    # Before the result is there: the caller that gets it may fork at once.
+                    # Set before the result, because the caller may fork as soon as it has it.
                     self._working = False
                     future.set_result(result)
                     del result
-            # Nothing of a job outlives it here: its arrays would stay until the next one.
+            # Drop all references to the job, so that its arrays are freed before the next job.
             self._doing = self.stage = ""
             del item, job, future, doing
 
-    def _ended(self) -> bool:
-        """Release everything and make way for another thread, unless there is more to do."""
+    def _try_to_end(self) -> bool:
+        """Release everything and end the thread, unless more jobs are queued."""
         with self._lock:
             if not self._jobs.empty():
                 return False
             while self._at_end:
                 try:
                     self._at_end.pop()()
-                except Exception:  # noqa: BLE001 - the others are released all the same
+                except Exception:  # noqa: BLE001 - the remaining callbacks must still run
                     _log.exception("releasing a device failed")
             self._thread = None
             return True
 
 
 def in_child_of_fork(forget: Callable[[], object]) -> None:
-    """Register a callback for every child of a fork, where only the caller's thread goes on."""
+    """Register a callback that runs in every child of a fork, where the other threads are gone."""
     if hasattr(os, "register_at_fork"):
         os.register_at_fork(after_in_child=forget)
 
 
 def _launch_numbas_threads() -> None:
-    """Let numba start its threads from the new compute thread of this process."""
-    # GNU OpenMP keeps a pool for each thread that uses it, so that a new thread can in a child of a
-    # fork. As others cannot, numba ends a process whose parent is the one it was launched in.
+    """Let numba start its threads from the compute thread of a forked process."""
+    # GNU OpenMP has one thread pool for each calling thread, so a new thread can use it after a
+    # fork. Numba forbids this for all OpenMP libraries and would end the process, unless its flag
+    # is reset.
     numba = sys.modules.get("numba.np.ufunc.parallel")
     if getattr(numba, "_is_initialized", False):
         numba._is_initialized = False  # type: ignore[union-attr]
         numba._launch_threads()  # type: ignore[union-attr]
 
 
-#: The process's compute thread.
+#: Compute thread of this process.
 compute_thread = ComputeThread()
 atexit.register(compute_thread.stop)
 in_child_of_fork(compute_thread.after_fork)

@@ -116,5 +116,5 @@ def test_a_bone_that_cannot_go_on_stops_as_one() -> None:
 
 def test_a_bone_that_would_be_stretched_is_refused() -> None:
     places = np.stack([ROW - 13, COL - 10], axis=-1)
-    with pytest.raises(ProblemError, match=r"rigid around \(13, 10\) otherwise than as one"):
+    with pytest.raises(ProblemError, match=r"rigid body around \(13, 10\) against each"):
         solve(framed(0.2 * places, BODY), NeoHookeanPrior(), backend="cpu")

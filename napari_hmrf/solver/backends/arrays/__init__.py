@@ -1,5 +1,5 @@
-"""The host's part of a linear model in NumPy: what the shaders need before any loop is compiled.
+"""The host's part of linear models in NumPy, for shaders that run before loops are compiled.
 
-Each module is the twin of the one of its name in `backends.cpu`, several times slower and ready at
-once.
+Each module is the twin of the module of the same name in `backends.cpu`. It is several times
+slower, but needs no compilation.
 """

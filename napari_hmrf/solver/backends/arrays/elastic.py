@@ -24,15 +24,17 @@ Float64Array = npt.NDArray[np.float64]
 
 
 class ArrayElasticLevel(ArrayLevel):
-    """One level's elements and springs.
+    """Elements and springs of one level.
 
     Parameters
     ----------
     grid : tuple of int
+        Grid of the level, (H, W).
     lame : ndarray, shape (2, H + 4, W + 4)
-        Lame's parameters of the elements, in double precision; 0 in void.
+        Lame parameters of the elements, in double precision; 0 in void.
     shape : ElementShape
     finest : bool
+        True for the finest level.
     """
 
     def __init__(
@@ -67,7 +69,7 @@ class ArrayElasticModel(ArrayModel):
         self._rest = self.levels[0].vector()
 
     def hold(self, held: HeldPlanes) -> None:
-        """Hold components on all levels."""
+        """Set the held components on all levels."""
         if self.material.rigid and (self._held is None or not np.array_equal(held, self._held)):
             self.bodies = Bodies(self._sites, self.material, held)
         super().hold(held)
@@ -87,7 +89,7 @@ class ArrayElasticModel(ArrayModel):
 
     @property
     def steepness(self) -> Planes:
-        """Compute the diagonal of the stiffness matrix."""
+        """Diagonal of the stiffness matrix, planes."""
         lame = np.zeros((2, *(size + 4 for size in self.shape)))
         lame[:, 2:-3, 2:-3] = self._elements
         return diagonal(lame, self.material.shape)
@@ -98,7 +100,7 @@ class ArrayElasticModel(ArrayModel):
 
 
 def diagonal(lame: Float64Array, shape: ElementShape) -> Float64Array:
-    """Return the diagonal of the stiffness matrix, planes, from the elements' parameters."""
+    """Return the diagonal of the stiffness matrix, as planes, for Lame parameters of elements."""
     total = np.zeros_like(lame)
     total[:, 1:, 1:] = lame[:, 1:, 1:] + lame[:, 1:, :-1] + lame[:, :-1, 1:] + lame[:, :-1, :-1]
     first, shear = total
@@ -109,7 +111,7 @@ def diagonal(lame: Float64Array, shape: ElementShape) -> Float64Array:
 
 
 def _coarser(fine: Float64Array, grid: tuple[int, ...]) -> Float64Array:
-    """The mean of the four elements that a coarse one covers, void counted as 0."""
+    """Return the parameters of coarse elements: the mean of four fine ones, with void as 0."""
     height, width = grid
     made = np.zeros((2, height + 4, width + 4))
     padded = np.pad(fine, ((0, 0), (0, 2), (0, 2)))[:, 2:, 2:]
@@ -124,7 +126,7 @@ in_child_of_fork(_last.clear)
 
 
 def the_model(material: ElasticMaterial) -> ArrayElasticModel:
-    """Return the model of a material: the last one, if it is the same tissue again."""
+    """Return the model of a material, from the cache of one model if it is the same tissue."""
     if not _last or _last[0].material != material:
         _last[:] = (ArrayElasticModel(material),)
     return _last[0]

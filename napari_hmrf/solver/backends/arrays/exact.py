@@ -1,6 +1,7 @@
 """Displacements in double precision on the host, in NumPy: twins of the compiled `cpu.exact`.
 
-Planes are float64, (2, H + 4, W + 4), the component first, in a ring of zeros two sites wide.
+Planes are float64 arrays (2, H + 4, W + 4), with the component as the first axis and a border of
+zeros, two sites wide.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ Values = npt.NDArray[np.floating[Any]]
 
 
 def _inside(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Planes without their ring, the component last."""
+    """Return a view of planes without their border, with the component as the last axis."""
     return np.moveaxis(planes[:, 2:-2, 2:-2], 0, -1)
 
 
@@ -31,10 +32,10 @@ def prescribe(
     d: Planes,
     held: HeldPlanes,
 ) -> None:
-    """Displace by share * y where tissue is observed, and hold it there.
+    """Set `d` to share * y and `held` to True at observed components.
 
-    The rest by one * first + two * second, both (H, W, 2), one or both of which may count 0 times:
-    then its values need not be numbers.
+    Other components become one * first + two * second, where both arrays are (H, W, 2). An array
+    whose factor is 0 may contain NaN.
     """
     terms = (one, first), (two, second)
     begun = sum(np.float64(weight) * values for weight, values in terms if weight != 0)
@@ -50,7 +51,7 @@ def blend(values: Values, weight: float, held: HeldPlanes, d: Planes) -> None:
 def settle(
     values: Values, tissue: npt.NDArray[np.bool_], unit: float, row_finite: npt.NDArray[np.bool_]
 ) -> None:
-    """Scale values by `unit` on tissue, 0 elsewhere; mark the rows that are all finite."""
+    """Multiply values by `unit` on tissue and set others to 0; mark rows of finite values."""
     row_finite[...] = np.isfinite(values).all(axis=(1, 2))
     values *= unit * tissue[..., None].astype(values.dtype)
 
@@ -61,5 +62,5 @@ def add(d: Planes, correction: npt.NDArray[np.float32], scale: float) -> None:
 
 
 def gather(d: Planes, out: npt.NDArray[np.float32]) -> None:
-    """Copy planes to `out`, (H, W, 2) in single precision."""
+    """Copy planes to `out`, shape (H, W, 2), in single precision."""
     out[...] = _inside(d)

@@ -1,4 +1,4 @@
-"""One level of a linear model as arrays: what is held, and the springs where a finer level is."""
+"""One level of a linear model as arrays: held components, and springs on coarser levels."""
 
 from __future__ import annotations
 
@@ -15,24 +15,27 @@ Real = npt.NDArray[np.floating[Any]]
 
 
 class ArrayLevel:
-    """A level of which shaders need the tissue, what is held and the springs.
+    """Level with the arrays that shaders need: tissue, held components and springs.
 
     Parameters
     ----------
     grid : tuple of int
-        Its sites, (H, W) or (D, H, W).
+        Grid of the level, (H, W) or (D, H, W).
     finest : bool
+        True for the finest level.
 
     Attributes
     ----------
     steep : ndarray, shape (2, H + 4, W + 4)
-        The model's own curvature; 0 where nothing moves.
+        Curvature of the model's energy; 0 where a component cannot move.
     diagonal : ndarray, shape (2, H + 4, W + 4)
-        Of the model, before there are springs.
+        Diagonal of the model's matrix, without springs.
     inverse : ndarray, shape (2, H + 4, W + 4)
-        Of the diagonal; 0 where a component does not move.
+        Reciprocal of the diagonal with springs; 0 where a component does not move.
+    pins : ndarray, shape (2, H + 4, W + 4)
+        Held components: 1 or 0 on the finest level, an interpolated count on coarser levels.
     weight : ndarray, shape (2, H + 4, W + 4), or None
-        The springs; the finest level has none.
+        Strength of the springs; None on the finest level.
     """
 
     steep: Vector
@@ -44,29 +47,29 @@ class ArrayLevel:
         self.weight = None if finest else self.vector()
 
     def vector(self) -> Vector:
-        """Return zeros."""
+        """Return a vector of zeros."""
         return np.zeros((len(self.grid), *(size + 4 for size in self.grid)), dtype=np.float32)
 
     def free(self, *vectors: Vector) -> None:
-        """Ignore the call: memory goes with the last reference."""
+        """Ignore the call; memory is freed with the last reference."""
 
     def weigh(self, a: Vector, b: Vector) -> tuple[float, float]:
-        """Return the largest absolute value of `a`, and the scalar product."""
+        """Return the largest absolute value of `a`, and the scalar product of both."""
         return float(np.abs(a).max()), float(np.vdot(a.astype(np.float64), b.astype(np.float64)))
 
     def hold(self, held: HeldPlanes) -> None:
-        """Hold components on the finest level."""
+        """Set the held components of the finest level."""
         self.pins[...] = self._pinned(held)
         self._invert(self.diagonal, (self.steep > 0) & ~held)
 
     def _pinned(self, held: HeldPlanes) -> HeldPlanes:
-        """Held components, as seen by a coarser level."""
+        """Return the mask of components that put springs on the next coarser level."""
         return held
 
     def hold_as(self, finer: Self) -> None:
-        """Put the sites near those that the finer level holds on springs.
+        """Set the springs of sites near held sites of the next finer level.
 
-        A spring is as strong as the site's `pins`, times the diagonal.
+        The strength of a spring is `coarse_levels.SPRING` times the site's `pins` and diagonal.
         """
         assert self.weight is not None
         inside = (slice(None), *[slice(2, -2)] * len(self.grid))

@@ -1,4 +1,4 @@
-"""Common part of the NumPy models of all priors."""
+"""Base class of the NumPy models."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from napari_hmrf.solver.backends.linear import Planes
 
 
 class ArrayModel(HostModel):
-    """The host's part of `LinearModel`, for subclasses that know the forces.
+    """The host's part of `LinearModel` in NumPy; subclasses compute the forces.
 
     Parameters
     ----------

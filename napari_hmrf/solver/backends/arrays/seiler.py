@@ -1,8 +1,9 @@
-"""The paper's cliques as arrays: their levels, and their pulls in double precision.
+"""The paper's cliques as arrays: their levels, and their forces in double precision.
 
-`stiffness` is (m, 1/m), planes, 0 in void; `lines` is what each line of cliques counts for each
-component. Centred, the model is d - q(d); blanket, half the slope of U_total's cliques, or all of
-it, if `lines` are twice what they are.
+`stiffness` is (m, 1/m) as planes, 0 in void; `lines` is the weight of each line of cliques for each
+component. With centred cliques the model is A d = d - q(d), where q is the minimiser of the local
+energy. With blanket cliques it is half the gradient of U_total's cliques; weights of twice the size
+give the whole gradient.
 """
 
 from __future__ import annotations
@@ -21,18 +22,22 @@ Float64Array = npt.NDArray[np.float64]
 
 
 class ArraySeilerLevel(ArrayLevel):
-    """One level's cliques and springs.
+    """Cliques and springs of one level.
 
     Parameters
     ----------
     grid : tuple of int
+        Grid of the level, (H, W) or (D, H, W).
     stiffness : ndarray, shape (2, H + 4, W + 4) or (2, D + 4, H + 4, W + 4)
+        (m, 1/m), 0 in void.
     even : ndarray, shape (H + 4, W + 4) or (D + 4, H + 4, W + 4)
-        What makes a sum over the finer level's tissue around a site four times its mean.
+        Factor that turns a weighted sum over the tissue around a site on the finer level into four
+        times its mean.
     material : SeilerMaterial
     share : float
-        What a clique counts on this level.
+        Weight of all cliques on this level.
     finest : bool
+        True for the finest level.
     """
 
     def __init__(
@@ -46,7 +51,7 @@ class ArraySeilerLevel(ArrayLevel):
     ) -> None:
         super().__init__(grid, finest)
         self.blanket = material.blanket or None
-        #: For the kernels; square pixels have kernels of their own.
+        #: Weights for the kernels; None for the special kernels of square pixels.
         plain = material.square and not material.blanket
         self.lines = None if plain else (share * material.lines).astype(np.float32)
         self._lines = share * material.lines
@@ -94,7 +99,8 @@ class ArraySeilerModel(ArrayModel):
         for number, grid in enumerate(grids(m.shape)):
             if number > 0:
                 stiffness, even = _coarser(stiffness[0], grid)
-            # Four times as many sites share what a coarse site's cliques hold, sixteen times over.
+            # On the next coarser level, the energy of a clique is sixteen times as large for the
+            # same curvature of the displacement, but there are a quarter as many cliques.
             share = 2 * 0.25**number if material.blanket else 1.0
             self.levels.append(
                 ArraySeilerLevel(grid, stiffness, even, material, share, number == 0)
@@ -110,7 +116,7 @@ class ArraySeilerModel(ArrayModel):
         return pull(d, self._m, self._lines, self.material.blanket)
 
     def work(self, d: Planes) -> tuple[float, float]:
-        """Return the cliques' share of U_total, and the norm of all pulls."""
+        """Return the cliques' part of U_total, and the norm of all forces."""
         curvature, slope, energy = cliques(d, self._m, self._lines, self.material.blanket)
         pulls = slope if self.material.blanket else slope / np.maximum(curvature, 1e-30)
         return float(energy.sum()) / (2 if self.material.blanket else 1), float(
@@ -119,7 +125,7 @@ class ArraySeilerModel(ArrayModel):
 
     @property
     def steepness(self) -> Planes:
-        """The second derivative of each site's energy; 0 where no clique pulls."""
+        """Second derivative of each site's energy; 0 where a site has no clique."""
         at_rest = np.zeros((self._m.ndim, *self._m.shape))
         found = cliques(at_rest, self._m, self._lines, self.material.blanket).curvature
         return found if self.material.blanket else 2 * found
@@ -130,13 +136,13 @@ class ArraySeilerModel(ArrayModel):
 
 
 def _coarser(fine: Float64Array, grid: tuple[int, ...]) -> tuple[Float64Array, Float64Array]:
-    """A coarse level's (m, 1/m): the mean of the tissue around a site; and what evens out sums."""
+    """Return (m, 1/m) of a coarser level and its `even`; m is the mean of the tissue around."""
     total, share = (restricted(each[None], grid)[0] for each in (fine, (fine > 0).astype(float)))
     made = np.zeros((3, *(size + 4 for size in grid)))
     inner = made[(slice(None), *[slice(2, -2)] * len(grid))]
     np.divide(total, share, out=inner[0], where=total > 0)
     np.divide(share, total, out=inner[1], where=total > 0)
-    # At least a quarter of the surroundings of a site counts as tissue.
+    # The sum is divided by at least a quarter of the weight of full surroundings.
     inner[2] = 4 / np.maximum(share, 2 ** len(grid) / 4)
     return made[:2], made[2]
 
@@ -146,7 +152,7 @@ in_child_of_fork(_last.clear)
 
 
 def the_model(material: SeilerMaterial) -> ArraySeilerModel:
-    """Return the model of a material: the last one, if it is the same tissue again."""
+    """Return the model of a material, from the cache of one model if it is the same tissue."""
     if not _last or _last[0].material != material:
         _last[:] = (ArraySeilerModel(material),)
     return _last[0]

@@ -1,7 +1,7 @@
-"""Process that compiles the loops for all other processes: its start, and the wait for it.
+"""Process that compiles the loops for all other processes: how to start it and wait for it.
 
-At most one such process runs on a machine. One file holds its number and progress, another the
-requested loops, which it compiles next.
+At most one such process runs on a machine. One file holds its process number and progress, another
+the name of the requested loops, which it compiles next.
 """
 
 from __future__ import annotations
@@ -30,7 +30,9 @@ _POLL = 0.1
 
 
 class _State:
-    """Compiling process that this process has started."""
+    """State of the compilation in this process."""
+
+    #: Compiling process that this process has started.
 
     compiler: subprocess.Popen[bytes] | None = None
 
@@ -41,11 +43,11 @@ class Stage(NamedTuple):
     Attributes
     ----------
     job : str
-        Its current job, as named by `napari_hmrf.compiling`.
+        Current job, as named by `napari_hmrf.compiling`.
     done, of : int
-        Number of compiled loops now, and at the end of the job.
+        Number of loops that are compiled now, and at the end of the job.
     pace : float
-        Seconds per loop; 0 if not known yet.
+        Seconds per loop; 0 if unknown.
     """
 
     job: str
@@ -55,7 +57,7 @@ class Stage(NamedTuple):
 
     @property
     def fraction(self) -> float:
-        """Fraction done, from 0 to 1."""
+        """Completed fraction, from 0 to 1."""
         return min(self.done / max(self.of, 1), 1.0)
 
     @property
@@ -63,9 +65,9 @@ class Stage(NamedTuple):
         """Progress and remaining time, in words."""
         if self.of == 0:
             return "starting to compile loops"
-        said = f"compiling loops ({self.done} of {max(self.of, self.done)})"
+        text = f"compiling loops ({self.done} of {max(self.of, self.done)})"
         left = self.pace * max(self.of - self.done, 1)
-        return f"{said}, about {math.ceil(left)} s left" if left else said
+        return f"{text}, about {math.ceil(left)} s left" if left else text
 
 
 Report = Callable[[Stage], None]
@@ -76,47 +78,47 @@ _NO_STAGE = Stage("", 0, 0, 0.0)
 
 
 def compile_meanwhile(job: str = "") -> None:
-    """Start another process that compiles the loops, unless one is running or has finished.
+    """Start another process that compiles the loops, unless one runs or they are compiled.
 
     Parameters
     ----------
     job : str
-        Job that compiles the needed loops; by default all usual ones.
+        Job that compiles the needed loops; by default, the job of all usual loops.
     """
     ours = _State.compiler
     started = ours is not None and (job not in sets.ON_REQUEST or ours.poll() is None)
-    if started or loops.compile_here() or kept.compiled(job) or _someone_compiles():
+    if started or loops.compile_here() or kept.compiled(job) or _another_process_compiles():
         return
-    folder = kept.folder()  # before the environment is copied
+    folder = kept.folder()  # may set a variable, so it comes before the environment is copied
     optimized = ["-" + "O" * sys.flags.optimize] if sys.flags.optimize else []
-    with suppress(OSError):  # shaders solve without loops
+    with suppress(OSError):  # without loops, shaders solve
         folder.mkdir(parents=True, exist_ok=True)
-        _State.compiler = _started([sys.executable, *optimized, "-m", COMPILER])
+        _State.compiler = _start_process([sys.executable, *optimized, "-m", COMPILER])
         atexit.register(_State.compiler.terminate)
 
 
 def request(job: str) -> None:
-    """Let another process compile the loops of a job next, as this process waits for them."""
+    """Let another process compile the loops of a job next, because this process needs them."""
     with suppress(OSError):
-        _wanted_file().write_text(job, encoding="utf-8")
+        _request_file().write_text(job, encoding="utf-8")
     compile_meanwhile(job)
 
 
-def _started(command: list[str]) -> subprocess.Popen[bytes]:
+def _start_process(command: list[str]) -> subprocess.Popen[bytes]:
     """Start a process without input or output."""
     silent = subprocess.DEVNULL
     return subprocess.Popen(command, stdin=silent, stdout=silent, stderr=silent)
 
 
 def provide(job: str, report: Report) -> None:
-    """Wait until another process has compiled the loops of a job, and use loops from then on.
+    """Wait until another process has compiled the loops of a job, then use the loops.
 
-    Where no other process can compile them, this one does when it calls them.
+    If no other process can compile them, this process compiles each loop at its first call.
 
     Parameters
     ----------
     job : str
-        As named by `napari_hmrf.compiling`; "" is all usual ones.
+        Name of the job in `napari_hmrf.compiling`; "" stands for all usual loops.
     report : callable
         Called several times a second; raises to stop waiting. The compilation continues.
     """
@@ -124,11 +126,11 @@ def provide(job: str, report: Report) -> None:
         request(job)
         is_repeated = False
         while not kept.compiled(job):
-            if not (_at_work() or kept.compiled(job)):
+            if not (_is_compiling() or kept.compiled(job)):
                 if is_repeated:
                     loops.compile_alone()
                     break
-                # A process that was about to end may have missed the request.
+                # A compiling process that was about to end may have missed the request.
                 request(job)
                 is_repeated = True
                 continue
@@ -137,10 +139,10 @@ def provide(job: str, report: Report) -> None:
     loops.use()
 
 
-def _at_work() -> bool:
+def _is_compiling() -> bool:
     """Return whether a compiling process, of this or of another process, is running."""
     ours = _State.compiler
-    return (ours is not None and ours.poll() is None) or _someone_compiles()
+    return (ours is not None and ours.poll() is None) or _another_process_compiles()
 
 
 def stage() -> Stage:
@@ -155,8 +157,8 @@ def stage() -> Stage:
 
 
 def begin() -> bool:
-    """Return whether this process is now the compiling one; False if another one is."""
-    if _someone_compiles():
+    """Make this the compiling process; return False if another process has this role."""
+    if _another_process_compiles():
         return False
     try:
         kept.folder().mkdir(parents=True, exist_ok=True)
@@ -167,16 +169,16 @@ def begin() -> bool:
 
 
 def give_way() -> None:
-    """Compile at idle priority from now on, as no process waits for the loops."""
+    """Lower the priority of this process to idle, because no process waits for the loops."""
     with suppress(psutil.Error, OSError):
         idle = getattr(psutil, "IDLE_PRIORITY_CLASS", 19)
         psutil.Process().nice(idle)
 
 
 def wanted() -> str:
-    """Return the job that a process waits for, or has waited for, or ""."""
+    """Return the latest requested job; "" if none was requested."""
     with suppress(OSError):
-        return _wanted_file().read_text(encoding="utf-8")
+        return _request_file().read_text(encoding="utf-8")
     return ""
 
 
@@ -187,30 +189,36 @@ def tell(reached: Stage) -> None:
 
 
 def end(compiled: bool) -> None:
-    """End the claim of `begin`, and mark all usual loops as compiled if they are."""
+    """Remove the status file of this process, which `begin` wrote, and any request.
+
+    Parameters
+    ----------
+    compiled : bool
+        True to mark all usual loops as compiled.
+    """
     with suppress(OSError):
         if compiled:
             kept.mark().touch()
-        for each in (_status_file(), _wanted_file()):
+        for each in (_status_file(), _request_file()):
             each.unlink(missing_ok=True)
 
 
-def _someone_compiles() -> bool:
-    """Return whether the last compiling process still runs, under its number and start time."""
+def _another_process_compiles() -> bool:
+    """Return whether the recorded compiling process still runs and is not this process."""
     try:
         number, begun, *_ = _status()
-        return bool(number != os.getpid() and _begun(number) == begun)
+        return bool(number != os.getpid() and _start_time(number) == begun)
     except (ValueError, psutil.Error):
         return False
 
 
-def _begun(number: int) -> str:
+def _start_time(number: int) -> str:
     """Return the start time of a process."""
     return f"{psutil.Process(number).create_time():.0f}"
 
 
 def _status() -> list[Any]:
-    """Return the number and start time of the last compiling process, and its stage; or []."""
+    """Return the number, start time and stage of the recorded compiling process, or []."""
     with suppress(OSError, ValueError):
         found: list[Any] = json.loads(_status_file().read_text(encoding="utf-8"))
         return found
@@ -218,9 +226,9 @@ def _status() -> list[Any]:
 
 
 def _publish(reached: Stage) -> None:
-    """Write the status of this process, in one step."""
+    """Write the status file of this process; replace the old file in one step."""
     number, new = os.getpid(), _status_file().with_suffix(".new")
-    new.write_text(json.dumps([number, _begun(number), *reached]), encoding="utf-8")
+    new.write_text(json.dumps([number, _start_time(number), *reached]), encoding="utf-8")
     new.replace(_status_file())
 
 
@@ -228,12 +236,12 @@ def _status_file() -> Path:
     return kept.mark().with_suffix(".compiler")
 
 
-def _wanted_file() -> Path:
+def _request_file() -> Path:
     return kept.mark().with_suffix(".wanted")
 
 
 def _forget_compiler() -> None:
-    """In the child of a fork: the compiler is the parent's."""
+    """Reset the state in the child of a fork, because the compiler belongs to the parent."""
     _State.compiler = None
 
 

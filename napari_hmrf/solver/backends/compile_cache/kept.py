@@ -1,4 +1,4 @@
-"""Cache of compiled loops on disk: its folder, and the marks of loops that are compiled."""
+"""Cache of compiled loops on disk: its folder, and files that mark loops as compiled."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _PACKAGE = "napari_hmrf"
 #: Package of the loops of the solver, and its folder.
 _SOLVER = f"{_PACKAGE}.solver.backends.cpu"
 _LOOPS = Path(__file__).parents[1] / "cpu"
-#: Modules of loops that move pictures.
+#: Modules of loops that warp pictures.
 PICTURES = (f"{_PACKAGE}.field.interpolation", f"{_PACKAGE}.field.triangle_raster")
-#: Environment variable with numba's cache folder.
-_TOLD = "NUMBA_CACHE_DIR"
-#: Free bytes that are enough for all loops, and bytes that are written to test a folder.
+#: Environment variable that sets numba's cache folder.
+_CACHE_VARIABLE = "NUMBA_CACHE_DIR"
+#: Free bytes that a cache folder must have, and bytes that are written to test it.
 _ROOM, _PROBE = 2**27, 2**16
-#: Modules of all loops that move anything.
+#: Modules of loops that warp pictures, volumes or meshes.
 _MOTION = (
     *PICTURES,
     f"{_PACKAGE}.field.tetrahedron_raster",
@@ -35,7 +35,7 @@ _MOTION = (
 
 @cache
 def modules() -> tuple[str, ...]:
-    """Return the names of all modules that may have loops."""
+    """Return the names of all modules that may contain loops."""
     return (
         *_MOTION,
         *(f"{_SOLVER}.{path.stem}" for path in _files(_LOOPS) if path.stem != "__init__"),
@@ -49,7 +49,7 @@ def _files(folder: Path) -> list[Path]:
 
 @cache
 def sources(folder: Path = _LOOPS) -> bytes:
-    """Return a digest of all source files of loops."""
+    """Return a digest of the source files of all loops in a folder."""
     return hashlib.sha256(b"".join(path.read_bytes() for path in _files(folder))).digest()
 
 
@@ -59,38 +59,38 @@ def mark(job: str = "") -> Path:
     Parameters
     ----------
     job : str
-        The loops of one job of `napari_hmrf.compiling`; by default, all of them.
+        Job of `napari_hmrf.compiling` whose loops are marked; by default, all usual loops.
     """
     return folder() / f"loops-{_key()}{job and '-'}{job}.compiled"
 
 
 def compiled(job: str) -> bool:
-    """Return whether the loops of a job are compiled, by the job itself or by a full run."""
+    """Return whether the loops of a job are compiled, by this job or by that of all loops."""
     return (job not in sets.ON_REQUEST and mark().exists()) or mark(job).exists()
 
 
 @cache
 def folder() -> Path:
-    """Return numba's cache folder; redirect numba if it would choose a place without room."""
-    told, beside = os.environ.get(_TOLD, ""), _LOOPS / "__pycache__"
+    """Return the cache folder, and redirect numba if its own choice is full or read-only."""
+    configured, beside = os.environ.get(_CACHE_VARIABLE, ""), _LOOPS / "__pycache__"
     caches = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    places = [*([Path(told)] if told else []), beside, caches / _PACKAGE]
+    places = [*([Path(configured)] if configured else []), beside, caches / _PACKAGE]
     found = next(filter(_writable, places), None) or _temporary()
-    chosen = "" if found == beside else str(found)  # numba's own first choice is beside the source
-    if chosen != told:
+    chosen = "" if found == beside else str(found)  # numba's default is beside the source
+    if chosen != configured:
         _redirect_numba(chosen)
     return found
 
 
 def _redirect_numba(folder: str) -> None:
-    """Let numba keep loops in a folder, in this process and in its child processes."""
-    os.environ[_TOLD] = folder
+    """Set numba's cache folder, for this process and its child processes."""
+    os.environ[_CACHE_VARIABLE] = folder
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_DIR = folder
 
 
 def _writable(folder: Path) -> bool:
-    """Return whether a folder, which is created if needed, can be written to and has room."""
+    """Return whether a folder is writable and has enough free space; create it if needed."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as file:
@@ -101,27 +101,27 @@ def _writable(folder: Path) -> bool:
 
 
 def _temporary() -> Path:
-    """Return a folder for this user alone: loops that others could write would be executed."""
-    who = getattr(os, "getuid", lambda: "user")()
-    found = Path(tempfile.gettempdir()) / f"napari-hmrf-{who}"
+    """Return a temporary folder that only this user can write to, because its code is executed."""
+    user = getattr(os, "getuid", lambda: "user")()
+    found = Path(tempfile.gettempdir()) / f"napari-hmrf-{user}"
     with suppress(OSError):
         found.mkdir(mode=0o700, exist_ok=True)
-        about = found.lstat()
-        if not found.is_symlink() and about.st_uid == who and not about.st_mode & 0o077:
+        status = found.lstat()
+        if not found.is_symlink() and status.st_uid == user and not status.st_mode & 0o077:
             return found
     return Path(tempfile.mkdtemp(prefix="napari-hmrf-"))
 
 
 @cache
 def _key() -> str:
-    """Return a digest of the sources of loops, their compiler and the system."""
+    """Return a digest of the source files of all loops, their compiler and the system."""
     made = hashlib.sha256(sources())
     for name in _MOTION:
         made.update(_LOOPS.parents[3].joinpath(*name.split(".")).with_suffix(".py").read_bytes())
     for package in ("numba", "llvmlite", "numpy"):
         with suppress(PackageNotFoundError):
             made.update(version(package).encode())
-    # The flag is part of the key: without docstrings the code of a loop differs.
+    # The optimisation flag is part of the key, because it removes docstrings and assertions.
     system = (sys.version, str(sys.flags.optimize), platform.machine(), platform.node())
     made.update("\n".join((*system, str(_LOOPS))).encode())
     return made.hexdigest()[:16]

@@ -1,8 +1,8 @@
 """Loader of the cached loops: a background thread that works in small steps.
 
-The window and the compute thread continue meanwhile: no step holds the interpreter's lock for as
-long as a picture takes. No loop is run, because numba's own threads must not be entered from two
-threads at once.
+The window and the compute thread continue meanwhile, because each step holds the interpreter's lock
+for less time than a picture takes. The loader runs no loop, because numba's thread pool must not be
+entered from two threads at once.
 """
 
 from __future__ import annotations
@@ -21,15 +21,16 @@ from typing import Any
 from napari_hmrf.solver.backends.compile_cache import kept
 
 _log = logging.getLogger("napari_hmrf")
-#: Seconds left to other work for each second of loading.
+#: Seconds of pause for each second of loading.
 _REST = 1.0
 
 
 class _Loader:
-    """Thread that loads once, on the first call; the child of a fork has a new one."""
+    """Thread that loads all loops once; the child of a fork gets a new loader."""
 
     def __init__(self) -> None:
-        # Locked during each step: a fork within a step would never release numba's lock.
+        # Locked during each step and during a fork: otherwise the child of a fork could inherit a
+        # lock of numba that is never released.
         self.step = threading.Lock()
         self.stopped, self.done = threading.Event(), threading.Event()
         self.thread: threading.Thread | None = None
@@ -44,7 +45,7 @@ class _Loader:
                 self.thread.start()
 
     def stop(self) -> None:
-        """End before the interpreter does, which does not own the memory being loaded."""
+        """End the thread before the interpreter ends and frees memory that it uses."""
         self.stopped.set()
         if self.thread is not None:
             self.thread.join(2.0)
@@ -58,25 +59,31 @@ class _Loader:
                     if next(steps, None) is None:
                         return
                 self.stopped.wait(_REST * (time.perf_counter() - begun))
-        except Exception:  # noqa: BLE001 - then a loop is loaded when it is called
-            _log.debug("the loops could not be loaded beforehand", exc_info=True)
+        except Exception:  # noqa: BLE001 - each loop is then loaded at its first call
+            _log.debug("the cached loops could not be loaded in the background", exc_info=True)
         finally:
             self.done.set()
 
 
 def loaded(wait: float = 0.0) -> bool:
-    """Start to load all loops; return whether they are in memory, after at most `wait` seconds."""
+    """Start to load all loops; return whether they are in memory.
+
+    Parameters
+    ----------
+    wait : float
+        Longest time to wait for the loader, in seconds.
+    """
     _loader.start()
     return _loader.done.wait(wait)
 
 
 def begun() -> bool:
-    """Return whether loops are being loaded, or have been."""
+    """Return whether the loading has begun."""
     return _loader.thread is not None
 
 
 def _steps() -> Iterator[str]:
-    """Load modules and loops one after the other, yielding the name of each."""
+    """Load modules and loops one after the other, and yield the name of each."""
     before_numba()
     importlib.import_module("numba")
     yield "numba"
@@ -90,11 +97,12 @@ def _steps() -> Iterator[str]:
 
 
 def before_numba() -> None:
-    """Import numba with a cache folder, a cache that may fail, and cores that do not spin.
+    """Configure numba: its cache folder, tolerance of a full disk, and short waits of threads.
 
-    GNU OpenMP lets a thread that waits for the others spin for milliseconds unless it is configured
-    before it is loaded. Beside a window that uses a core, too, sweeps of 0.1 ms then take 10 ms;
-    with a short wait they take 0.3 ms, and alone they lose nothing.
+    By default, a thread of GNU OpenMP that waits for other threads occupies its core for several
+    milliseconds. If a window uses a core at the same time, a sweep of 0.1 ms then takes 10 ms; with
+    a short wait it takes 0.3 ms. Without a window the short wait costs nothing. The variable must
+    be set before OpenMP is loaded.
     """
     kept.folder()
     os.environ.setdefault("GOMP_SPINCOUNT", "1000")
@@ -102,7 +110,7 @@ def before_numba() -> None:
 
 
 def _tolerate_full_disks() -> None:
-    """Let numba continue without its cache where a loop cannot be written, with one warning."""
+    """Let numba warn once and continue if it cannot write a loop to its cache."""
     from numba.core.caching import Cache  # heavy: numba
 
     save = Cache.save_overload
@@ -116,11 +124,11 @@ def _tolerate_full_disks() -> None:
             if _Unwritable.is_known:
                 return
             _Unwritable.is_known = True
-            own, all_of_them = Path(self.cache_path), kept.folder()
+            own, common = Path(self.cache_path), kept.folder()
             _log.warning(
                 "%s cannot be written to (%s), so each start compiles loops again. Free space "
                 "there, or set NUMBA_CACHE_DIR to another folder.",
-                all_of_them if own.is_relative_to(all_of_them) else own,
+                common if own.is_relative_to(common) else own,
                 error.strerror or error,
             )
 
@@ -131,6 +139,7 @@ def _tolerate_full_disks() -> None:
 class _Unwritable:
     """State of numba's cache folder in this process."""
 
+    #: True after the first loop that could not be written.
     is_known = False
 
 
@@ -140,7 +149,7 @@ def is_unwritable() -> bool:
 
 
 def loops_there() -> list[Any]:
-    """List all loops with a cache on disk, of the imported modules."""
+    """List the loops of the imported modules that have a cache on disk."""
     from numba.core.caching import NullCache  # heavy: numba
     from numba.core.dispatcher import Dispatcher  # heavy: numba
 
@@ -154,7 +163,7 @@ def loops_there() -> list[Any]:
 
 
 def is_cached(loop: Any) -> bool:
-    """Return whether a loop is cached for some types; False if the cache is unreadable."""
+    """Return whether a loop is cached for any types; False if the cache is unreadable."""
     try:
         return bool(_signatures(loop))
     except (AttributeError, OSError):
@@ -162,7 +171,7 @@ def is_cached(loop: Any) -> bool:
 
 
 def _signatures(loop: Any) -> list[Any]:
-    """Return the types for which a loop is cached, as it is now and for this processor."""
+    """Return the types for which the present source of a loop is cached for this processor."""
     cache, processor = loop._cache, loop.targetctx.codegen()
     index = cache._cache_file._load_index()
     return [key[0] for key in index if key == cache._index_key(key[0], processor)]
@@ -171,7 +180,7 @@ def _signatures(loop: Any) -> list[Any]:
 _loader = _Loader()
 
 
-def _begin_anew() -> None:
+def _reset_loader() -> None:
     global _loader
     _loader = _Loader()
 
@@ -187,5 +196,5 @@ def _after_fork() -> None:
 atexit.register(lambda: _loader.stop())
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(
-        before=_before_fork, after_in_parent=_after_fork, after_in_child=_begin_anew
+        before=_before_fork, after_in_parent=_after_fork, after_in_child=_reset_loader
     )

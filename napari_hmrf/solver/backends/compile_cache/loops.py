@@ -1,13 +1,13 @@
-"""The loops for the processor: whether this process computes with them.
+"""State of the processor's loops: whether this process computes with them.
 
-To compile them all takes a minute or more, and beside a window it competes for the interpreter's
-lock. So another process does it (`backends.compiler`), numba keeps on disk what it has made
-(`backends.kept`), and until then shaders solve, and `backends.arrays` does the host's
-part. A process that has begun so has the loops loaded beside its work (`backends.loader`), and goes
-over to them between two solves.
+Compiling all loops takes a minute or more, and in the process of a window it would hold the
+interpreter's lock. Another process therefore compiles them (`compile_cache.compiler`), and numba
+stores them on disk (`compile_cache.kept`). Until then shaders solve, and `backends.arrays` does the
+host's part in NumPy. A process that has started without loops loads them in the background
+(`compile_cache.loader`) and switches to them between two solves.
 
-With ``NAPARI_HMRF_COMPILE=here`` in the environment no other process is started: a solve compiles
-the loops that it needs. This mode is for batches and for tests.
+With ``NAPARI_HMRF_COMPILE=here`` in the environment no other process is started, and each solve
+compiles the loops that it needs. This mode is for batches and tests.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ __all__ = [
     "use",
 ]
 
-#: Environment variable that makes each process compile for itself, if it is "here".
+#: Environment variable; with the value "here", each process compiles the loops that it needs.
 HERE = "NAPARI_HMRF_COMPILE"
 
 
 @dataclass
 class _Part:
-    """Some loops, and what this process has done where they are needed."""
+    """Use of a group of loops by this process."""
 
-    #: True if this process computes with them.
+    #: True if this process computes with the loops.
     in_use: bool = False
-    #: True if this process has computed anything without them.
+    #: True if this process has begun to compute without the loops.
     begun_without: bool = False
 
 
@@ -50,22 +50,22 @@ class _State:
 
     solver = _Part()
     pictures = _Part()
-    #: True if this process compiles for itself, as no other process can.
+    #: True if this process compiles the loops, because no other process can.
     alone = False
 
 
 def compile_here() -> bool:
-    """Return whether this process compiles for itself."""
+    """Return whether this process compiles the loops that it needs."""
     return _State.alone or os.environ.get(HERE) == "here"
 
 
 def compile_alone() -> None:
-    """Let this process compile for itself from now on."""
+    """Let this process compile the loops that it needs from now on."""
     _State.alone = True
 
 
 def in_use() -> bool:
-    """Return whether this process solves with loops, or would compile them itself."""
+    """Return whether this process solves with loops."""
     return _State.solver.in_use or compile_here()
 
 
@@ -75,24 +75,24 @@ def use() -> None:
 
 
 def ready() -> bool:
-    """Return whether loops can solve at once; if so, they do from now on."""
+    """Return whether loops can solve now; if so, this process uses them from now on."""
     return _ready(_State.solver)
 
 
 def ready_for_pictures() -> bool:
-    """Return whether loops can move pictures at once; if so, they do from now on."""
+    """Return whether loops can warp pictures now; if so, this process uses them from now on."""
     return _ready(_State.pictures, sets.PICTURES)
 
 
 def ready_for_volumes() -> bool:
-    """Return whether loops can solve volumes at once."""
+    """Return whether loops can solve volumes now."""
     return compile_here() or kept.compiled(sets.VOLUMES)
 
 
 def _ready(part: _Part, job: str = "") -> bool:
-    """Return whether a part of the loops can be used."""
-    # To load them takes as long as a few pictures. A process that has not computed yet does it when
-    # it needs them; any other shall not stop for it in the middle of a drag.
+    """Return whether a group of loops can be used now, and record its use."""
+    # Loading the loops takes as long as a few pictures. A process that has not computed yet can
+    # afford this delay; later it would interrupt a drag, so they are loaded in the background.
     if part.in_use or compile_here():
         return True
     if part.begun_without:

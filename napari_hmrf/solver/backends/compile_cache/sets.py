@@ -1,18 +1,19 @@
-"""Sets of loops: each is compiled by the job of `napari_hmrf.compiling` with its name."""
+"""Sets of loops; `napari_hmrf.compiling` has a job of the same name for each set."""
 
 from __future__ import annotations
 
-#: All sets but those in `ON_REQUEST`.
+#: All sets except those in `ON_REQUEST`.
 EVERYTHING = ""
-#: Loops that move pictures.
+#: Loops that warp pictures.
 PICTURES = "pictures"
 #: Loops that solve elastic volumes.
 VOLUMES = "volume"
-#: Loops for hard tissue, which a solve compiles in its middle if it needs them; no job has them.
+#: Loops for tissue on which cycles converge slowly. No job compiles them, so a solve compiles them
+#: when it needs them.
 HARDER = "harder"
-#: Sets that are compiled only when a solve waits for them.
+#: Sets that are compiled only when a solve needs them.
 ON_REQUEST = (VOLUMES, "volume-schedule", "volume-converged")
-#: Approximate number of loops of each set by itself, for the progress of its compilation.
+#: Approximate number of loops in each set, for the progress of its compilation.
 COUNTS = {
     "elastic": 22,
     PICTURES: 5,
@@ -31,5 +32,5 @@ COUNTS = {
     "volume-converged": 15,
     HARDER: 8,
 }
-#: Approximate number of different loops in `EVERYTHING`, and in all sets.
+#: Approximate number of distinct loops in `EVERYTHING`, and in all sets.
 USUAL_COUNT, FULL_COUNT = 64, 89

@@ -1,4 +1,4 @@
-"""Watching numba compile loops, and saying how far it is."""
+"""Progress of the compilation of loops in this process."""
 
 from __future__ import annotations
 
@@ -14,25 +14,26 @@ from napari_hmrf.solver.backends.compile_cache.loader import before_numba, loops
 
 
 class _State:
-    """Loops that this process has compiled."""
+    """State of the compilation in this process."""
 
-    #: Number of compiled loops.
+    #: Number of loops that this process has compiled.
     compiled = 0
+    #: True while a job reports its progress.
     watched = False
 
 
 @contextmanager
 def watched(job: str, tell: Callable[[Stage], object]) -> Iterator[None]:
-    """Say how far a job is, before each loop that this thread compiles.
+    """Report the progress of a job before each loop that this thread compiles.
 
-    Within a job that is watched this does nothing.
+    Within another watched job this does nothing.
 
     Parameters
     ----------
     job : str
-        A key of `sets.COUNTS`.
+        Key of `sets.COUNTS`.
     tell : callable
-        Given a `Stage`; raises to have nothing more compiled.
+        Called with a `Stage`; raises to stop the compilation.
     """
     if _State.watched:
         yield
@@ -40,7 +41,7 @@ def watched(job: str, tell: Callable[[Stage], object]) -> Iterator[None]:
     before_numba()
     from numba.core import event  # heavy: numba
 
-    of = min(_there() + sets.COUNTS[job], sets.FULL_COUNT)
+    of = min(_count_loops() + sets.COUNTS[job], sets.FULL_COUNT)
     here, begun = threading.get_ident(), time.perf_counter()
     before, depth = _State.compiled, 0
 
@@ -49,12 +50,11 @@ def watched(job: str, tell: Callable[[Stage], object]) -> Iterator[None]:
             nonlocal depth
             if threading.get_ident() == here:
                 depth += 1
-                # One that is called by another is part of it, and numba would take an error for
-                # its own.
+                # Report the outermost loop only: inside it, numba would catch an error of `tell`.
                 if depth == 1:
                     compiled = _State.compiled - before
                     pace = (time.perf_counter() - begun) / compiled if compiled else 0.0
-                    tell(Stage(job, _there(), of, pace))
+                    tell(Stage(job, _count_loops(), of, pace))
 
         def on_end(self, happening: Any) -> None:
             nonlocal depth
@@ -70,7 +70,10 @@ def watched(job: str, tell: Callable[[Stage], object]) -> Iterator[None]:
         _State.watched = False
 
 
-def _there() -> int:
-    """Return the number of loops compiled or loaded here, without those that only loops call."""
+def _count_loops() -> int:
+    """Return the number of loops that this process has compiled or loaded.
+
+    Loops that are called only by other loops are not counted.
+    """
     loaded = sum(sum(loop.stats.cache_hits.values()) for loop in loops_there())
     return _State.compiled + loaded

@@ -1,4 +1,4 @@
-"""Kernels as loops compiled for the processor: the backend of machines without a GPU."""
+"""Backend for machines without a GPU: kernels as loops that are compiled for the processor."""
 
 from __future__ import annotations
 
@@ -27,39 +27,44 @@ from napari_hmrf.solver.priors.elements import ElasticMaterial
 from napari_hmrf.solver.priors.finite_strain import FiniteMaterial
 from napari_hmrf.solver.quadtree import Level, nearest_pixels
 
-# Pessimistic guesses, for cutting the work into batches: measured is 1.5 to 4 ns on two cores, and
-# in a volume 10 to 20.
+# Upper bounds of the time for a site, by number of axes, from which the size of a batch follows.
+# Measured on two cores: 1.5 to 4 ns in images, and 10 to 20 ns in volumes.
 _SLOWEST_SITE_SECONDS = {2: 10e-9, 3: 50e-9}
-# Levels of fewer sites are swept by one thread.
+# Number of sites below which a level is swept by one thread.
 _SMALL = 2000
 
 
 @dataclass(frozen=True, eq=False)
 class CpuField:
-    """Planes of float32, (C, H + 4, W + 4) or (C, D + 4, H + 4, W + 4), in a ring of zeros."""
+    """Field as planes of float32 with a border of zeros, two sites wide.
+
+    Attributes
+    ----------
+    planes : ndarray, shape (C, H + 4, W + 4) or (C, D + 4, H + 4, W + 4)
+    """
 
     planes: FloatArray
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The level's grid, (H, W) or (D, H, W)."""
+        """Grid of the level, (H, W) or (D, H, W)."""
         return tuple(size - 4 for size in self.planes.shape[1:])
 
     @property
     def inside(self) -> FloatArray:
-        """The planes without the ring, a view of shape (C, H, W) or (C, D, H, W)."""
+        """View of the planes without the border, shape (C, H, W) or (C, D, H, W)."""
         return self.planes[(slice(None), *[slice(2, -2)] * len(self.shape))]
 
     @property
     def rows(self) -> FloatArray:
-        """A volume as an image of all its rows; an image as it is."""
+        """View of the planes as (C, R, W + 4), where R counts the padded rows of all slices."""
         return self.planes.reshape(len(self.planes), -1, self.planes.shape[-1])
 
     @cached_property
     def spans(self) -> npt.NDArray[np.int64]:
-        """Begin and end of the tissue in each of the `rows` of a stiffness, shape (H, 2).
+        """Begin and end of the tissue in each of the `rows` of a stiffness, shape (R - 4, 2).
 
-        No site outside moves, so none is computed: a third of a head's image is air.
+        Kernels skip the sites outside, which never move: a third of an image of a head is air.
         """
         tissue = self.rows[0, 2:-2, 2:-2] > 0
         first = tissue.argmax(axis=1)
@@ -68,7 +73,7 @@ class CpuField:
 
 
 class CpuBackend:
-    """The compiled loops, one thread per core.
+    """Backend of compiled loops, with one thread per core.
 
     Parameters
     ----------
@@ -80,6 +85,7 @@ class CpuBackend:
 
     def __init__(self, checkpoint: Checkpoint) -> None:
         loader.before_numba()
+        # Import numba and the kernels only when a solve uses them, because they load slowly.
         import numba  # heavy: numba
 
         from napari_hmrf.solver.backends.cpu import kernels, transfer  # heavy: numba
@@ -90,29 +96,29 @@ class CpuBackend:
         self._numba = numba
         self._threads = threads = numba.get_num_threads()
         # Scratch arrays of the last sweeps, for the next sweeps on the same level.
-        self._left_over: tuple[CpuField, FloatArray, FloatArray] | None = None
+        self._scratch_arrays: tuple[CpuField, FloatArray, FloatArray] | None = None
         self.renderer = f"compiled loops on {platform.machine()}, {threads} threads"
 
     def supports(self, job: SolveJob) -> str | None:
-        """Return None: there are loops for every job."""
+        """Return None, because the loops support every job."""
         return None
 
     def upload(self, values: FloatArray) -> CpuField:
-        """Pad values of shape (H, W, C) or (D, H, W, C) by void."""
+        """Return a field with values of shape (H, W, C) or (D, H, W, C)."""
         field = CpuField(self._transfer.padded(values.shape[-1], values.shape[:-1]))
         field.inside[...] = np.moveaxis(values, -1, 0)
         return field
 
     def download(self, field: CpuField) -> FloatArray:
-        """Return the values, (H, W, C) or (D, H, W, C)."""
+        """Return the values of a field, shape (H, W, C) or (D, H, W, C)."""
         return np.ascontiguousarray(np.moveaxis(field.inside, 0, -1))
 
     def zeros(self, level: Level) -> CpuField:
-        """Return a displacement of zero."""
+        """Return a displacement field of zeros on a level."""
         return CpuField(self._transfer.padded(len(level.shape), level.shape))
 
     def project(self, finest: CpuField, level: Level) -> CpuField:
-        """Project by nearest neighbour from level 0."""
+        """Project a field of level 0 to a coarser level by nearest neighbour."""
         field = CpuField(self._transfer.padded(len(finest.planes), level.shape))
         values = finest.inside
         for axis, pixels in enumerate(nearest_pixels(level, finest.shape)):
@@ -123,7 +129,7 @@ class CpuBackend:
     def prolong(
         self, coarse: CpuField, coarse_stiffness: CpuField, stiffness: CpuField
     ) -> CpuField:
-        """Project displacement one level down, linearly."""
+        """Interpolate displacement linearly to the next finer level."""
         axes = len(stiffness.shape)
         field = CpuField(self._transfer.padded(axes, stiffness.shape))
         prolong = self._transfer.prolong if axes == 2 else self._transfer.prolong_volume
@@ -138,11 +144,11 @@ class CpuBackend:
         rule: SiteRule,
         sweeps: int,
     ) -> tuple[CpuField, EnergyArray]:
-        """Move all sites at once, `sweeps` times."""
+        """Update all sites simultaneously, `sweeps` times; see `Backend.relax`."""
         even, (odd, share) = displacement.planes, self._scratch(stiffness)
         row_totals = np.empty((sweeps, len(stiffness.spans)))
         sites = math.prod(displacement.shape)
-        # Waking the other threads costs more than a small level does.
+        # On a small level, waking the other threads takes longer than the sweep.
         self._numba.set_num_threads(1 if sites < _SMALL else self._threads)
         a_site = _SLOWEST_SITE_SECONDS[len(displacement.shape)]
         batch = max(1, int(BATCH_SECONDS / (a_site * sites)))
@@ -152,13 +158,13 @@ class CpuBackend:
             self._sweep(even, odd, stiffness, observation, rule, share, totals)
             if len(totals) % 2 == 1:
                 even, odd = odd, even
-        self._left_over = (stiffness, odd, share)
+        self._scratch_arrays = (stiffness, odd, share)
         return CpuField(even), row_totals.sum(axis=1)
 
     def energy(
         self, displacement: CpuField, stiffness: CpuField, observation: CpuField, rule: SiteRule
     ) -> float:
-        """Return U_total, which a sweep computes before it moves anything."""
+        """Return U_total of a displacement, in pixels squared, computed by one sweep."""
         totals, (odd, share) = np.empty((1, len(stiffness.spans))), self._scratch(stiffness)
         self._sweep(displacement.planes, odd, stiffness, observation, rule, share, totals)
         return float(totals.sum())
@@ -173,7 +179,7 @@ class CpuBackend:
         share: FloatArray,
         row_totals: EnergyArray,
     ) -> None:
-        """One sweep for each row of `row_totals`, from `even` to `odd`, back, and so on."""
+        """Run one sweep for each row of `row_totals`; `even` and `odd` alternate as output."""
         if len(stiffness.shape) == 3:
             self._sweep_volume(even, odd, stiffness, observation, rule, row_totals)
             return
@@ -216,7 +222,7 @@ class CpuBackend:
         )
 
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
-        """Bring elastic tissue to the device, on all levels of multigrid."""
+        """Return the model of elastic tissue, with all its levels."""
         if material.m.ndim == 3:
             from napari_hmrf.solver.backends.cpu import volume_model  # heavy: numba
 
@@ -226,7 +232,7 @@ class CpuBackend:
         return the_model(material)
 
     def seiler_model(self, material: SeilerMaterial) -> LinearModel:
-        """Bring the paper's cliques to the device, on all levels of multigrid."""
+        """Return the model of the paper's cliques, with all its levels."""
         if material.m.ndim == 3:
             from napari_hmrf.solver.backends.cpu import volume_seiler_model  # heavy: numba
 
@@ -236,30 +242,30 @@ class CpuBackend:
         return the_model(material)
 
     def finite_model(self, material: FiniteMaterial) -> FiniteModel:
-        """Bring tissue that moves far to the device."""
+        """Return the model of large motion."""
         from napari_hmrf.solver.backends.cpu.finite_model import the_model  # heavy: numba
 
         return the_model(material)
 
     def _scratch(self, stiffness: CpuField) -> tuple[FloatArray, FloatArray]:
-        """Return unused planes for displacement, 0 in void, and for energies."""
-        if self._left_over is not None and self._left_over[0] is stiffness:
-            return self._left_over[1:]
+        """Return planes that a sweep may overwrite: displacement, 0 in void, and energies."""
+        if self._scratch_arrays is not None and self._scratch_arrays[0] is stiffness:
+            return self._scratch_arrays[1:]
         shape = stiffness.shape
-        energies = shape if len(shape) == 2 else (0, 0)  # those of a volume are summed at once
+        energies = shape if len(shape) == 2 else (0, 0)  # kernels of volumes need none
         return self._transfer.padded(len(shape), shape), np.empty(energies, dtype=np.float32)
 
     def release(self, *fields: CpuField) -> None:
-        """Ignore the call: memory goes with the last reference."""
+        """Ignore the call; memory is freed with the last reference."""
 
     def close(self) -> None:
-        """Let go of what is kept between sweeps."""
-        self._left_over = None
+        """Free the scratch arrays, and restore the number of threads."""
+        self._scratch_arrays = None
         self._numba.set_num_threads(self._threads)
 
 
 def _weights(rule: SiteRule) -> FloatArray | None:
-    """The weights of the lines, or None where the kernel for square pixels will do."""
+    """Return the weights of the lines; None for the special kernel of square pixels."""
     if not rule.blanket and np.array_equal(rule.weights, line_weights((1.0, 1.0))):
         return None
     return rule.weights.astype(np.float32)

@@ -1,7 +1,7 @@
 """Compiled loops that prepare elastic tissue for multigrid, level by level.
 
-Arrays are padded by two sites of void. An element has the number of its first site (least row and
-col), so that site (i, j) is a corner of the elements (i - 1, j - 1) to (i, j).
+All arrays have a border of void, two sites wide. An element has the index of its first site (least
+row and column), so site (i, j) is a corner of the elements (i - 1, j - 1) to (i, j).
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -14,11 +14,11 @@ from napari_hmrf.solver.backends.cpu.compiled import parallel
 
 @parallel
 def elements(m, poisson, each, one, strain, scale, lame):
-    """Compute Lame's parameters of each element, from the means of its sites; 0 beside void.
+    """Compute the Lame parameters of each element from the means of its sites; 0 beside void.
 
-    Poisson's ratio is `poisson` everywhere if there is `one`, else each site's in `each`; lambda is
-    that of plane stress or, if `strain`, of plane strain. In double precision: of 1 - 2 nu little
-    is left where nu is 0.499.
+    If `one`, Poisson's ratio is `poisson` everywhere; otherwise `each` has the ratio of each site.
+    Lambda is that of plane strain if `strain`, else of plane stress. Double precision is needed
+    for ratios near 0.5, where 1 - 2 nu loses digits.
     """
     for i in prange(m.shape[0] - 1):
         for j in range(m.shape[1] - 1):
@@ -42,7 +42,7 @@ def elements(m, poisson, each, one, strain, scale, lame):
 
 @parallel
 def coarsen(fine, coarse):
-    """Compute a coarse element's parameters: the mean of four, void counted as 0."""
+    """Compute the parameters of coarse elements: the mean of four fine ones, with void as 0."""
     for i in prange(coarse.shape[1] - 4):
         for k in range(2):
             for j in range(coarse.shape[2] - 4):

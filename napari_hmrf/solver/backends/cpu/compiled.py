@@ -1,8 +1,7 @@
-"""The ways in which loops are compiled, and kept on disk for the next process.
+"""Decorators that compile loops, and cache them on disk for later processes.
 
-Numba keeps what it has compiled of a function until that function's own file changes, whatever
-happens to the functions of other files that it has taken in. Here it notices when any file of
-kernels changes.
+Numba's own cache of a function is valid until the file of that function changes, even if it inlines
+functions of other files. Here the cache becomes invalid when any file of loops changes.
 """
 
 from __future__ import annotations
@@ -18,27 +17,28 @@ from numba.core import event
 
 from napari_hmrf.solver.backends.compile_cache.kept import sources
 
-# Contraction (one rounding for x * y + z) is allowed; reordering is not, as differences must stay.
+# Contraction (one rounding for x * y + z) is allowed. Reordering is not, because it could replace
+# differences of displacement by sums that cancel.
 _ARITHMETIC = {"contract", "nsz"}
-# Nothing calls a loop as C does.
+# Options of all loops; C code never calls them.
 _ALL = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
 
 class _Uncollected(event.Listener):  # type: ignore[misc]
-    """Pause the collection of garbage while numba compiles: a tenth of its time or more."""
+    """Listener that pauses garbage collection while numba compiles, to save 10 % of the time."""
 
     _within = 0
     _paused = False
 
     def on_start(self, _: event.Event) -> None:
-        """Pause the collection, unless it is paused already."""
+        """Pause garbage collection, unless a compilation has paused it already."""
         if self._within == 0:
             self._paused = gc.isenabled()
             gc.disable()
         self._within += 1
 
     def on_end(self, _: event.Event) -> None:
-        """Go on, at the end of what was begun first."""
+        """Resume garbage collection after the outermost compilation."""
         self._within -= 1
         if self._within == 0 and self._paused:
             gc.enable()
@@ -47,12 +47,12 @@ class _Uncollected(event.Listener):  # type: ignore[misc]
 event.register("numba:compile", _Uncollected())
 
 
-def _kept(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile a function by these options of numba's, and keep it while no kernel changes."""
+def _cached(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Return a decorator that compiles and caches a function until any file of loops changes."""
 
     def decorate(function: Callable[..., Any]) -> Any:
         made = numba.njit(cache=True, nogil=True, **_ALL, **options)(function)
-        with suppress(AttributeError):  # a numba made otherwise looks at the function's file alone
+        with suppress(AttributeError):  # other versions of numba may lack these attributes
             file = made._cache._cache_file
             file._source_stamp = (file._source_stamp, sources(Path(__file__).parent))
         return made
@@ -61,25 +61,28 @@ def _kept(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def _callee(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile a function for loops alone, and keep it with them: Python must not call it."""
+    """Return a decorator for functions that are called by compiled loops only, never by Python."""
     made: Callable[..., Any] = numba.njit(no_cpython_wrapper=True, **_ALL, **options)
     return made
 
 
-#: Functions that become part of their caller's source.
+#: Function that numba inlines into the source of its callers.
 inline = numba.njit(inline="always", error_model="numpy")
-#: Compiled once for all callers and inlined by LLVM: as fast, and ready in half the time.
+#: Function that LLVM inlines: as fast as `inline`, and compiled in half the time.
 shared = _callee(fastmath=_ARITHMETIC, forceinline=True)
-#: On one thread.
+#: Function that other loops call, with contraction.
 callee = _callee(fastmath=_ARITHMETIC)
-#: The same, with no liberties taken.
+#: Function that other loops call, with exact IEEE arithmetic.
 strict_callee = _callee()
-#: Sums that may be taken in any order.
+#: Function that may add terms in any order.
 reduction = _callee(fastmath={"reassoc", "nsz"})
+#: Function that may add terms in any order, with contraction.
 contracted_reduction = _callee(fastmath=_ARITHMETIC | {"reassoc"})
-#: Loops that Python calls: on one thread; on one or on all, with exact arithmetic.
-alone = _kept(fastmath=_ARITHMETIC)
-strict = _kept()
-strict_parallel = _kept(parallel=True)
-#: On all threads.
-parallel = _kept(parallel=True, fastmath=_ARITHMETIC)
+#: Loop that Python calls, on one thread, with contraction.
+alone = _cached(fastmath=_ARITHMETIC)
+#: Loop that Python calls, on one thread, with exact IEEE arithmetic.
+strict = _cached()
+#: Loop that Python calls, on all threads, with exact IEEE arithmetic.
+strict_parallel = _cached(parallel=True)
+#: Loop that Python calls, on all threads, with contraction.
+parallel = _cached(parallel=True, fastmath=_ARITHMETIC)

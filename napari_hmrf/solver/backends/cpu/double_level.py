@@ -1,7 +1,7 @@
-"""The finest level of a volume once more, for an iteration in double precision.
+"""Finest level of a volume in double precision, for tissue with a high contrast.
 
-Where contrast is high, single precision ends an iteration before it has met all that moves at
-little cost. Cycles precondition well enough in single precision; what they are given is rounded.
+With a high contrast, an iteration in single precision stops before it has reduced all soft modes.
+Only the iteration needs double precision: cycles still precondition it in single precision.
 """
 
 from __future__ import annotations
@@ -19,15 +19,16 @@ Float64Array = npt.NDArray[np.float64]
 
 
 class DoubleLevel(CpuLevel):
-    """Operations of an iteration on a level, in double precision.
+    """Operations of an iteration on the finest level, in double precision.
 
     Parameters
     ----------
     level : CpuVolumeLevel
-        The finest of all.
+        Finest level in single precision.
     share : float
+        Ratio lambda / mu of all elements, or 1 if each element has its own lambda.
     shape : ndarray
-        Parameters of the level's elements, in double precision.
+        Constants of the elements' shape (`hexahedra.constants`), in double precision.
     """
 
     def __init__(self, level: Any, share: np.float64, shape: Float64Array) -> None:
@@ -39,18 +40,18 @@ class DoubleLevel(CpuLevel):
         self.bodies, self.sums_up = level.bodies, level.sums_up
 
     def rounded(self, rest: Float64Array) -> Vector:
-        """Return a vector as cycles take it; valid until the next call."""
+        """Return a residual in single precision, for cycles; valid until the next call."""
         np.copyto(self.load, rest, casting="same_kind")
         return self.load
 
     def vector(self, values: npt.NDArray[Any] | None = None) -> Any:
-        """Return zeros, or a copy of these planes."""
+        """Return a vector of zeros, or a copy of planes."""
         if self._memory is not None:
             return next(self._memory)
         return np.zeros(self.load.shape) if values is None else values.astype(np.float64)
 
     def free(self, *vectors: Any) -> None:
-        """Let them go: memory is what limits volumes."""
+        """Ignore the call; vectors are not kept, because memory limits volumes."""
 
     def apply(self, direction: Any, image: Any) -> float:
         """Compute image = A direction; return their scalar product."""

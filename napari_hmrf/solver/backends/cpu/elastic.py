@@ -1,12 +1,12 @@
 """Compiled loops for elastic tissue: the operations of multigrid, in single precision.
 
-Arrays are padded as those of the other kernels are, by two sites of void. A site that is
-prescribed, or in no element, has an inverse diagonal of 0: its correction stays 0. `weight`, the
-diagonal of a coarse level's springs W, counts `springs` times: 0 on the finest level, else 1.
+All arrays have a border of void, two sites wide. A component that is prescribed, or in no element,
+has an inverse diagonal of 0, so its correction stays 0. `weight` is the diagonal of the springs W
+of a coarse level, and is multiplied by `springs`: 0 on the finest level, else 1.
 
-Each kernel divides the rows among threads, `count` of them. A thread begins with the row above its
-first, for the sake of the values that it leaves in `carry`; its result is not used. Kernels write
-where something moves only (`spans`): beyond that there must be 0.
+Each kernel divides the rows among `count` threads. A thread starts one row above its first row, to
+fill the array `carry`, and discards the result of that row. Kernels write to the moving sites of
+each row (`spans`) only; outside them the output must already be 0.
 """
 
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -27,7 +27,7 @@ from napari_hmrf.solver.backends.cpu.forces import (
 )
 from napari_hmrf.solver.backends.cpu.vectors import restrict_row, row_product
 
-# Loops over a row begin at max(0, ...), so that the compiler can exclude negative indices.
+# Loops over a row begin at max(..., 0), so that the compiler can exclude negative indices.
 
 
 @callee
@@ -44,10 +44,10 @@ def _apply_row(d, lame, inverse, shape, i, span, carry, out_row, out_col):
 
 @alone
 def apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last):
-    """Apply the matrix to the rows from the first to before the last, as `apply` does."""
-    carry, nobody = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
+    """Compute the rows from `first` to `last` (excluded) of `apply`."""
+    carry, unused = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
     for i in range(max(first - 1, 0), last):
-        row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (nobody[0], nobody[1])
+        row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (unused[0], unused[1])
         _apply_row(d, lame, inverse, shape, i + 2, reach(spans, i), carry, row, col)
         if i >= first:
             row_totals[i] = row_product(d, out, i + 2)
@@ -55,7 +55,7 @@ def apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last):
 
 @parallel
 def apply(d, lame, inverse, shape, spans, out, row_totals, count):
-    """Write A d to `out` where sites move, 0 elsewhere; `row_totals` gets the product with d."""
+    """Write A d to `out`, with 0 at fixed components; `row_totals` gets d . A d of each row."""
     for number in prange(count):
         first, last = part(number, count, len(spans))
         apply_part(d, lame, inverse, shape, spans, out, row_totals, first, last)
@@ -81,9 +81,9 @@ def _smooth_row(rows, tissue, weights, i, span, carry, pace, out_row, out_col):
 
 @callee
 def _smooth_part(d, tissue, weights, spans, out, pace, first, last):
-    carry, nobody = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
+    carry, unused = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
     for i in range(max(first - 1, 0), last):
-        row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (nobody[0], nobody[1])
+        row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (unused[0], unused[1])
         _smooth_row(
             rows_of(d, i + 2), tissue, weights, i + 2, reach(spans, i), carry, pace, row, col
         )
@@ -93,7 +93,7 @@ def _smooth_part(d, tissue, weights, spans, out, pace, first, last):
 def smooth(d, load, lame, inverse, weight, springs, shape, spans, out, scale, ahead, back, count):
     """Compute a Chebyshev step: out = d + scale D^-1 (load - (A + W) d) + ahead d - back out.
 
-    What `out` holds before is the displacement before the last step: d - out was that step.
+    On entry, `out` has the displacement before the last step, which was d - out.
     """
     for number in prange(count):
         first, last = part(number, count, len(spans))
@@ -103,7 +103,7 @@ def smooth(d, load, lame, inverse, weight, springs, shape, spans, out, scale, ah
 
 @callee
 def _start_row(load, inverse, scale, i, out):
-    """The first step from zero: scale D^-1 load."""
+    """Compute a row of the first step from zero: out = scale D^-1 load."""
     for component in range(2):
         for j in range(out.shape[1]):
             out[component, j] = scale * inverse[component, i, j] * load[component, i, j]
@@ -112,14 +112,14 @@ def _start_row(load, inverse, scale, i, out):
 @callee
 def _begin_part(tissue, weights, spans, out, start, pace, first, last):
     load, _, inverse, _ = tissue
-    carry, nobody = np.zeros_like(load[:, 0]), np.zeros_like(load[:, 0])
+    carry, unused = np.zeros_like(load[:, 0]), np.zeros_like(load[:, 0])
     here, below = np.zeros_like(carry), np.zeros_like(carry)
     top = max(first - 1, 0)
     _start_row(load, inverse, start, top + 2, here)
     for i in range(top, last):
         _start_row(load, inverse, start, i + 3, below)
         rows = here[0], below[0], here[1], below[1]
-        row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (nobody[0], nobody[1])
+        row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (unused[0], unused[1])
         _smooth_row(rows, tissue, weights, i + 2, reach(spans, i), carry, pace, row, col)
         here, below = below, here
 
@@ -128,7 +128,7 @@ def _begin_part(tissue, weights, spans, out, start, pace, first, last):
 def begin(
     load, lame, inverse, weight, springs, shape, spans, out, start, scale, ahead, back, count
 ):
-    """Compute the first two Chebyshev steps, from zero: as `smooth`, from d = start D^-1 load."""
+    """Compute the first two Chebyshev steps from zero: `smooth` applied to start D^-1 load."""
     for number in prange(count):
         first, last = part(number, count, len(spans))
         tissue, pace = (load, lame, inverse, shape), (scale, ahead, back)
@@ -152,7 +152,10 @@ def _rest_row(d, tissue, weights, i, span, carry, out):
 
 @callee
 def _leave_part(d, tissue, weights, spans, coarse, first, last):
-    """Rows of the coarse level; the row above the first is wanted, and so the one above that."""
+    """Compute coarse rows from `first` to `last` (excluded) of `leave`.
+
+    A coarse row needs three fine rows. One more row above fills `carry`.
+    """
     carry = np.zeros_like(d[:, 0])
     rest = np.zeros((3, *carry.shape), dtype=d.dtype)
     for i in range(max(2 * first - 2, 0), 2 * last):
@@ -173,7 +176,7 @@ def _leave_part(d, tissue, weights, spans, coarse, first, last):
 
 @parallel
 def leave(d, load, lame, inverse, weight, springs, shape, spans, coarse, count):
-    """Restrict the residual load - (A + W) d, where sites move, to `coarse`."""
+    """Restrict the residual load - (A + W) d to `coarse`; fixed components count as 0."""
     for number in prange(count):
         first, last = part(number, count, coarse.shape[1] - 4)
         tissue = load, lame, inverse, shape

@@ -1,7 +1,7 @@
-"""Elastic tissue as compiled loops in double precision: what decides whether a field is converged.
+"""Residual, energy and forces of elastic tissue as compiled loops in double precision.
 
-Arrays are as in `backends.cpu.elastic`, displacement and load in double precision; rows are divided
-among threads as there.
+Arrays and threads are as in `backends.cpu.elastic`, but displacement and load have double
+precision. These loops decide whether a displacement is converged.
 """
 
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -40,9 +40,9 @@ def _balance_row(d, load, given, tissue, i, span, carry, share, out_row, out_col
 
 @callee
 def _balance_part(d, load, given, tissue, spans, share, out, row_most, row_squares, first, last):
-    carry, nobody = np.zeros_like(d[:, 0]), np.zeros_like(out[:, 0])
+    carry, unused = np.zeros_like(d[:, 0]), np.zeros_like(out[:, 0])
     for i in range(max(first - 1, 0), last):
-        row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (nobody[0], nobody[1])
+        row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (unused[0], unused[1])
         _balance_row(d, load, given, tissue, i + 2, reach(spans, i), carry, share, row, col)
         if i >= first:
             row_most[i] = row_largest(out, i + 2)
@@ -51,9 +51,9 @@ def _balance_part(d, load, given, tissue, spans, share, out, row_most, row_squar
 
 @parallel
 def balance(d, load, given, lame, inverse, shape, spans, share, out, row_most, row_squares, count):
-    """Write share (given load - A d) to `out`, in single precision; 0 at sites that do not move.
+    """Write share (given load - A d) to `out`, in single precision; 0 at fixed components.
 
-    Its largest absolute value and its square are returned row by row.
+    `row_most` gets the largest absolute value of each row, and `row_squares` the sum of squares.
     """
     for number in prange(count):
         first, last = part(number, count, len(spans))
@@ -63,7 +63,7 @@ def balance(d, load, given, lame, inverse, shape, spans, share, out, row_most, r
 
 @contracted_reduction
 def _work_row(d, lame, shape, i, carry):
-    """A row's product of displacement and forces, and the square of these."""
+    """Return d . A d and the square of A d for one row."""
     rows, moduli = rows_of(d, i), moduli_of(lame, i)
     product, square = 0.0, 0.0
     left = left_of(rows, moduli, shape, 1)
@@ -86,7 +86,7 @@ def _work_part(d, lame, shape, row_products, row_squares, first, last):
 
 @parallel
 def work(d, lame, shape, row_products, row_squares, count):
-    """Compute the products of d and A d, and of A d with itself, by rows."""
+    """Compute d . A d and the square of A d, for each row."""
     for number in prange(count):
         first, last = part(number, count, len(row_products))
         _work_part(d, lame, shape, row_products, row_squares, first, last)
@@ -105,15 +105,15 @@ def _pull_row(d, lame, shape, i, carry, out_row, out_col):
 
 @callee
 def _pull_part(d, lame, shape, out, first, last):
-    carry, nobody = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
+    carry, unused = np.zeros_like(d[:, 0]), np.zeros_like(d[:, 0])
     for i in range(max(first - 1, 0), last):
-        row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (nobody[0], nobody[1])
+        row, col = (out[0, i + 2], out[1, i + 2]) if i >= first else (unused[0], unused[1])
         _pull_row(d, lame, shape, i + 2, carry, row, col)
 
 
 @parallel
 def pull(d, lame, shape, out, count):
-    """Write -A d to `out`, everywhere."""
+    """Write -A d to `out`, including held components."""
     for number in prange(count):
         first, last = part(number, count, d.shape[1] - 4)
         _pull_part(d, lame, shape, out, first, last)

@@ -27,19 +27,19 @@ from napari_hmrf.solver.priors.elements import (
     stiffest,
 )
 
-# A step that leaves all where it is.
+# (scale, ahead, back) of a step that changes nothing.
 _NO_STEP = np.zeros(3, dtype=np.float32)
 
 
 class CpuElasticLevel(SmallLevel):
-    """One level's elements and springs.
+    """Elements and springs of one level.
 
     Attributes
     ----------
     lame : ndarray, shape (2, H + 4, W + 4)
-        Lame's parameters of the elements; 0 in void.
+        Lame parameters of the elements; 0 in void.
     moving, reach : ndarray
-        As `inverse` and `spans`, if bodies that cycles hold move, too.
+        `inverse` and `spans` of the system in which rigid bodies that cycles hold are free.
     """
 
     def __init__(
@@ -55,15 +55,15 @@ class CpuElasticLevel(SmallLevel):
         self.pins = self.vector()
         self.weight = None if finest else self.vector()
         if memory is not None:
-            next(memory)  # the residual of a cycle
+            next(memory)  # skip the array of the residual, which only the cycle uses
         self.lame = self.vector()
         self.moving, self.reach = self.inverse, spans
         self._memory = None
-        #: Among how many threads its rows are divided.
+        #: Number of threads among which the rows are divided.
         self.parts = forces.parts(grid[0])
 
     def hold(self, held: HeldPlanes) -> None:
-        """Hold components on the finest level, and bodies that are entrained."""
+        """Set the held components of the finest level, and hold the bodies that are deflated."""
         before = self.spans.copy()
         self.moving, self.reach = self.inverse, self.spans
         if self.bodies is not None and self.bodies.entrain:
@@ -73,30 +73,30 @@ class CpuElasticLevel(SmallLevel):
             held = self.bodies.hold(held)
         assembly.diagonal(self.lame, self.shape, self.inverse)
         vectors.hold(self.inverse, held, self.pins, self.spans)
-        # A later motion of bodies changes the correction there: the next cycle must clear it.
+        # Deflation also changes the correction at bodies, so the next cycle must clear it there.
         self.spans[:] = self.reach
-        self._forget(before)
+        self._clear_vectors(before)
 
     @cached_property
     def _with_bodies(self) -> tuple[Vector, npt.NDArray[np.int64]]:
-        """Only rigid tissue needs it."""
+        """Arrays for `moving` and `reach`, allocated only for rigid tissue."""
         return self.vector(), np.zeros_like(self.spans)
 
     def hold_as(self, finer: CpuElasticLevel) -> None:
-        """Put the sites near those that the finer level holds on springs."""
+        """Set the springs of sites near held sites of the next finer level."""
         before = self.spans.copy()
         assembly.diagonal(self.lame, self.shape, self.inverse)
-        self._spring(finer)
-        self._forget(before)
+        self._set_springs(finer)
+        self._clear_vectors(before)
 
-    def _forget(self, before: npt.NDArray[np.int64]) -> None:
-        """The kernels write within the spans only: beyond them there must be 0."""
+    def _clear_vectors(self, before: npt.NDArray[np.int64]) -> None:
+        """Clear the corrections if spans have shrunk, because kernels write within spans only."""
         if (self.spans[:, 0] > before[:, 0]).any() or (self.spans[:, 1] < before[:, 1]).any():
             for vector in (self.correction, self._other):
                 vector.fill(0)
 
     def holding(self) -> CpuElasticLevel:
-        """Return this level, which takes the rest, once more, with all that touches it held."""
+        """Return a copy of this level on which all sites with pins are held, without springs."""
         assert self.together is not None
         made: CpuElasticLevel = self.together.copy().levels[0]
         assert made.weight is not None
@@ -109,7 +109,7 @@ class CpuElasticLevel(SmallLevel):
         paces = paces_of(steps, from_zero)
         about = self._about
         if from_zero:
-            # The field between the first two steps is not kept; a third step would need it.
+            # `begin` does not store the displacement after step 1, which a third step needs.
             second = paces[1] if len(paces) == 2 else _NO_STEP
             elastic.begin(*about, self.correction, paces[0, 0], *second, self.parts)
             paces = paces[2 if len(paces) == 2 else 1 :]
@@ -117,7 +117,7 @@ class CpuElasticLevel(SmallLevel):
             elastic.smooth(self.correction, *about, self._other, *pace, self.parts)
             self.correction, self._other = self._other, self.correction
 
-    def _hand_down(self, coarse: CpuElasticLevel) -> None:
+    def _restrict_residual(self, coarse: CpuElasticLevel) -> None:
         elastic.leave(self.correction, *self._about, coarse.load, self.parts)
 
     @property
@@ -130,7 +130,7 @@ class CpuElasticLevel(SmallLevel):
         about = direction, self.lame, self.moving, self.shape, self.reach, image, self._rows
         if self.together is None:
             elastic.apply(*about, self.parts)
-        else:  # a small level: waking other threads takes longer
+        else:  # on a small level, waking other threads takes longer than the loop
             elastic.apply_part(*about, 0, len(self.reach))
         return float(self._rows.sum())
 
@@ -140,7 +140,7 @@ def _cycle(shape: Vector, values: Vector, table: npt.NDArray[np.int64], *paces: 
 
 
 class CpuElasticModel(HostModel):
-    """`LinearModel` of elastic tissue; other backends take their levels from it.
+    """`LinearModel` of elastic tissue; other backends build their levels from it.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ class CpuElasticModel(HostModel):
         self.assemble(material)
 
     def _small(self, grids: Sequence[tuple[int, ...]]) -> list[CpuElasticLevel]:
-        """The levels that are visited in one go."""
+        """Return the small levels, which are cycled in one call."""
         shape = self._shape
 
         def level(grid: tuple[int, ...], memory: Iterator[Vector]) -> CpuElasticLevel:
@@ -174,7 +174,7 @@ class CpuElasticModel(HostModel):
         return SmallLevels(grids, int(small.PLANES), level, partial(_cycle, shape)).levels
 
     def assemble(self, material: ElasticMaterial) -> None:
-        """Take another material of the same grid."""
+        """Replace the material by another one on the same grid."""
         self.material = material
         self.bounds = smoother_bounds(material)
         self._shape[:] = material.shape
@@ -186,7 +186,7 @@ class CpuElasticModel(HostModel):
             self._sites = bodies_of(m)
             stand_in = HELD_STAND_IN if few(self._sites, m.shape) else CYCLE_STAND_IN
             m = np.where(np.isinf(m), np.float32(stand_in * most), m)
-            m.setflags(write=False)  # as a material's own: to numba another would be another type
+            m.setflags(write=False)  # read-only arrays are another type for numba
         one = isinstance(material.poisson, float)
         assembly.elements(
             m,
@@ -202,7 +202,7 @@ class CpuElasticModel(HostModel):
             assembly.coarsen(fine.lame, coarse.lame)
 
     def hold(self, held: HeldPlanes) -> None:
-        """Hold components on all levels."""
+        """Set the held components on all levels."""
         if self._held is None or not np.array_equal(held, self._held):
             rigid = self.material.rigid
             self.bodies = Bodies(self._sites, self.material, held) if rigid else None
@@ -216,12 +216,12 @@ class CpuElasticModel(HostModel):
         return moves
 
     def entrained(self, steps: Steps, coarsest: Steps) -> Entrained | None:
-        """Return fields of bodies that move and take the tissue around them along."""
+        """Return the deflation by fields of moving bodies; None if no body can move."""
         if self.bodies is None or not self.bodies.entrain:
             return None
         number = next((k for k, level in enumerate(self.levels) if level.takes_rest), 0)
         small = self.levels[number].holding() if number > 0 else None
-        # As bodies are drawn, they are entrained again and again: fresh memory takes longer to get.
+        # While a user draws, this is called often. Reuse the memory: allocating it takes longer.
         shape = 2 * self.bodies.freedom, *self._rest.shape
         if self._entrained.shape[0] < shape[0]:
             self._entrained = np.zeros(shape, dtype=np.float32)
@@ -253,7 +253,7 @@ class CpuElasticModel(HostModel):
 
     @cached_property
     def _pull(self) -> Planes:
-        """Only tissue that may slip needs it."""
+        """Output of `pull`, allocated only for tissue that may slip."""
         return np.zeros(self._rest.shape)
 
     def work(self, d: Planes) -> tuple[float, float]:
@@ -264,28 +264,28 @@ class CpuElasticModel(HostModel):
 
     @property
     def steepness(self) -> Planes:
-        """Compute the diagonal of the stiffness matrix."""
+        """Diagonal of the stiffness matrix, planes."""
         out = np.zeros(self._rest.shape)
         assembly.diagonal(self._exact_lame, self._exact_shape, out)
         return out
 
     def forget(self) -> None:
-        """Clear the model cache: numbers in its vectors may have overflowed."""
+        """Clear the model cache, because values in its vectors may not be finite."""
         _last[:] = ()
 
 
 _last: list[CpuElasticModel] = []
-in_child_of_fork(_last.clear)  # a child of a fork within a solve continues it
+in_child_of_fork(_last.clear)  # the fork may have interrupted a solve that uses the model
 
 
 def the_model(material: ElasticMaterial) -> CpuElasticModel:
-    """Return the model of a material: the last one, if it is the same tissue again.
+    """Return the model of a material, from the cache of one model if it is the same tissue.
 
-    Making one takes as long as a few cycles, and what is edited most is what pulls, not the tissue.
-    For the compute thread only, on which models take turns.
+    Building a model takes as long as a few cycles, and users edit observations more often than
+    tissue. Call it on the compute thread only, because all solves share the model.
     """
     if not _last or _last[0].material.m.shape != material.m.shape:
-        _last[:] = ()  # its memory, first
+        _last[:] = ()  # free the old model before the new one is allocated
         _last.append(CpuElasticModel(material))
     elif _last[0].material != material:
         _last[0].assemble(material)

@@ -1,9 +1,10 @@
-"""Fields of rigid bodies that move and take tissue along: what cycles that hold bodies do not see.
+"""Deflation of conjugate gradients by the motions of rigid bodies.
 
-With all bodies held a cycle sees of rigid tissue what it sees of any that is held. What is left are
-the few motions of bodies. Each has a field: a body that moves so, the others at rest, and tissue
-that follows. Conjugate gradients are *deflated* by these (Nicolaides, SIAM J. Numer. Anal.,
-1987): their directions do no work on them, so that they converge as if bodies were held.
+Cycles hold all rigid bodies, like any held tissue, so they do not reduce the few motions of the
+bodies. Each of these motions has a field: the body moves, the other bodies stay at rest, and the
+tissue follows. Conjugate gradients are *deflated* by these fields (Nicolaides, SIAM J. Numer.
+Anal., 1987): their search directions are conjugate to the fields, so they converge as if the bodies
+were held.
 """
 
 # mypy: disable-error-code="untyped-decorator"
@@ -19,24 +20,26 @@ from napari_hmrf.solver.backends.cpu.compiled import parallel
 from napari_hmrf.solver.backends.cpu.level import Vector
 from napari_hmrf.solver.backends.cpu.vectors import row_product
 
-# Below this part of a field's own stiffness, what another leaves of it is rounding.
+# Least eigenvalue of the scaled stiffness of the fields, below which they count as dependent.
 _INDEPENDENT = 1e-4
 
 
 class CpuEntrained:
-    """The fields of all motions, and the forces that they take.
+    """Fields of all motions, and their forces.
 
     Parameters
     ----------
     fields, forces : ndarray, shape (motions, 2, H + 4, W + 4)
+        Displacement of each motion, and A times it.
     lengths : ndarray, shape (motions,)
-        How far fields move anything, at most.
+        Largest displacement of each field, in pixels.
     close : bool
-        Whether bodies are so close together that what lies between is not seen well.
+        True if bodies are so close together that the small level does not resolve their gap.
 
     Attributes
     ----------
     close : bool
+        True if the small level does not resolve the gap between bodies.
     sure : bool
         True if single precision separates the motions.
     """
@@ -56,7 +59,10 @@ class CpuEntrained:
             self._compliance = np.linalg.inv(stiffness)
 
     def settle(self, d: Vector, rest: Vector) -> float:
-        """Move bodies to where `rest` does no work on a field, in place; the energy that takes."""
+        """Change `d` and `rest` in place so that `rest` does no work on any field.
+
+        Return the energy that this releases.
+        """
         work = _products(self._fields, rest[None])[:, 0]
         shares = self._compliance @ work
         _add(self._fields, shares, d)
@@ -64,35 +70,36 @@ class CpuEntrained:
         return float(shares @ work) / 2
 
     def turn(self, steepest: Vector, direction: Vector, share: float) -> float:
-        """Compute direction = steepest + share direction, with bodies moved so that none resists.
+        """Compute direction = steepest + share direction, made conjugate to all fields.
 
-        They move so far, which is returned, that the forces of `steepest` do no work on any field.
+        For that, fields are subtracted from `steepest`; return the largest distance by which they
+        move bodies.
         """
         shares = -self._compliance @ _products(self._forces, steepest[None])[:, 0]
         _turn(steepest, direction, np.float32(share), self._fields, shares.astype(np.float32))
         return float(np.abs(shares) @ self._lengths)
 
     def astray(self, rest: Vector) -> float:
-        """Return the largest distance of bodies and entrained tissue from their goal in `rest`."""
+        """Return the largest displacement by which the fields would still reduce `rest`."""
         shares = self._compliance @ _products(self._fields, rest[None])[:, 0]
         return float(np.abs(shares) @ self._lengths)
 
 
 def _products(ones: Vector, others: Vector) -> npt.NDArray[np.float64]:
-    """The scalar products of some vectors with no later ones of others."""
+    """Return the matrix of scalar products of `ones` and `others`, below and on the diagonal."""
     rows = np.zeros((ones.shape[2] - 4, len(ones), len(others)))
     _row_products(ones, others, rows)
     return np.asarray(rows.sum(axis=0))
 
 
 def _add(some: Vector, shares: npt.NDArray[np.floating], total: Vector) -> None:
-    """Total += the sum of shares of vectors."""
+    """Add a weighted sum of vectors to `total`, in place."""
     _turn(total, total, np.float32(0), some, shares.astype(np.float32))
 
 
 @parallel
 def _row_products(ones: Any, others: Any, rows: Any) -> None:
-    """Row by row."""
+    """Compute the scalar products of `_products` for each row."""
     for i in prange(len(rows)):
         for k in range(len(ones)):
             for n in range(min(k + 1, len(others))):
@@ -101,7 +108,7 @@ def _row_products(ones: Any, others: Any, rows: Any) -> None:
 
 @parallel
 def _turn(steepest: Any, direction: Any, share: Any, some: Any, shares: Any) -> None:
-    """Direction = steepest + share direction + the sum of shares of vectors."""
+    """Compute direction = steepest + share direction + a weighted sum of vectors."""
     for i in prange(direction.shape[1]):
         for component in range(2):
             for j in range(direction.shape[2]):

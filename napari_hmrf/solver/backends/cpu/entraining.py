@@ -1,4 +1,4 @@
-"""Motion of tissue that follows bodies, for deflation: found on a small level and carried up."""
+"""Fields of tissue that follows moving bodies, computed on a small level and interpolated."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from napari_hmrf.solver.backends.cpu.level import Vector
 from napari_hmrf.solver.backends.linear import Steps
 from napari_hmrf.solver.backends.rigid.bodies import Bodies
 
-# Cycles on the small level. How tissue follows need not be known well: deflation is exact with any
-# field in which a body moves as one.
+# Number of cycles on the small level. A rough field suffices: deflation is exact for any field in
+# which the body moves rigidly.
 _CYCLES = 2
-# A body of fewer sites along a side is small there.
+# Number of sites of the small level along a side of a body, below which the body counts as small.
 _SMALL_BODY = 4
 
 
@@ -35,13 +35,13 @@ def entrain(
     ----------
     bodies : Bodies
     levels : sequence of CpuElasticLevel
-        From the finest to the small level.
+        Levels from the finest to the small one.
     small : CpuElasticLevel or None
-        The small level once more, on which bodies are held; None if there is none.
+        Copy of the small level on which bodies are held; None if the model has no small level.
     steps, coarsest : Steps
-        Of smoothing.
+        Smoothing steps, the latter on the coarsest level.
     memory : ndarray, shape (2 * motions, 2, H + 4, W + 4)
-        Where fields and forces go.
+        Memory for the fields and their forces.
     """
     finest, above, number = levels[0], levels[-2:0:-1], len(levels) - 1
     shape = levels[-1].inverse.shape
@@ -52,7 +52,7 @@ def entrain(
     count = 0
     between = [level.vector() for level in above]
     for (sites, motions), touched in zip(bodies.motions, around, strict=True):
-        # The small level sees neither small bodies nor what lies between close ones.
+        # The small level resolves neither small bodies nor the gap between close bodies.
         rough = close or small is None or len(sites[0]) < (_SMALL_BODY << number) ** 2
         at_row, at_col = np.nonzero(touched)
         for motion in motions:
@@ -91,7 +91,7 @@ def entrain(
 def _around(
     i: npt.NDArray[np.intp], j: npt.NDArray[np.intp], number: int, shape: tuple[int, ...]
 ) -> npt.NDArray[np.bool_]:
-    """The sites of a level that touch a body."""
+    """Return the mask of the sites of a level that touch a body."""
     there: npt.NDArray[np.bool_] = np.zeros(shape[1:], dtype=np.bool_)
     size = (1 << number) - 1
     for row in (i >> number, (i + size) >> number):

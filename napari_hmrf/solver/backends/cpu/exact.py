@@ -1,7 +1,7 @@
-"""Displacements in double precision on the host, as compiled loops: what refinement is made of.
+"""Displacements in double precision on the host, as compiled loops.
 
-Planes are float64, (2, H + 4, W + 4), the component first, in a ring of zeros two sites wide. A
-row's share of a total is returned for each row.
+Planes are float64 arrays (2, H + 4, W + 4), with the component as the first axis and a border of
+zeros, two sites wide.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -15,10 +15,10 @@ from napari_hmrf.solver.backends.cpu.compiled import reduction, strict_parallel
 
 @strict_parallel
 def prescribe(y, observed, share, first, one, second, two, d, held):
-    """Displace by share * y where tissue is observed, and hold it there.
+    """Set `d` to share * y and `held` to True at observed components.
 
-    The rest by one * first + two * second, both (H, W, 2), one or both of which may count 0 times:
-    then its values need not be numbers.
+    Other components become one * first + two * second, where both arrays are (H, W, 2). An array
+    whose factor is 0 may contain NaN.
     """
     for i in prange(y.shape[0]):
         for j in range(y.shape[1]):
@@ -44,7 +44,7 @@ def blend(values, weight, held, d):
 def _settle_row(values, tissue, unit):
     nothing = np.float32(0)
     for j in range(len(values)):
-        nothing += values[j] * np.float32(0)  # 0, but for what is not a number
+        nothing += values[j] * np.float32(0)  # NaN if a value is not finite, else 0
     for j in range(len(tissue)):
         factor = unit * np.float32(tissue[j])
         values[2 * j] *= factor
@@ -54,7 +54,7 @@ def _settle_row(values, tissue, unit):
 
 @strict_parallel
 def settle(values, tissue, unit, row_finite):
-    """Scale values by `unit` on tissue, 0 elsewhere; mark the rows that are all finite."""
+    """Multiply values by `unit` on tissue and set others to 0; mark rows of finite values."""
     flat = values.reshape(values.shape[0], -1)
     for i in prange(values.shape[0]):
         row_finite[i] = _settle_row(flat[i], tissue[i], unit)
@@ -71,7 +71,7 @@ def add(d, correction, scale):
 
 @strict_parallel
 def gather(d, out):
-    """Copy planes to `out`, (H, W, 2) in single precision."""
+    """Copy planes to `out`, shape (H, W, 2), in single precision."""
     for i in prange(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j, 0] = np.float32(d[0, i + 2, j + 2])

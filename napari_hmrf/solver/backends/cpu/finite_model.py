@@ -1,7 +1,7 @@
-"""Tissue that moves far on the processor: its energy, and the linear model of where it is.
+"""Tissue in large motion on the processor: its energy, and its linear model.
 
-Every Newton step has a linear model of its own, with a tangent for each element; its levels are the
-same model again, of tangents averaged. The levels' memory stays.
+Each Newton step needs a new linear model, with a tangent for each element. Coarser levels have the
+averaged tangents. All linear models use the same memory.
 """
 
 from __future__ import annotations
@@ -32,23 +32,25 @@ from napari_hmrf.solver.priors.finite_strain import (
 
 # Factors by which the spectrum of strained tissue exceeds that at rest: usually, and at most.
 _STRAINED, _WORST = 1.3, 2.0
-# Numbers of an element: of its tangent for cycles, of all of it, and of what it resists with.
+# Numbers per element: of its tangent for cycles with the damping, of its whole tangent, and of its
+# elastic parameters (`finite_strain`).
 _CYCLED, _ALL, _OF_SOLID = int(tangents.PLANES), 21, 7
-# Part of its spread that counts, where an element shares its sites with others.
+# Factor of the norm of an element at rest: less than 1, because elements share their sites.
 _CALM = 0.75
-# Factor by which rigid tissue is stiffer for factors; the next step corrects their error.
+# Relative stiffness that is added to rigid tissue in direct factors; the next Newton step corrects
+# the error.
 _FIRMER = 20.0
 
 
 class TangentLevel(SmallLevel):
-    """One level's tangents and springs; see `CpuLevel`.
+    """Tangents and springs of one level; see `CpuLevel`.
 
     Attributes
     ----------
     cycled : ndarray, shape (14, H + 4, W + 4)
-        The tangents that cycles go by, and their damping.
+        Tangents for cycles, and their damping.
     solved : ndarray, shape (21, H + 4, W + 4), or None
-        Those that are solved for, on the finest level.
+        Tangents of the system that is solved; None on coarser levels.
     """
 
     def __init__(
@@ -70,7 +72,7 @@ class TangentLevel(SmallLevel):
         self.parts = parts(grid[0])
 
     def hold(self, held: HeldPlanes, springs: Planes | None = None) -> None:
-        """Hold components on the finest level, and put others on springs."""
+        """Set the held components and the springs of the finest level."""
         tangents.diagonal(self.cycled, self.inverse)
         self.weight = None if springs is None else springs.astype(np.float32)
         if self.weight is None:
@@ -82,15 +84,18 @@ class TangentLevel(SmallLevel):
 
     @property
     def _springs(self) -> tuple[Vector, np.float32]:
-        """As of `CpuLevel`; those of the finest level come and go."""
+        """Strength and factor of the springs as in `CpuLevel`, but not cached.
+
+        Springs of the finest level may change with each linear model.
+        """
         if self.weight is None:
             return self.inverse, np.float32(0)
         return self.weight, np.float32(1)
 
     def hold_as(self, finer: TangentLevel) -> None:
-        """Put the sites near those that the finer level holds on springs."""
+        """Set the springs of sites near held sites of the next finer level."""
         tangents.diagonal(self.cycled, self.inverse)
-        self._spring(finer)
+        self._set_springs(finer)
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Run Chebyshev-Jacobi steps on `correction` for `load`."""
@@ -103,13 +108,13 @@ class TangentLevel(SmallLevel):
             tangents.smooth(self.correction, *about, self._other, *pace, self.parts)
             self.correction, self._other = self._other, self.correction
 
-    def _hand_down(self, coarse: TangentLevel) -> None:
+    def _restrict_residual(self, coarse: TangentLevel) -> None:
         about = self.load, self.cycled, self.inverse, *self._springs
         tangents.rest(self.correction, *about, self._left, self.parts)
         self._restrict(self._left, coarse.load)
 
     def apply(self, direction: Vector, image: Vector) -> float:
-        """Compute image = A direction, of the solved system; return their scalar product."""
+        """Compute image = A direction for the solved system; return their scalar product."""
         about = direction, self.solved, self.inverse, True, *self._springs, image, self._rows
         tangents.apply(*about, self.parts)
         return float(self._rows.sum())
@@ -125,6 +130,7 @@ class CpuFiniteModel:
     Parameters
     ----------
     grid : tuple of int
+        Grid, (H, W).
     """
 
     def __init__(self, grid: tuple[int, ...]) -> None:
@@ -140,15 +146,15 @@ class CpuFiniteModel:
         self._none: Planes = np.zeros((0, 0))
         self._parts = parts(grid[0])
         self.material: FiniteMaterial | None = None
-        #: Springs on components besides tissue, since the last `linearise`.
+        #: Values added to the diagonal by the last `linearise`.
         self.springs: Planes | None = None
-        #: Factor by which cycles underestimate the error, and the held components that it is for.
+        #: Held components, and the factor by which cycles underestimate the error with them.
         self.rehearsed: tuple[HeldPlanes, float] | None = None
-        #: The sites of each rigid body.
+        #: Indices of the sites of each rigid body.
         self.bodies: list[BodySites] = []
 
     def assemble(self, material: FiniteMaterial) -> None:
-        """Take a material of the same grid."""
+        """Replace the material by another one on the same grid."""
         if self.material is not None and self.material == material:
             return
         if self.material is None or not self.material.is_tissue_of(material):
@@ -173,13 +179,13 @@ class CpuFiniteModel:
 
     @property
     def _solved(self) -> Vector:
-        """The tangents of elements that are solved for."""
+        """Tangents of the solved system, (21, H - 1, W - 1)."""
         solved = self.levels[0].solved
         assert solved is not None
         return solved[:, 2:-3, 2:-3]
 
     def _spread(self, material: FiniteMaterial) -> float:
-        """Return the width of the spectrum of an element at rest."""
+        """Return the norm of the scaled matrix of an element at rest; see `finite_tangents`."""
         nu = material.largest_poisson
         one = lame_parameters(np.ones((2, 2)), nu, material.strain)
         solid = np.zeros((_OF_SOLID, 5, 5))
@@ -191,12 +197,12 @@ class CpuFiniteModel:
         return float(finite_tangents.spread(cycled[:13, 2, 2].astype(np.float64)))
 
     def energy(self, d: Planes) -> tuple[float, float]:
-        """Return the energy of a displacement, and the least Jacobian of any corner."""
+        """Return the energy of a displacement, and the least Jacobian of all element corners."""
         self._work(finite_strain.energy, d, self._energies, self._least)
         return float(self._energies.sum()) + self._stored, float(self._least.min())
 
     def forces(self, d: Planes) -> Planes:
-        """Return the derivative of the energy by all components; valid until the next call."""
+        """Return the gradient of the elastic energy; valid until the next call."""
         self._work(finite_strain.forces, d, self._pull)
         return self._pull
 
@@ -208,26 +214,26 @@ class CpuFiniteModel:
         positive: float = 0.0,
         springs: Planes | None = None,
     ) -> None:
-        """Make the levels those of small motion around a displacement, with what is held."""
+        """Build the linear model of small motion around a displacement; see `FiniteModel`."""
         finest, self.springs = self.levels[0], springs
         about = positive, self._calm, finest.solved, finest.cycled
         self._work(finite_tangents.tangents, d, *about)
         if self.bodies:
             assert self.material is not None
             finest.bodies = Bodies(self.bodies, self.material, held, d)
-            self._turn(d, forces, positive)
+            self._add_geometric_stiffness(d, forces, positive)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             tangents.coarsen(fine.cycled, coarse.cycled)
         finest.hold(held, springs)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             coarse.hold_as(fine)
 
-    def _turn(self, d: Planes, forces: Planes, positive: float) -> None:
-        """Make bodies resist a turn by the change of the forces on them."""
+    def _add_geometric_stiffness(self, d: Planes, forces: Planes, positive: float) -> None:
+        """Add the stiffness of bodies against rotation that the present forces on them cause."""
         rigid = self._elements > 0
-        # The terms that make tangents positive would hold bodies in their present pose.
+        # Remove the terms that make tangents positive, because they would resist rigid rotations.
         shear = self._solid[finite_strain.SHEAR, 2:-3, 2:-3]
-        self._resist(rigid, -positive * finite_tangents.LEAST * shear[rigid])
+        self._add_isotropic_stress(rigid, -positive * finite_tangents.LEAST * shear[rigid])
         self._stiff = self._solved[:, rigid]
         sides = self.material.shape.sides  # type: ignore[union-attr]
         for number, (row, col) in enumerate(self.bodies, 1):
@@ -238,10 +244,10 @@ class CpuFiniteModel:
             more = -float((forces[at] * places).sum()) / (2 * int(here.sum()))
             if more < 0:
                 more *= 1 - positive
-            self._resist(here, more)
+            self._add_isotropic_stress(here, more)
 
-    def _resist(self, elements: npt.NDArray[np.bool_], more: Any) -> None:
-        """Add a stress that is the same in all directions, which turns resist, too."""
+    def _add_isotropic_stress(self, elements: npt.NDArray[np.bool_], more: Any) -> None:
+        """Add the geometric stiffness of an isotropic stress, which also resists rotations."""
         shape = self.material.shape  # type: ignore[union-attr]
         for numbers, share in (((0, 2), shape.rows), ((3, 5), shape.cols)):
             for number in numbers:
@@ -253,13 +259,13 @@ class CpuFiniteModel:
         return Poses(self.bodies, self.material.shape.sides, held)
 
     def project(self, values: Planes) -> None:
-        """Replace displacements or forces by those of bodies that move as one, in place."""
+        """Project displacements or forces onto the rigid motions of bodies, in place."""
         bodies = self.levels[0].bodies
         if bodies is not None:
             bodies.project(values)
 
     def balance(self, rest: Planes) -> Balance:
-        """Return a load as iterations take it: 0 where nothing moves, and of bodies as one."""
+        """Return the load of an iteration: 0 at fixed components, projected for rigid bodies."""
         rest = np.where(self.levels[0].inverse > 0, rest, 0.0)
         self.project(rest)
         most = float(np.abs(rest).max())
@@ -269,7 +275,7 @@ class CpuFiniteModel:
         return Balance(scaled, unit, most, unit * math.sqrt(square))
 
     def image(self, way: Planes) -> Planes:
-        """Return the force of the linear model along a way, where components move."""
+        """Return A `way` of the linear model; 0 at fixed components."""
         finest = self.levels[0]
         image = finest.vector()
         finest.apply(way.astype(np.float32), image)
@@ -280,7 +286,7 @@ class CpuFiniteModel:
     def length(
         self, d: Planes, way: Planes, part: float, floor: float, each: bool = False
     ) -> tuple[float, npt.NDArray[np.float64]]:
-        """Return how far along a way all corners keep a part of their Jacobian, above a floor."""
+        """Return the largest step along `way` with valid Jacobians; see `FiniteModel`."""
         lengths = np.full(self._solid.shape[1:], np.inf) if each else self._none
         about = d, way, self._solid, self._about, part, floor
         finite_strain.length(*about, self._least, lengths, self._parts)
@@ -294,7 +300,7 @@ class CpuFiniteModel:
 
     @property
     def tangents(self) -> Tangents:
-        """The linear model as factors take it."""
+        """Linear model as an `Assembled` material, for direct factors."""
         if not self.bodies:
             return Tangents(self._solved)
         numbers = self._solved.copy()
@@ -302,7 +308,7 @@ class CpuFiniteModel:
         return Tangents(numbers)
 
     def clear(self) -> None:
-        """Make all corrections zero: numbers may have overflowed."""
+        """Set all corrections to zero, because they may not be finite."""
         for level in self.levels:
             level.clear()
 
@@ -311,11 +317,12 @@ class CpuFiniteModel:
 
 
 class Tangents:
-    """The tangents of elements as an `Assembled` material.
+    """Tangents of elements as an `Assembled` material.
 
     Parameters
     ----------
     numbers : ndarray, shape (21, H - 1, W - 1)
+        Tangent of each element; see `finite_tangents`.
     """
 
     patch = 2
@@ -327,7 +334,7 @@ class Tangents:
 
     @property
     def parts(self) -> tuple[tuple[tuple[int, ...], Any], ...]:
-        """Both components at once, and what gives the matrices of elements, (h, w, 8, 8)."""
+        """Single part with both components, and the function that returns matrices (h, w, 8, 8)."""
         return (((0, 1), self._matrices),)
 
     def _matrices(self, rows: slice, cols: slice) -> npt.NDArray[np.float64]:
@@ -336,7 +343,7 @@ class Tangents:
         return np.asarray(_DIFFERENCES.T @ tangent @ _DIFFERENCES)
 
 
-# Positions of the tangent's 21 numbers among D_r, D_c and D_x, two components each.
+# Index of the tangent's number for each pair of D_r, D_c and D_x, with two components each.
 _WHERE = np.array(
     [
         [0, 1, 6, 7, 13, 14],
@@ -347,7 +354,7 @@ _WHERE = np.array(
         [14, 16, 18, 20, 11, 12],
     ]
 )
-# D_r, D_c and D_x of the corners 00, 01, 10 and 11, for each component.
+# Coefficients of the corners 00, 01, 10 and 11 in D_r, D_c and D_x of one component.
 _SIGNS = np.array([[-1, -1, 1, 1], [-1, 1, -1, 1], [1, -1, -1, 1]], dtype=np.float64)
 _DIFFERENCES = np.kron(_SIGNS, np.eye(2))
 
@@ -357,9 +364,9 @@ in_child_of_fork(_last.clear)
 
 
 def the_model(material: FiniteMaterial) -> CpuFiniteModel:
-    """Return the model of a material: the last one, if it is the same tissue again."""
+    """Return the model of a material, in the memory of the last model if the grid is the same."""
     if not _last or _last[0].shape != material.m.shape:
-        _last[:] = ()  # its memory, first
+        _last[:] = ()  # free the old model before the new one is allocated
         _last.append(CpuFiniteModel(tuple(material.m.shape)))
     _last[0].assemble(material)
     return _last[0]

@@ -1,12 +1,14 @@
 """Neo-Hookean tissue as compiled loops in double precision: energy, forces, step lengths.
 
-`solver.priors.finite_strain` has the equations and the names. Displacements are planes of pixels,
-and an element has the index of its first site. `solid` has seven numbers of each element, in the
-order of `Moduli`: mu, 0 in elements that do not exist; Lame's lambda as for a volume; the
-resistance to a change of volume at rest; the resistance to half the square of a twist; and the
-components RR, RC and CC of the matrix that removes growth from the sides. `about` is
-half of one over the sides of a pixel, whether tissue may bulge out of the plane, and the strength
-and the start of the barrier.
+`solver.priors.finite_strain` has the equations and the names. Displacements are planes in pixels,
+and an element has the index of its first site.
+
+`solid` has seven numbers for each element, in the order of `Moduli`: mu, which is 0 in elements
+that do not exist; the Lame parameter lambda of a volume; the coefficient of the volume term at
+rest; the stiffness of the twist, as the factor of half its square; and the components RR, RC and CC
+of the matrix that removes growth from the sides. `about` has five numbers: 1 / (2 side) for the row
+and the column side of a pixel; True if tissue may bulge out of the plane; and the strength and the
+start of the barrier.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -19,13 +21,13 @@ from numba import prange
 
 from napari_hmrf.solver.backends.cpu.compiled import callee, inline, parallel
 
-# Indices of the numbers of an element.
+# Indices of the numbers of an element in `solid`.
 SHEAR, FIRST, WHOLE, TWIST, RR, RC, CC = np.arange(7)
 
 
 @inline
 def deformed(d, i, j, rows, cols):
-    """Return the deformed sides (per pixel) and the twist of element (i, j)."""
+    """Return the deformed sides (per undeformed side) and the twist of element (i, j)."""
     left_0, right_0 = d[0, i + 1, j] - d[0, i, j], d[0, i + 1, j + 1] - d[0, i, j + 1]
     left_1, right_1 = d[1, i + 1, j] - d[1, i, j], d[1, i + 1, j + 1] - d[1, i, j + 1]
     top_0, low_0 = d[0, i, j + 1] - d[0, i, j], d[0, i + 1, j + 1] - d[0, i + 1, j]
@@ -52,7 +54,7 @@ def volumes(a0, a1, b0, b1, x0, x1, rows, cols):
 
 @inline
 def elastic(a0, a1, b0, b1, solid, i, j):
-    """Return the sides without growth, and the factor that growth leaves of a Jacobian."""
+    """Return the sides without growth, and the factor that removes growth from a Jacobian."""
     rr, rc, cc = solid[RR, i, j], solid[RC, i, j], solid[CC, i, j]
     return (
         rr * a0 + rc * b0,
@@ -65,7 +67,7 @@ def elastic(a0, a1, b0, b1, solid, i, j):
 
 @inline
 def bulk(j, mu, lam, whole, bulges):
-    """Return the first and the second derivative of the energy of a change of volume."""
+    """Return the first and the second derivative of the volume term by the Jacobian j."""
     if bulges:
         thick = mu + 0.5 * lam * j * j
         return -whole * mu / (j * thick), whole * mu * (thick + lam * j * j) / (j * thick) ** 2
@@ -103,7 +105,7 @@ def _energy_part(d, solid, about, row_energy, row_least, first, last):
             a0, a1, b0, b1, gain = elastic(a0, a1, b0, b1, solid, i, j)
             mean, down, right, low = gain * mean, gain * down, gain * right, gain * low
             lam, whole = solid[FIRST, i, j], solid[WHOLE, i, j]
-            # Relative to the energy at rest: the difference keeps more digits.
+            # The energy is taken relative to that at rest, because this keeps more digits.
             stretch = (a0 * a0 + a1 * a1 + b0 * b0 + b1 * b1) - 2.0
             if bulges:
                 thick = (shear + 0.5 * lam * mean * mean) / whole
@@ -129,7 +131,7 @@ def _energy_part(d, solid, about, row_energy, row_least, first, last):
 def energy(d, solid, about, row_energy, row_least, count):
     """Compute the energy of each row of elements, and its least corner Jacobian, with growth.
 
-    Folded elements count with zero energy.
+    Folded elements contribute no energy.
     """
     height = len(row_energy)
     for number in prange(count):
@@ -139,7 +141,7 @@ def energy(d, solid, about, row_energy, row_least, count):
 
 @callee
 def _element_row(d, solid, about, i, out):
-    """Compute the forces of row i of elements along D_r, D_c, D_x."""
+    """Compute the derivatives of the energy by D_r, D_c and D_x for row i of elements."""
     rows, cols, bulges, strength, start = about
     for j in range(2, d.shape[2] - 2):
         shear = solid[SHEAR, i, j]
@@ -192,7 +194,7 @@ def _forces_part(d, solid, about, out, first, last):
 
 @parallel
 def forces(d, solid, about, out, count):
-    """Compute the derivative of the energy by each site's displacement."""
+    """Compute the gradient of the energy: its derivative by the displacement of each site."""
     height = d.shape[1] - 4
     for number in prange(count):
         first, last = number * height // count, (number + 1) * height // count
@@ -201,18 +203,18 @@ def forces(d, solid, about, out, count):
 
 @inline
 def _until(now, slope, bend, part, floor):
-    """Return the step at which a corner's Jacobian now + slope t + bend t^2 falls to its bound.
+    """Return the step t at which a corner's Jacobian, now + slope t + bend t^2, falls to its bound.
 
-    The bound is a part of the present Jacobian, and at least a floor; a corner that is below the
-    floor already keeps all of its Jacobian.
+    The bound is `part` of the present Jacobian, and at least `floor`. If the present Jacobian is
+    below the floor, the bound is the present Jacobian.
     """
     c = now - max(part * now, min(now, floor))
     if c <= 0:
         if slope < 0:
             return 0.0
-        # A Jacobian that rises at first may still fall to zero along the same step.
+        # A Jacobian that increases at first may still decrease to zero along the same step.
         return -slope / bend if bend < 0 else np.inf
-    # The least positive root of c + slope t + bend t^2, without cancellation.
+    # Least positive root of c + slope t + bend t^2, in a form without cancellation.
     inside = slope * slope - 4.0 * bend * c
     if inside < 0:
         return np.inf
@@ -261,9 +263,10 @@ def _length_part(d, way, solid, about, part, floor, row_length, first, last, eac
 
 @parallel
 def length(d, way, solid, about, part, floor, row_length, each, count):
-    """Compute the longest step of each row of elements that keeps a part of its corner Jacobians.
+    """Compute the largest step along `way` for each row of elements.
 
-    The Jacobians also stay above a floor. If `each` has elements, it gets the step of each element.
+    Each corner Jacobian stays at least `part` of its present value, and above `floor`. Unless
+    `each` is empty, it gets the largest step of each element.
     """
     height = len(row_length)
     for number in prange(count):

@@ -1,7 +1,8 @@
-"""The tangents of Neo-Hookean tissue as compiled loops: the linear model of where it is.
+"""Tangents of Neo-Hookean tissue as compiled loops: its linear model at a displacement.
 
-A tangent is that of the differences D_r, D_c, D_x of an element, two components each: the numbers
-RR (3), CC (3), RC (4), XX (3), and RX (4), CX (4). Arrays are as in `backends.cpu.finite_strain`.
+A tangent is the matrix of second derivatives of an element's energy by D_r, D_c and D_x, with two
+components each. It is stored as 21 numbers: the blocks RR (3 numbers), CC (3), RC (4), XX (3),
+RX (4) and CX (4). Arrays are as in `backends.cpu.finite_strain`.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -28,17 +29,18 @@ from napari_hmrf.solver.backends.cpu.finite_strain import (
     volumes,
 )
 
-#: Least part of mu that a tangent keeps when it is made positive.
+#: Least eigenvalue of a tangent that is made positive, relative to mu.
 LEAST = 0.05
-# Elements all of whose corners keep this Jacobian, and that are not stretched, are as at rest.
+# Least corner Jacobian, and largest sum of squared sides, of an element without extra damping.
 _CALM, _STRETCHED = 0.9, 2.3
 
 
 @inline
 def _positive(a0, a1, b0, b1, shear, of_mean, bend):
-    """The tangent of stretch and volume, with what is negative of it made small and positive."""
-    # A conformal part P and another one Q have the Jacobian (P^2 - Q^2) / 2: in their directions
-    # and across them the tangent is one block of two by two and two numbers.
+    """Return the tangent of stretch and volume, with eigenvalues of at least `LEAST` mu."""
+    # The sides split into a conformal part P and an anticonformal part Q, with the Jacobian
+    # (P^2 - Q^2) / 2. Along P and Q the tangent is a 2 x 2 block; across P and across Q it is
+    # diagonal.
     half = math.sqrt(0.5)
     p0, p1, q0, q1 = half * (a0 + b1), half * (a1 - b0), half * (a0 - b1), half * (a1 + b0)
     p, q = math.hypot(p0, p1), math.hypot(q0, q1)
@@ -51,7 +53,7 @@ def _positive(a0, a1, b0, b1, shear, of_mean, bend):
     low, high = middle - apart, middle + apart
     if low < least:
         kept_low, kept_high = max(low, least), max(high, least)
-        # The eigenvalues change by their projections.
+        # Replace both eigenvalues of the block, and keep its eigenvectors.
         share = (kept_high - kept_low) / (high - low) if high > low else 0.0
         one, two = kept_low + share * (one - low), kept_low + share * (two - low)
         both *= share
@@ -64,7 +66,8 @@ def _positive(a0, a1, b0, b1, shear, of_mean, bend):
     qq11 = across_q * (1 - s1 * s1) + two * s1 * s1
     qq01 = (two - across_q) * s0 * s1
     pq00, pq01, pq10, pq11 = both * c0 * s0, both * c0 * s1, both * c1 * s0, both * c1 * s1
-    # Back: a0 = (P0 + Q0) / sqrt 2, a1 = (P1 + Q1) / sqrt 2, b0 = (Q1 - P1) / sqrt 2, and so on.
+    # Transform back to the sides: a0 = (P0 + Q0) / sqrt 2, a1 = (P1 + Q1) / sqrt 2,
+    # b0 = (Q1 - P1) / sqrt 2 and b1 = (P0 - Q0) / sqrt 2.
     return (
         0.5 * (pp00 + qq00) + pq00,
         0.5 * ((pp01 + qq01) + (pq01 + pq10)),
@@ -81,7 +84,7 @@ def _positive(a0, a1, b0, b1, shear, of_mean, bend):
 
 @inline
 def _exact(a0, a1, b0, b1, shear, of_mean, bend):
-    """The tangent of stretch and volume as it is."""
+    """Return the exact tangent of stretch and volume."""
     return (
         shear + bend * b1 * b1,
         -bend * b1 * b0,
@@ -98,7 +101,7 @@ def _exact(a0, a1, b0, b1, shear, of_mean, bend):
 
 @inline
 def _grown(values, rr, rc, cc):
-    """A tangent of sides less growth as that of the sides, in the order of `_exact`."""
+    """Transform a tangent for sides without growth to the deformed sides, in `_exact` order."""
     r0, r1, r2, c0, c1, c2, m00, m01, m10, m11 = values
     one, two, both, across = rr * rr, cc * cc, rr * rc, rc * rc
     back, mixed = rc * cc, rr * cc
@@ -119,7 +122,7 @@ def _grown(values, rr, rc, cc):
 
 @inline
 def _blend(true, safe, share):
-    """A tangent in between, in the order of `_exact`."""
+    """Return (1 - share) true + share safe, for tangents in the order of `_exact`."""
     left = 1.0 - share
     return (
         left * true[0] + share * safe[0],
@@ -137,7 +140,7 @@ def _blend(true, safe, share):
 
 @inline
 def _entry(t, p, q, s, t_, u, v):
-    """An entry of an element's matrix: component p of corner (s, t_), q of (u, v)."""
+    """Return an entry of an element's matrix: component p of corner (s, t_), q of (u, v)."""
     along_rows, along_cols, twist = t[p + q], t[3 + p + q], t[10 + p + q]
     mixed = s * v * t[6 + 2 * p + q] + t_ * u * t[6 + 2 * q + p]
     return (s * u * along_rows + t_ * v * along_cols) + (mixed + s * t_ * u * v * twist)
@@ -145,7 +148,10 @@ def _entry(t, p, q, s, t_, u, v):
 
 @callee
 def _spread(t):
-    """The norm of an element's matrix, scaled to a diagonal of ones: no less than its spectrum."""
+    """Return the Frobenius norm of an element's matrix, scaled to a diagonal of ones.
+
+    The norm is an upper bound of the spectrum.
+    """
     total = 0.0
     for k in range(8):
         p, s, v = k // 4, 2.0 * (k // 2 % 2) - 1.0, 2.0 * (k % 2) - 1.0
@@ -223,7 +229,7 @@ def _tangent_part(d, solid, about, positive, calm, out, cycled, first, last):
             for k in range(8):
                 out[13 + k, i, j] = 0.0
             if walled:
-                # The tangents of both are symmetric: of RR, CC and XX three numbers each.
+                # The blocks RR, CC and XX are symmetric and have three numbers each.
                 for values, kept in ((true, out), (safe, cycled)):
                     kept[0, i, j] = rr * (values[0] + full[0, 0])
                     kept[1, i, j] = rr * (values[1] + full[0, 1])
@@ -263,11 +269,11 @@ def _tangent_part(d, solid, about, positive, calm, out, cycled, first, last):
 
 @parallel
 def tangents(d, solid, about, positive, calm, out, cycled, count):
-    """Compute the tangent of each element (21 numbers), and its positive part for cycles (13).
+    """Compute the tangent of each element (21 numbers), and a positive one for cycles (13).
 
-    Of the first so much of what is negative is left out as `positive` says, 1 for all. A last plane
-    of the second gets how much more its smoother must be damped than if it were at rest, where its
-    spread is `calm`.
+    The first tangent, in `out`, is blended with the positive one: entirely if `positive` is 1, and
+    not at all if it is 0. The last plane of `cycled` gets the damping of the smoother: the norm of
+    the element's matrix relative to `calm`, and at least 1.
     """
     height = d.shape[1] - 4
     for number in prange(count):
@@ -277,5 +283,5 @@ def tangents(d, solid, about, positive, calm, out, cycled, count):
 
 @alone
 def spread(tangent):
-    """Return the norm of one element's matrix (13 numbers), scaled to a diagonal of ones."""
+    """Return the norm of an element's matrix (13 numbers), scaled to a diagonal of ones."""
     return _spread(tangent)

@@ -1,9 +1,9 @@
-"""The forces of elastic tissue, at one site, for the compiled loops of both precisions.
+"""Forces of elastic tissue at one site, for the compiled loops of both precisions.
 
-Arrays are padded as those of the other kernels are, by two sites of void. An element has the number
-of its first site (least row and col), and its Lame parameters are 0 where one of its sites is void.
-Forces are built from differences of displacement within an element; `solver.priors.elastic`
-has the equations and the names.
+All arrays have a border of void, two sites wide. An element has the index of its first site (least
+row and column), and its Lame parameters are 0 if one of its sites is void. Forces are computed from
+differences of displacement within an element; `solver.priors.elements` has the equations and the
+names.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -13,14 +13,14 @@ from numba import get_num_threads, int64
 
 from napari_hmrf.solver.backends.cpu.compiled import inline, shared
 
-# A thread that gets fewer rows than this makes too much of what it shares with its neighbours.
+# Least number of rows of a thread; with fewer rows, too many are computed by two threads.
 _FEW_ROWS = 16
 
 
 @inline
 def _pulls(row, col, first, shear, shape):
-    """Return the forces of the differences D_r, D_c, D_x of an element, for either component."""
-    # Sites of the element, for each component: here, right, below, below right.
+    """Return the derivatives of an element's energy by D_r, D_c and D_x of each component."""
+    # `row` and `col` have that component at the sites (0, 0), (0, 1), (1, 0) and (1, 1).
     rows, cols, mixed = shape[0], shape[1], shape[2]
     twist_rows, twist_cols, twist_volume = shape[3], shape[4], shape[5]
     left, right = row[2] - row[0], row[3] - row[1]
@@ -43,7 +43,7 @@ def _pulls(row, col, first, shear, shape):
 
 @inline
 def _element(d, lame, shape, i, j):
-    """The pulls of element (i, j), in double precision throughout if the displacement is."""
+    """Return `_pulls` of element (i, j), in the precision of the displacement."""
     return _pulls(
         (d[0, i, j], d[0, i, j + 1], d[0, i + 1, j], d[0, i + 1, j + 1]),
         (d[1, i, j], d[1, i, j + 1], d[1, i + 1, j], d[1, i + 1, j + 1]),
@@ -55,7 +55,7 @@ def _element(d, lame, shape, i, j):
 
 @inline
 def force(d, lame, shape, i, j):
-    """Return the pull of the four elements around site (i, j): the stiffness matrix times d."""
+    """Return the stiffness matrix times d at site (i, j), summed over its four elements."""
     rr, cr, xr, rc, cc, xc = _element(d, lame, shape, i, j)
     row, col = xr - rr - cr, xc - rc - cc
     rr, cr, xr, rc, cc, xc = _element(d, lame, shape, i, j - 1)
@@ -68,7 +68,7 @@ def force(d, lame, shape, i, j):
 
 @inline
 def left_over(row, col, d_row, d_col, load, weights, i, j):
-    """Return the rest of the load at site (i, j), displaced by d, after a force."""
+    """Return load - force - springs weight d at site (i, j), where (row, col) is the force."""
     weight, springs = weights
     row += springs * weight[0, i, j] * d_row
     col += springs * weight[1, i, j] * d_col
@@ -77,7 +77,7 @@ def left_over(row, col, d_row, d_col, load, weights, i, j):
 
 @shared
 def rest(d, load, lame, weight, shape, i, j):
-    """Load - (A + W) d at site (i, j), whatever was looked at before."""
+    """Return load - (A + W) d at site (i, j)."""
     row, col = force(d, lame, shape, i, j)
     row += weight[0, i, j] * d[0, i, j]
     col += weight[1, i, j] * d[1, i, j]
@@ -86,9 +86,10 @@ def rest(d, load, lame, weight, shape, i, j):
 
 @shared
 def left_of(rows, lame, shape, j):
-    """Return the pulls of element j of a row, per component: D_r, and D_x less and plus D_c.
+    """Return the derivatives for element j of a row: by D_r, and by D_x minus and plus by D_c.
 
-    `row_force` takes the others from the site before, and this for the first.
+    Three numbers are returned for each component. `row_force` needs them for the first element of
+    a row, and then passes them on from site to site.
     """
     row, row_below, col, col_below = rows
     first, shear = lame
@@ -104,18 +105,18 @@ def left_of(rows, lame, shape, j):
 
 @shared
 def row_force(rows, lame, shape, carry, left, j):
-    """`force` at a row's site j, and what is `left` of the next.
+    """Return `force` at site j of a row, and the argument `left` for the next site.
 
-    Each element is looked at once, and rows and sites in their order: what it pulls with at its
-    right sites is kept for the next site, and what it pulls with at those below, in `carry`
-    (2, W + 4), for the next row.
+    Rows and sites are visited in order, and each element is computed once. Its force on the right
+    sites is passed to the next site by `left`, and its force on the lower sites is passed to the
+    next row by `carry`, shape (2, W + 4).
 
     Parameters
     ----------
     rows : tuple of 4 ndarrays, shape (W + 4,)
-        The first component of displacement at the row's sites and at those below, and the second.
+        Row component of displacement in this row and in the next, then the column component.
     lame : tuple of 2 ndarrays, shape (W + 4,)
-        Of the elements between them.
+        Lame parameters of the elements between the two rows.
     """
     r0, less0, more0, r1, less1, more1 = left
     right = left_of(rows, lame, shape, j)
@@ -129,19 +130,19 @@ def row_force(rows, lame, shape, carry, left, j):
 
 @inline
 def rows_of(d, i):
-    """Return a row's sites and those below, of either component."""
+    """Return row i and the next row of each component."""
     return d[0, i], d[0, i + 1], d[1, i], d[1, i + 1]
 
 
 @inline
 def moduli_of(lame, i):
-    """Return Lame's parameters of the elements between both."""
+    """Return the Lame parameters of the elements between rows i and i + 1."""
     return lame[0, i], lame[1, i]
 
 
 @inline
 def reach(spans, i):
-    """Return the begin and end of the moving sites of rows i and i + 1."""
+    """Return the begin and end of the moving sites in rows i and i + 1 together."""
     below = min(i + 1, len(spans) - 1)
     begin, past = spans[i, 0], spans[i, 1]
     if past == begin:
@@ -152,11 +153,11 @@ def reach(spans, i):
 
 
 def parts(height: int) -> int:
-    """Return the number of threads for a level's rows."""
+    """Return the number of threads for a level of `height` rows."""
     return max(1, min(get_num_threads(), height // _FEW_ROWS))
 
 
 @inline
 def part(number, count, height):
-    """Return the begin and end of the rows of one thread."""
+    """Return the begin and end of the rows of thread `number` out of `count`."""
     return int64(number) * height // count, (int64(number) + 1) * height // count

@@ -1,18 +1,19 @@
-"""The forces of a volume's elements, a block of sites at a time, for the loops of both precisions.
+"""Forces of elements in a volume, computed in blocks of sites, for loops of both precisions.
 
-Arrays are padded as those of the other kernels are, by two sites of void. An element has the number
-of its first site (least plane, row and col). `solver.priors.hexahedra` has the equations; here each
-step is one loop along a line, which vectorises:
+All arrays have a border of void, two sites wide. An element has the index of its first site (least
+plane, row and column). `solver.priors.hexahedra` has the equations. A face is the square of four
+sites with the same column. Each step is one loop along a line of sites, which vectorises:
 
-1. `_faces`: of the four sites of an element's first face, the differences along planes, along rows
-   and along both, and how much all four together differ from the next face;
-2. `_elements`: from two faces the modes, and what these pull with at either;
-3. `_gather`: what the elements before and after a face pull with at its four sites. That completes
-   the first; what the others get is carried to the next row, and to the next plane.
+1. `_faces` computes, for each face, the differences of displacement along planes, along rows and
+   along both, and the difference between the sum of its four sites and that of the next face.
+2. `_elements` computes the modes of each element from its two faces, and the forces of these modes
+   on both faces.
+3. `_gather` adds the forces of the elements before and after a face at its four sites. The force
+   at the first site is then complete; the other forces are carried to the next row and plane.
 
-Lines of scratch memory lie a constant apart: only so does the compiler see that none overlaps
-another. Between lines that a step reads and those that it writes a few are left out, as processors
-confuse what is written so close to what is read.
+Lines of scratch memory have a constant distance, so that the compiler can exclude overlaps. A few
+lines are left unused between the lines that a step reads and those that it writes, because
+processors may confuse reads and writes at similar addresses.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -25,19 +26,21 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.backends.cpu.compiled import callee, inline, shared
 
-#: Sites of a block; a line of scratch has room for its faces.
+#: Number of sites of a block; a line of scratch memory has room for all faces of a block.
 BLOCK = 128
 _LINE = BLOCK + 16
-# The first lines of moduli, two; of pulls, seven of each component; of forces; and how many lines
-# there are. Those of faces, four of each component, come first.
+# Numbers of the scratch lines. The first twelve lines have faces, four for each component. Then
+# follow two lines of moduli, seven of element forces for each component, and three of forces. The
+# last constant is the number of lines.
 _MODULI, _PULLS, _FORCES, _LINES = 12, 18, 44, 47
 
 
 def constants(shape: Any) -> npt.NDArray[np.float64]:
-    """Return the parameters of the kernels for a voxel's shape.
+    """Return the constants of the kernels for the shape of a voxel.
 
-    The factors of derivatives along the axes; of modes that vary along two axes, by component, a
-    third of their stiffness; of those that vary along all a ninth; and a third.
+    They are the factors of the derivatives along the three axes; a third of the stiffness of the
+    six modes that vary along two axes; a ninth of the stiffness of the three modes that vary along
+    all axes; and 1/3.
     """
     plane, row, col = squares = np.square(shape)
     along_two = (
@@ -54,13 +57,13 @@ def constants(shape: Any) -> npt.NDArray[np.float64]:
 
 @inline
 def _line(f, number):
-    """A line of scratch."""
+    """Return a line of scratch memory."""
     return f[number * _LINE : (number + 1) * _LINE]
 
 
 @shared
 def _faces(d, k, z, y, begin, count, f):
-    """Step 1, of one component and `count` faces."""
+    """Compute step 1 for component k and `count` faces."""
     past = begin + count + 1
     near, right = d[k, z, y, begin:past], d[k, z, y + 1, begin:past]
     far, across = d[k, z + 1, y, begin:past], d[k, z + 1, y + 1, begin:past]
@@ -77,7 +80,7 @@ def _faces(d, k, z, y, begin, count, f):
 
 @shared
 def _moduli(shear, other, share, f, count):
-    """Mu and lambda of a line of elements, in the precision of `f`."""
+    """Copy mu and lambda of a line of elements to scratch memory, in the precision of `f`."""
     mu, volume, one = _line(f, _MODULI), _line(f, _MODULI + 1), f.dtype.type
     for x in range(count):
         mu[x] = one(shear[x])
@@ -86,9 +89,9 @@ def _moduli(shear, other, share, f, count):
 
 @shared
 def _elements(f, c, count):
-    """Step 2, of `count` elements."""
-    # u, v and w are the components; numbers say along which of the axes a mode varies: planes,
-    # rows, and cols, which faces know nothing of.
+    """Compute step 2 for `count` elements."""
+    # u, v and w are the components. The digits after them are 1 for each axis along which a mode
+    # varies: planes, rows and columns. Faces have two digits, because columns vary between faces.
     q0, q1, q2 = c[0], c[1], c[2]
     u_110, u_101, v_110, v_011, w_101, w_011 = c[3], c[4], c[5], c[6], c[7], c[8]
     u_111, v_111, w_111, third = c[9], c[10], c[11], c[12]
@@ -160,8 +163,8 @@ def _elements(f, c, count):
 
 @shared
 def _gather(f, k, rows, planes, y, begin, count):
-    """Step 3, of one component."""
-    # A face is the far one of the element before.
+    """Compute step 3 for component k."""
+    # Each face is the far face of the element before it and the near face of the next element.
     past, pulls = begin + count, _PULLS + 7 * k
     row, corner = rows[0, k, begin:past], rows[1, k, begin:past]
     plane, force = planes[k, y, begin:past], _line(f, _FORCES + k)
@@ -187,21 +190,24 @@ def block_forces(d, lame, share, c, z, y, begin, count, f, rows, planes):
     Parameters
     ----------
     d : ndarray, shape (3, D + 4, H + 4, W + 4)
+        Displacement.
     lame : ndarray, shape (1 or 2, D + 4, H + 4, W + 4)
-        Of each element mu, and lambda unless that is a fixed `share` of mu; else `share` is 1.
+        Parameter mu of each element, and lambda unless it is `share` times mu everywhere.
+    share : float
+        Ratio lambda / mu; 1 if `lame` has lambda.
     c : ndarray
-        `constants`.
+        Result of `constants`.
     z, y, begin, count : int
-        In the padded arrays.
+        Plane, row, first site and number of sites of the block, in the padded arrays.
     f : ndarray
-        Scratch.
+        Scratch memory.
     rows : ndarray, shape (2, 3, W + 4)
-        What the elements of the row before pull with at this row, in this plane and in the next.
+        Forces of the elements of the previous row on this row, in this plane and in the next.
     planes : ndarray, shape (3, H + 4, W + 4)
-        What those of the plane before pull with at this one.
+        Forces of the elements of the previous plane on this plane.
     """
     if len(f) < _LINES * _LINE:
-        return  # never true; it lets the compiler assume whole lines
+        return  # never true; the compiler can then assume that all lines exist
     _faces(d, 0, z, y, begin - 1, count + 2, f)
     _faces(d, 1, z, y, begin - 1, count + 2, f)
     _faces(d, 2, z, y, begin - 1, count + 2, f)
@@ -216,13 +222,13 @@ def block_forces(d, lame, share, c, z, y, begin, count, f, rows, planes):
 
 @inline
 def force_of(f, k):
-    """Return a component's forces, from the first site of the block on."""
+    """Return the forces of component k, beginning at the first site of the block."""
     return f[(_FORCES + k) * _LINE : (_FORCES + k + 1) * _LINE]
 
 
 @shared
 def scratch(d):
-    """Return memory for one thread: lines, and values carried to the next row and plane."""
+    """Return scratch memory of one thread: lines, and forces carried to the next row and plane."""
     lines = np.empty(_LINES * _LINE, dtype=d.dtype)
     rows = np.zeros((2, 3, d.shape[3]), dtype=d.dtype)
     planes = np.zeros((3, d.shape[2], d.shape[3]), dtype=d.dtype)

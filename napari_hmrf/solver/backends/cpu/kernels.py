@@ -1,15 +1,15 @@
-"""The kernels as compiled loops.
+"""Kernels of the paper's schedule as compiled loops.
 
-Every array is padded by a ring of void two sites wide, so that no loop tests whether it is at the
-border: a clique that reaches out of the image touches void and does not exist. Components are
-separate planes, (C, H + 4, W + 4). What moves a site is built from differences of displacement,
-never from an assembled stencil: float32 cancellation would cost whole pixels in large images.
+Every array has a border of void, two sites wide, so that loops need no test for the border of the
+image: a clique that leaves the image touches void and does not exist. Components are separate
+planes, (C, H + 4, W + 4). Updates are computed from differences of displacement, never from an
+assembled stencil, whose cancellation in float32 would lose whole pixels in large images.
 
-The loops over a row vectorise because they branch nowhere, count from zero (an index that might be
-negative would be wrapped around, Python's way) and live inside the parallel loop (where the
-compiler can assume that the arrays do not overlap). Check that when you change them: generated code
-must be full of ``<16 x float>`` or ``<8 x float>``. The number of a row is signed, so that what is
-called with it is compiled once: the counter of a parallel loop is signed to some and not to others.
+The loops over a row vectorise for three reasons: they have no branches, they count from zero (numba
+wraps indices that may be negative), and they are inside the parallel loop, where the compiler can
+assume that arrays do not overlap. Check this after a change: the generated code must contain many
+``<16 x float>`` or ``<8 x float>``. Row numbers are converted to a signed type, because the counter
+of a parallel loop may be unsigned, and functions would be compiled for both types.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return"
@@ -21,14 +21,14 @@ from numba import float32, int64, prange
 
 from napari_hmrf.solver.backends.cpu.compiled import inline, parallel, reduction, shared
 
-# Below this a displacement is rounded to 0: arithmetic on denormal numbers is many times slower.
+# Displacement, in pixels, below which it is rounded to 0: denormal numbers are many times slower.
 _FLUSH = float32(1e-18)
 _TINY = float32(1e-30)
 
 
 @inline
 def ratios(stiffness, si, sj, ti, tj, ui, uj):
-    """Return m_t/m_s, m_t/m_u, and 1 where the clique exists, else 0."""
+    """Return m_t/m_s, m_t/m_u, and 1 if the clique exists, else 0."""
     inverse_s = stiffness[1, si, sj]
     inverse_u = stiffness[1, ui, uj]
     m = stiffness[0, ti, tj]
@@ -38,7 +38,7 @@ def ratios(stiffness, si, sj, ti, tj, ui, uj):
 
 @inline
 def middle_curvature(ratio_s, ratio_u):
-    """Return the curvature of a clique's potential along its middle site's displacement."""
+    """Return the curvature of a clique's potential for the displacement of its middle site."""
     steep_s = float32(1) + ratio_s
     steep_u = float32(1) + ratio_u
     return steep_s * steep_s + steep_u * steep_u
@@ -46,7 +46,7 @@ def middle_curvature(ratio_s, ratio_u):
 
 @inline
 def _middle(d, component, ratio_s, ratio_u, si, sj, ti, tj, ui, uj):
-    """Slope and energy of one component of a clique as seen from its middle site t."""
+    """Return slope and energy of one component of a clique, for its middle site t."""
     to_s = d[component, si, sj] - d[component, ti, tj]
     to_u = d[component, ui, uj] - d[component, ti, tj]
     first = ratio_u * to_s + to_u
@@ -57,7 +57,7 @@ def _middle(d, component, ratio_s, ratio_u, si, sj, ti, tj, ui, uj):
 
 @inline
 def _end(d, component, ratio_s, ratio_u, si, sj, ti, tj, ui, uj):
-    """Slope of one component of a clique as seen from its end s."""
+    """Return the slope of one component of a clique, for its end s."""
     to_s = d[component, si, sj] - d[component, ti, tj]
     to_u = d[component, ui, uj] - d[component, ti, tj]
     return -(ratio_u * (ratio_u * to_s + to_u) + (ratio_s * to_u + to_s))
@@ -65,9 +65,10 @@ def _end(d, component, ratio_s, ratio_u, si, sj, ti, tj, ui, uj):
 
 @shared
 def square(d, stiffness, i, j):
-    """Return curvature, slope and energy of the four cliques around (i + 2, j + 2): square pixels.
+    """Return curvature, slope and energy of the cliques with middle (i + 2, j + 2): square pixels.
 
-    There the vertical line carries the row component only, the horizontal line the col component.
+    In square pixels the vertical line counts for the row component only, and the horizontal line
+    for the column component only. Curvature and slope are returned for each component.
     """
     si, sj, ui, uj = i + 1, j + 2, i + 3, j + 2
     s, u, exists = ratios(stiffness, si, sj, i + 2, j + 2, ui, uj)
@@ -98,7 +99,7 @@ def square(d, stiffness, i, j):
 
 @shared
 def _middle_line(d, stiffness, weight_0, weight_1, si, sj, ti, tj, ui, uj):
-    """Curvature, slope (per component) and energy of a weighted clique, from its middle."""
+    """Return curvature and slope per component, and energy, of a clique for its middle site."""
     s, u, exists = ratios(stiffness, si, sj, ti, tj, ui, uj)
     w0, w1 = exists * weight_0, exists * weight_1
     a = middle_curvature(s, u)
@@ -109,7 +110,7 @@ def _middle_line(d, stiffness, weight_0, weight_1, si, sj, ti, tj, ui, uj):
 
 @shared
 def weighted(d, stiffness, weights, i, j):
-    """Return the same as `square`, for pixels of any shape."""
+    """Return curvature, slope and energy like `square`, for pixels of any shape."""
     w = weights
     a0, a1, b0, b1, e = _middle_line(
         d, stiffness, w[0, 0], w[0, 1], i + 1, j + 2, i + 2, j + 2, i + 3, j + 2
@@ -130,7 +131,7 @@ def weighted(d, stiffness, weights, i, j):
 
 @inline
 def _end_line(d, stiffness, weight_0, weight_1, i, j, ti, tj, ui, uj):
-    """Curvature and slope (per component) of a weighted clique that (i, j) is the end of."""
+    """Return curvature and slope per component of a clique for its end (i, j)."""
     s, u, exists = ratios(stiffness, i, j, ti, tj, ui, uj)
     w0, w1 = exists * weight_0, exists * weight_1
     a = u * u + float32(1)
@@ -141,7 +142,7 @@ def _end_line(d, stiffness, weight_0, weight_1, i, j, ti, tj, ui, uj):
 
 @shared
 def _both_ends(d, stiffness, weight_0, weight_1, i, j, ti, tj, ui, uj, vi, vj, xi, xj):
-    """The two cliques of one line that (i, j) is an end of: (i, j) - t - u and (i, j) - v - x."""
+    """Return curvature and slope of the cliques (i, j) - t - u and (i, j) - v - x, for (i, j)."""
     a0, a1, b0, b1 = _end_line(d, stiffness, weight_0, weight_1, i, j, ti, tj, ui, uj)
     p0, p1, q0, q1 = _end_line(d, stiffness, weight_0, weight_1, i, j, vi, vj, xi, xj)
     return a0 + p0, a1 + p1, b0 + q0, b1 + q1
@@ -149,7 +150,7 @@ def _both_ends(d, stiffness, weight_0, weight_1, i, j, ti, tj, ui, uj, vi, vj, x
 
 @shared
 def around(d, stiffness, weights, i, j):
-    """Return the same as `weighted`, with the eight cliques that end at (i + 2, j + 2) as well."""
+    """Return the result of `weighted`, plus the eight cliques that end at (i + 2, j + 2)."""
     w, ti, tj = weights, i + 2, j + 2
     a0, a1, b0, b1, e = weighted(d, stiffness, w, i, j)
     p0, p1, q0, q1 = _both_ends(
@@ -172,7 +173,7 @@ def around(d, stiffness, weights, i, j):
 
 @inline
 def _observed(d, observation, i, j):
-    """The observation energy of a site (eqs. 17 and 18)."""
+    """Return the observation energy of a site (eqs. 17 and 18)."""
     return observation[2, i, j] * abs(observation[0, i, j] - d[0, i, j]) + observation[
         3, i, j
     ] * abs(observation[1, i, j] - d[1, i, j])
@@ -180,23 +181,23 @@ def _observed(d, observation, i, j):
 
 @inline
 def downhill(slope, penalty, off):
-    """Return the direction, 1 or -1, in which a component's energy falls, if it falls in any."""
-    # `off` is y - d. The energy is convex, so the other direction need not be tried.
+    """Return the only direction, 1 or -1, in which a component's energy may decrease."""
+    # `off` is y - d. The energy is convex, so it increases in the other direction.
     pull = penalty if off > float32(0) else (-penalty if off < float32(0) else float32(0))
     return float32(-1) if float32(2) * slope + pull < float32(0) else float32(1)
 
 
 @inline
 def change(step, curvature, twice_slope, penalty, off, now):
-    """Return the change of a component's energy by a step downhill; 0 if it would rise."""
-    # `now` is p |y - d|; slope and `off` are taken along the direction of the step.
+    """Return the change of a component's energy by a step downhill; 0 if it would increase."""
+    # `now` is p |y - d|; the slope and `off` have the sign for the direction of the step.
     prior = step * (curvature * step - twice_slope)
     return min(prior + (penalty * abs(off - step) - now), float32(0))
 
 
 @shared
 def _best_candidate(d, a0, a1, b0, b1, observation, steps, i, j):
-    """A site's displacement after the best move of the candidate set."""
+    """Return the displacement of a site after the best move of the candidate set."""
     p0, p1 = observation[2, i, j], observation[3, i, j]
     off0 = observation[0, i, j] - d[0, i, j]
     off1 = observation[1, i, j] - d[1, i, j]
@@ -230,7 +231,7 @@ def minimiser(d, curvature, slope, penalty, y, relaxation):
 
 @inline
 def _moved(d, a0, a1, b0, b1, observation, steps, relaxation, i, j):
-    """The new displacement of a site, from its parabola and its observation."""
+    """Return the new displacement of a site, from its curvature, slope and observation."""
     if steps is None:
         new0 = minimiser(d[0, i, j], a0, b0, observation[2, i, j], observation[0, i, j], relaxation)
         new1 = minimiser(d[1, i, j], a1, b1, observation[3, i, j], observation[1, i, j], relaxation)
@@ -256,13 +257,14 @@ def _row_total(values: Any, row: int, start: int, stop: int) -> float:
 def sweeps(
     even, odd, stiffness, observation, spans, weights, blanket, steps, relaxation, share, row_totals
 ):
-    """Move all sites once per row of `row_totals`, each judging the cliques it is the middle of.
+    """Update all sites simultaneously, once for each row of `row_totals`.
 
-    Ping-pong: from `even` to `odd`, back, and so on. `spans` says from where to where each row has
-    tissue; `weights` is None for square pixels, `blanket` is None unless each site judges every
-    clique that contains it (`weights` is needed then), and `steps` is None for the closed form:
-    each combination is compiled without the others. `row_totals` gets U_total before each sweep,
-    row by row; `share` is scratch.
+    Sweeps alternate between the arrays: from `even` to `odd`, then from `odd` to `even`. `spans`
+    has the begin and end of the tissue in each row. `weights` is None for square pixels. `blanket`
+    is None if a site counts the cliques of which it is the middle; otherwise it counts all cliques
+    that contain it, which needs `weights`. `steps` is None for the closed form. Numba compiles a
+    special version for each combination of these. On return, `row_totals` has U_total before each
+    sweep, for each row; `share` is scratch memory.
     """
     for sweep in range(len(row_totals)):
         source, target = (even, odd) if sweep % 2 == 0 else (odd, even)
@@ -288,7 +290,7 @@ def sweeps(
 
 @parallel
 def energy(source, stiffness, spans, weights, share, row_totals):
-    """Compute the energy of the cliques, row by row; square pixels have weights here."""
+    """Compute the energy of the cliques in each row; square pixels need `weights`, too."""
     for number in prange(source.shape[1] - 4):
         i = int64(number)
         start = max(spans[i, 0], 0)

@@ -1,6 +1,6 @@
-"""One level of a linear model on the processor: vectors, and what needs no knowledge of the model.
+"""One level of a linear model on the processor: the part that does not depend on the model.
 
-A scalar is a plain number here: the processor is the host.
+A scalar is a plain Python number, because the processor is the host.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ Spans = npt.NDArray[np.int64]
 
 
 class CpuLevel:
-    """The part of a level that all models share; `LinearLevel` says what each method does.
+    """Base class of the levels on the processor; `LinearLevel` documents the methods.
 
     Arrays of a volume are (3, D + 4, H + 4, W + 4), and its spans are those of all its `rows`.
 
     Parameters
     ----------
     grid : tuple of int
-        Its sites, (H, W) or (D, H, W).
+        Grid of the level, (H, W) or (D, H, W).
     memory : iterator, optional
-        Where its first vectors lie; by default in memory of their own.
+        Yields the memory of the first vectors; by default new memory is allocated.
 
     Attributes
     ----------
     inverse : ndarray, shape (2, H + 4, W + 4)
-        Of the diagonal; 0 where a component does not move.
+        Reciprocal of the diagonal; 0 where a component does not move.
     weight : ndarray, shape (2, H + 4, W + 4), or None
-        The springs; the finest level has none.
+        Strength of the springs; None on the finest level.
     pins : ndarray, shape (2, H + 4, W + 4)
-        How much of what does not move counts at each site.
+        Held components: 1 or 0 on the finest level, an interpolated count on coarser levels.
     spans : ndarray, shape (H, 2)
-        Where each row's moving sites begin and end.
+        Begin and end of the moving sites in each row.
     """
 
     weight: Vector | None
@@ -52,9 +52,9 @@ class CpuLevel:
     spans: Spans
     #: True if `finish` visits all coarser levels, too.
     takes_rest: bool = False
-    #: True if another visit within a cycle gains more than it costs.
+    #: True if a second visit within a cycle is worth its cost.
     worth_again: bool = True
-    #: True if an iteration moves the displacement itself, which saves memory in volumes.
+    #: True if an iteration updates the displacement directly, which saves memory in volumes.
     sums_up: bool = False
     #: Rigid bodies on the finest level.
     bodies: Bodies | None = None
@@ -67,8 +67,11 @@ class CpuLevel:
         self.load, self.correction, self._other = (self.vector() for _ in range(3))
         self._rows, self._most = np.zeros((2, rows(self.inverse).shape[1] - 2 * PAD))
 
-    def _spring(self, finer: Self) -> None:
-        """Put the sites near those that the finer level holds on springs; `inverse` is D."""
+    def _set_springs(self, finer: Self) -> None:
+        """Set the springs of sites near held sites of the next finer level.
+
+        On entry `inverse` is the diagonal D; on return it is the reciprocal of D with springs.
+        """
         assert self.weight is not None
         self._restrict(finer.pins, self.pins)
         most, strength = np.float32(MOST_PINS), np.float32(SPRING)
@@ -77,42 +80,42 @@ class CpuLevel:
 
     @cached_property
     def _springs(self) -> tuple[Vector, np.float32]:
-        """The springs for kernels, and how often they count."""
-        # A level without springs has numbers that a kernel reads anyway, times 0.
+        """Strength of the springs for kernels, and the factor 0 or 1 by which they count."""
+        # Without springs a kernel reads another array, times 0.
         if self.weight is None:
             return self.inverse, np.float32(0)
         return self.weight, np.float32(1)
 
     @cached_property
     def _rest(self) -> Vector:
-        """Residual of a load, for models whose kernels do not restrict it at once."""
+        """Residual, for models with separate kernels for the residual and its restriction."""
         return self.vector()
 
     @cached_property
     def _step(self) -> Vector:
-        """The last Chebyshev step, for models whose kernels keep it."""
+        """Last Chebyshev step, for models with kernels that store it."""
         return self.vector()
 
     def _smooth(self, scale: np.float32, momentum: np.float32) -> None:
-        """One Chebyshev step from `correction` to `_other`, by way of `_step`."""
+        """Compute one Chebyshev step from `correction` to `_other`, and store it in `_step`."""
         raise NotImplementedError
 
-    def _leave(self) -> None:
-        """Write what the correction leaves of the load to `_rest`."""
+    def _compute_residual(self) -> None:
+        """Write the residual of the correction to `_rest`."""
         raise NotImplementedError
 
-    def _hand_down(self, coarse: Self) -> None:
-        """Make what the correction leaves of the load, restricted, `coarse`'s load."""
-        self._leave()
+    def _restrict_residual(self, coarse: Self) -> None:
+        """Restrict the residual of the correction to the load of `coarse`."""
+        self._compute_residual()
         self._restrict(self._rest, coarse.load)
 
     @staticmethod
     def _restrict(fine: Vector, coarse: Vector) -> None:
-        """Carry forces to the next coarser level."""
+        """Restrict forces to the next coarser level."""
         vectors.restrict(fine, coarse)
 
-    def _take(self, coarse: Vector) -> None:
-        """Add a correction of the next coarser level, interpolated."""
+    def _add_coarse(self, coarse: Vector) -> None:
+        """Add the interpolated correction of the next coarser level."""
         vectors.interpolate(coarse, self.correction, self.inverse)
 
     def apply(self, direction: Vector, image: Vector) -> float:
@@ -120,18 +123,18 @@ class CpuLevel:
         raise NotImplementedError
 
     def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
-        """Relax from zero, or on, and hand what is left of the load down."""
+        """Smooth from zero, or again, and restrict the residual to the load of `coarse`."""
         self.relax(steps, from_zero=not again)
         if coarse is not None:
-            self._hand_down(coarse)
+            self._restrict_residual(coarse)
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
-        """Relax from zero as the coarsest level."""
+        """Smooth from zero with `coarsest` steps."""
         self.descend(coarsest, None)
 
     def ascend(self, steps: Steps, coarse: Self) -> None:
-        """Add the coarse correction, and relax."""
-        self._take(coarse.correction)
+        """Add the interpolated coarse correction, and smooth."""
+        self._add_coarse(coarse.correction)
         self.relax(steps, from_zero=False)
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
@@ -146,14 +149,14 @@ class CpuLevel:
             self.correction, self._other = self._other, self.correction
 
     def clear(self) -> None:
-        """Make the correction zero, and what else a cycle begins with."""
+        """Set the correction to zero, and its second array."""
         self.correction.fill(0)
         compute_thread.look()
         self._other.fill(0)
         compute_thread.look()
 
     def vector(self, values: Vector | None = None) -> Vector:
-        """Return zeros, or these planes."""
+        """Return a vector of zeros, or the given planes without a copy."""
         if values is not None:
             return values
         if self._memory is not None:
@@ -165,15 +168,15 @@ class CpuLevel:
         return vector
 
     def passing(self) -> Vector:
-        """Return a new vector."""
+        """Return a vector that is valid until the next cycle."""
         return self.vector()
 
     def free(self, *vectors: Vector) -> None:
-        """Take vectors back: fresh memory takes longer to get than to fill."""
+        """Keep vectors for reuse, because allocating takes longer than filling."""
         self._spare += vectors
 
     def planes(self, vector: Vector) -> Vector:
-        """Return the vector."""
+        """Return the vector itself, which is planes already."""
         return vector
 
     def product(self, a: Vector, b: Vector) -> float:
@@ -187,39 +190,39 @@ class CpuLevel:
         return float(self._most.max())
 
     def weigh(self, a: Vector, b: Vector) -> tuple[float, float]:
-        """Return the largest absolute value of `a`, and the scalar product."""
+        """Return the largest absolute value of `a`, and the scalar product of both."""
         vectors.weigh(rows(a), rows(b), self._most, self._rows)
         return float(self._most.max()), float(self._rows.sum())
 
     def ratio(self, a: float, b: float) -> float:
-        """Return a over b; 0 unless both are positive."""
+        """Return a / b; 0 unless both are positive."""
         return a / b if a > 0 and b > 0 else 0.0
 
     def quotient(self, a: float, b: float) -> float:
-        """Return a over b; 0 where b is 0."""
+        """Return a / b; 0 if b is 0."""
         return a / b if b != 0 else 0.0
 
     def times(self, a: float, b: float) -> float:
-        """Return a times b."""
+        """Return a b."""
         return a * b
 
     def advance(
         self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: float
     ) -> float:
-        """Add length direction to d, take length image from rest; return the square of the rest."""
+        """Compute d += length direction and rest -= length image; return rest . rest."""
         return self.advance_by(d, length, rest, direction, image, length)
 
     def advance_by(
         self, d: Any, share: float, rest: Vector, direction: Vector, image: Vector, length: float
     ) -> float:
-        """Add share direction to d, take length image from rest; return the square of the rest."""
+        """Compute d += share direction and rest -= length image; return rest . rest."""
         of_d, *others = map(rows, (d, rest, direction, image))
         shares = d.dtype.type(share), rest.dtype.type(length)
         vectors.advance(of_d, shares[0], *others, shares[1], self._rows)
         return float(self._rows.sum())
 
     def project(self, vector: Vector) -> None:
-        """Move rigid bodies as one, in place."""
+        """Project a vector onto the rigid motions of bodies, in place."""
         if self.bodies is not None:
             self.bodies.project(vector)
 
@@ -241,20 +244,25 @@ class CpuLevel:
             vectors.lean(*(each[component : component + 1] for each in arrays), *shares)
 
     def read(self, *scalars: float) -> tuple[float, ...]:
-        """Return them."""
+        """Return the scalars, which are numbers already."""
         return scalars
 
 
 def rows(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return a volume as an image of all its rows, for loops over single rows."""
+    """Return a view (C, R, W + 4) of planes, where R counts the padded rows of all slices."""
     return planes.reshape(len(planes), -1, planes.shape[-1])
 
 
 @lru_cache(maxsize=16)
 def paces_of(steps: Steps, from_zero: bool) -> Vector:
-    """(scale, ahead, back) of each step, for displacements instead of steps."""
-    # A step's momentum takes the difference of the last two displacements; before the first step of
-    # all there is none, and if it begins at zero the second takes the first displacement itself.
+    """Return (scale, ahead, back) of each step, for kernels that store displacements, not steps.
+
+    Such a kernel computes out = d + scale D^-1 (load - A d) + ahead d - back out, where `out` is
+    the displacement before the last step.
+    """
+    # The momentum multiplies the last step, d - out. The first step has no momentum. An iteration
+    # from zero has `back` = 0 in the second step, too, because the displacement before the first
+    # step is zero and is not stored.
     made = np.zeros((len(steps), 3), dtype=np.float32)
     made[:, :2] = steps
     begun = 2 if from_zero else 1
@@ -263,7 +271,7 @@ def paces_of(steps: Steps, from_zero: bool) -> Vector:
 
 
 def all_sites(grid: tuple[int, ...]) -> Spans:
-    """Return the spans of whole rows; those of a volume's ring are empty."""
+    """Return spans that cover whole rows; in volumes, the spans of border rows are empty."""
     whole = np.zeros((*(size + 2 * PAD for size in grid[:-1]), 2), dtype=np.int64)
     whole[(slice(PAD, -PAD),) * (len(grid) - 1)] = 0, grid[-1]
     return whole.reshape(-1, 2)[PAD:-PAD]

@@ -1,15 +1,16 @@
-"""The paper's cliques as a linear model, as compiled loops.
+"""Linear model of the paper's cliques as compiled loops.
 
-Arrays are padded as those of the other kernels are, by two sites of void. `stiffness` is (m, 1/m),
-0 in void. `lines` is what each line of cliques counts for each component; None makes the kernels
-that square pixels are quicker with. With `blanket` every clique that contains a site pulls at it,
-for which kernels are made if it is True and not None; those need `lines`. `weight`, the diagonal of
-a coarse level's springs W, counts `springs` times: 0 on the finest level, else 1.
+All arrays have a border of void, two sites wide. `stiffness` is (m, 1/m), 0 in void. `lines` is the
+weight of each line of cliques for each component; None selects the faster kernels for square
+pixels. `blanket` is True if a site counts all cliques that contain it, else None; True needs
+`lines`, and numba compiles special kernels for it. `weight` is the diagonal of the springs W of a
+coarse level, and is multiplied by `springs`: 0 on the finest level, else 1.
 
-Centred, the model is d - q(d): how far a site is from the weighted mean of its neighbours, so that
-its diagonal is 1. Blanket, it is half the slope of U_total's cliques (all of it, if `lines` are
-twice what they are). Both are built from differences of displacement. `inverse` is the inverse of
-the diagonal, springs included, and 0 where a component does not move.
+With centred cliques, where a site counts the cliques of which it is the middle, the model is
+A d = d - q(d): the distance of a site from the minimum of its local energy, so the diagonal is 1.
+With blanket cliques it is half the gradient of U_total's cliques; `lines` of twice the size give
+the whole gradient. Both are computed from differences of displacement. `inverse` is the reciprocal
+of the diagonal with springs, and 0 where a component does not move.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -28,13 +29,13 @@ from napari_hmrf.solver.backends.cpu.kernels import (
 from napari_hmrf.solver.backends.cpu.vectors import row_largest, row_product
 
 _TINY = float32(1e-30)
-# From a site to the next one on each line.
+# Step (rows, columns) from a site to the next one on each line.
 _ALONG = ((1, 0), (0, 1), (1, 1), (1, -1))
 
 
 @inline
 def _pull(d, stiffness, lines, blanket, i, j):
-    """Return the pull of the tissue at (i + 2, j + 2): -A d."""
+    """Return the force -A d at site (i + 2, j + 2)."""
     if blanket is not None:
         _, _, b0, b1, _ = around(d, stiffness, lines, i, j)
     else:
@@ -45,7 +46,7 @@ def _pull(d, stiffness, lines, blanket, i, j):
 
 @inline
 def _quick_pull(d, stiffness, lines, blanket, i, j):
-    """As `_pull`, with another way for square pixels."""
+    """Return the force like `_pull`, by a faster kernel for square pixels."""
     if lines is None:
         a0, a1, b0, b1, _ = square(d, stiffness, i, j)
         b0, b1 = b0 / max(a0, _TINY), b1 / max(a1, _TINY)
@@ -56,7 +57,7 @@ def _quick_pull(d, stiffness, lines, blanket, i, j):
 
 @inline
 def _rest(d, load, given, stiffness, weight, springs, lines, blanket, i, j):
-    """Given load - (A + W) d at (i + 2, j + 2)."""
+    """Return given load - (A + W) d at site (i + 2, j + 2)."""
     row, col = _quick_pull(d, stiffness, lines, blanket, i, j)
     row += given * load[0, i + 2, j + 2] - springs * weight[0, i + 2, j + 2] * d[0, i + 2, j + 2]
     col += given * load[1, i + 2, j + 2] - springs * weight[1, i + 2, j + 2] * d[1, i + 2, j + 2]
@@ -68,9 +69,9 @@ def residual(
     d, load, given, stiffness, inverse, weight, springs, lines, blanket, spans, share, out,
     row_totals,
 ):  # fmt: skip
-    """Write share (given load - (A + W) d) to `out`; 0 at sites that do not move.
+    """Write share (given load - (A + W) d) to `out`; 0 at fixed components.
 
-    `row_totals` gets the product of d and out; an empty one is left alone.
+    `row_totals` gets the scalar product of d and out for each row, unless it is empty.
     """
     for number in prange(d.shape[1] - 4):
         i = int64(number)
@@ -87,7 +88,7 @@ def residual(
 
 @parallel
 def pull(d, stiffness, lines, blanket, spans, out):
-    """Write -A d to `out` within these spans; square pixels have lines here."""
+    """Write -A d to `out` within the spans; square pixels need `lines`, too."""
     for number in prange(d.shape[1] - 4):
         i = int64(number)
         start = max(spans[i, 0], 0)
@@ -100,9 +101,9 @@ def pull(d, stiffness, lines, blanket, spans, out):
 
 @parallel
 def balance(pulls, load, given, inverse, share, out, row_most, row_squares):
-    """Write share (pulls + given load) to `out`, in single precision; 0 at sites that do not move.
+    """Write share (pulls + given load) to `out`, in single precision; 0 at fixed components.
 
-    Its largest absolute value and its square are returned row by row.
+    `row_most` gets the largest absolute value of each row, and `row_squares` the sum of squares.
     """
     for number in prange(out.shape[1] - 4):
         i = int64(number) + 2
@@ -137,7 +138,7 @@ def smooth(
 
 @parallel
 def curvature(stiffness, lines, blanket, out):
-    """Compute each site's curvature, of the cliques there. Square pixels have lines here."""
+    """Compute the curvature of each site's cliques; square pixels need `lines`, too."""
     for number in prange(out.shape[1] - 4):
         i = int64(number) + 2
         for k in range(out.shape[2] - 4):
@@ -162,9 +163,10 @@ def curvature(stiffness, lines, blanket, out):
 
 @parallel
 def coarsen(fine, coarse, even):
-    """Compute a coarse site's stiffness: the mean of the tissue around it; void without any.
+    """Compute the stiffness of coarse sites: the mean of the tissue around, or void if none.
 
-    `even` gets what makes a sum over that tissue as large as one over tissue everywhere.
+    `even` gets the factor by which a sum over that tissue must be multiplied to be as large as a
+    sum over full surroundings.
     """
     for i in prange(coarse.shape[1] - 4):
         for j in range(coarse.shape[2] - 4):
@@ -182,7 +184,7 @@ def coarsen(fine, coarse, even):
 
 @parallel
 def even_out(load, even):
-    """Multiply each component."""
+    """Multiply each component of a load by `even`, in place."""
     for i in prange(load.shape[1] - 4):
         for k in range(2):
             for j in range(load.shape[2]):

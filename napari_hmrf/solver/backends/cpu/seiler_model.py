@@ -1,4 +1,4 @@
-"""The paper's cliques on the processor: their levels, and their pulls in double precision."""
+"""The paper's cliques on the processor: their levels, and their forces in double precision."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from napari_hmrf.solver.priors.cliques import SeilerMaterial
 
 Lines = npt.NDArray[np.float64]
 
-# Totals for calls without a product.
+# Row totals for calls that need no scalar product.
 _NO_ROWS = np.zeros(0)
-# Levels of fewer sites are visited by one thread: waking the others costs more.
+# Number of sites below which a level uses one thread, because waking the others takes longer.
 _SMALL = 8000
 
 
 class CpuSeilerLevel(CpuLevel):
-    """One level's cliques and springs.
+    """Cliques and springs of one level.
 
     Attributes
     ----------
     stiffness : ndarray, shape (2, H + 4, W + 4) or (2, D + 4, H + 4, W + 4)
         (m, 1/m); 0 in void.
     lines : ndarray, shape (4, 2), or None
-        What each line of cliques counts for each component, for the kernels that have another way
-        with square pixels.
+        Weight of each line of cliques for each component; None selects the faster kernels for
+        square pixels.
     even : ndarray, shape (H + 4, W + 4) or (D + 4, H + 4, W + 4)
-        What makes a sum over the finer level's tissue around a site four times its mean, as a
-        residual is on a grid twice as wide.
+        Factor that turns a weighted sum over the tissue around a site on the finer level into four
+        times its mean, which is the residual on a grid of twice the spacing.
     """
 
     def __init__(
@@ -55,49 +55,50 @@ class CpuSeilerLevel(CpuLevel):
         self.spans: Spans = np.zeros((rows(self.inverse).shape[1] - 2 * PAD, 2), dtype=np.int64)
 
     def coarsen(self, finer: CpuSeilerLevel) -> None:
-        """Take the finer level's tissue."""
+        """Set the stiffness from that of the next finer level."""
         seiler.coarsen(finer.stiffness, self.stiffness, self.even)
 
     def settle(self, stiffness: Planes) -> None:
-        """Take in the stiffness, here in double precision."""
+        """Compute the diagonal from the stiffness, given in double precision."""
         exactly = self.curvature(stiffness, self._lines.astype(np.float64))
         self._diagonal[...] = exactly if self.blanket else exactly > 0
 
     def curvature(self, stiffness: Planes, lines: Lines) -> Planes:
-        """Return each site's curvature, in double precision."""
+        """Return the curvature of each site's cliques, in double precision."""
         out = np.zeros(self.inverse.shape)
         seiler.curvature(stiffness, lines, bool(self.blanket), out)
         return out
 
     def pull(self, d: Planes, stiffness: Planes, lines: Lines, spans: Spans, out: Planes) -> None:
-        """Write -A d to `out` within these spans."""
+        """Write -A d to `out` within the spans."""
         seiler.pull(d, stiffness, lines, self.blanket, spans, out)
 
     def work(self, d: Planes, stiffness: Planes, lines: Lines, spans: Spans, out: Planes) -> float:
-        """Write -A d to `out`, as `pull` does; return the energy of the cliques."""
+        """Write -A d to `out` like `pull`; return the energy of the cliques."""
         share, totals = np.empty(self.grid), np.zeros(self.grid[0])
         kernels.energy(d, stiffness, spans, lines, share, totals)
         self.pull(d, stiffness, lines, spans, out)
         return float(totals.sum())
 
     def hold(self, held: HeldPlanes) -> None:
-        """Hold components on the finest level."""
+        """Set the held components of the finest level."""
         self.inverse[...] = self._diagonal
-        # Sites without cliques do not move either.
+        # Sites without cliques are fixed, too.
         alone = (self.stiffness[0] > 0) & (self._diagonal == 0)
         vectors.hold(rows(self.inverse), rows(held | alone), rows(self.pins), self.spans)
-        self._forget()
+        self._clear_vectors()
 
     def hold_as(self, finer: CpuSeilerLevel) -> None:
-        """Put the sites near those that the finer level holds on springs."""
+        """Set the springs of sites near held sites of the next finer level."""
         self.inverse[...] = self._diagonal
-        self._spring(finer)
-        self._forget()
+        self._set_springs(finer)
+        self._clear_vectors()
 
     def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
-        """Relax from zero, or on, and hand what is left of the load down.
+        """Smooth from zero, or again, and restrict the residual to the load of `coarse`.
 
-        Centred, a load is a mean over sites: at the border of tissue, over those that exist.
+        With centred cliques the coarse load is a mean, at the border of tissue over the sites in
+        tissue only.
         """
         numba.set_num_threads(self.threads)
         super().descend(steps, coarse, again)
@@ -105,16 +106,16 @@ class CpuSeilerLevel(CpuLevel):
             coarse.even_out()
 
     def even_out(self) -> None:
-        """Make a load that is a sum over the finer level's tissue what it is on this level."""
+        """Multiply the load by `even`, after it was restricted from the finer level."""
         seiler.even_out(self.load, self.even)
 
     def ascend(self, steps: Steps, coarse: Self) -> None:
-        """Add the coarse correction, and relax."""
+        """Add the interpolated coarse correction, and smooth."""
         numba.set_num_threads(self.threads)
         super().ascend(steps, coarse)
 
-    def _forget(self) -> None:
-        """The kernels write within the spans only: beyond them there must be 0."""
+    def _clear_vectors(self) -> None:
+        """Clear all vectors, because kernels write within the spans only."""
         for vector in (self.correction, self._other, self._step, self._rest):
             vector.fill(0)
 
@@ -134,20 +135,20 @@ class CpuSeilerLevel(CpuLevel):
             momentum,
         )
 
-    def _leave(self) -> None:
+    def _compute_residual(self) -> None:
         self._residual(self.correction, (self.load, 1), self._springs, (1, self._rest), _NO_ROWS)
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute image = A direction; return their scalar product."""
         self.multiply(direction, image, self._rows)
-        with np.errstate(invalid="ignore"):  # the iteration sees to what is no number
+        with np.errstate(invalid="ignore"):  # the iteration checks for NaN
             return float(self._rows.sum())
 
     def multiply(
         self, direction: Vector, image: Vector, totals: npt.NDArray[np.float64] = _NO_ROWS
     ) -> None:
-        """Compute image = A direction; the totals by row, if any, get their scalar product."""
-        # Terms that count 0 times are numbers that the kernel reads anyway.
+        """Compute image = A direction; `totals`, unless empty, gets direction . image by rows."""
+        # Unused terms have the factor 0 and refer to arrays that the kernel reads anyway.
         nothing, no_springs = (direction, 0), (self.inverse, np.float32(0))
         self._residual(direction, nothing, no_springs, (-1, image), totals)
 
@@ -159,7 +160,7 @@ class CpuSeilerLevel(CpuLevel):
         out: tuple[int, Vector],
         totals: npt.NDArray[np.float64],
     ) -> None:
-        """`seiler.residual`, of a load that counts so often, and so often to `out`."""
+        """Call `seiler.residual`; `load` and `out` are given with their factors."""
         seiler.residual(
             d,
             load[0],
@@ -177,7 +178,7 @@ class CpuSeilerLevel(CpuLevel):
 
 
 class CpuSeilerModel(HostModel):
-    """`LinearModel` of the paper's cliques; other backends take their levels from it.
+    """`LinearModel` of the paper's cliques; other backends build their levels from it.
 
     Parameters
     ----------
@@ -192,14 +193,15 @@ class CpuSeilerModel(HostModel):
         self.bounds = material.bounds
         self._held = None
         self._blanket = material.blanket or None
-        # Blanket, what pulls is the slope of the energy; the kernels have half of it.
+        # With blanket cliques A is the gradient of the energy, twice the sum in the kernels.
         self._lines = (2 if material.blanket else 1) * material.lines
         square = material.square and not material.blanket
         m = material.m / np.float64(material.m.max())
         inverse = np.divide(1.0, m, out=np.zeros_like(m), where=m > 0)
         self.levels = []
         for number, grid in enumerate(grids(m.shape)):
-            # Four times as many sites share what a coarse site's cliques hold, sixteen times over.
+            # On the next coarser level, the energy of a clique is sixteen times as large for the
+            # same curvature of the displacement, but there are a quarter as many cliques.
             share = 0.25**number if material.blanket else 1.0
             lines = (share * self._lines).astype(np.float32)
             self.levels.append(self.level(grid, lines, square, material.blanket, number == 0))
@@ -217,7 +219,7 @@ class CpuSeilerModel(HostModel):
             coarse.settle(coarse.stiffness.astype(np.float64))
 
     def hold(self, held: HeldPlanes) -> None:
-        """Hold components on all levels."""
+        """Set the held components on all levels."""
         threads = numba.get_num_threads()
         for level in self.levels:
             level.threads = 1 if math.prod(level.grid) < _SMALL else threads
@@ -239,40 +241,40 @@ class CpuSeilerModel(HostModel):
         if low is not None and self._blanket:
             pulls: Planes = self.material.pull(d, low)
             return pulls
-        assert low is None  # the centred update is not refined with more digits
+        assert low is None  # refinement with more digits exists for blanket cliques only
         self.levels[0].pull(d, self._stiffness, self._lines, self._whole, self._pull)
         return self._pull
 
     @property
     def steepness(self) -> Planes:
-        """The second derivative of each site's energy; 0 where no clique pulls."""
+        """Second derivative of each site's energy; 0 where a site has no clique."""
         curvature: Planes = self.levels[0].curvature(self._stiffness, self._lines)
         return curvature if self._blanket else 2 * curvature
 
     def work(self, d: Planes) -> tuple[float, float]:
-        """Return the cliques' share of U_total, and the norm of all pulls."""
+        """Return the cliques' part of U_total, and the norm of all forces."""
         pulls = self._pull
         energy = self.levels[0].work(d, self._stiffness, self._lines, self._whole, pulls)
         return energy / (2 if self._blanket else 1), math.sqrt(np.vdot(pulls, pulls))
 
     def forget(self) -> None:
-        """Clear the model cache: numbers in its vectors may have overflowed."""
+        """Clear the model cache, because values in its vectors may not be finite."""
         _last[:] = ()
 
 
 _last: list[CpuSeilerModel] = []
-in_child_of_fork(_last.clear)  # a child of a fork within a solve continues it
+in_child_of_fork(_last.clear)  # the fork may have interrupted a solve that uses the model
 
 
 def the_model(
     material: SeilerMaterial, kind: type[CpuSeilerModel] = CpuSeilerModel
 ) -> CpuSeilerModel:
-    """Return the model of a material: the last one, if it is the same tissue again.
+    """Return the model of a material, from the cache of one model if it is the same tissue.
 
-    What is edited most is what pulls, not the tissue. For the compute thread only, on which models
-    take turns.
+    Users edit observations more often than tissue. Call it on the compute thread only, because all
+    solves share the model.
     """
     if not _last or _last[0].material != material:
-        _last[:] = ()  # its memory, first
+        _last[:] = ()  # free the old model before the new one is allocated
         _last.append(kind(material))
     return _last[0]

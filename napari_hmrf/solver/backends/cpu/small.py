@@ -1,8 +1,8 @@
-"""The small levels of elastic tissue's V-cycle.
+"""Small levels in the V-cycle of elastic tissue.
 
-The end of each row, where a loop has too few sites left for a vector of them, costs as much as the
-rest of such a row: here a level is one long row, from its first site to its last and over the ring
-of void between its rows, where nothing pulls and nothing moves.
+At the end of a row, too few sites are left for a vector instruction, which takes as long as the
+rest of a short row. Here a level is therefore one long row, from its first site to its last. It
+includes the border of void between the rows, where all forces and corrections are zero.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -14,21 +14,21 @@ from numba import float32
 from napari_hmrf.solver.backends.cpu import forces, small_cycle
 from napari_hmrf.solver.backends.cpu.compiled import callee, strict
 
-#: Planes of a level's model: Lame's parameters.
+#: Number of planes of a level's model: the Lame parameters.
 PLANES = np.int64(2)
-# Position of the first site, and of the only row.
+# Index of the first site in padded arrays, and of the row in which it lies.
 _FIRST = 2
 
 
 @callee
 def _length(d):
-    """From the first site of a level to its last."""
+    """Return the number of sites of the long row."""
     return (d.shape[1] - 5) * d.shape[2] + d.shape[2] - 4
 
 
 @callee
 def _smooth(d, load, lame, inverse, weight, shape, out, scale, ahead, back):
-    """As `elastic.smooth`."""
+    """Compute a Chebyshev step like `elastic.smooth`."""
     for k in range(_length(d)):
         j = _FIRST + k
         row, col = forces.rest(d, load, lame, weight, shape, _FIRST, j)
@@ -42,7 +42,7 @@ def _smooth(d, load, lame, inverse, weight, shape, out, scale, ahead, back):
 
 @callee
 def _residual(d, load, lame, inverse, weight, shape, out):
-    """Out = load - (A + W) d, 0 at sites that do not move."""
+    """Compute out = load - (A + W) d; 0 at components that do not move."""
     for k in range(_length(d)):
         j = _FIRST + k
         row, col = forces.rest(d, load, lame, weight, shape, _FIRST, j)
@@ -55,5 +55,5 @@ _cycle = small_cycle.cycle_of(PLANES, _smooth, _residual)
 
 @strict
 def cycle(values, table, shape, down, up, coarsest):
-    """Run a V-cycle over levels, as `small_cycle.cycle_of` says."""
+    """Run a V-cycle over small levels; see `small_cycle.cycle_of`."""
     _cycle(values, table, shape, down, up, coarsest)

@@ -1,4 +1,4 @@
-"""Small levels, which are visited in one go by one thread (see `small_cycle`)."""
+"""Small levels, which share their memory and are cycled on one thread (see `small_cycle`)."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ from napari_hmrf.solver.backends.linear import Steps
 
 Grids = Sequence[tuple[int, ...]]
 
-# A level of fewer sites is visited by one thread, but for the first two: a small problem takes all
-# kernels that a large one does, so that a rehearsal compiles them.
+# Number of sites below which a level is small; and number of finest levels that never count as
+# small, so that a small problem compiles all kernels that a large one needs.
 _SMALL, _LARGE = 8000, 2
 
 
 def divided(grids: Grids) -> tuple[Grids, Grids]:
-    """Split the grids into those that are visited one by one, and those of small levels."""
+    """Split grids, finest first, into those of large levels and those of small levels."""
     few = next((k for k, (height, width) in enumerate(grids) if height * width < _SMALL), 0)
     large = max(few, _LARGE)
     return grids[:large], grids[large:]
 
 
 class SmallLevel(CpuLevel):
-    """A level that may be the first of small ones.
+    """Level that may be the finest of the small levels.
 
     Attributes
     ----------
     together : SmallLevels or None
-        These.
+        All small levels, if this level is the finest of them.
     """
 
     together: SmallLevels | None = None
 
     @property
     def spare_correction(self) -> Vector:
-        """Output of `relax`, in turn with `correction`."""
+        """Second array of `relax`, which alternates with `correction`."""
         return self._other
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
-        """Find the correction with all coarser levels, or as the coarsest."""
+        """Compute the correction with all coarser levels, or on this level if it is the last."""
         if self.together is None:
             super().finish(steps, coarsest)
         else:
@@ -51,17 +51,18 @@ class SmallLevel(CpuLevel):
 
 
 class SmallLevels:
-    """The memory of levels that are visited in one go, and that visit.
+    """Common memory of the small levels, and their V-cycle.
 
     Parameters
     ----------
     grids : sequence of tuple of int
+        Grids of the levels, finest first.
     planes : int
-        Arrays of a level that belong to its model.
+        Number of planes of a level that belong to its model.
     level : callable
-        Makes a level of a grid, and of its arrays in the order that `small_cycle` has them in.
+        Returns a level for a grid and its arrays, in the order of `small_cycle`.
     cycle : callable
-        The visit: ``cycle(values, table, down, up, coarsest)``.
+        V-cycle: ``cycle(values, table, down, up, coarsest)``.
     """
 
     def __init__(
@@ -87,13 +88,13 @@ class SmallLevels:
         first.together, first.takes_rest = self, True
 
     def copy(self) -> SmallLevels:
-        """Return the same levels once more."""
+        """Return a copy of all levels."""
         made = SmallLevels(self._grids, self._planes, self._level, self._cycle)
         np.copyto(made._values, self._values)
         return made
 
     def cycle(self, steps: Steps, coarsest: Steps) -> Vector:
-        """Return the first level's correction for its load."""
+        """Run a V-cycle; return the correction of the finest small level."""
         self._cycle(
             self._values,
             self._table,
@@ -107,7 +108,7 @@ class SmallLevels:
 
 
 def _arrays(values: npt.NDArray[np.float32], shared: int) -> Iterator[Vector]:
-    """A level's arrays of two planes, and last those of its model."""
+    """Yield a level's arrays of two planes, and last the planes of its model."""
     for number in range(0, shared, 2):
         yield values[number : number + 2]
     yield values[shared:]

@@ -1,9 +1,9 @@
-"""Compiled loops for tissue that is bent already: the operations of multigrid on its levels.
+"""Compiled loops for deformed tissue in large motion: the operations of multigrid on its levels.
 
-Arrays are as in `backends.cpu.elastic`; an element has a tangent of its own instead of Lame's
-parameters (see `backends.cpu.finite_tangents`): all 21 numbers of it for what is solved, the first
-13 for cycles. A row of elements is gone through twice, once for what each of them pulls with and
-once for its sites, so that both vectorise.
+Arrays are as in `backends.cpu.elastic`, but each element has a tangent instead of Lame parameters
+(see `backends.cpu.finite_tangents`). The solved system uses all 21 numbers of a tangent, cycles use
+the first 13. Each row takes two loops, which both vectorise: one over its elements computes their
+forces, and one over its sites adds them.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -16,13 +16,13 @@ from napari_hmrf.solver.backends.cpu import small_cycle
 from napari_hmrf.solver.backends.cpu.compiled import callee, parallel, strict
 from napari_hmrf.solver.backends.cpu.vectors import row_product
 
-#: Planes of a level's model: 13 numbers of its tangents, and their damping.
+#: Number of planes of a level's model: 13 numbers of each tangent, and its damping.
 PLANES = np.int64(14)
 
 
 @callee
 def _element_row(d, tangent, i, out):
-    """Return the pulls of row i of elements: along rows, and as its twist less and more columns."""
+    """Compute the derivatives for row i of elements: by D_r, and by D_x minus and plus by D_c."""
     for j in range(d.shape[2] - 1):
         left_0, right_0 = d[0, i + 1, j] - d[0, i, j], d[0, i + 1, j + 1] - d[0, i, j + 1]
         left_1, right_1 = d[1, i + 1, j] - d[1, i, j], d[1, i + 1, j + 1] - d[1, i, j + 1]
@@ -47,7 +47,7 @@ def _element_row(d, tangent, i, out):
 
 @callee
 def _add_coupled(d, tangent, i, out):
-    """Add what the twist pulls with along rows and columns, and these in the twist."""
+    """Add the terms that couple D_x with D_r and D_c to the derivatives of `_element_row`."""
     for j in range(d.shape[2] - 1):
         left_0, right_0 = d[0, i + 1, j] - d[0, i, j], d[0, i + 1, j + 1] - d[0, i, j + 1]
         left_1, right_1 = d[1, i + 1, j] - d[1, i, j], d[1, i + 1, j + 1] - d[1, i, j + 1]
@@ -79,7 +79,7 @@ def _add_coupled(d, tangent, i, out):
 
 @callee
 def _pull(above, here, component, j):
-    """Return the pull of the elements around a site."""
+    """Return the force of the four elements around site j, from two rows of derivatives."""
     r, u = here[component], here[2 + component]
     up, w = above[component], above[4 + component]
     return ((u[j] - u[j - 1]) - (r[j] + r[j - 1])) + ((up[j] + up[j - 1]) + (w[j - 1] - w[j]))
@@ -109,7 +109,7 @@ def _apply_part(d, tangent, inverse, coupled, weight, springs, out, row_totals, 
 
 @parallel
 def apply(d, tangent, inverse, coupled, weight, springs, out, row_totals, count):
-    """Write (A + W) d to `out` where sites move, 0 elsewhere; `row_totals` gets the product."""
+    """Write (A + W) d to `out`, with 0 at fixed components; `row_totals` gets d . out by rows."""
     height = d.shape[1] - 4
     for number in prange(count):
         first, last = number * height // count, (number + 1) * height // count
@@ -137,7 +137,10 @@ def _smooth_part(d, load, tangent, inverse, weight, springs, out, pace, first, l
 
 @parallel
 def smooth(d, load, tangent, inverse, weight, springs, out, scale, ahead, back, count):
-    """Compute a Chebyshev step: out = d + scale D^-1 (load - (A + W) d) + ahead d - back out."""
+    """Compute a Chebyshev step: out = d + scale D^-1 (load - (A + W) d) + ahead d - back out.
+
+    On entry, `out` has the displacement before the last step, which was d - out.
+    """
     height = d.shape[1] - 4
     for number in prange(count):
         first, last = number * height // count, (number + 1) * height // count
@@ -165,7 +168,7 @@ def _rest_part(d, load, tangent, inverse, weight, springs, out, first, last):
 
 @parallel
 def rest(d, load, tangent, inverse, weight, springs, out, count):
-    """Write load - (A + W) d to `out` where sites move, 0 elsewhere."""
+    """Write load - (A + W) d to `out`, with 0 at fixed components."""
     height = d.shape[1] - 4
     for number in prange(count):
         first, last = number * height // count, (number + 1) * height // count
@@ -184,7 +187,10 @@ def start(load, inverse, scale, out):
 
 @parallel
 def coarsen(fine, coarse):
-    """Compute a coarse element's tangent: the mean of four, void counted as 0."""
+    """Compute the tangents of coarse elements: the mean of four fine ones, with void as 0.
+
+    The damping is the largest of the four.
+    """
     for i in prange(coarse.shape[1] - 4):
         for k in range(13):
             for j in range(coarse.shape[2] - 4):
@@ -199,7 +205,7 @@ def coarsen(fine, coarse):
 
 @parallel
 def diagonal(tangent, out):
-    """Compute the diagonal of the matrix of cycles."""
+    """Compute the diagonal of the matrix for cycles, times the damping of the elements."""
     for n in prange(tangent.shape[1] - 4):
         i = n + 2
         for component in range(2):
@@ -220,14 +226,14 @@ def diagonal(tangent, out):
 
 @callee
 def _smooth(d, load, tangent, inverse, weight, springs, out, scale, ahead, back):
-    """As `smooth`, by one thread."""
+    """Compute a Chebyshev step like `smooth`, on one thread."""
     pace, last = (scale, ahead, back), d.shape[1] - 4
     _smooth_part(d, load, tangent, inverse, weight, springs, out, pace, 0, last)
 
 
 @callee
 def _rest(d, load, tangent, inverse, weight, springs, out):
-    """As `rest`, by one thread."""
+    """Compute the residual like `rest`, on one thread."""
     _rest_part(d, load, tangent, inverse, weight, springs, out, 0, d.shape[1] - 4)
 
 
@@ -236,5 +242,5 @@ _cycle = small_cycle.cycle_of(PLANES, _smooth, _rest)
 
 @strict
 def cycle(values, table, down, up, coarsest):
-    """Run a V-cycle over levels, as `small_cycle.cycle_of` says."""
+    """Run a V-cycle over small levels; see `small_cycle.cycle_of`."""
     _cycle(values, table, float32(1), down, up, coarsest)

@@ -1,4 +1,4 @@
-"""Compiled loops that carry fields from one level to the next, and the arrays they live in."""
+"""Compiled loops that interpolate displacement to the next finer level, and padded arrays."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -10,18 +10,21 @@ from numba import float32, prange
 
 from napari_hmrf.solver.backends.cpu.compiled import strict_callee, strict_parallel
 
-#: Width of the ring of void around every array.
+#: Width of the border of void around every array, in sites.
 PAD = 2
 
 
 def padded(components: int, shape: tuple[int, ...]) -> np.ndarray[Any, np.dtype[np.float32]]:
-    """Return zeros for `components` planes of a grid, with the ring of void around them."""
+    """Return planes of zeros for a grid, with the border of void around them."""
     return np.zeros((components, *(size + 2 * PAD for size in shape)), dtype=np.float32)
 
 
 @strict_parallel
 def prolong(coarse, coarse_stiffness, target, stiffness):
-    """Interpolate displacement one level down: linear, void without weight, the border repeated."""
+    """Interpolate displacement bilinearly to the next finer level.
+
+    Coarse sites in void have weight 0, and border sites are repeated outwards.
+    """
     height, width = target.shape[1] - 2 * PAD, target.shape[2] - 2 * PAD
     coarse_height, coarse_width = coarse.shape[1] - 2 * PAD, coarse.shape[2] - 2 * PAD
     for i in prange(height):
@@ -52,7 +55,7 @@ def prolong(coarse, coarse_stiffness, target, stiffness):
 
 @strict_callee
 def _nearest(i, size):
-    """The two coarse sites on either side of a fine one, in padded arrays, the nearer one first."""
+    """Return the padded indices of the two coarse sites around a fine one, the nearer one first."""
     near = min(i // 2, size - 1)
     far = min(max(near + (1 if i % 2 else -1), 0), size - 1)
     return near + PAD, far + PAD
@@ -60,7 +63,7 @@ def _nearest(i, size):
 
 @strict_parallel
 def prolong_volume(coarse, coarse_stiffness, target, stiffness):
-    """Interpolate as `prolong` does, in a volume."""
+    """Interpolate displacement trilinearly to the next finer level of a volume, like `prolong`."""
     for n in prange(target.shape[1] - 2 * PAD):
         planes = _nearest(np.int64(n), coarse.shape[1] - 2 * PAD)
         for i in range(target.shape[2] - 2 * PAD):

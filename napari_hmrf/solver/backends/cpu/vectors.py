@@ -1,8 +1,8 @@
-"""Vectors of multigrid and Krylov iterations as compiled loops: what needs no model.
+"""Compiled loops over vectors, for multigrid and Krylov iterations of any model.
 
-Arrays are padded as those of the other kernels are, by two sites of void; `inverse` is the inverse
-diagonal of the model, 0 where a component does not move. A scalar product is returned row by row.
-What looks at each row by itself takes volumes, too, as images of all their rows (`level.rows`).
+All arrays have a border of void, two sites wide. `inverse` is the reciprocal of the model's
+diagonal, and 0 where a component does not move. Scalar products are returned for each row. Loops
+that treat rows independently also take volumes, as views of all their rows (`level.rows`).
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -34,7 +34,7 @@ def row_product(a: Any, b: Any, row: int) -> float:
 
 @inline
 def span(inverse, spans, i):
-    """Return the begin and end of row i's moving sites."""
+    """Set the begin and end of the moving sites of row i in `spans`."""
     first, past = int64(0), int64(0)
     for j in range(inverse.shape[2] - 4):
         for k in range(len(inverse)):
@@ -48,7 +48,7 @@ def span(inverse, spans, i):
 
 @parallel
 def hold(inverse, held, pins, spans):
-    """Make a diagonal its inverse, 0 where held; `pins` counts what is held: 1 or 0."""
+    """Replace a diagonal by its reciprocal, or 0 at held components; set `pins` to 1 or 0."""
     for i in prange(inverse.shape[1] - 4):
         for k in range(len(inverse)):
             for j in range(2, inverse.shape[2] - 2):
@@ -61,9 +61,10 @@ def hold(inverse, held, pins, spans):
 
 @parallel
 def spring(inverse, pins, most, strength, weight, spans):
-    """Make a coarser level's diagonal the inverse of that with springs.
+    """Set the springs of a coarser level; replace its diagonal by the reciprocal with springs.
 
-    A spring is as strong as the site's `pins`, `most` of them at most, times the diagonal.
+    A spring has the strength `strength` times `pins`, which is limited to `most`, times the
+    diagonal.
     """
     for i in prange(inverse.shape[1] - 4):
         for k in range(len(inverse)):
@@ -91,7 +92,7 @@ def smooth_first(load, inverse, step, d, scale):
 
 @callee
 def restrict_row(above, here, below, coarse):
-    """`restrict` of one component, from three rows to one."""
+    """Compute one row of `restrict` for one component, from three fine rows."""
     half = float32(0.5)
     for j in range(len(coarse) - 4):
         left = here[2 * j + 1] + half * (above[2 * j + 1] + below[2 * j + 1])
@@ -115,7 +116,7 @@ def restrict(fine, coarse):
 
 @parallel
 def interpolate(coarse, fine, inverse):
-    """Add a coarse correction, bilinear, to the sites that move."""
+    """Add the bilinearly interpolated coarse correction where components move."""
     for i in prange(fine.shape[1] - 4):
         near = i // 2 + 2
         far = near + i % 2
@@ -133,7 +134,7 @@ def interpolate(coarse, fine, inverse):
 
 @parallel
 def advance(d, share, rest, direction, image, length, row_totals):
-    """Add share * direction to d, take length * image from rest; `row_totals` gets its square."""
+    """Compute d += share * direction and rest -= length * image; `row_totals` gets rest . rest."""
     for i in prange(d.shape[1] - 4):
         for component in range(len(d)):
             for j in range(d.shape[2]):
@@ -155,17 +156,17 @@ def lean(rest, direction, image, share, stride):
 
 @parallel
 def product(a, b, row_totals):
-    """Compute the scalar product, row by row."""
+    """Compute the scalar product of each row."""
     for i in prange(a.shape[1] - 4):
         row_totals[i] = row_product(a, b, i + 2)
 
 
 @strict_callee
 def row_largest(a: Any, row: int) -> Any:
-    """Return the largest absolute value of one row, or NaN if there is any.
+    """Return the largest absolute value of one row, or NaN if the row contains one.
 
-    Without their sign, numbers are in the order of their bits, of which several are compared at
-    once.
+    Without the sign bit, floating-point numbers have the order of their bits as integers, and
+    comparisons of integers vectorise.
     """
     most = int32(0)
     for component in range(len(a)):
@@ -184,7 +185,7 @@ def largest(a, row_most):
 
 @parallel
 def weigh(a, b, row_most, row_totals):
-    """Compute both of these in one pass."""
+    """Compute `largest` of a and `product` of a and b in one pass."""
     for i in prange(a.shape[1] - 4):
         row_most[i] = row_largest(a, i + 2)
         row_totals[i] = row_product(a, b, i + 2)

@@ -1,13 +1,14 @@
 """Compiled loops for elastic volumes: the operations of multigrid on its levels.
 
-Arrays are padded as those of the other kernels are, by two sites of void on every side. An element
-has the number of its first site, and parameters as `backends.cpu.hexahedra` takes them. A site that
-is prescribed, or in no element, has an inverse diagonal of 0: its correction stays 0. `weight`, the
-diagonal of a coarse level's springs W, counts `springs` times: 0 on the finest level, else 1.
+All arrays have a border of void, two sites wide on every side. An element has the index of its
+first site, and its parameters are those of `backends.cpu.hexahedra`. A component that is
+prescribed, or in no element, has an inverse diagonal of 0, so its correction stays 0. `weight` is
+the diagonal of the springs W of a coarse level, and is multiplied by `springs`: 0 on the finest
+level, else 1.
 
-Each kernel divides the planes among threads, `count` of them. A thread begins with the plane above
-its first, for the sake of the values that it leaves to the next; its result is not used. Kernels
-write where something moves only (`spans`, of every padded row): beyond that there must be 0.
+Each kernel divides the planes among `count` threads. A thread starts one plane above its first
+plane, for the forces that this plane passes on, and discards the result there. Kernels write to the
+moving sites of each padded row (`spans`) only; outside them the output must already be 0.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -27,18 +28,18 @@ from napari_hmrf.solver.backends.cpu.forces import part
 from napari_hmrf.solver.backends.cpu.hexahedra import BLOCK, block_forces, force_of, scratch
 from napari_hmrf.solver.backends.cpu.vectors import restrict_row
 
-# A thread that gets fewer planes than this makes too much of what it shares with its neighbours.
+# Least number of planes of a thread; with fewer planes, too many are computed by two threads.
 _FEW_PLANES = 8
 
 
 def parts(depth: int) -> int:
-    """Return the number of threads for a level's planes."""
+    """Return the number of threads for a level of `depth` planes."""
     return max(1, min(get_num_threads(), depth // _FEW_PLANES))
 
 
 @inline
 def _join(spans, z, y, begin, past):
-    """A span that covers another row's, too."""
+    """Return the span (begin, past), extended to cover the span of row (z, y)."""
     if spans[z, y, 1] > spans[z, y, 0]:
         if past == begin:
             begin, past = spans[z, y, 0], spans[z, y, 1]
@@ -49,7 +50,7 @@ def _join(spans, z, y, begin, past):
 
 @shared
 def _reach(spans, z, y):
-    """Return the ends of the moving sites of a row, the next, and both in the next plane."""
+    """Return the begin and end of the moving sites in rows y and y + 1 of planes z and z + 1."""
     begin, past = spans[z, y, 0], spans[z, y, 1]
     begin, past = _join(spans, z, y + 1, begin, past)
     begin, past = _join(spans, z + 1, y, begin, past)
@@ -96,7 +97,8 @@ def _smooth_part(d, tissue, weights, load, inverse, spans, out, pace, first, las
 def smooth(d, other, load, lame, share, inverse, weight, springs, shape, spans, paces, count):
     """Run Chebyshev steps: other = d + scale D^-1 (load - (A + W) d) + ahead d - back other.
 
-    What `other` holds before is the displacement before the last step: d - other was that step.
+    On entry, `other` has the displacement before the last step, which was d - other. The two arrays
+    change roles after each step.
     """
     for step in range(len(paces)):
         source, target = (d, other) if step % 2 == 0 else (other, d)
@@ -109,7 +111,7 @@ def smooth(d, other, load, lame, share, inverse, weight, springs, shape, spans, 
 
 @parallel
 def start(load, inverse, d, scale):
-    """Compute the first step from zero, of all rows: d = scale D^-1 load."""
+    """Compute the first step from zero, d = scale D^-1 load, for arrays from `level.rows`."""
     for i in prange(d.shape[1]):
         for k in range(len(d)):
             for j in range(d.shape[2]):
@@ -153,7 +155,7 @@ def _rest_part(d, tissue, weights, loads, inverse, spans, out, first, last):
 
 @parallel
 def rest(d, load, given, lame, share, inverse, weight, springs, shape, spans, scale, out, count):
-    """Write scale (given load - (A + W) d) to `out` where sites move, 0 elsewhere."""
+    """Write scale (given load - (A + W) d) to `out`, with 0 at fixed components."""
     for number in prange(count):
         first, last = part(number, count, d.shape[1] - 4)
         tissue, weights, loads = (lame, share, shape), (weight, springs), (load, given, scale)
@@ -178,7 +180,7 @@ def _pull_part(d, lame, share, shape, out, first, last):
 
 @parallel
 def pull(d, lame, share, shape, out, count):
-    """Write -A d to `out` everywhere, held or not."""
+    """Write -A d to `out`, including held components."""
     for number in prange(count):
         first, last = part(number, count, d.shape[1] - 4)
         _pull_part(d, lame, share, shape, out, first, last)
@@ -211,18 +213,18 @@ def _work_part(d, lame, share, shape, products, squares, first, last):
 
 @parallel
 def work(d, lame, share, shape, products, squares, count):
-    """Add the product of a displacement and A times it, and the square of that, by planes."""
+    """Add d . A d and the square of A d of each plane to `products` and `squares`."""
     for number in prange(count):
         first, last = part(number, count, d.shape[1] - 4)
         _work_part(d, lame, share, shape, products, squares, first, last)
 
 
-# From level to level
+# Transfer between levels
 
 
 @shared
 def _between(above, here, below, line):
-    """Add the share of three lines to the coarse plane that lies on the middle one."""
+    """Compute line = here + (above + below) / 2, the restriction across planes."""
     half = float32(0.5)
     for x in range(len(line)):
         line[x] = here[x] + half * (above[x] + below[x])
@@ -255,7 +257,7 @@ def _interpolate_row(near, right, far, across, inverse, line, fine):
 
 @parallel
 def interpolate(coarse, fine, inverse):
-    """Add a coarse correction, trilinear, to the sites that move."""
+    """Add the trilinearly interpolated coarse correction where components move."""
     for number in prange(fine.shape[1] - 4):
         n = np.int64(number)
         line = np.empty(coarse.shape[3], dtype=fine.dtype)
@@ -275,7 +277,7 @@ def interpolate(coarse, fine, inverse):
 
 @shared
 def _sum_line(near, right, far, across, line):
-    """Return the sum of the corners of each element; 0 if one of them is 0."""
+    """Compute the sum over the corners of each element; 0 if a corner is 0."""
     for x in range(len(line)):
         one, other = float64(near[x]), float64(near[x + 1])
         low, total = min(one, other), one + other
@@ -292,8 +294,9 @@ def _sum_line(near, right, far, across, line):
 def elements(m, each, one, scale, lame):
     """Compute the parameters of each element, from the means of its sites; 0 beside void.
 
-    With `one` Poisson's ratio for all, mu is `scale` times the sum of its corners. Else ratios are
-    those of `each` site, and `scale` is for Young's modulus.
+    If `one`, Poisson's ratio is the same everywhere, and mu is `scale` times the sum of `m` over
+    the corners. Otherwise `each` has the ratio of each site, and `scale` times the sum is Young's
+    modulus.
     """
     for n in prange(m.shape[0] - 1):
         total, ratio = np.empty(m.shape[2] - 1), np.empty(m.shape[2] - 1)
@@ -313,7 +316,7 @@ def elements(m, each, one, scale, lame):
                     four += float64(each[n + 1, y, x + 1]) + float64(each[n + 1, y + 1, x + 1])
                     ratio[x] += 0.125 * four
                 for x in range(len(total)):
-                    nu = ratio[x] if total[x] > 0 else 0.0  # values in void do not count
+                    nu = ratio[x] if total[x] > 0 else 0.0  # ratios in void may be invalid
                     mu = scale * total[x] / (2 + 2 * nu)
                     shear[x] = mu
                     first[x] = 2 * mu * nu / (1 - 2 * nu)
@@ -321,7 +324,10 @@ def elements(m, each, one, scale, lame):
 
 @parallel
 def coarsen(fine, coarse):
-    """Compute a coarse element's parameters, in its own unit: the sum of its eight over four."""
+    """Compute the parameters of coarse elements: a quarter of the sum of eight fine ones.
+
+    This is twice their mean, because an element's energy grows with its side.
+    """
     quarter = float32(0.25)
     for n in prange(coarse.shape[1] - 4):
         for k in range(len(coarse)):

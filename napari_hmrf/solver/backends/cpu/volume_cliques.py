@@ -1,13 +1,13 @@
 """The paper's cliques in a volume as compiled loops, for both precisions.
 
-Arrays are padded as those of the other kernels are, by two sites of void on every side. Here a
-volume is an image of all its rows (`level.rows`), (C, R, W + 4): from a row to the same one of the
-next plane it is H + 4 of them. So a line of cliques is given by how many rows, and how many sites
-of a row, lie between its sites: `offsets`, (13, 2). `lines` is what each counts for each component.
-Rows of the ring have empty spans.
+All arrays have a border of void, two sites wide on every side. Here a volume is a view of all its
+rows (`level.rows`), shape (C, R, W + 4), in which a row and the same row of the next plane are
+H + 4 rows apart. The direction of a line of cliques is given as an offset in rows and in sites:
+`offsets`, shape (13, 2). `lines` is the weight of each line for each component. Border rows have
+empty spans.
 
-A block of sites is done at a time. Each step is one loop along it, which vectorises as those of
-`hexahedra` do: lines of scratch memory lie a constant apart.
+Sites are computed in blocks. Each step is one loop along a block, which vectorises as in
+`hexahedra`: lines of scratch memory have a constant distance.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -24,50 +24,51 @@ from napari_hmrf.solver.backends.cpu.compiled import callee, inline, parallel, r
 from napari_hmrf.solver.backends.cpu.kernels import change, downhill, middle_curvature, minimiser
 from napari_hmrf.solver.priors import line_steps
 
-#: Sites of a block; a line of scratch has room for more, as many as processors like.
+#: Number of sites of a block; a line of scratch memory is longer, which is faster.
 BLOCK = 128
 _LINE = BLOCK + 16
-# The first lines of curvature and of slope, one of each component; those of the energy, and of how
-# much it changes by a step, by the best so far, and which that is. Ratios come first.
+# Numbers of the scratch lines. The first three lines have ratios. Curvature and slope have one line
+# for each component; then follow the energy, its change by a step, its change by the best step, and
+# the best step. The last constant is the number of lines.
 _CURVATURE, _SLOPE, _ENERGY, _CHANGE, _LEAST, _BEST, _LINES = 3, 6, 9, 10, 11, 12, 13
-# Below this a displacement is rounded to 0, as in `kernels`.
+# Displacement, in pixels, below which it is rounded to 0, as in `kernels`.
 _FLUSH = float32(1e-18)
 
 
 @lru_cache(maxsize=16)
 def offsets(grid: tuple[int, ...]) -> npt.NDArray[np.int64]:
-    """Return the offset, in rows and sites, of the next site of each line, on a grid (D, H, W)."""
+    """Return the offset, in rows and sites, to the next site on each line, for a grid (D, H, W)."""
     plane, row, col = np.array(line_steps(3), dtype=np.int64).T
     return np.stack([plane * (grid[1] + 4) + row, col], axis=1)
 
 
 @inline
 def scratch(d):
-    """Return memory for one row."""
+    """Return scratch memory for one row of blocks."""
     return np.empty(_LINES * _LINE, dtype=d.dtype)
 
 
 @inline
 def _line(f, number):
-    """A line of scratch."""
+    """Return a line of scratch memory."""
     return f[number * _LINE : (number + 1) * _LINE]
 
 
 @inline
 def curvature_of(f, k):
-    """Return a component's curvature at the sites of the block."""
+    """Return the curvature of component k at the sites of the block."""
     return f[(_CURVATURE + k) * _LINE : (_CURVATURE + k + 1) * _LINE]
 
 
 @inline
 def slope_of(f, k):
-    """Return its slope."""
+    """Return the slope of component k at the sites of the block."""
     return f[(_SLOPE + k) * _LINE : (_SLOPE + k + 1) * _LINE]
 
 
 @shared
 def _ratios(stiffness, row, x, down, right, count, f):
-    """m_t/m_s and m_t/m_u of the cliques of a line, and 1 where one exists, else 0."""
+    """Compute m_t/m_s and m_t/m_u of the cliques of a line, and 1 if a clique exists, else 0."""
     s, u, exists = _line(f, 0), _line(f, 1), _line(f, 2)
     before = stiffness[1, row - down, x - right : x - right + count]
     here = stiffness[0, row, x : x + count]
@@ -81,7 +82,7 @@ def _ratios(stiffness, row, x, down, right, count, f):
 
 @shared
 def _add(d, k, weight, row, x, down, right, count, f):
-    """Add what the cliques of a line ask of one component."""
+    """Add the curvature, slope and energy of a line's cliques for component k."""
     s, u, exists, energy = _line(f, 0), _line(f, 1), _line(f, 2), _line(f, _ENERGY)
     curvature, slope = curvature_of(f, k), slope_of(f, k)
     before = d[k, row - down, x - right : x - right + count]
@@ -109,12 +110,12 @@ def look(d, stiffness, lines, offsets, row, x, count, f):
     lines : ndarray, shape (13, 3)
     offsets : ndarray, shape (13, 2)
     row, x, count : int
-        Of the block, in the padded arrays.
+        Row, first site and number of sites of the block, in the padded arrays.
     f : ndarray
-        Scratch: see `curvature_of` and `slope_of`.
+        Scratch memory with the result: see `curvature_of` and `slope_of`.
     """
     if len(f) < _LINES * _LINE:
-        return  # never true; it lets the compiler assume whole lines
+        return  # never true; the compiler can then assume that all lines exist
     f[_CURVATURE * _LINE : (_ENERGY + 1) * _LINE] = 0
     for line in range(len(lines)):
         down, right = offsets[line, 0], offsets[line, 1]
@@ -129,7 +130,7 @@ def look(d, stiffness, lines, offsets, row, x, count, f):
 
 @reduction
 def energy_of(f: Any, count: int) -> float:
-    """Return the energy of all sites of the block."""
+    """Return the total energy of the sites of the block."""
     total, energy = f.dtype.type(0), f[_ENERGY * _LINE : (_ENERGY + 1) * _LINE]
     for j in range(count):
         total += energy[j]
@@ -146,7 +147,7 @@ def _observe(d, y, p, count, f):
 
 @shared
 def _try(d, y, p, k, step, relaxation, count, f):
-    """Add how much of its energy a component loses by a step of this length, or by none."""
+    """Add the change of energy by a step of component k downhill, or 0 if it would increase."""
     curvature, slope, lost = curvature_of(f, k), slope_of(f, k), _line(f, _CHANGE)
     for j in range(count):
         off = y[j] - d[j]
@@ -158,7 +159,7 @@ def _try(d, y, p, k, step, relaxation, count, f):
 
 @shared
 def _compare(step, count, f):
-    """Take this step where it is the best so far."""
+    """Record the step at sites where its change of energy is the least so far."""
     lost, least, best = _line(f, _CHANGE), _line(f, _LEAST), _line(f, _BEST)
     for j in range(count):
         best[j] = step if lost[j] < least[j] else best[j]
@@ -168,7 +169,7 @@ def _compare(step, count, f):
 
 @shared
 def _move(d, y, p, k, relaxation, count, f, out):
-    """Go the best step, if it is one for this component."""
+    """Move component k by the best step, if that decreases its energy."""
     curvature, slope, best = curvature_of(f, k), slope_of(f, k), _line(f, _BEST)
     for j in range(count):
         off = y[j] - d[j]
@@ -182,7 +183,7 @@ def _move(d, y, p, k, relaxation, count, f, out):
 
 @shared
 def _minimise(d, y, p, k, relaxation, count, f, out):
-    """Go to the displacement of least local energy."""
+    """Move component k to the displacement of least local energy."""
     curvature, slope = curvature_of(f, k), slope_of(f, k)
     for j in range(count):
         new = minimiser(d[j], curvature[j], slope[j], p[j], y[j], relaxation)
@@ -191,10 +192,10 @@ def _minimise(d, y, p, k, relaxation, count, f, out):
 
 @callee
 def _sweep_row(source, target, stiffness, observation, span, lines, offsets, steps, relaxation, i):
-    """Move the sites of a row; their energy before."""
+    """Move the sites of a row; return their energy before the move."""
     f, total = scratch(source), 0.0
     if len(f) < _LINES * _LINE:
-        return total  # never
+        return total  # never true; see `look`
     for x in range(max(span[0], 0) + 2, span[1] + 2, BLOCK):
         end = min(x + BLOCK, span[1] + 2)
         count = end - x
@@ -221,11 +222,13 @@ def _sweep_row(source, target, stiffness, observation, span, lines, offsets, ste
 
 @parallel
 def sweeps(even, odd, stiffness, observation, spans, lines, offsets, steps, relaxation, row_totals):
-    """Move all sites once per row of `row_totals`, each judging the cliques it is the middle of.
+    """Update all sites simultaneously, once for each row of `row_totals`.
 
-    Ping-pong: from `even` to `odd`, back, and so on. `spans` says from where to where each row has
-    tissue, and `observation` is (y, p), components of y first. Without `steps` each site goes where
-    its energy is least. `row_totals` gets U_total before each sweep, row by row.
+    A site counts the cliques of which it is the middle. Sweeps alternate between the arrays: from
+    `even` to `odd`, then from `odd` to `even`. `spans` has the begin and end of the tissue in each
+    row, and `observation` is (y, p) with three components each. If `steps` is empty, a site moves
+    to the minimum of its local energy. On return, `row_totals` has U_total before each sweep, for
+    each row.
     """
     for sweep in range(len(row_totals)):
         source, target = (even, odd) if sweep % 2 == 0 else (odd, even)

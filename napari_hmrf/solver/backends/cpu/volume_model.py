@@ -26,23 +26,23 @@ from napari_hmrf.solver.priors.elements import (
     stiffest,
 )
 
-# Approximate time of a step of smoothing, on one thread.
+# Approximate time of a smoothing step for one site on one thread, in seconds.
 _SITE_SECONDS = 20e-9
 
 
-def _go_on() -> None:
-    """Never stop."""
+def _never_cancel() -> None:
+    """Ignore the check for a cancellation."""
 
 
 class CpuVolumeLevel(CpuLevel):
-    """One level's elements and springs.
+    """Elements and springs of one level.
 
     Attributes
     ----------
     lame : ndarray, shape (1 or 2, D + 4, H + 4, W + 4)
-        Parameters of the elements; 0 in void.
+        Parameters mu, or mu and lambda, of the elements; 0 in void.
     share : float
-        What they mean, as `backends.cpu.hexahedra` says.
+        Ratio lambda / mu of all elements; 1 if each element has its own lambda.
     checkpoint : callable
         Called several times a second; raises to stop the work.
     """
@@ -57,25 +57,26 @@ class CpuVolumeLevel(CpuLevel):
         #: Begin and end of the moving sites in each padded row.
         self.reach: npt.NDArray[np.int64] = np.zeros((depth, height, 2), dtype=np.int64)
         self.spans = self.reach.reshape(-1, 2)[PAD:-PAD]
-        #: Among how many threads its planes are divided.
+        #: Number of threads among which the planes are divided.
         self.parts = volume.parts(grid[0])
-        #: Number of steps of smoothing between two checks for a cancellation.
+        #: Number of smoothing steps between two checks for a cancellation.
         self._at_once = max(1, int(BATCH_SECONDS / (_SITE_SECONDS * math.prod(grid))))
-        self.checkpoint: Checkpoint = _go_on
+        self.checkpoint: Checkpoint = _never_cancel
         self.share = np.float32(1)
         self.shape: Vector = np.zeros(0, dtype=np.float32)
 
     @property
     def pins(self) -> Vector:  # type: ignore[override]
-        """Pins for the next level, which reads them once; `clear` follows.
+        """Pins for the next coarser level, which reads them once.
 
-        Kernels write within the spans only: beyond them there must be 0.
+        They use the memory of a correction, so `clear` must follow.
         """
         return self._other
 
     def hold(self, held: HeldPlanes) -> None:
-        """Hold components on the finest level."""
-        # Fresh memory takes longer to get than to fill, and a loop would get it all at once.
+        """Set the held components of the finest level."""
+        # Fill the arrays part by part first: the operating system allocates new memory at the first
+        # write, which is slow, and one kernel could not be cancelled in between.
         self.clear()
         for component in self.inverse:
             component.fill(0)
@@ -85,9 +86,9 @@ class CpuVolumeLevel(CpuLevel):
         vectors.hold(rows(self.inverse), rows(held), rows(self.pins), self.spans)
 
     def hold_as(self, finer: CpuVolumeLevel) -> None:
-        """Put the sites near those that the finer level holds on springs."""
+        """Set the springs of sites near held sites of the next finer level."""
         volume.diagonal(self.lame, self.share, self.shape, self.inverse)
-        self._spring(finer)
+        self._set_springs(finer)
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Run Chebyshev-Jacobi steps on `correction` for `load`."""
@@ -104,17 +105,17 @@ class CpuVolumeLevel(CpuLevel):
                 self.correction, self._other = self._other, self.correction
             self.checkpoint()
 
-    def _hand_down(self, coarse: CpuVolumeLevel) -> None:
-        # Its first step after this does not ask for the one before.
+    def _restrict_residual(self, coarse: CpuVolumeLevel) -> None:
+        # `_other` is free for the residual: the next step has no momentum and does not read it.
         self._rest_of(self.correction, self.load, np.float32(1), np.float32(1), self._other)
         self._restrict(self._other, coarse.load)
 
     def passing(self) -> Vector:
-        """Return what only cycles need: memory is what limits volumes."""
+        """Return a vector of the cycle that is unused between cycles, which saves memory."""
         return self._other
 
     def free(self, *vectors: Vector) -> None:
-        """Let them go."""
+        """Ignore the call; vectors are not kept, because memory limits volumes."""
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute image = A direction; return their scalar product."""
@@ -131,7 +132,7 @@ class CpuVolumeLevel(CpuLevel):
     def _restrict(fine: Vector, coarse: Vector) -> None:
         volume.restrict(fine, coarse)
 
-    def _take(self, coarse: Vector) -> None:
+    def _add_coarse(self, coarse: Vector) -> None:
         volume.interpolate(coarse, self.correction, self.inverse)
 
 
@@ -145,7 +146,7 @@ class CpuVolumeModel(HostModel):
         Called several times a second; raises to stop the work.
     """
 
-    def __init__(self, material: ElasticMaterial, checkpoint: Checkpoint = _go_on) -> None:
+    def __init__(self, material: ElasticMaterial, checkpoint: Checkpoint = _never_cancel) -> None:
         count = 1 if isinstance(material.poisson, float) else 2
         self.levels = [
             CpuVolumeLevel(grid, count, number == 0)
@@ -156,12 +157,12 @@ class CpuVolumeModel(HostModel):
         self.assemble(material)
 
     def heed(self, checkpoint: Checkpoint) -> None:
-        """Call another checkpoint from now on."""
+        """Replace the checkpoint of all levels."""
         for level in self.levels:
             level.checkpoint = checkpoint
 
     def assemble(self, material: ElasticMaterial) -> None:
-        """Take another material of the same grid, with as many parameters."""
+        """Replace the material by another one with the same grid and number of parameters."""
         self.material = material
         self.bounds = smoother_bounds(material)
         self._held = self.bodies = self.levels[0].bodies = None
@@ -170,7 +171,7 @@ class CpuVolumeModel(HostModel):
         self._sites: list[BodySites] = bodies_of(m) if material.rigid else []
         if material.rigid:
             m = np.where(np.isinf(m), np.float32(CYCLE_STAND_IN * most), m)
-            m.setflags(write=False)  # as a material's own: to numba another would be another type
+            m.setflags(write=False)  # read-only arrays are another type for numba
         lame, scale, share = self.levels[0].lame, 0.125 / most, 1.0
         if isinstance(nu, float):
             share = lame_ratio(nu, strain=True)
@@ -185,7 +186,7 @@ class CpuVolumeModel(HostModel):
         self._exact: tuple[Any, ...] = np.float64(share), constants
 
     def hold(self, held: HeldPlanes) -> None:
-        """Hold components on all levels."""
+        """Set the held components on all levels."""
         before = self._held
         if self.material.rigid and (before is None or not np.array_equal(held, before)):
             self.bodies = self.levels[0].bodies = Bodies(self._sites, self.material, held)
@@ -205,7 +206,7 @@ class CpuVolumeModel(HostModel):
 
     @property
     def exactly(self) -> DoubleLevel:
-        """The finest level for an iteration in double precision."""
+        """Finest level for an iteration in double precision."""
         return DoubleLevel(self.levels[0], *self._exact)
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
@@ -224,14 +225,14 @@ class CpuVolumeModel(HostModel):
 
     @property
     def steepness(self) -> Planes:
-        """Compute the diagonal of the stiffness matrix."""
+        """Diagonal of the stiffness matrix, planes."""
         finest = self.levels[0]
         out = finest.vector()
         volume.diagonal(finest.lame, finest.share, finest.shape, out)
         return np.asarray(out, dtype=np.float64)
 
     def forget(self) -> None:
-        """Clear the model cache: numbers in its vectors may have overflowed."""
+        """Clear the model cache, because values in its vectors may not be finite."""
         _last[:] = ()
 
 
@@ -240,20 +241,20 @@ in_child_of_fork(_last.clear)
 kept_volumes.forgotten_by(_last.clear)
 
 
-def the_model(material: ElasticMaterial, checkpoint: Checkpoint = _go_on) -> CpuVolumeModel:
-    """Return the model of a material: the last one, if it is the same tissue again.
+def the_model(material: ElasticMaterial, checkpoint: Checkpoint = _never_cancel) -> CpuVolumeModel:
+    """Return the model of a material, from the cache of one model if it is the same tissue.
 
-    As `elastic_model.the_model`.
+    Call it on the compute thread only, because all solves share the model.
     """
 
     def layout(each: ElasticMaterial) -> tuple[Any, ...]:
         return each.m.shape, isinstance(each.poisson, float)
 
     if not _last or layout(_last[0].material) != layout(material):
-        _last[:] = ()  # its memory, first
+        _last[:] = ()  # free the old model before the new one is allocated
         _last.append(CpuVolumeModel(material, checkpoint))
     elif _last[0].material != material:
-        model = _last.pop()  # not kept if this is stopped
+        model = _last.pop()  # a cancelled update leaves the model out of the cache
         model.heed(checkpoint)
         model.assemble(material)
         _last.append(model)

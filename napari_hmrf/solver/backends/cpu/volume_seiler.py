@@ -1,8 +1,9 @@
-"""The paper's cliques in a volume as a linear model, as compiled loops: twin of `seiler`.
+"""Linear model of the paper's cliques in a volume as compiled loops: twin of `seiler`.
 
-Arrays are as in `volume_cliques`: images of all rows. The model is d - q(d): how far a site is
-from the weighted mean of its neighbours, so that its diagonal is 1. `inverse`, `weight` and
-`springs` are those of `seiler`. Kernels write within the spans only: beyond them there must be 0.
+Arrays are views of all rows, as in `volume_cliques`. The model is A d = d - q(d): the distance of a
+site from the minimum of its local energy, so the diagonal is 1. `inverse`, `weight` and `springs`
+are those of `seiler`. Kernels write within the spans only; outside them the output must already be
+0.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
@@ -57,7 +58,8 @@ def _smooth_row(d, load, tissue, inverse, weights, span, pace, out, i):
 def smooth(d, other, load, stiffness, lines, offsets, inverse, weight, springs, spans, paces):
     """Run Chebyshev steps: other = d + scale D^-1 (load - (A + W) d) + ahead d - back other.
 
-    What `other` holds before is the displacement before the last step: d - other was that step.
+    On entry, `other` has the displacement before the last step, which was d - other. The two arrays
+    change roles after each step.
     """
     for step in range(len(paces)):
         source, target = (d, other) if step % 2 == 0 else (other, d)
@@ -102,7 +104,7 @@ def _rest_row(d, load, given, tissue, inverse, weights, span, share, out, i):
 def residual(
     d, load, given, stiffness, lines, offsets, inverse, weight, springs, spans, share, out
 ):
-    """Write share (given load - (A + W) d) to `out`; 0 at sites that do not move."""
+    """Write share (given load - (A + W) d) to `out`, with 0 at fixed components."""
     tissue, weights = (stiffness, lines, offsets), (weight, springs)
     for number in prange(d.shape[1] - 4):
         i = int64(number)
@@ -126,7 +128,7 @@ def _pull_row(d, tissue, span, out, i):
 
 @parallel
 def pull(d, stiffness, lines, offsets, spans, out, row_totals):
-    """Write -A d to `out` within these spans; `row_totals` gets the energy of the cliques."""
+    """Write -A d to `out` within the spans; `row_totals` gets the energy of the cliques by rows."""
     tissue = stiffness, lines, offsets
     for number in prange(d.shape[1] - 4):
         i = int64(number)
@@ -146,7 +148,7 @@ def _curvature_row(tissue, span, out, i):
 
 @parallel
 def curvature(stiffness, lines, offsets, spans, out):
-    """Compute each site's curvature within these spans, of the cliques that it is the middle of."""
+    """Compute the curvature of each site within the spans, for the cliques with it as middle."""
     tissue = stiffness, lines, offsets
     for number in prange(out.shape[1] - 4):
         i = int64(number)

@@ -1,4 +1,4 @@
-"""The paper's cliques of a volume on the processor: their levels."""
+"""Levels of the paper's cliques in a volume, on the processor."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from napari_hmrf.solver.priors.cliques import SeilerMaterial
 
 
 class CpuVolumeSeilerLevel(CpuSeilerLevel):
-    """One level's cliques and springs, in the centred reading."""
+    """Cliques and springs of one level; a site counts the cliques of which it is the middle."""
 
     @property
     def _tissue(self) -> tuple[Vector, Vector, npt.NDArray[np.int64]]:
@@ -29,7 +29,7 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
         return rows(self.stiffness), self._lines, offsets(self.grid)
 
     def coarsen(self, finer: CpuSeilerLevel) -> None:
-        """Take the finer level's tissue: the mean of what is around a site."""
+        """Set the stiffness to the mean of the finer level's tissue around each site."""
         tissue = finer.vector()
         tissue[0], tissue[1] = finer.stiffness[0], finer.stiffness[0] > 0
         volume.restrict(tissue, self.load)
@@ -37,30 +37,30 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
         m, inverse = inside(self.stiffness)
         np.divide(total, share, out=m, where=total > 0)
         np.divide(share, total, out=inverse, where=total > 0)
-        # At least a quarter of the surroundings of a site counts as tissue.
+        # The sum is divided by at least a quarter of the weight of full surroundings.
         inside(self.even[None])[0] = 4 / np.maximum(share, 2)
         self.load.fill(0)
 
     def curvature(self, stiffness: Planes, lines: Lines) -> Planes:
-        """Return each site's curvature, in double precision."""
+        """Return the curvature of each site's cliques, in double precision."""
         out = np.zeros(self.inverse.shape)
         tissue = rows(stiffness), lines, offsets(self.grid)
         volume_seiler.curvature(*tissue, all_sites(self.grid), rows(out))
         return out
 
     def pull(self, d: Planes, stiffness: Planes, lines: Lines, spans: Spans, out: Planes) -> None:
-        """Write -A d to `out` within these spans."""
+        """Write -A d to `out` within the spans."""
         self.work(d, stiffness, lines, spans, out)
 
     def work(self, d: Planes, stiffness: Planes, lines: Lines, spans: Spans, out: Planes) -> float:
-        """Write -A d to `out`, as `pull` does; return the energy of the cliques."""
+        """Write -A d to `out` like `pull`; return the energy of the cliques."""
         totals = np.zeros(len(spans))
         tissue = rows(stiffness), lines, offsets(self.grid)
         volume_seiler.pull(rows(d), *tissue, spans, rows(out), totals)
         return float(totals.sum())
 
     def even_out(self) -> None:
-        """Make a load that is a sum over the finer level's tissue what it is on this level."""
+        """Multiply the load by `even`, after it was restricted from the finer level."""
         self.load *= self.even
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
@@ -82,8 +82,8 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
         if len(paces) % 2 == 1:
             self.correction, self._other = self._other, self.correction
 
-    def _hand_down(self, coarse: CpuSeilerLevel) -> None:
-        # Its first step after this does not ask for the one before.
+    def _restrict_residual(self, coarse: CpuSeilerLevel) -> None:
+        # `_other` is free for the residual: the next step has no momentum and does not read it.
         out = 1, self._other
         self._residual(self.correction, (self.load, 1), self._springs, out, np.zeros(0))
         volume.restrict(self._other, coarse.load)
@@ -92,15 +92,15 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
     def _restrict(fine: Vector, coarse: Vector) -> None:
         volume.restrict(fine, coarse)
 
-    def _take(self, coarse: Vector) -> None:
+    def _add_coarse(self, coarse: Vector) -> None:
         volume.interpolate(coarse, self.correction, self.inverse)
 
-    def _forget(self) -> None:
-        """The kernels write within the spans only: beyond them there must be 0."""
+    def _clear_vectors(self) -> None:
+        """Clear the corrections, because kernels write within the spans only."""
         self.clear()
 
     def free(self, *vectors: Vector) -> None:
-        """Let them go: memory is what limits volumes."""
+        """Ignore the call; vectors are not kept, because memory limits volumes."""
 
     def _residual(
         self,
@@ -127,11 +127,11 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
 
 
 class CpuVolumeSeilerModel(CpuSeilerModel):
-    """`LinearModel` of a volume's cliques."""
+    """`LinearModel` of the paper's cliques in a volume."""
 
     level = CpuVolumeSeilerLevel
 
 
 def the_model(material: SeilerMaterial) -> CpuSeilerModel:
-    """Return the model of a volume, as `seiler_model.the_model` does of an image."""
+    """Return the model of a volume; see `seiler_model.the_model`."""
     return seiler_model.the_model(material, CpuVolumeSeilerModel)

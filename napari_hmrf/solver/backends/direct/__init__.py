@@ -1,1 +1,1 @@
-"""Direct solution of a linear system, by nested dissection, where cycles cannot be trusted."""
+"""Direct solution of linear systems by nested dissection, where cycles cannot be trusted."""

@@ -1,8 +1,8 @@
-"""A direct solver on a small grid of voxels, in double precision: SuperLU by nested dissection.
+"""Direct solver on a small grid of voxels, in double precision: SuperLU with nested dissection.
 
-A plane of sites in the middle of a box separates the two halves, which do not couple directly, so
-the plane is eliminated last (nested dissection: George, SIAM J. Numer. Anal. 10, 1973). On
-n x n x n sites that is about n^6 work and n^4 memory, which suits small volumes only.
+A plane of sites in the middle of a box separates two halves that are not directly coupled, so the
+plane is eliminated last (nested dissection: George, SIAM J. Numer. Anal. 10, 1973). On n x n x n
+sites this takes about n^6 operations and n^4 memory, so it suits small volumes only.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ Index = npt.NDArray[np.intp]
 
 # Boxes with at most this many sites along the longest axis are not divided.
 _SMALLEST = 3
-# SuperLU objects dropped on a thread that cannot free them; the next factorization frees them.
+# SuperLU objects that another thread has dropped; the next factorization frees them.
 _dropped: deque[Any] = deque()
 
 
 class _ThreadBound:
-    """SuperLU object that is freed on the thread that made it."""
+    """Wrapper of a SuperLU object, so that it is freed on the thread that created it."""
 
-    # SciPy keeps the allocations in a table of the thread: memory that another thread drops, such
-    # as the garbage collector's or the one that holds an exception, is never returned.
+    # SciPy keeps a table of allocations for each thread. If another thread drops the object, as the
+    # garbage collector may do, the memory is never freed.
 
     def __init__(self, factors: Any) -> None:
         self.factors, self._thread = factors, threading.get_ident()
@@ -42,14 +42,14 @@ class _ThreadBound:
 
 
 class BrickFactors:
-    """Factors of a matrix.
+    """Factors of a matrix on a voxel grid, by SuperLU.
 
     Parameters
     ----------
     elements : callable
-        Returns the matrices (d, h, w, n, n) of elements in a range along each axis.
+        Returns the matrices (d, h, w, n, n) of the elements in a range along each axis; n = 8 C.
     moves : ndarray of bool, shape (D, H, W, C)
-        Components that are unknowns. The others are 0.
+        Mask of the unknown components; the others are 0.
     progress : callable
         Called with the completed fraction of the work.
     springs : ndarray, shape (D, H, W, C), optional
@@ -58,6 +58,7 @@ class BrickFactors:
     Raises
     ------
     Singular
+        If the matrix is singular in double precision.
     """
 
     def __init__(
@@ -124,7 +125,7 @@ class BrickFactors:
 
 
 def elimination_order(grid: tuple[int, ...]) -> Index:
-    """Return the numbers of a grid's sites, each middle plane after the two halves beside it."""
+    """Return the indices of a grid's sites in the order of elimination, middle planes last."""
 
     def ordered(box: Index) -> list[Index]:
         axis = int(np.argmax(box.shape))

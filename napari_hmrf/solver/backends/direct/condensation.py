@@ -1,6 +1,6 @@
-"""Static condensation of a box onto its ring.
+"""Static condensation of a box of elements onto its ring.
 
-See `napari_hmrf.solver.backends.direct.dissection` for the matrices.
+`napari_hmrf.solver.backends.direct.dissection` defines the ring and the matrices A, B and C.
 """
 
 from __future__ import annotations
@@ -16,9 +16,16 @@ Index = npt.NDArray[np.intp]
 
 
 class Step(NamedTuple):
-    """A condensation: its components, A^-1, A^-1 B, and C A^-1.
+    """Condensation of a box.
 
-    All may have leading axes, for boxes of the same shape.
+    All arrays may have leading axes, one entry for each of several boxes of the same shape.
+
+    Attributes
+    ----------
+    own, ring : ndarray of int
+        Numbers of the components inside the box and on its ring.
+    inverse, right, left : ndarray
+        A^-1, A^-1 B and C A^-1.
     """
 
     own: Index
@@ -28,20 +35,27 @@ class Step(NamedTuple):
     left: Float64Array
 
     def forward(self, load: Float64Array) -> None:
-        """Pass the load of own components to the ring, in place."""
+        """Condense the load of the own components onto the ring, in place."""
         passed = (self.left @ load[self.own][..., None])[..., 0]
         np.subtract.at(load, self.ring, passed)
 
     def back(self, load: Float64Array, d: Float64Array) -> None:
-        """Find the displacement of own components from their load and the ring's, in place."""
+        """Compute the displacement of the own components from that of the ring, in place."""
         found = self.inverse @ load[self.own][..., None] - self.right @ d[self.ring][..., None]
         d[self.own] = found[..., 0]
 
 
 class SymmetricStep(NamedTuple):
-    """A condensation of symmetric boxes: U of A = U^T U, or its inverse, and U^-T B.
+    """Condensation of a box with a symmetric matrix, A = U^T U.
 
-    Many small boxes, with leading axes, have the inverse.
+    Attributes
+    ----------
+    own, ring : ndarray of int
+        Numbers of the components inside the box and on its ring.
+    factor : ndarray
+        U for a single box; U^-1 for several boxes, with leading axes.
+    right : ndarray
+        U^-T B.
     """
 
     own: Index
@@ -50,7 +64,7 @@ class SymmetricStep(NamedTuple):
     right: Float64Array
 
     def forward(self, load: Float64Array) -> None:
-        """Apply as `Step` does; the load of own components becomes U^-T times it."""
+        """Condense the load as in `Step`; the load of own components is multiplied by U^-T."""
         if self.factor.ndim == 2:
             load[self.own] = _triangular(self.factor, load[self.own], transposed=True)
             load[self.ring] -= load[self.own] @ self.right
@@ -60,7 +74,7 @@ class SymmetricStep(NamedTuple):
         np.subtract.at(load, self.ring, (self.right.swapaxes(-1, -2) @ own)[..., 0])
 
     def back(self, load: Float64Array, d: Float64Array) -> None:
-        """Apply as `Step` does."""
+        """Compute the displacement of the own components as in `Step`, in place."""
         if self.factor.ndim == 2:
             rest = load[self.own] - self.right @ d[self.ring]
             d[self.own] = _triangular(self.factor, rest)

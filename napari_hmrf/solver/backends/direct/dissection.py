@@ -1,16 +1,17 @@
-"""A direct solver on the pixel grid, in double precision: nested dissection of its elements.
+"""Direct solver on the pixel grid, in double precision: nested dissection of its elements.
 
-An *element* is a block of `patch` x `patch` sites that its matrix couples: 2 for elastic tissue, 3
-for the paper's cliques, around their middle. A *box* of elements is condensed to its *ring*, the
-sites that it shares with others:
+The matrix of an *element* couples a block of `patch` x `patch` sites: `patch` is 2 for elastic
+tissue, and 3 for the paper's cliques, where the block surrounds their middle site. A *box* of
+elements is condensed onto its *ring*, the sites that it shares with other boxes. With the own sites
+first and the ring second, the matrix F of a box becomes its Schur complement S:
 
-    F = [[A, B], [C, D]] of own sites and ring,   S = D - C A^-1 B,
+    F = [[A, B], [C, D]],   S = D - C A^-1 B.
 
-and two boxes side by side are one, once their S are added (nested dissection: George, SIAM J.
-Numer. Anal. 10, 1973). Boxes within tiles of 16 x 16 elements have the same few shapes: they are
-condensed many at a time, with 1 on the diagonal where nothing moves. Above, a box has only the
-components that move. On n x n sites that is about n^3 work and n^2 log n memory, whatever the
-materials.
+The matrices S of two neighbouring boxes add up to the matrix F of their union (nested dissection:
+George, SIAM J. Numer. Anal. 10, 1973). Boxes within tiles of 16 x 16 elements have few different
+shapes, so many are condensed at once; fixed components have 1 on the diagonal. Larger boxes contain
+unknown components only. On n x n sites the work is about n^3 and the memory about n^2 log n,
+independent of the materials.
 """
 
 from __future__ import annotations
@@ -36,55 +37,57 @@ Float64Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
-#: Gives the matrices (h, w, n, n) of elements between these rows and columns; n is patch^2 C.
+#: Function of ranges of rows and columns; returns the matrices (h, w, n, n) of the elements there,
+#: with n = patch^2 C.
 Elements = Callable[[slice, slice], Float64Array]
-#: Callback, on any thread, with the completed part of the work; may raise to stop it.
+#: Callback, on any thread, with the completed fraction of the work; may raise to stop it.
 Progress = Callable[[float], None]
 
-# Tiles condensed at once: what a processor's cache holds.
+# Number of tiles condensed at once, so that their matrices fit into the processor's cache.
 _AT_ONCE = 16
 _THREADS = os.cpu_count() or 1
-#: Least support of a component, as a part of the support by all its neighbours.
+#: Smallest pivot of a component, relative to its diagonal entry; below, the system is singular.
 HELD = 1e-13
 
 
 class Singular(ArithmeticError):
-    """Nothing holds a part of the system, as far as double precision can tell."""
+    """Error for a matrix that is singular in double precision: a part of the system can move."""
 
 
 _Steps = list[Step | SymmetricStep]
-#: Bounds of tiles: first row, last row, first column, last column; the last ones are outside.
+#: Range of tiles: first row, end row, first column, end column; the ends are excluded.
 _Range = tuple[int, int, int, int]
 
 
 class _Share(NamedTuple):
-    """A condensed box: its ring, and the matrix that it adds there."""
+    """Condensed box: the numbers of the ring's components, and the matrix S."""
 
     ring: Index
     matrix: Float64Array
 
 
 class Dissection:
-    """The factors of a matrix.
+    """Factors of a matrix on a pixel grid, by nested dissection.
 
     Parameters
     ----------
     elements : callable
-        Gives the matrices of the elements.
+        Returns the matrices of the elements, see `Elements`.
     patch : int
-        Sites along a side of an element.
+        Number of sites along a side of an element.
     moves : ndarray of bool, shape (H, W, C)
-        Which components are unknown: in some element each. The others are 0.
+        Mask of the unknown components, each of which belongs to an element; the others are 0.
     symmetric : bool
-        Whether the matrix is symmetric, and so positive definite.
+        True if the matrix is symmetric positive definite.
     progress : callable
-        Callback with the completed part of the work.
+        Called with the completed fraction of the work.
     springs : ndarray, shape (H, W, C), optional
-        What is added to the diagonal.
+        Values added to the diagonal.
 
     Raises
     ------
     Singular
+        If the matrix is singular in double precision.
     """
 
     def __init__(
@@ -101,15 +104,15 @@ class Dissection:
         self._span = tuple(size - patch + 1 for size in moves.shape[:2])
         self._tiles = tuple(-(-size // TILE) for size in self._span)
         self._progress, self._done, self._work = progress, 0.0, work(moves.shape)
-        self._place()
-        # The matrix's diagonal, as far as elements have been looked at.
+        self._number_components()
+        # Diagonal of the matrix, summed over the elements that have been assembled so far.
         self._diagonal, self._lock = np.zeros(moves.size + 1), threading.Lock()
         self._springs = np.zeros(moves.size + 1)
         self._least = HELD if springs is None else 0.0
         if springs is not None:
             self._springs[:-1] = springs.ravel()
-        # One thread for each call, and several calls at once: small matrices gain nothing from more
-        # threads, and lose much where others use the cores.
+        # Several calls run at once, each on one thread: small matrices gain nothing from more
+        # threads, and become much slower if other programs use the cores.
         with _one_thread(), ThreadPoolExecutor(_THREADS) as pool:
             self._steps, rest = self._condense((0, self._tiles[0], 0, self._tiles[1]), pool)
         if len(rest.ring):
@@ -132,8 +135,8 @@ class Dissection:
         """Memory of the factors, in bytes."""
         return sum(part.nbytes for step in self._steps for part in step if part is not None)
 
-    def _place(self) -> None:
-        """Number the components, tile by tile; the last number is of those that do not move."""
+    def _number_components(self) -> None:
+        """Set the numbers of the components of each tile; all fixed components have the last."""
         side = TILE + self._patch - 1
         height, width, fields = self._moves.shape
         size = [TILE * count + self._patch - 1 for count in self._tiles]
@@ -141,7 +144,7 @@ class Dissection:
         every = np.arange(self._moves.size).reshape(self._moves.shape)
         numbers[:height, :width] = np.where(self._moves, every, self._moves.size)
         windows = np.lib.stride_tricks.sliding_window_view(numbers, (side, side), axis=(0, 1))
-        #: (tile rows, tile columns, side, side, C)
+        #: Numbers of components, shape (tile rows, tile columns, side, side, C).
         self._numbers = np.moveaxis(windows[::TILE, ::TILE], 2, -1)
 
     def _condense(
@@ -151,7 +154,7 @@ class Dissection:
         threads: int = _THREADS,
         shares: dict[tuple[int, int], _Share] | None = None,
     ) -> tuple[_Steps, _Share]:
-        """Condense a box of tiles, some of which may be condensed already."""
+        """Condense a box of tiles; `shares` has those that are condensed already."""
         top, bottom, left, right = tiles
         high, wide = bottom - top, right - left
         steps: _Steps = []
@@ -178,7 +181,7 @@ class Dissection:
     def _merge(
         self, tiles: _Range, one: _Share, two: _Share
     ) -> tuple[Step | SymmetricStep, _Share]:
-        """Make two boxes one."""
+        """Merge two neighbouring boxes, and condense the result."""
         every = np.union1d(one.ring, two.ring)
         shared = self._shared(every, tiles)
         own = len(every) - int(shared.sum())
@@ -189,11 +192,11 @@ class Dissection:
             front[np.ix_(at, at)] += share.matrix
         order = np.concatenate([every[~shared], every[shared]])
         step, matrix = self._eliminate(front, order, own)
-        self._tell(float(own) * len(every) ** 2)
+        self._report(float(own) * len(every) ** 2)
         return step, _Share(order[own:], matrix)
 
     def _shared(self, components: Index, tiles: _Range) -> Mask:
-        """Return the components on sites that elements outside a box of tiles touch, too."""
+        """Return the mask of components on sites shared with elements outside a box of tiles."""
         top, bottom, left, right = tiles
         row, col = np.divmod(components // self._moves.shape[2], self._moves.shape[1])
         over = self._patch - 1
@@ -207,7 +210,7 @@ class Dissection:
         )
 
     def _condense_tiles(self, tiles: _Range) -> tuple[_Steps, dict[tuple[int, int], _Share]]:
-        """Condense each tile of a box of them."""
+        """Condense each tile of a range of tiles."""
         top, bottom, left, right = tiles
         fields = self._moves.shape[2]
         numbers = self._numbers[top:bottom, left:right].reshape(-1, *self._numbers.shape[2:])
@@ -220,7 +223,7 @@ class Dissection:
             step, boxes = self._eliminate(boxes, at, own)
             steps.append(step)
             at = at[..., own:]
-        self._tell(_TILE_WORK * fields**3 * len(numbers))
+        self._report(_TILE_WORK * fields**3 * len(numbers))
         shares = {}
         for number, (ring, matrix) in enumerate(zip(at[:, 0, 0], boxes[:, 0, 0], strict=True)):
             row, col = divmod(number, right - left)
@@ -230,7 +233,7 @@ class Dissection:
         return steps, shares
 
     def _leaves(self, tiles: _Range, numbers: Index) -> tuple[Float64Array, Index]:
-        """The matrices of the smallest boxes (tiles, 4, 4, n, n), and their components' numbers."""
+        """Assemble the smallest boxes: matrices (tiles, 4, 4, n, n), and component numbers."""
         top, bottom, left, right = tiles
         patch, fields = self._patch, self._moves.shape[2]
         rows = slice(TILE * top, min(TILE * bottom, self._span[0]))
@@ -241,7 +244,7 @@ class Dissection:
         every[: some.shape[0], : some.shape[1]] = some
         count, side = TILE // LEAF, LEAF + patch - 1
         split = (bottom - top, count, LEAF, right - left, count, LEAF, size, size)
-        # (tile row, tile column, box row, box column, element row, element column, n, n)
+        # Axes: tile row, tile column, box row, box column, element row, element column, n, n.
         elements = every.reshape(split).transpose(0, 3, 1, 4, 2, 5, 6, 7)
         order = shapes.components(
             np.concatenate([part(LEAF, LEAF, patch) for part in (shapes.own, shapes.ring)]), fields
@@ -268,7 +271,7 @@ class Dissection:
     def _eliminate(
         self, front: Float64Array, at: Index, own: int
     ) -> tuple[Step | SymmetricStep, Float64Array]:
-        """Condense matrices (..., own + ring, own + ring), of components with these numbers."""
+        """Condense matrices (..., own + ring, own + ring) of the components numbered `at`."""
         a, b = front[..., :own, :own], front[..., :own, own:]
         c, d = front[..., own:, :own], front[..., own:, own:]
         places = at[..., :own], at[..., own:]
@@ -288,7 +291,7 @@ class Dissection:
     def _factorise(
         self, a: Float64Array, b: Float64Array, places: tuple[Index, Index]
     ) -> SymmetricStep:
-        """Condense symmetric matrices; A's inverse itself would lose twice as many digits."""
+        """Condense symmetric matrices by Cholesky factors, which lose fewer digits than A^-1."""
         pivots = a.diagonal(axis1=-2, axis2=-1)
         if not (pivots > 0).all():
             raise Singular
@@ -309,11 +312,11 @@ class Dissection:
         return SymmetricStep(*places, inverse.swapaxes(-1, -2), inverse @ b)
 
     def _check(self, pivots: Float64Array, own: Index) -> None:
-        """See that something holds each component; springs may be as weak as they are."""
+        """Raise `Singular` if a pivot is too small; with springs, any positive pivot is valid."""
         if not (pivots > self._least * self._diagonal[own]).all():
             raise Singular
 
-    def _tell(self, amount: float) -> None:
+    def _report(self, amount: float) -> None:
         self._done += amount
         self._progress(min(self._done / self._work, 1.0))
 
@@ -326,16 +329,16 @@ def work(shape: tuple[int, ...]) -> float:
     return fields**3 * (boxes + tiles)
 
 
-# Multiplications of a tile of one component.
+# Number of multiplications for a tile with one component.
 _TILE_WORK = 3.0e5
 
 
 @lru_cache(maxsize=1)
 def _pools() -> ThreadpoolController:
-    """The thread pools of what NumPy and SciPy compute with, both loaded by now."""
+    """Return the controller of the thread pools that NumPy and SciPy use."""
     return ThreadpoolController()
 
 
 def _one_thread() -> Any:
-    """Let each call compute on its own thread, within this context."""
+    """Return a context in which each call of BLAS uses one thread."""
     return _pools().limit(limits=1, user_api="blas")

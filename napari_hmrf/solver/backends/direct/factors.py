@@ -1,4 +1,4 @@
-"""The factors of a linear model with what is held: what solves it whatever the materials."""
+"""Direct factors of a linear model, for materials on which cycles cannot be trusted."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from napari_hmrf.solver.backends.direct.brick_factors import BrickFactors
 from napari_hmrf.solver.backends.direct.dissection import Dissection, Elements, Progress
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 
-# The part of the memory that is free now that factors may take.
+# Largest part of the available memory that factors may use.
 _FREE = 0.7
-# Voxels whose factors take some seconds; what factors take of memory for each voxel^(4/3).
+# Largest number of voxels, whose factors take some seconds; and memory in bytes per voxel^(4/3).
 _MOST_VOXELS = 14_000
 _VOLUME_BYTES = 3000.0
 
 
 class Part(NamedTuple):
-    """Components that depend on each other, and the elements that couple them."""
+    """Components of displacement that are coupled, and the elements that couple them."""
 
     components: tuple[int, ...]
     elements: Elements
 
 
 class Assembled(Protocol):
-    """A material that can say which matrix it makes."""
+    """Material that provides the matrices of its elements."""
 
     @property
     def patch(self) -> int:
-        """Sites along a side of an element."""
+        """Number of sites along a side of an element."""
         ...
 
     @property
@@ -48,26 +48,27 @@ class Assembled(Protocol):
 
     @property
     def parts(self) -> Sequence[Part]:
-        """Parts that can be solved apart."""
+        """Independent parts of the system."""
         ...
 
 
 class Factors:
-    """The factors of a model.
+    """Direct factors of the matrix of a linear model.
 
     Parameters
     ----------
     material : Assembled
     moves : ndarray of bool, planes
-        Which components are unknown.
+        Mask of the unknown components.
     progress : callable
-        Callback with the completed part of the work; may raise to stop it.
+        Called with the completed fraction of the work; may raise to stop it.
     springs : ndarray, planes, optional
-        What is added to the diagonal.
+        Values added to the diagonal.
 
     Raises
     ------
     Singular
+        If the matrix is singular in double precision.
     """
 
     def __init__(
@@ -84,20 +85,22 @@ class Factors:
         parts = material.parts
         for number, (components, elements) in enumerate(parts):
 
-            def tell(part: float, number: int = number) -> None:
+            def report(part: float, number: int = number) -> None:
                 progress((number + part) / len(parts))
 
             at = list(components)
             some = np.ascontiguousarray(inside[..., at])
             more = None if springs is None else np.moveaxis(springs[self._inside], 0, -1)[..., at]
             if some.ndim == 4:
-                self._parts.append((components, BrickFactors(elements, some, tell, more)))
+                self._parts.append((components, BrickFactors(elements, some, report, more)))
                 continue
-            dissection = Dissection(elements, material.patch, some, material.symmetric, tell, more)
+            dissection = Dissection(
+                elements, material.patch, some, material.symmetric, report, more
+            )
             self._parts.append((components, dissection))
 
     def solve(self, load: npt.NDArray[np.floating]) -> Planes:
-        """Return the displacement for a load, both planes: 0 where nothing moves."""
+        """Return the displacement for a load, both as planes; fixed components are 0."""
         found: Planes = np.zeros(load.shape)
         inside = np.moveaxis(load[self._inside], 0, -1).astype(np.float64)
         for components, dissection in self._parts:
@@ -107,7 +110,7 @@ class Factors:
 
     @staticmethod
     def needed(shape: tuple[int, ...]) -> float:
-        """Estimate the bytes of the factors of a grid (H, W) or (D, H, W)."""
+        """Estimate the memory of the factors of a grid (H, W) or (D, H, W), in bytes."""
         sites = float(math.prod(shape))
         if len(shape) == 3:
             return float(_VOLUME_BYTES * sites ** (4 / 3))
@@ -115,6 +118,6 @@ class Factors:
 
     @staticmethod
     def fit(shape: tuple[int, ...]) -> bool:
-        """Return whether memory, and in a volume time, suffice for the factors of a grid."""
+        """Return whether the factors of a grid fit into memory, and are fast enough in a volume."""
         small = len(shape) == 2 or math.prod(shape) <= _MOST_VOXELS
         return small and bool(Factors.needed(shape) < _FREE * psutil.virtual_memory().available)

@@ -1,4 +1,4 @@
-"""The boxes of elements within a tile, which all have the same few shapes: see `dissection`."""
+"""Boxes of elements within a tile, which have few different shapes: see `dissection`."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ import numpy.typing as npt
 Float64Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-#: Elements along a side of the smallest boxes, and of a tile.
+#: Number of elements along a side of the smallest boxes, and of a tile.
 LEAF, TILE = 4, 16
 
 
 class Merge(NamedTuple):
-    """Merging of two boxes of a shape into one.
+    """Merge of two boxes of the same shape.
 
     Attributes
     ----------
     axis : int
-        Along which they lie side by side.
+        Axis along which the boxes are neighbours.
     own, size : int
-        How many components are the box's own, which come first, and how many there are.
+        Number of components inside the merged box, which come first, and of all its components.
     first, second : ndarray of int
-        Where the components of either box's ring are among them.
+        Positions of the ring components of the first and second box among these components.
     """
 
     axis: int
@@ -36,7 +36,11 @@ class Merge(NamedTuple):
 
 
 def merged(boxes: Float64Array, at: Index, merge: Merge) -> tuple[Float64Array, Index, int]:
-    """Make every two boxes of a grid (tiles, rows, columns, ...) one."""
+    """Merge pairs of neighbouring boxes in a grid (tiles, rows, columns, ...).
+
+    Return the matrices of the merged boxes, the numbers of their components, and the number of own
+    components.
+    """
     one, two = (
         (slice(None), *(slice(None),) * merge.axis, slice(start, None, 2)) for start in (0, 1)
     )
@@ -49,7 +53,7 @@ def merged(boxes: Float64Array, at: Index, merge: Merge) -> tuple[Float64Array, 
 
 
 def ring(height: int, width: int, patch: int) -> Index:
-    """Return the sites of a box of elements that others may touch, in the order of rows."""
+    """Return the sites of a box that it may share with other boxes, in row-major order."""
     over = patch - 1
     inner = np.ones((height + over, width + over), dtype=bool)
     inner[over:height, over:width] = False
@@ -57,19 +61,19 @@ def ring(height: int, width: int, patch: int) -> Index:
 
 
 def own(height: int, width: int, patch: int) -> Index:
-    """Return the sites of a box of elements that no others touch, in the order of rows."""
+    """Return the sites of a box that no other box contains, in row-major order."""
     over = patch - 1
     return np.setdiff1d(np.arange((height + over) * (width + over)), ring(height, width, patch))
 
 
 def components(sites: Index, fields: int) -> Index:
-    """Return the components of sites."""
+    """Return the numbers of the components of sites."""
     return np.asarray((sites[:, None] * fields + np.arange(fields)).ravel())
 
 
 @lru_cache(maxsize=8)
 def merges(patch: int, fields: int) -> tuple[Merge, ...]:
-    """List the merges of the smallest boxes into a tile."""
+    """List the merges that lead from the smallest boxes to a tile, in their order."""
     made, size, over = [], [LEAF, LEAF], patch - 1
     while size != [TILE, TILE]:
         axis = int(size[1] == size[0])

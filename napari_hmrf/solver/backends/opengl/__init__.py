@@ -1,4 +1,4 @@
-"""The kernels as OpenGL shaders, drawn (OpenGL 3.3) or dispatched (4.3) from the same text."""
+"""Kernels as OpenGL shaders: fragment shaders (OpenGL 3.3) or compute shaders (OpenGL 4.3)."""
 
 from napari_hmrf.solver.backends.opengl.backend import OpenGLBackend
 from napari_hmrf.solver.backends.opengl.context.context import is_software_renderer

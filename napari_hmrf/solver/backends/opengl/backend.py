@@ -1,4 +1,4 @@
-"""The kernels as shaders: the backend of machines with a GPU."""
+"""Backend for machines with a GPU: kernels as shaders."""
 
 from __future__ import annotations
 
@@ -56,33 +56,34 @@ from napari_hmrf.solver.quadtree import Level
 
 
 class OpenGLBackend:
-    """The kernels as fragment or compute shaders.
+    """Backend of fragment or compute shaders.
 
     Parameters
     ----------
     checkpoint : callable
         Called between batches of passes, about every `BATCH_SECONDS`; raises to stop the work.
     stage : {"fragment", "compute"}, optional
-        By default compute where there is OpenGL 4.3, and fragment otherwise.
+        By default compute if OpenGL 4.3 is available, else fragment.
 
     Raises
     ------
     BackendError
-        If there is no usable OpenGL, or not this stage of it.
+        If there is no usable OpenGL, or it lacks this stage.
     RuntimeError
         If this is not the compute thread.
     """
 
     def __init__(self, checkpoint: Checkpoint, stage: str | None = None) -> None:
         if stage is not None and stage not in STAGES:
-            raise BackendError(f"there is no shader stage {stage!r}; take one of {STAGES}")
+            raise BackendError(f"there is no shader stage {stage!r}; use one of {STAGES}")
         self._device = the_device()
         self._stage = cast(Stage, stage) if stage is not None else self._device.best_stage
         self._device.ensure(self._stage)
         self.name = f"opengl:{self._stage}"
         self.renderer = self._device.renderer
         software = self._device.software
-        # A software renderer dispatches while the interpreter, and with it the window, waits.
+        # A software renderer computes within the dispatch, which blocks the interpreter and thus
+        # the window.
         longest = BATCH_SECONDS if software and self._stage == "compute" else MAX_PASS_SECONDS
         self._pace = Pace(self._device.finish, checkpoint, longest)
         self._passes = Passes(self._device, self._stage, self._pace)
@@ -91,16 +92,16 @@ class OpenGLBackend:
             self._passes.run,
             self._passes.wait,
         )
-        self._of_models: list[Passes | VolumePasses] = []
+        self._model_passes: list[Passes | VolumePasses] = []
         self._pool = Pool(self._device.texture)
         self._keeps_shares = software
-        self._drawn: dict[tuple[int, ...], Tissue] = {}
+        self._tissue_of_grid: dict[tuple[int, ...], Tissue] = {}
 
     def supports(self, job: SolveJob) -> str | None:
         """Return None if the shaders can solve a job on this device, else the reason."""
         missing = missing_shaders(job)
         if missing is not None:
-            return f'{missing}. Take backend="cpu", or "auto".'
+            return f'{missing}. Use backend="cpu" or "auto".'
         if job.is_volume:
             return volume_refusal(self._device, self._stage, job.shape)
         return image_refusal(self._device, job.shape)
@@ -115,17 +116,17 @@ class OpenGLBackend:
         return made
 
     def download(self, field: GLField) -> FloatArray:
-        """Return the values, (H, W, C); a device that has stopped computing is found out."""
+        """Return the values of a field, (H, W, C); check that the device still works."""
         values = as_given(self._read(field), field.shape, field.components)
         self._device.canary(self._stage)
         return values.copy()
 
     def zeros(self, level: Level) -> GLField:
-        """Return a displacement of zero."""
+        """Return a displacement field of zeros on a level."""
         return self.upload(np.zeros((*level.shape, 2), np.float32))
 
     def project(self, finest: GLField, level: Level) -> GLField:
-        """Project by nearest neighbour from level 0."""
+        """Project a field of level 0 to a coarser level by nearest neighbour."""
         made = self._field(level.shape, finest.components)
         program = self._program("project", {"PAIRS": int(finest.components == 2)})
         program.set(
@@ -138,7 +139,7 @@ class OpenGLBackend:
         return made
 
     def prolong(self, coarse: GLField, coarse_stiffness: GLField, stiffness: GLField) -> GLField:
-        """Project displacement one level down, linearly."""
+        """Interpolate displacement linearly to the next finer level."""
         made = self._field(stiffness.shape, 2)
         inputs = [coarse.texture, coarse_stiffness.texture, stiffness.texture]
         self._run(self._program("prolong"), inputs, [made.texture], made.grid)
@@ -152,7 +153,7 @@ class OpenGLBackend:
         rule: SiteRule,
         sweeps: int,
     ) -> tuple[GLField, EnergyArray]:
-        """Move all sites at once, `sweeps` times."""
+        """Update all sites simultaneously, `sweeps` times; see `Backend.relax`."""
         defines = {
             "BLANKET": int(rule.blanket),
             "SQUARE": _is_square(rule),
@@ -182,7 +183,7 @@ class OpenGLBackend:
     def energy(
         self, displacement: GLField, stiffness: GLField, observation: GLField, rule: SiteRule
     ) -> float:
-        """Return U_total."""
+        """Return U_total of a displacement, in pixels squared."""
         program = self._program("energy", {"SQUARE": _is_square(rule)})
         program.set({"weights": rule.weights.astype(np.float32)})
         inputs = [displacement.texture, *self._ratios(stiffness), observation.texture]
@@ -193,24 +194,24 @@ class OpenGLBackend:
         return float(totals.read()[0])
 
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
-        """Bring elastic tissue to the device; an image's levels come from the compiled loops."""
+        """Build the model of elastic tissue; in images, levels are copied from a host model."""
         if material.m.ndim == 3:
             self._refuse(volume_refusal(self._device, self._stage, material.m.shape))
             passes = VolumePasses(self._device, self._pace)
-            self._of_models.append(passes)
+            self._model_passes.append(passes)
             return GLVolumeModel(passes, material)
         return GLElasticModel(self._passes_for(material.m), material)
 
     def seiler_model(self, material: SeilerMaterial) -> LinearModel:
-        """Bring the paper's cliques to the device; their levels come from the compiled loops."""
+        """Build the model of the paper's cliques; its levels are copied from a host model."""
         return GLSeilerModel(self._passes_for(material.m), material)
 
     def finite_model(self, material: FiniteMaterial) -> FiniteModel:
-        """Refuse: there are no shaders for large motion."""
-        raise BackendError("large motion is solved by the compiled loops only")
+        """Raise `BackendError`, because there are no shaders for large motion."""
+        raise BackendError('only the compiled loops solve large motion. Use backend="cpu".')
 
     def release(self, *fields: GLField) -> None:
-        """Keep the fields' textures for the next field of their kind."""
+        """Return the textures of fields to the pool, for new fields of the same size and use."""
         for released in fields:
             self._pool.give(released.grid, 4, released.texture, _use(released.components))
             for ratios in released.ratios:
@@ -218,30 +219,30 @@ class OpenGLBackend:
             released.ratios.clear()
 
     def close(self) -> None:
-        """Free every texture; the context and the compiled kernels stay for the next solve."""
-        for passes in (*self._of_models, self._passes):
+        """Free all textures; keep the context and the compiled kernels for the next solve."""
+        for passes in (*self._model_passes, self._passes):
             passes.close()
-        self._of_models.clear()
+        self._model_passes.clear()
         self._device.free(self._pool.all)
-        self._drawn.clear()
+        self._tissue_of_grid.clear()
         self._pool = Pool(self._device.texture)
 
     def _passes_for(self, stiffness: FloatArray) -> Passes:
-        """Passes of a model's own, for tissue that is not too large."""
+        """Return new passes for a model; raise `BackendError` if its tissue is too large."""
         self._refuse(image_refusal(self._device, stiffness.shape))
         made = Passes(self._device, self._stage, self._pace)
-        self._of_models.append(made)
+        self._model_passes.append(made)
         return made
 
     def _read(self, field: GLField) -> FloatArray:
-        """Wait for a field; return what its texture holds, (rows, cols, 4)."""
+        """Wait for a field; return the values of its texture, (rows, cols, 4)."""
         self._wait()
         stored = np.frombuffer(field.texture.read(), "<f4")
         self._device.check("reading an image")
         return stored.reshape(*field.grid, 4)
 
     def _ratios(self, stiffness: GLField) -> list[Any]:
-        """Return the stiffness ratios of a level; they are the same in all of its sweeps."""
+        """Return the stiffness ratios of a level, computed once for all its sweeps."""
         if not stiffness.ratios:
             grid = singles(stiffness.shape)
             made = [self._pool.take(grid, 4, use="singles") for _ in range(2)]
@@ -250,13 +251,13 @@ class OpenGLBackend:
         return stiffness.ratios
 
     def _tissue(self, stiffness: GLField) -> Tissue:
-        """Find where a level has tissue; it is the same in all of its sweeps."""
+        """Return the region of a level with tissue, computed once for all its sweeps."""
         if stiffness.tissue is None:
             shown = pairs_with_tissue(self._read(stiffness))
             stiffness.tissue = self._passes.tissue(shown)
-        if self._drawn.get(stiffness.grid) is not stiffness.tissue:
-            # Other tissue on the same grid: what it left must not show up in this one's void.
-            self._drawn[stiffness.grid] = stiffness.tissue
+        if self._tissue_of_grid.get(stiffness.grid) is not stiffness.tissue:
+            # Textures of other tissue on the same grid have values that are in void now.
+            self._tissue_of_grid[stiffness.grid] = stiffness.tissue
             self._pool.blank(stiffness.grid)
         return stiffness.tissue
 
@@ -272,16 +273,16 @@ class OpenGLBackend:
         return BlockTotals(program, self._run, self._pool, wait, grid, sweeps, largest)
 
     def _refuse(self, reason: str | None) -> None:
-        """Raise for a reason, if there is one, before anything is allocated."""
+        """Raise `BackendError` with a reason, unless it is None, before memory is allocated."""
         if reason is not None:
             raise BackendError(reason)
 
 
 def _is_square(rule: SiteRule) -> int:
-    """1 if the weights of the lines are those of square pixels, which the kernels know."""
+    """Return 1 if the lines have the weights of square pixels, for which kernels exist, else 0."""
     return int(np.array_equal(rule.weights, line_weights((1.0, 1.0))))
 
 
 def _use(components: int) -> str:
-    """Return the use of the texture of a field: only one in pairs may come back as displacement."""
+    """Return the use of a field's texture in the pool; only "pairs" can become displacement."""
     return "pairs" if components == 2 else "singles"

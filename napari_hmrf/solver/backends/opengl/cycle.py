@@ -1,4 +1,4 @@
-"""Part of a level's V-cycle that is the same for images and volumes."""
+"""Part of a level's V-cycle that images and volumes share."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ ScalarType = TypeVar("ScalarType")
 
 
 class CycleLevel(Generic[ScalarType]):
-    """Level whose smoothing and restriction are passes on the device; see `LinearLevel`."""
+    """Level that smooths and restricts by passes on the device; see `LinearLevel`."""
 
-    #: Each level is visited by itself.
+    #: False, because `finish` does not visit coarser levels.
     takes_rest = False
 
     def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
-        """Relax from zero, or on, and hand what is left of the load down."""
+        """Smooth from zero, or again, and restrict the residual to the load of `coarse`."""
         self._relax(steps, from_zero=not again)
         if coarse is not None:
-            self._hand_down(coarse)
+            self._restrict_residual(coarse)
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
-        """Relax from zero as the coarsest level."""
+        """Smooth from zero with `coarsest` steps."""
         self.descend(coarsest, None)
 
     def ratio(self, a: ScalarType, b: ScalarType) -> Ratio[ScalarType]:
-        """Return a over b; 0 unless both are positive."""
+        """Return a / b; 0 unless both are positive."""
         return Ratio(a, b)
 
     def free(self, *vectors: Any) -> None:
-        """Ignore the call: memory comes back with the last reference to a vector."""
+        """Ignore the call; a vector is reused after its last reference."""
 
     def project(self, vector: Any) -> None:
-        """Ignore the call: rigid tissue is solved by factors or by the compiled loops."""
+        """Ignore the call; rigid tissue is solved by direct factors or by the compiled loops."""
 
     def _relax(self, steps: Steps, from_zero: bool) -> None:
         """Smooth the correction for the load."""
         raise NotImplementedError
 
-    def _hand_down(self, coarse: Self) -> None:
-        """Make what the correction leaves of the load the coarser level's load."""
+    def _restrict_residual(self, coarse: Self) -> None:
+        """Restrict the residual of the correction to the load of `coarse`."""
         raise NotImplementedError

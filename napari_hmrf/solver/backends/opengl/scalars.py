@@ -1,4 +1,4 @@
-"""Scalars of an iteration, for images and volumes: numbers that stay on the device."""
+"""Ratios of scalars that stay on the device, for images and volumes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ ScalarType = TypeVar("ScalarType")
 
 
 class Ratio(NamedTuple, Generic[ScalarType]):
-    """One number over another: the kernel that reads it divides."""
+    """Ratio of two scalars; the kernel that reads it divides."""
 
     # See ``scalars.glsl`` and ``volume_scalars.glsl``.
     above: ScalarType
@@ -19,9 +19,16 @@ class Ratio(NamedTuple, Generic[ScalarType]):
 def values_of(
     numbers: Sequence[ScalarType | Ratio[ScalarType]], value: Callable[[ScalarType], float]
 ) -> tuple[float, ...]:
-    """Return the values of numbers on the host, given those of scalars.
+    """Return the values of scalars and ratios on the host.
 
     As in the kernels, a ratio is 0 unless both of its scalars are positive.
+
+    Parameters
+    ----------
+    numbers : sequence
+        Scalars and ratios.
+    value : callable
+        Returns the value of a scalar.
     """
     found = []
     for number in numbers:

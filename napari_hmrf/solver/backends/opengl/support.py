@@ -1,4 +1,4 @@
-"""Jobs that the shaders support, and those that they leave to the compiled loops."""
+"""Limits of the shaders: jobs that they support, and reasons against other jobs."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from napari_hmrf.solver.backends.opengl.programs.volume_source import MOST_BUFFE
 from napari_hmrf.solver.backends.opengl.volumes.volume_passes import BYTES_PER_VOXEL
 from napari_hmrf.solver.priors import SeilerPrior
 
-#: Bytes that a solve holds for each pixel: stiffness 8, its ratios 32 and mask 2, observation 16,
+#: Bytes of memory for each pixel: stiffness 8, its ratios 32 and mask 2, observation 16,
 #: displacement 2 x 8, energy 2; a third more for the coarser levels.
 BYTES_PER_PIXEL = 76 * 4 / 3
 
 
 def missing_shaders(job: SolveJob) -> str | None:
-    """Return why no device has shaders for a job; None if there are some. Needs no OpenGL."""
+    """Return the reason why no shaders exist for a job, or None; OpenGL is not needed."""
     kinds = {
         "large motion": job.has_large_motion,
         "volumes with the paper's prior": job.is_volume and isinstance(job.prior, SeilerPrior),
@@ -29,35 +29,35 @@ def missing_shaders(job: SolveJob) -> str | None:
 
 
 def image_refusal(device: Device, shape: tuple[int, ...]) -> str | None:
-    """Return why an image, (H, W) pixels, does not fit a device; None if it does."""
+    """Return the reason why an image of (H, W) pixels does not fit a device, or None."""
     height, width = shape
     if max(height, width) <= device.largest:
         return None
     size = height * width * BYTES_PER_PIXEL / 2**30
     return (
-        f"the image has {height} x {width} pixels, but {device.renderer} holds at most "
-        f"{device.largest} x {device.largest}; a solve of it would take about {size:.1f} GiB "
-        'there. Downsample it, cut it, or take backend="cpu".'
+        f"the image has {height} x {width} pixels, but {device.renderer} supports at most "
+        f"{device.largest} x {device.largest}; a solve would take about {size:.1f} GiB there. "
+        'Downsample or crop the image, or use backend="cpu".'
     )
 
 
 def volume_refusal(device: Device, stage: str, shape: tuple[int, ...]) -> str | None:
-    """Return why a device cannot solve a volume, (D, H, W) voxels; None if it can."""
+    """Return the reason why a device cannot solve a volume of (D, H, W) voxels, or None."""
     renderer, most = device.renderer, device.largest_buffer
     if "compute" not in device.stages:
         return (
-            f"volumes take compute shaders, which need OpenGL 4.3, but this is {renderer}. Take "
+            f"volumes need compute shaders, which need OpenGL 4.3, but this is {renderer}. Use "
             'backend="cpu".'
         )
     if stage != "compute":
         return (
-            'fragment shaders solve images only. Take backend="opengl:compute" or backend="cpu" '
+            'fragment shaders solve images only. Use backend="opengl:compute" or backend="cpu" '
             "for a volume."
         )
     if device.most_buffers < MOST_BUFFERS:
         return (
-            f"{renderer} gives a compute shader {device.most_buffers} storage buffers, and volumes "
-            f'take {MOST_BUFFERS}. Take backend="cpu".'
+            f"{renderer} offers a compute shader {device.most_buffers} storage buffers, but "
+            f'volumes need {MOST_BUFFERS}. Use backend="cpu".'
         )
     values = math.prod(size + 4 for size in shape)
     if 8 * values <= most:
@@ -65,7 +65,7 @@ def volume_refusal(device: Device, stage: str, shape: tuple[int, ...]) -> str | 
     size = " x ".join(map(str, shape))
     whole = values * BYTES_PER_VOXEL / 2**30
     return (
-        f"the volume has {size} voxels, of which a component takes {8 * values / 2**20:.0f} "
-        f"MiB, but {renderer} has buffers of {most / 2**20:.0f} MiB at most (and a solve would "
-        f'take {whole:.1f} GiB altogether). Downsample it, crop it, or take backend="cpu".'
+        f"the volume has {size} voxels, so a component takes {8 * values / 2**20:.0f} MiB, but "
+        f"{renderer} has buffers of at most {most / 2**20:.0f} MiB (a solve would take "
+        f'{whole:.1f} GiB in total). Downsample or crop the volume, or use backend="cpu".'
     )

@@ -1,9 +1,10 @@
-"""Rigid tissue: bodies that move as one, as a constraint on displacements.
+"""Rigid tissue: bodies, and their rigid motions as a constraint on displacements.
 
-A body's sites are those of all elements that have an infinitely stiff corner; what touches is one
-body. Of its motions (along each axis, and small turns: three, in a volume six) some may be held. A
-linear system is solved among the displacements that are left: what a body's sites would do each on
-their own is replaced by the motion of the body that is nearest to it.
+The sites of a body are the corners of all elements that have an infinitely stiff corner; sites that
+touch belong to one body. A body has three rigid motions, in a volume six: a translation along each
+axis, and small rotations. Held components may prevent some of these motions. A linear system is
+solved under this constraint: a displacement of a body's sites is projected orthogonally onto the
+rigid motions that are free.
 """
 
 from __future__ import annotations
@@ -25,20 +26,21 @@ from napari_hmrf.solver.priors.elements import ElasticMaterial
 Float64Array = npt.NDArray[np.float64]
 BodySites = tuple[npt.NDArray[np.intp], ...]
 
-# Bodies whose motions have fields of their own, at most, and values of all these fields together.
+# Largest number of bodies whose motions are deflated, and of values in all fields of deflation.
 _MOST_BODIES, _MOST_VALUES = 8, 4e7
 
-# Least support of a motion that counts; and the distance, in pixels and as a part of itself, that
-# the observations of a body may have from a motion of it.
+# Eigenvalue below which a motion counts as free, for one site of the body; and largest distance of
+# observations from a rigid motion: in pixels, and relative to the largest observed value.
 _NOTHING = 1e-9
 _OFF, _PART = 1e-3, 1e-5
 
 
 class _Body(NamedTuple):
-    """A body's components of flat planes, all its motions there, and those that nothing holds."""
+    """Components of a body in flat planes, all its rigid motions, and the free motions."""
 
-    # Motions are orthonormal; `single` is the free ones in single precision, and `ways` is what
-    # makes them of steps along the axes, and of turns around `centre`.
+    # The columns of `motions` are orthonormal. `single` has the free motions in single precision.
+    # `ways` has the coefficients of the free motions, in terms of the translations along the axes
+    # and the rotations around `centre`.
 
     at: npt.NDArray[np.intp]
     held: npt.NDArray[np.bool_]
@@ -50,9 +52,9 @@ class _Body(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """A free motion of a body: its components of flat planes, and how far it moves each.
+    """Free motion of a body: its components in flat planes, and their displacements.
 
-    Each point moves by `step`, and by `turn` times how far it is from `centre`.
+    The displacement of a point x is `step` + `turn` (x - `centre`).
     """
 
     at: npt.NDArray[np.intp]
@@ -62,22 +64,23 @@ class Motion(NamedTuple):
     turn: Float64Array
 
     def of(self, *sites: npt.NDArray[np.intp]) -> Float64Array:
-        """Return the displacement of some points, real or possible: (components, points)."""
+        """Return the displacement at points, which need not be sites: (components, points)."""
         from_centre = np.stack(sites) - np.array(self.centre)[:, None]
         return np.asarray(self.step[:, None] + self.turn @ from_centre)
 
 
 class Bodies:
-    """The rigid bodies of a tissue, with what is held of them.
+    """Rigid bodies of a tissue, with their held components.
 
     Parameters
     ----------
     sites : list of tuple of ndarray
-        Indices of each body's sites along each axis, as `bodies_of` finds them.
+        Indices of each body's sites along each axis, as returned by `bodies_of`.
     material : ElasticMaterial
     held : ndarray of bool, planes
+        Mask of the held components.
     moved : ndarray, planes, optional
-        Where they have got to; by default they are where they were drawn.
+        Present displacement of the bodies; zero by default.
     """
 
     def __init__(
@@ -89,7 +92,7 @@ class Bodies:
     ) -> None:
         self._sites, grid = sites, held.shape[1:]
         self._sides = np.array(material.shape.sides)
-        #: True if cycles hold the bodies, and fields of their motions make up for it.
+        #: True if cycles hold the bodies and deflation by their motions moves them.
         self.entrain = few(sites, material.m.shape)
         self._bodies = []
         for of_body in sites:
@@ -113,7 +116,7 @@ class Bodies:
 
     @staticmethod
     def _steps_and_turns(places: Float64Array) -> Float64Array:
-        """All rigid motions of some points, as columns: components of all points, one by one."""
+        """Return all rigid motions of points as columns, one component after the other."""
         count, axes = places.shape
         made = [np.repeat(axis, count) for axis in np.eye(axes)]
         for turn in _turns(axes):
@@ -121,7 +124,7 @@ class Bodies:
         return np.stack(made, axis=1)
 
     def hold(self, held: HeldPlanes) -> HeldPlanes:
-        """Return what is held if all bodies are."""
+        """Return a copy of a mask of held components in which all bodies are held."""
         all_held = held.copy()
         for body in self._bodies:
             all_held.reshape(-1)[body.at] = True
@@ -129,12 +132,12 @@ class Bodies:
 
     @property
     def freedom(self) -> int:
-        """The number of free motions of all bodies."""
+        """Number of free motions of all bodies."""
         return sum(body.free.shape[1] for body in self._bodies)
 
     @property
     def motions(self) -> Iterator[tuple[BodySites, list[Motion]]]:
-        """The sites and the free motions of each body."""
+        """Sites and free motions of each body."""
         axes = len(self._sides)
         for sites, body in zip(self._sites, self._bodies, strict=True):
             motions = []
@@ -145,12 +148,14 @@ class Bodies:
             yield sites, motions
 
     def settle(self, d: Planes) -> None:
-        """Move each body as one, in place: by what is held of it, and else nearest to `d`.
+        """Replace the displacement of each body by the nearest rigid motion, in place.
+
+        The motion agrees with the held components of the body.
 
         Raises
         ------
         ProblemError
-            If what was observed of a body is no motion of it.
+            If the held components of a body agree with no rigid motion.
         """
         flat = d.reshape(-1)
         for body in self._bodies:
@@ -161,24 +166,24 @@ class Bodies:
                 around = ", ".join(f"{index:.0f}" for index in body.centre)
                 raise ProblemError(
                     "observed",
-                    f"moves pixels of what is rigid around ({around}) otherwise than as one, by "
-                    f"{off:.2g} px. Hold or move it in one place only, move all of it evenly, or "
-                    "give it a stiffness.",
+                    f"moves pixels of the rigid body around ({around}) against each other, by "
+                    f"{off:.2g} px. Hold or move the body in one place only, move all of it "
+                    "evenly, or give it a finite stiffness.",
                 )
             moved = body.motions @ shares
             flat[body.at] = moved + body.free @ (body.free.T @ (flat[body.at] - moved))
 
     def project(self, vector: npt.NDArray[Any]) -> None:
-        """Replace displacements or forces by those of bodies that move as one, in place."""
+        """Project displacements or forces onto the free rigid motions of bodies, in place."""
         flat = vector.reshape(-1)
         for body in self._bodies:
             free = body.free if vector.dtype == np.float64 else body.single
             flat[body.at] = free @ (free.T @ flat[body.at])
 
     def carry(self, forces: Planes) -> None:
-        """Let the held components of each body carry its whole load, in place.
+        """Transfer the whole load of each body to its held components, in place.
 
-        The shares within a rigid body are not determined: they are as even as possible.
+        The distribution within a rigid body is not unique; the one with the least norm is chosen.
         """
         flat = forces.reshape(-1)
         for body in self._bodies:
@@ -189,7 +194,18 @@ class Bodies:
 
 
 def bodies_of(m: npt.NDArray[np.float32]) -> list[BodySites]:
-    """Find rigid bodies: indices of the sites of each, along each axis."""
+    """Find rigid bodies, the connected regions of infinite stiffness.
+
+    Parameters
+    ----------
+    m : ndarray, shape (H, W) or (D, H, W)
+        Stiffness.
+
+    Returns
+    -------
+    list of tuple of ndarray
+        Indices of the sites of each body along each axis.
+    """
     rigid = np.isinf(m)
     box = scipy.ndimage.find_objects(rigid.astype(np.uint8))
     if not box:
@@ -207,19 +223,32 @@ def bodies_of(m: npt.NDArray[np.float32]) -> list[BodySites]:
 
 
 def few(bodies: list[BodySites], shape: tuple[int, ...]) -> bool:
-    """Return whether there are few enough bodies for a field of each of their motions."""
-    # Three motions, of each the field and its forces, of two components. A volume's would be six.
+    """Return whether there are few enough bodies to deflate all their motions; False in volumes."""
+    # Three motions per body; each has a displacement field and a force field of two components.
     values = 3 * 2 * 2 * len(bodies) * math.prod(shape)
     return len(shape) == 2 and len(bodies) <= _MOST_BODIES and values <= _MOST_VALUES
 
 
 def rigid_sites(m: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
-    """Return the sites of rigid bodies: those of elements with an infinite corner."""
+    """Return the mask of the sites of rigid bodies: the corners of rigid elements."""
     return np.asarray(around_sites(_rigid(m), np.logical_or))
 
 
 def rigid_elements(m: npt.NDArray[np.float32], bodies: list[BodySites]) -> npt.NDArray[np.int32]:
-    """Return the number of the body that each element belongs to, from 1; 0 if to none."""
+    """Return the number of each element's body.
+
+    Parameters
+    ----------
+    m : ndarray, shape (H, W) or (D, H, W)
+        Stiffness.
+    bodies : list of tuple of ndarray
+        Result of `bodies_of`.
+
+    Returns
+    -------
+    ndarray of int, shape (H - 1, W - 1) or (D - 1, H - 1, W - 1)
+        Number of the body, counted from 1; 0 if the element is not rigid.
+    """
     numbers = np.zeros(m.shape, dtype=np.int32)
     for number, sites in enumerate(bodies, 1):
         numbers[sites] = number
@@ -227,12 +256,12 @@ def rigid_elements(m: npt.NDArray[np.float32], bodies: list[BodySites]) -> npt.N
 
 
 def _rigid(m: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
-    """Return the elements with an infinite corner."""
+    """Return the mask of the elements with an infinitely stiff corner."""
     return np.asarray(in_elements(m) & of_corners(np.isinf(m), np.logical_or))
 
 
 def _turns(axes: int) -> list[Float64Array]:
-    """The matrix of each small turn: what it makes of a place is how far that moves."""
+    """Return the matrix of each small rotation, which maps a position to its displacement."""
     made = []
     for first, second in combinations(range(axes), 2):
         turn = np.zeros((axes, axes))

@@ -1,4 +1,4 @@
-"""Motions that cycles do not see if they hold rigid bodies: bodies that take tissue along."""
+"""Protocol of deflation: motions of rigid bodies with the tissue that they drag along."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from typing import Any, Protocol
 
 
 class Entrained(Protocol):
-    """Fields of rigid bodies' motions, which conjugate gradients are deflated by.
+    """Deflation of conjugate gradients by fields of rigid bodies' motions.
 
     Attributes
     ----------
     close : bool
-        Whether bodies are so close together that what lies between is not seen well.
+        True if bodies are so close together that cycles reduce errors between them slowly.
     sure : bool
         True if single precision separates the motions.
     """
@@ -20,16 +20,20 @@ class Entrained(Protocol):
     sure: bool
 
     def settle(self, d: Any, rest: Any) -> float:
-        """Move bodies to where `rest` does no work on a field, in place; the energy that takes."""
+        """Change `d` and `rest` in place so that `rest` does no work on any field.
+
+        Return the energy that this releases.
+        """
         ...
 
     def turn(self, steepest: Any, direction: Any, share: float) -> float:
-        """Compute direction = steepest + share direction, with bodies moved so that none resists.
+        """Compute direction = steepest + share direction, made conjugate to all fields.
 
-        They move so far, which is returned, that the forces of `steepest` do no work on any field.
+        For that, fields are subtracted from `steepest`; return the largest distance by which they
+        move bodies.
         """
         ...
 
     def astray(self, rest: Any) -> float:
-        """Return the largest distance of bodies and entrained tissue from their goal in `rest`."""
+        """Return the largest displacement by which the fields would still reduce `rest`."""
         ...

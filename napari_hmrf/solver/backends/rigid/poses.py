@@ -1,4 +1,4 @@
-"""Poses of rigid bodies in large motion: a step and a turn, which may be large."""
+"""Poses of rigid bodies in large motion: a translation and a rotation of any size."""
 
 from __future__ import annotations
 
@@ -15,18 +15,19 @@ Float64Array = npt.NDArray[np.float64]
 # Sites of a body, rows and columns of planes.
 _Index = tuple[slice, npt.NDArray[np.intp], npt.NDArray[np.intp]]
 
-# Steps to a pose, and when it is exact, in pixels.
+# Largest number of iterations for a pose, and change, in pixels, at which they end.
 _STEPS, _EXACT = 30, 1e-12
-# Largest turn of a body in one step.
+# Largest rotation of a body in one step, in radians.
 _TURN = 0.25
-# Relative support below which a motion counts as free.
+# Relative singular value below which a motion counts as free.
 _NOTHING = 1e-9
-# Distance that observations may have from a motion of a body, in pixels and as a part of it.
+# Largest distance of observations from a rigid motion: in pixels, and relative to the largest
+# observed value.
 _OFF, _PART = 1e-3, 1e-5
 
 
 class _Body(NamedTuple):
-    """Sites, their places around the middle of all of them, and which components are held."""
+    """Sites of a body, their positions relative to its centre, and its held components."""
 
     at: _Index
     places: Float64Array
@@ -34,15 +35,16 @@ class _Body(NamedTuple):
 
 
 class Poses:
-    """The poses of all bodies.
+    """Poses of all bodies.
 
     Parameters
     ----------
     bodies : list of tuple of ndarray
         Indices of each body's sites along each axis.
     sides : tuple of float
-        Of a pixel.
+        Sides of a pixel along the rows' and the columns' axis, in pixels.
     held : ndarray of bool, planes
+        Mask of the held components.
     """
 
     def __init__(self, bodies: list[BodySites], sides: tuple[float, ...], held: HeldPlanes) -> None:
@@ -53,12 +55,14 @@ class Poses:
             self._bodies.append(_Body(at, places - places.mean(axis=1, keepdims=True), held[at]))
 
     def hold(self, y: Planes, held: HeldPlanes) -> None:
-        """Hold all of a body of which so much is held that it cannot move, in place.
+        """Hold all components of each body that its held components already fix, in place.
+
+        The held components in `y` are replaced by those of the fitted pose.
 
         Raises
         ------
         ProblemError
-            If what was observed of a body is no motion of it.
+            If the held components of a body agree with no rigid motion.
         """
         for number, body in enumerate(self._bodies):
             if not body.held.any():
@@ -66,15 +70,15 @@ class Poses:
             wanted = body.places + y[body.at]
             sites = body.held.all(axis=0)
             begin = _nearest(body.places[:, sites], wanted[:, sites], body.places)
-            found = _fitted(body.places, begin, wanted, body.held, nearest=False)
+            found = _fit_pose(body.places, begin, wanted, body.held, nearest=False)
             off = float(np.abs(found - wanted)[body.held].max())
             if off > _OFF + _PART * float(np.abs(y[body.at])[body.held].max()):
                 row, col = (float(index.mean() - 2) for index in body.at[1:])
                 raise ProblemError(
                     "observed",
-                    f"moves pixels of what is rigid around ({row:.0f}, {col:.0f}) otherwise than "
-                    f"as one, by {off:.2g} px. Hold or move it in one place only, move all of it "
-                    "as it turns, or give it a stiffness.",
+                    f"moves pixels of the rigid body around ({row:.0f}, {col:.0f}) against each "
+                    f"other, by {off:.2g} px. Hold or move the body in one place only, move all of "
+                    "it by one rotation and translation, or give it a finite stiffness.",
                 )
             stops = np.linalg.svd(_motions(found)[body.held.ravel()], compute_uv=False)
             if len(stops) == 3 and stops[-1] > _NOTHING * stops[0]:
@@ -83,19 +87,29 @@ class Poses:
             y[body.at] = np.where(held[body.at], found - body.places, y[body.at])
 
     def settle(self, d: Planes) -> None:
-        """Move each body to the pose nearest to `d`, in place; what is held of it stays."""
+        """Move each body to the pose nearest to `d`, in place; held components keep their value."""
         for body in self._bodies:
             wanted = body.places + d[body.at]
             found = _nearest(body.places, wanted, body.places)
             if body.held.any() and not body.held.all():
-                found = _fitted(body.places, found, wanted, body.held)
+                found = _fit_pose(body.places, found, wanted, body.held)
                 found = np.where(body.held, wanted, found)
             d[body.at] = found - body.places
 
     def aim(self, d: Planes, y: Planes) -> Planes:
-        """Return the next step towards `y`: bodies turn along an arc, not through themselves.
+        """Return an intermediate displacement between `d` and `y`.
 
-        It is `y` itself if no body has far to turn.
+        Held bodies are rotated by at most 0.25 radians, so that they keep their shape on the way.
+
+        Parameters
+        ----------
+        d, y : ndarray, planes
+            Present and final displacement, in pixels.
+
+        Returns
+        -------
+        ndarray, planes
+            Displacement in pixels; `y` itself if no body has to rotate further.
         """
         made = y
         for body in self._bodies:
@@ -112,7 +126,10 @@ class Poses:
         return made
 
     def extend(self, gap: Planes) -> Planes:
-        """Return a way of held components that bodies can go, at least to begin with."""
+        """Extend a displacement of held components to the whole of partly held bodies.
+
+        The other components of such a body follow the small rigid motion nearest to its held ones.
+        """
         made = gap.copy()
         for body in self._bodies:
             if body.held.any() and not body.held.all():
@@ -125,7 +142,7 @@ class Poses:
 
 
 def _nearest(some: Float64Array, wanted: Float64Array, places: Float64Array) -> Float64Array:
-    """All places, by the pose that brings some of them nearest to where they are wanted."""
+    """Return all positions in the pose that brings some of them nearest to their goals."""
     if not some.size:
         return places
     middle, goal = some.mean(axis=1, keepdims=True), wanted.mean(axis=1, keepdims=True)
@@ -133,7 +150,7 @@ def _nearest(some: Float64Array, wanted: Float64Array, places: Float64Array) -> 
 
 
 def _angle(places: Float64Array, goals: Float64Array) -> float:
-    """The turn around 0 that brings places nearest to their goals."""
+    """Return the rotation around 0, in radians, that brings positions nearest to their goals."""
     (row, col), (to_row, to_col) = places, goals
     across, along = (row * to_col - col * to_row).sum(), (row * to_row + col * to_col).sum()
     return float(np.arctan2(across, along))
@@ -143,15 +160,18 @@ def _turn(angle: float) -> Float64Array:
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
-def _fitted(
+def _fit_pose(
     places: Float64Array,
     begin: Float64Array,
     wanted: Float64Array,
     held: npt.NDArray[np.bool_],
     nearest: bool = True,
 ) -> Float64Array:
-    """A pose, found from another, in which what is held is where it is wanted."""
-    # If `nearest`, of such poses that in which the rest is nearest to where it is wanted.
+    """Return the positions in a pose that has the held components at their goals.
+
+    The search begins at the positions `begin`. If `nearest`, the pose with the other components
+    nearest to their goals is chosen.
+    """
     now, stopped = begin, held.ravel()
     for _ in range(_STEPS):
         motions, left = _motions(now), (wanted - now).ravel()
@@ -170,7 +190,10 @@ def _fitted(
 
 
 def _motions(places: Float64Array) -> Float64Array:
-    """Both steps, and the turn around their middle, of all rows and then all columns."""
+    """Return the translations, and the rotation around the centre, as columns.
+
+    The rows of the result are the row components of all sites, and then the column components.
+    """
     row, col = places - places.mean(axis=1, keepdims=True)
     ones, none = np.ones_like(row), np.zeros_like(row)
     size = max(float(np.hypot(row, col).max()), 1e-300)

@@ -231,7 +231,7 @@ def test_a_real_gpu_takes_the_shaders_by_itself(monkeypatch):
     monkeypatch.setattr(opengl, "is_software_renderer", lambda _: False)
     provenance = solve(torn(20.0), CENTRED, optimizer=Multigrid(), backend="auto").provenance
     assert provenance.backend.startswith("opengl:")
-    assert provenance.reason == "a GPU is there"
+    assert provenance.reason == "a GPU is available"
 
 
 # What stays behind -----------------------------------------------------------------------------

@@ -335,19 +335,21 @@ def test_a_pass_cut_into_strips_changes_nothing(monkeypatch):
 
 def test_a_volume_beyond_the_limit_is_refused_before_anything_is_made(made, monkeypatch):
     monkeypatch.setattr(on_compute_thread(the_device), "largest_buffer", 16 * 2**10)
-    with pytest.raises(BackendError, match=r"12 x 12 x 12 voxels.*has buffers of.*Downsample it"):
+    with pytest.raises(
+        BackendError, match=r"12 x 12 x 12 voxels.*has buffers of.*Downsample or crop"
+    ):
         solve(pressed(12, True), backend="opengl")
     assert left(made) == 0
 
 
 def test_a_driver_that_gives_too_few_buffers_is_refused(monkeypatch):
     monkeypatch.setattr(on_compute_thread(the_device), "most_buffers", 8)
-    with pytest.raises(BackendError, match=r'8 storage buffers, .* take 16. Take backend="cpu"'):
+    with pytest.raises(BackendError, match=r'8 storage buffers, .* need 16. Use backend="cpu"'):
         solve(pressed(12, True), backend="opengl")
 
 
 def test_fragment_shaders_refuse_volumes():
-    with pytest.raises(BackendError, match='Take backend="opengl:compute" or backend="cpu"'):
+    with pytest.raises(BackendError, match='Use backend="opengl:compute" or backend="cpu"'):
         solve(pressed(12, True), backend="opengl:fragment")
 
 
@@ -371,10 +373,10 @@ def test_shaders_name_what_they_leave_to_the_loops(kind):
         return said, open_backend(job, "auto", lambda: None).reason
 
     (refusal, none), reason = on_compute_thread(answers)
-    assert refusal == f'only the compiled loops solve {kind}. Take backend="cpu", or "auto".'
+    assert refusal == f'only the compiled loops solve {kind}. Use backend="cpu" or "auto".'
     assert none is None
     assert reason == f"only the compiled loops solve {kind}"
-    with pytest.raises(BackendError, match=f"solve {kind}, not opengl. Take"):
+    with pytest.raises(BackendError, match=f"solve {kind}, not opengl. Use"):
         on_compute_thread(lambda: open_backend(job, "opengl", lambda: None))
 
 
@@ -388,11 +390,11 @@ def test_a_gpu_takes_a_volume_unless_it_is_too_large(monkeypatch):
         backend.close()
         return backend.name, reason
 
-    assert on_compute_thread(choice) == ("opengl:compute", "a GPU is there")
+    assert on_compute_thread(choice) == ("opengl:compute", "a GPU is available")
     monkeypatch.setattr(on_compute_thread(the_device), "largest_buffer", 1000)
     name, reason = on_compute_thread(choice)
     assert name == "cpu"
-    assert "refuse this volume" in reason
+    assert "do not support this volume" in reason
     assert on_compute_thread(lambda: choice(has_loads=True))[0] == "cpu"
 
 
@@ -401,7 +403,7 @@ def test_an_image_beyond_the_limit_of_a_gpu_goes_to_the_loops(monkeypatch):
     image = SolveJob((9, 4), (1.0, 1.0), ELASTIC, Multigrid())
     backend, reason = on_compute_thread(lambda: open_backend(image, "auto", lambda: None))
     assert backend.name == "cpu"
-    assert reason.startswith("the shaders refuse this image (the image has 9 x 4 pixels")
+    assert reason.startswith("the shaders do not support this image (the image has 9 x 4 pixels")
 
 
 def test_a_rasteriser_stands_in_until_the_loops_for_volumes_are_compiled(monkeypatch):

@@ -1,1 +1,1 @@
-"""OpenGL context of the compute thread, and the device behind it."""
+"""OpenGL context of the compute thread, and the device that uses it."""

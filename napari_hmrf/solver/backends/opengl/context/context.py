@@ -1,6 +1,6 @@
-"""Making an OpenGL context of our own, and saying clearly why there is none.
+"""Creation of a separate OpenGL context, and advice if none can be created.
 
-Nothing here touches a context that is there already: napari's own belongs to the GUI's thread.
+Existing contexts are not touched: napari's own context belongs to the GUI thread.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 from napari_hmrf.errors import BackendError
 
-#: The least OpenGL the shaders need, and the least that compute shaders need.
+#: Least version of OpenGL for the shaders, and for compute shaders.
 REQUIRED_VERSION = 330
 COMPUTE_VERSION = 430
 
@@ -32,26 +32,26 @@ _SOFTWARE = (
 
 
 def is_software_renderer(renderer: str) -> bool:
-    """Return whether a renderer string names a program on the processor, not a GPU."""
+    """Return whether a renderer string names a software renderer, which uses no GPU."""
     return any(name in renderer.lower() for name in _SOFTWARE)
 
 
 @dataclass(frozen=True, eq=False)
 class Opened:
-    """A context that is current on the calling thread.
+    """OpenGL context that is current on the calling thread.
 
     Attributes
     ----------
     ctx : moderngl.Context
     finish : callable
-        glFinish that lets other Python threads run while it waits; moderngl's own does not.
+        Calls glFinish. Other Python threads can run during the wait, unlike in moderngl's function.
     dispatch : callable
-        Given a program's number and how many work groups there are along each axis, runs it; other
-        Python threads run meanwhile, in which drivers may compile for the processor.
+        Runs a program, given its OpenGL name and the number of work groups along both axes. Other
+        Python threads can run meanwhile, which matters if the driver compiles the program first.
     clear : callable
-        Given a buffer's number, fills it with zeros.
+        Fills a buffer with zeros, given its OpenGL name.
     way : str
-        How it was made, in words.
+        Description of how the context was created.
     """
 
     ctx: Any
@@ -61,19 +61,19 @@ class Opened:
     way: str
 
     def release(self) -> None:
-        """Unbind and destroy the context, with every object in it."""
+        """Unbind and destroy the context, with all its objects."""
         with self.ctx:
-            pass  # Leaving is what unbinds; entering first is what makes leaving safe.
+            pass  # the end of the block unbinds the context, which must be current before
         self.ctx.release()
 
 
 def open_context() -> Opened:
-    """Make a context, on a GPU if any way leads to one.
+    """Create a context, on a GPU if possible.
 
     Raises
     ------
     BackendError
-        What is missing and how to get it, with what each way answered.
+        If no context can be created; with advice, and the error of each attempt.
     """
     refused: list[tuple[str, str]] = []
     software: _Way | None = None
@@ -96,19 +96,19 @@ def open_context() -> Opened:
                 refused.append((software.name, str(error)))
     except ImportError as error:
         raise BackendError(
-            f'moderngl cannot be imported ({error}). Install it again, or take backend="cpu".'
+            f'moderngl cannot be imported ({error}). Install it again, or use backend="cpu".'
         ) from error
     raise BackendError(_no_context(refused))
 
 
 @dataclass(frozen=True)
 class _Way:
-    """One way to make a context: a maker of glcontext's with its settings."""
+    """Way to create a context: a backend of glcontext with its settings."""
 
     name: str
     make: Callable[..., Any]
     settings: dict[str, Any]
-    #: True if further devices could be better than this one.
+    #: True if other devices are left that may be better.
     others: bool = False
 
 
@@ -119,9 +119,9 @@ def _ways() -> Iterator[_Way]:
         yield _Way("the system's OpenGL", glcontext.default_backend(), {})
         return
     egl = glcontext.get_backend_by_name("egl")
-    # The second names are those of the run-time packages, found without a linker's cache.
+    # The names with a version belong to run-time packages, for systems without development files.
     for libraries in ({}, {"libegl": "libEGL.so.1", "libgl": "libGL.so.1"}):
-        chosen = os.environ.get("GLCONTEXT_DEVICE_INDEX")  # glcontext takes it over ours
+        chosen = os.environ.get("GLCONTEXT_DEVICE_INDEX")  # overrides the setting below
         devices = 1 if chosen else max(1, _device_count(egl, libraries))
         for index in [chosen] if chosen else range(devices):
             name = f"EGL device {index}" + (" by library name" if libraries else "")
@@ -132,7 +132,7 @@ def _ways() -> Iterator[_Way]:
 
 
 def _device_count(egl: Callable[..., Any], libraries: dict[str, str]) -> int:
-    """Return the number of EGL devices, from the error for one that cannot exist."""
+    """Return the number of EGL devices, from the error message for an invalid index."""
     try:
         egl(mode="standalone", glversion=REQUIRED_VERSION, device_index=1 << 16, **libraries)
     except Exception as error:  # noqa: BLE001 - glcontext raises plain exceptions
@@ -150,7 +150,7 @@ def _open(way: _Way) -> Opened:
     try:
         ctx = moderngl.create_context(require=100, standalone=True, context=loader)
     finally:
-        # moderngl makes the newest context the default of the process; this one must stay private.
+        # moderngl makes the newest context the default of the process. Restore the old default.
         if store is not None:
             store.default_context = default
     finish = _function(loader.load("glFinish"))
@@ -163,17 +163,20 @@ def _open(way: _Way) -> Opened:
 
 
 def _loader(way: _Way) -> Any:
-    """Make the bare context; some drivers give exactly the requested version."""
+    """Create the context for moderngl, of OpenGL 4.3 if possible.
+
+    Some drivers return exactly the requested version, so the newer version is tried first.
+    """
     if sys.platform != "darwin":
         try:
             return way.make(mode="standalone", glversion=COMPUTE_VERSION, **way.settings)
-        except Exception:  # noqa: BLE001 - the next attempt says what is wrong
+        except Exception:  # noqa: BLE001 - the next attempt raises a useful error
             pass
     return way.make(mode="standalone", glversion=REQUIRED_VERSION, **way.settings)
 
 
 def _dispatch(loader: Any) -> Callable[[int, int, int], None]:
-    """Return what runs a compute shader; of no use where there are none."""
+    """Return a function that runs a compute shader; unusable before OpenGL 4.3."""
     use, run = loader.load("glUseProgram"), loader.load("glDispatchCompute")
     use_program = _function(use, ctypes.c_uint)
     dispatch_compute = _function(run, *[ctypes.c_uint] * 3)
@@ -190,7 +193,7 @@ _STORAGE, _SINGLES = 0x90D2, (0x822E, 0x1903, 0x1406)
 
 
 def _clear(loader: Any) -> Callable[[int], None]:
-    """Return what fills a buffer with zeros; of no use where there are no compute shaders."""
+    """Return a function that fills a buffer with zeros; unusable before OpenGL 4.3."""
     bind, fill = loader.load("glBindBuffer"), loader.load("glClearBufferData")
     bind_buffer = _function(bind, *[ctypes.c_uint] * 2)
     clear_data = _function(fill, *[ctypes.c_uint] * 4, ctypes.c_void_p)
@@ -203,24 +206,24 @@ def _clear(loader: Any) -> Callable[[int], None]:
 
 
 def _function(address: int, *kinds: Any) -> Callable[..., None]:
-    """Return a C function; ctypes lets go of the interpreter while it runs."""
+    """Return a C function; ctypes releases the interpreter's lock during a call."""
     if sys.platform == "win32":
         return ctypes.WINFUNCTYPE(None, *kinds)(address)
     return ctypes.CFUNCTYPE(None, *kinds)(address)
 
 
-# Advice for each answer of a driver, the most specific first.
+# Advice for each error message of a driver, the most specific first.
 _ADVICE = {
     r"found OpenGL|eglCreateContext failed|glXCreateContext|CreateContextAttribs": (
         "the driver offers no OpenGL 3.3 core profile, which the shaders need; update the graphics "
-        "driver, and look whether a variable such as MESA_GL_VERSION_OVERRIDE or "
+        "driver, and check whether a variable such as MESA_GL_VERSION_OVERRIDE or "
         "GLCONTEXT_GLVERSION requests less"
     ),
     r"requested device index .* found [1-9]": (
         "GLCONTEXT_DEVICE_INDEX names an EGL device that does not exist; unset it or lower it"
     ),
     r"eglInitialize failed|eglGetPlatformDisplay|eglGetDisplay": (
-        "a driver was found but does not load; look at LIBGL_DRIVERS_PATH, GALLIUM_DRIVER and the "
+        "a driver was found but does not load; check LIBGL_DRIVERS_PATH, GALLIUM_DRIVER and the "
         "permission to use /dev/dri (group render), and install libgl1-mesa-dri"
     ),
     r"found 0 devices": (
@@ -237,7 +240,7 @@ _ADVICE = {
 
 
 def _no_context(refused: list[tuple[str, str]]) -> str:
-    """One message for all refusals: the advice for the most telling, then what was answered."""
+    """Return an error message: advice for the most specific error, then all errors."""
     answers = [answer for _, answer in refused]
     advice = next(
         (
@@ -248,4 +251,4 @@ def _no_context(refused: list[tuple[str, str]]) -> str:
         "update the graphics driver",
     )
     tried = "; ".join(f"{name}: {answer}" for name, answer in dict(refused).items())
-    return f'no usable OpenGL: {advice}, or take backend="cpu". (Tried: {tried}.)'
+    return f'no usable OpenGL: {advice}, or use backend="cpu". (Tried: {tried}.)'

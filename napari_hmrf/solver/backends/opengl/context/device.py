@@ -1,7 +1,7 @@
-"""The process's OpenGL device: one context, its limits and its compiled kernels.
+"""OpenGL device of the process: one context, its limits and its compiled kernels.
 
-It is made by the first solve that needs it, kept for the next ones, and belongs to the compute
-thread. When it cannot be trusted any more it is dropped, and the next solve makes a new one.
+The first solve that needs the device creates it on the compute thread, and later solves use it
+again. After an error it is released, and the next solve creates a new one.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _log = logging.getLogger("napari_hmrf")
 
 
 class Device:
-    """An OpenGL context that computes, with what is worth keeping between solves.
+    """OpenGL context with its limits and compiled kernels, kept between solves.
 
     Attributes
     ----------
@@ -41,16 +41,21 @@ class Device:
     renderer : str
         GL_RENDERER and GL_VERSION, for provenance and bug reports.
     seconds : float
-        How long it took to make the context.
+        Time to create the context, in seconds.
+    way : str
+        Description of how the context was created.
     largest : int
-        The most sites along an axis that a texture can hold and a pass can write.
+        Largest number of sites along an axis of a texture.
     largest_buffer, most_buffers : int
-        The most bytes of a storage buffer, and how many of them a compute shader has; 0 without.
+        Largest size of a storage buffer in bytes, and largest number of storage buffers of a
+        compute shader; 0 without compute shaders.
     software : bool
-        Whether it is a program that plays a GPU.
+        True for a software renderer.
     rows : int
-        How many texels an invocation does in the compute stage (`source.compose`): on a GPU one,
-        as it needs many invocations.
+        Number of texels that an invocation computes in the compute stage (`source.compose`): 1 on a
+        GPU, which needs many invocations.
+    lost : bool
+        True after an error; the device must not be used any more.
     """
 
     def __init__(self) -> None:
@@ -63,7 +68,7 @@ class Device:
         info = self.ctx.info
         self.renderer = f"{info['GL_RENDERER']}, OpenGL {info['GL_VERSION']}"
         largest = int(min(info["GL_MAX_TEXTURE_SIZE"], *info["GL_MAX_VIEWPORT_DIMS"]))
-        self.largest = largest // 2 * 2  # an odd number of columns gets one more
+        self.largest = largest // 2 * 2  # textures have an even number of columns
         self.largest_buffer = int(info.get("GL_MAX_SHADER_STORAGE_BLOCK_SIZE", 0))
         self.most_buffers = int(info.get("GL_MAX_COMPUTE_SHADER_STORAGE_BLOCKS", 0))
         self.software = is_software_renderer(self.renderer)
@@ -72,33 +77,33 @@ class Device:
         self._programs: dict[Any, Program] = {}
         self._volume_programs: dict[Any, VolumeProgram] = {}
         self._checked: set[str] = set()
-        # moderngl binds the framebuffer in use again whenever it makes another one, even if it has
-        # been released since. So one that stays is put to use before any other is released.
-        self._home = self.ctx.simple_framebuffer((1, 1))
-        self._home.use()
-        # The drawn plane lies half-way into the picture: it shows where a mask is deeper, and
-        # everywhere in a framebuffer that has none.
+        # When moderngl creates a framebuffer, it binds the current one again afterwards, even if
+        # that has been released. Therefore a permanent framebuffer is bound before each release.
+        self._idle_framebuffer = self.ctx.simple_framebuffer((1, 1))
+        self._idle_framebuffer.use()
+        # The triangle has depth 0.5. The depth test passes where the mask is 1, and everywhere in a
+        # framebuffer without a mask.
         self.ctx.enable_only(self.ctx.DEPTH_TEST)
         self.ctx.depth_func = "<"
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        """The shader stages that there are."""
+        """Available shader stages."""
         if self.ctx.version_code >= COMPUTE_VERSION:
             return ("fragment", "compute")
         return ("fragment",)
 
     @property
     def best_stage(self) -> Stage:
-        """Compute shaders where there are any, even where a program plays the GPU.
+        """Stage that is used by default: compute if available, also on a software renderer.
 
-        Mesa's llvmpipe has its threads meet twice in every pass that is drawn, which takes longer
-        than a small pass does.
+        Mesa's llvmpipe synchronises its threads twice in each pass of a fragment shader, which
+        takes longer than a small pass.
         """
         return "compute" if "compute" in self.stages else "fragment"
 
     def program(self, name: str, stage: Stage, defines: Mapping[str, int] | None = None) -> Program:
-        """Compile a kernel, or return it if it has been compiled before."""
+        """Return a kernel, compiled on first use."""
         key = (name, stage, self.rows, *sorted((defines or {}).items()))
         if key not in self._programs:
             self._programs[key] = compile_program(
@@ -108,7 +113,7 @@ class Device:
         return self._programs[key]
 
     def volume_program(self, name: str, defines: Mapping[str, int] | None = None) -> VolumeProgram:
-        """Compile a kernel for volumes, or return it if it has been compiled before."""
+        """Return a kernel for volumes, compiled on first use."""
         key = (name, *sorted((defines or {}).items()))
         if key not in self._volume_programs:
             dispatch = self._opened.dispatch
@@ -117,20 +122,20 @@ class Device:
         return self._volume_programs[key]
 
     def buffer(self, size: int) -> Any:
-        """Allocate so many bytes of zeros, or say why that cannot be."""
+        """Allocate a buffer of zeros of `size` bytes; raise `BackendError` if that fails."""
         self.check("computing")
-        what = f"a buffer of {size / 2**20:.0f} MiB"
+        description = f"a buffer of {size / 2**20:.0f} MiB"
         try:
             made = self.ctx.buffer(reserve=size)
         except Exception as error:  # noqa: BLE001 - moderngl raises its own and plain exceptions
-            self.lose(f"making {what}: {error}")
+            self.lose(f"making {description}: {error}")
         self.clear_buffer(made)
-        noted = self.ctx.error
-        if noted != "GL_NO_ERROR":
+        failure = self.ctx.error
+        if failure != "GL_NO_ERROR":
             made.release()
             self.lose(
-                f"making {what}: {noted}. It is probably out of memory: downsample the volume, or "
-                "close what else uses the graphics card"
+                f"making {description}: {failure}. It is probably out of memory: downsample the "
+                "volume, or close other programs that use the graphics card"
             )
         return made
 
@@ -139,32 +144,32 @@ class Device:
         self._opened.clear(buffer.glo)
 
     def texture(self, shape: tuple[int, ...], components: int) -> Any:
-        """Allocate a float32 texture of (rows, cols) texels, or say why it cannot be."""
+        """Allocate a float32 texture of (rows, cols) texels; raise `BackendError` if that fails."""
         height, width = shape
         size = height * width * components * 4
-        what = f"an image of {height} x {width} texels ({size / 2**20:.0f} MiB)"
+        description = f"an image of {height} x {width} texels ({size / 2**20:.0f} MiB)"
         if not 0 < max(shape) <= self.largest or min(shape) < 1:
             raise BackendError(
-                f"{self.renderer} takes images of up to {self.largest} x {self.largest}, not "
-                f'{what}. Downsample it, cut it, or take backend="cpu".'
+                f"{self.renderer} supports images of up to {self.largest} x {self.largest}, not "
+                f'{description}. Downsample or crop the image, or use backend="cpu".'
             )
         self.check("computing")
         try:
             texture = self.ctx.texture((width, height), components, dtype="f4")
         except Exception as error:  # noqa: BLE001 - moderngl raises its own and plain exceptions
-            self.lose(f"making {what}: {error}")
-        noted = self.ctx.error
-        if noted != "GL_NO_ERROR":
+            self.lose(f"making {description}: {error}")
+        failure = self.ctx.error
+        if failure != "GL_NO_ERROR":
             texture.release()
             self.lose(
-                f"making {what}: {noted}. It is probably out of memory: downsample the image, or "
-                "close what else uses the graphics card"
+                f"making {description}: {failure}. It is probably out of memory: downsample the "
+                "image, or close other programs that use the graphics card"
             )
         texture.filter = (self.ctx.NEAREST, self.ctx.NEAREST)
         return texture
 
     def mask(self, shown: npt.NDArray[np.bool_]) -> Any:
-        """Make the depth image that lets a pass run on the texels, (rows, cols), that are shown."""
+        """Create a depth texture that limits passes to the texels `shown`, shape (rows, cols)."""
         self.check("computing")
         try:
             made = self.ctx.depth_texture(shown.shape[::-1])
@@ -175,42 +180,55 @@ class Device:
         return made
 
     def framebuffer(self, textures: Sequence[Any], mask: Any = None) -> Any:
-        """Make what draws into textures, where a mask shows them."""
+        """Create a framebuffer that draws into textures, limited by a mask."""
         made = self.ctx.framebuffer(list(textures), mask)
         made.depth_mask = False
         return made
 
     def clear(self, target: Any) -> None:
-        """Fill what a framebuffer draws into with zeros."""
+        """Fill the textures of a framebuffer with zeros."""
         target.viewport = (0, 0, *target.size)
         target.use()
         target.clear()
-        # Mesa's softpipe loses what is drawn next into a framebuffer just cleared.
-        self._home.use()
+        # Mesa's softpipe drops the next pass into a framebuffer that was just cleared, unless
+        # another framebuffer was bound in between.
+        self._idle_framebuffer.use()
 
     def free(self, objects: Iterable[Any]) -> None:
-        """Release textures and framebuffers; nothing to do if they went with the context."""
+        """Release textures and framebuffers, unless they were released with the context."""
         if not self.lost:
-            self._home.use()
+            self._idle_framebuffer.use()
             for made in objects:
                 made.release()
 
     def check(self, doing: str) -> None:
-        """Drop the device if OpenGL has reported an error since the last look."""
+        """Raise `BackendError` and release the device if OpenGL has reported an error.
+
+        Parameters
+        ----------
+        doing : str
+            Description of the work since the last check, for the message.
+        """
         error = self.ctx.error
         if error != "GL_NO_ERROR":
             self.lose(f"{doing}: {error}")
 
     def lose(self, doing: str) -> NoReturn:
-        """Give the device up: nothing that it computes from now on could be trusted."""
+        """Release the device after an error and raise `BackendError`.
+
+        Parameters
+        ----------
+        doing : str
+            Description of the work that failed, for the message.
+        """
         self.release()
         raise BackendError(
             f"{self.renderer} failed while {doing}. The result was dropped; the next solve starts "
-            'a new context. If it happens again, update the driver or take backend="cpu".'
+            'a new context. If it happens again, update the driver or use backend="cpu".'
         )
 
     def release(self) -> None:
-        """Destroy the context with everything in it; safe to call twice."""
+        """Destroy the context with all its objects; a second call has no effect."""
         if self.lost:
             return
         self.lost = True
@@ -223,10 +241,10 @@ class Device:
         self._opened.release()
 
     def ensure(self, stage: Stage) -> None:
-        """Solve the canary once with a stage; refuse a device that computes nonsense."""
+        """Check once that a stage is available and computes correctly; see `canary`."""
         if stage not in self.stages:
             raise BackendError(
-                f"compute shaders need OpenGL 4.3, but this is {self.renderer}. Take "
+                f"compute shaders need OpenGL 4.3, but this is {self.renderer}. Use "
                 'backend="opengl:fragment" or backend="cpu".'
             )
         if stage not in self._checked:
@@ -234,12 +252,12 @@ class Device:
             self._checked.add(stage)
 
     def canary(self, stage: Stage) -> None:
-        """Run the kernel whose answer is known; lose the device if it differs anywhere.
+        """Run the test kernel, which has a known result.
 
         Raises
         ------
         BackendError
-            If one value differs, or OpenGL reports an error.
+            If a value is wrong, or OpenGL reports an error; the device is then released.
         """
         rows, cols = 5, 7
         n = np.arange(rows * cols, dtype=np.float32).reshape(rows, cols)[..., None] + 100
@@ -277,42 +295,43 @@ class Device:
                 wrong = int((answer != exact).sum())
                 self.lose(
                     f"drawing the test image as a {stage} shader: {wrong} of {exact.size} values "
-                    "are wrong, so it cannot be trusted with tissue"
+                    "are wrong, so its results cannot be trusted"
                 )
 
 
 _device: Device | None = None
-# Devices of a fork's parent: drivers do not share them, and the child does not release them.
-_of_parent: list[Device] = []
+# Devices of the parent process, in the child of a fork, which can neither use nor release them.
+_parent_devices: list[Device] = []
 
 
-def _disown() -> None:
+def _disown_device() -> None:
     global _device
     if _device is not None:
-        _of_parent.append(_device)
+        _parent_devices.append(_device)
         _device = None
 
 
-in_child_of_fork(_disown)
+in_child_of_fork(_disown_device)
 
 
 def the_device() -> Device:
-    """Return the process's device; the first call makes it. On the compute thread only.
+    """Return the device of the process, created on first use; on the compute thread only.
 
     Raises
     ------
     BackendError
-        If there is no usable OpenGL, or the process that forked this one has used it.
+        If there is no usable OpenGL, or if this process was forked from one that uses it.
     RuntimeError
-        On any other thread.
+        If this is another thread.
     """
     global _device
     if not compute_thread.is_current():
         raise RuntimeError("OpenGL is used on the compute thread only; call solve() instead")
-    if _of_parent:
+    if _parent_devices:
         raise BackendError(
-            "this process was forked from one that uses OpenGL, which does not survive that. Start "
-            'it by "spawn" (multiprocessing.get_context("spawn")), or take backend="cpu".'
+            "this process was forked from one that uses OpenGL, and a context cannot be used after "
+            'a fork. Start the process by "spawn" (multiprocessing.get_context("spawn")), or use '
+            'backend="cpu".'
         )
     if _device is None or _device.lost:
         _device = Device()

@@ -1,4 +1,4 @@
-"""Size of the batches of work on the device, between two checks for a cancellation."""
+"""Size of the batches of work on the device between two checks for a cancellation."""
 
 from __future__ import annotations
 
@@ -7,28 +7,29 @@ from collections.abc import Callable, Iterator
 
 from napari_hmrf.solver.backends.base import BATCH_SECONDS, Checkpoint
 
-#: No pass may take longer: Windows resets a device that does not answer for two seconds, and a
-#: desktop that shares the GPU stutters much earlier. It is cut into strips of rows instead.
+#: Longest time of a pass, in seconds; a longer pass is split into strips of rows. Windows resets a
+#: device that does not respond for two seconds, and a desktop on the same GPU stutters earlier.
 MAX_PASS_SECONDS = 0.25
 
-# Cost of the start of a pass, in sites; and assumed cost of a site before it was measured.
+# Cost of the start of a pass, in sites; and assumed time for a site, in seconds, before the first
+# measurement.
 _PASS_SITES = 1000
 _FIRST_GUESS = 1e-7
 
 
 class Pace:
-    """Counts the sites of the passes that were issued, and waits when they make a batch.
+    """Counter of issued sites, which waits for the device after each batch.
 
-    A pair of sites, which share a texel, counts as one here.
+    A pair of sites that share a texel counts as one site.
 
     Parameters
     ----------
     finish : callable
-        Waits until the device has done everything; lets other Python threads run.
+        Waits until the device has finished; other Python threads can run meanwhile.
     checkpoint : callable
         Called after each wait; raises to stop the work.
     longest : float
-        How many seconds a pass may take before it is cut into strips.
+        Longest time of a pass, in seconds; a longer pass is split into strips.
     """
 
     def __init__(
@@ -46,9 +47,9 @@ class Pace:
         self._since = 0.0
 
     def strips(self, grid: tuple[int, ...]) -> Iterator[tuple[int, int] | None]:
-        """Yield ranges of rows to run one after the other; None is all rows at once.
+        """Yield the ranges of rows into which a pass is split; None stands for all rows.
 
-        The pass counts as issued when the next range is requested.
+        A range counts as issued when the next one is requested.
         """
         height, width = grid
         seconds = height * width * self._seconds_per_site
@@ -67,12 +68,12 @@ class Pace:
             begin = end
 
     def wait(self) -> None:
-        """Wait for the device, measure how fast it was, and look whether to go on."""
+        """Wait for the device, measure its speed, and check for a cancellation."""
         self._finish()
         elapsed = time.perf_counter() - self._since
         if self._sites and elapsed > 0:
             measured = elapsed / self._sites
-            # One slow batch, on a machine busy with something else, must not shrink the next a lot.
+            # Limit the change: a batch may be slow because the machine is busy with other work.
             known = self._seconds_per_site if self._measured else measured
             self._seconds_per_site = min(max(measured, known / 2), known * 2)
             self._measured = True
@@ -85,6 +86,6 @@ class Pace:
 
     def _issued(self, sites: int) -> None:
         self._sites += sites + _PASS_SITES
-        # The first pass is waited for alone: until then the speed of the device is unknown.
+        # Wait after the first pass, to measure the speed of the device.
         if not self._measured or self._sites * self._seconds_per_site >= BATCH_SECONDS:
             self.wait()

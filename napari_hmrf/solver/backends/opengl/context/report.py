@@ -1,4 +1,4 @@
-"""Description of this machine's OpenGL, for a bug report."""
+"""Description of this machine's OpenGL for bug reports."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ _LIMITS = (
 
 
 def describe() -> dict[str, Any]:
-    """Describe the device, and try what it is needed for; on the compute thread only.
+    """Describe and test the device; on the compute thread only.
 
     Returns
     -------
     dict
-        Words, numbers, and lists and dicts of them: ``vendor``, ``renderer``, ``version``,
-        ``software`` (no GPU), ``made_by`` (the way to the context), ``context_seconds``,
-        ``limits``, ``render_targets`` (formats that work), ``stages``, ``default_stage`` and
-        ``canary`` (what each stage made of the test image).
+        Strings, numbers, and lists and dicts of them: ``vendor``, ``renderer``, ``version``,
+        ``software`` (True without a GPU), ``made_by`` (how the context was created),
+        ``context_seconds``, ``limits``, ``render_targets`` (formats that work), ``stages``,
+        ``default_stage`` and ``canary`` (result of the test image for each stage).
 
     Raises
     ------
@@ -50,15 +50,15 @@ def describe() -> dict[str, Any]:
         "made_by": device.way,
         "context_seconds": round(device.seconds, 3),
         "limits": {name: info[name] for name in _LIMITS if name in info},
-        "render_targets": [name for name, k in _FORMATS.items() if _works(device, k)],
+        "render_targets": [name for name, k in _FORMATS.items() if _is_exact(device, k)],
         "stages": list(device.stages),
         "default_stage": device.best_stage,
         "canary": {stage: _canary(stage) for stage in device.stages},
     }
 
 
-def _works(device: Device, components: int) -> bool:
-    """Return whether a value written to a format is read from it unchanged."""
+def _is_exact(device: Device, components: int) -> bool:
+    """Return whether values can be written to a texture format and read back unchanged."""
     value = (0.1, -2e-30, 3e30, 7.0)
     made: list[Any] = []
     try:
@@ -77,7 +77,7 @@ def _works(device: Device, components: int) -> bool:
 
 
 def _canary(stage: Any) -> str:
-    """Return "exact", or what went wrong; a device that fails is gone, the next one is new."""
+    """Return "exact", or the error message; after an error the device has been released."""
     try:
         the_device().canary(stage)
     except BackendError as error:

@@ -1,4 +1,4 @@
-"""Memory of one solve on the device, and the wait for the device."""
+"""Memory of one solve on the device."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from napari_hmrf.solver.backends.opengl.context.pace import Pace
 
 
 class DeviceResources:
-    """Textures or buffers that end with a solve.
+    """Textures or buffers that are freed at the end of a solve.
 
     Parameters
     ----------
     device : Device
     pace : Pace
-        Decides when to wait for the device.
+        Size of batches, and waits for the device.
     """
 
     def __init__(self, device: Device, pace: Pace) -> None:
@@ -23,11 +23,11 @@ class DeviceResources:
         self._own: list[Any] = []
 
     def wait(self) -> None:
-        """Wait for the device; check that it works, and that the solve is not cancelled."""
+        """Wait for the device; check for errors and for a cancellation."""
         self.pace.wait()
         self.device.check("computing")
 
     def close(self) -> None:
-        """Free the textures or buffers, the last first."""
+        """Free the textures or buffers, in reverse order of creation."""
         self.device.free(reversed(self._own))
         self._own.clear()

@@ -1,1 +1,1 @@
-"""Kernels on images: textures, and passes of shaders over them."""
+"""Linear models of images on the device: textures, and passes of shaders over them."""

@@ -1,4 +1,4 @@
-"""Elastic tissue on the device; set-up and double precision are the host's work."""
+"""Elastic tissue on the device; the host does the set-up and the work in double precision."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from napari_hmrf.solver.priors.elements import ElasticMaterial, ElementShape, el
 
 
 class GLElasticLevel(RelaxingLevel):
-    """One level's elements and springs.
+    """Elements and springs of one level.
 
     Parameters
     ----------
     passes : Passes
     host : CpuElasticLevel or ArrayElasticLevel
-        Where elements and springs come from.
+        Level on the host, with the elements and springs.
     shape : ElementShape
     """
 
     def __init__(self, passes: Passes, host: Any, shape: ElementShape) -> None:
-        there = host.lame[1] > 0
-        there[1:] |= there[:-1]
-        there[:, 1:] |= there[:, :-1]
+        tissue = host.lame[1] > 0
+        tissue[1:] |= tissue[:-1]
+        tissue[:, 1:] |= tissue[:, :-1]
         model = Model("smooth", "apply", {}, {"shape": np.array(shape, np.float32)})
-        super().__init__(passes, host, there[2:-2, 2:-2], model)
+        super().__init__(passes, host, tissue[2:-2, 2:-2], model)
         self._lame, self._element = host.lame, shape
         self._tissue_textures = [passes.texture(stored_planes(host.lame))]
 
-    def _hand_down(self, coarse: Self) -> None:
+    def _restrict_residual(self, coarse: Self) -> None:
         inputs = [
             self.correction.texture,
             self.load.texture,
@@ -56,7 +56,7 @@ class GLElasticModel(GLModel):
     Parameters
     ----------
     passes : Passes
-        Its own: they end with it.
+        Passes of this model, which its `close` frees.
     material : ElasticMaterial
     """
 
@@ -68,7 +68,7 @@ class GLElasticModel(GLModel):
 
 
 def _host(material: ElasticMaterial) -> LinearModel:
-    """The host's model: of loops, or of arrays before these are compiled."""
+    """Return the host's model, from compiled loops or, before they are compiled, in NumPy."""
     if loops.in_use():
         from napari_hmrf.solver.backends.cpu import elastic_model  # heavy: numba
 
@@ -77,7 +77,7 @@ def _host(material: ElasticMaterial) -> LinearModel:
 
 
 def _stiffness_matrix(stored_lame: Float64Array, element: ElementShape) -> Float64Array:
-    """The stiffness matrix of a small level."""
+    """Return the stiffness matrix of a small level, with values in the order of a texture."""
     first, shear = element_stiffness(element)
     lame = stored_lame.reshape(stored_lame.shape[0], -1, 2)
     number = np.arange(lame.size).reshape(lame.shape)

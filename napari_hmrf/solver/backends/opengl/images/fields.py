@@ -1,8 +1,8 @@
-"""Fields as textures: how their values lie there, and where the textures come from.
+"""Fields as textures: their layout, and a pool of textures.
 
-A field of two components keeps a pair of neighbouring sites in each texel, others keep one site
-(``common.glsl``). A row with an odd number of sites gets one more, of void. Either way the bytes of
-the texture are those of the array with its rows so filled up.
+In a field of two components each texel holds a pair of neighbouring sites, in other fields one site
+(``common.glsl``). A row with an odd number of sites gets one more site, of void. The bytes of a
+texture are those of the array with its rows padded in this way.
 """
 
 from __future__ import annotations
@@ -20,18 +20,20 @@ from napari_hmrf.solver.backends.opengl.programs.regions import Tissue
 
 @dataclass(eq=False)
 class GLField:
-    """Values on the (H, W) sites of a level, C components each, in a texture of float32.
+    """Field of float32 values on the sites of a level, in a texture.
 
     Attributes
     ----------
     shape : (int, int)
+        Grid of the level, (H, W).
     components : int
+        Number of components, C.
     texture : moderngl.Texture
-        RGBA, `grid` texels.
+        RGBA texture of `grid` texels.
     ratios : list of moderngl.Texture
-        Of stiffness: the ratios of each site's cliques, computed when first needed.
+        For a field of stiffness: ratios of each site's cliques, computed when first needed.
     tissue : Tissue or None
-        Of stiffness: where there is tissue, found when first needed.
+        For a field of stiffness: region with tissue, computed when first needed.
     """
 
     shape: tuple[int, ...]
@@ -42,46 +44,46 @@ class GLField:
 
     @property
     def grid(self) -> tuple[int, int]:
-        """The (rows, cols) of texels."""
+        """Number of (rows, cols) of texels."""
         return pairs(self.shape) if self.components == 2 else singles(self.shape)
 
 
 def pairs(shape: tuple[int, ...]) -> tuple[int, int]:
-    """Return how many (rows, cols) of pairs there are to (H, W) sites."""
+    """Return the number of (rows, cols) of pairs for (H, W) sites."""
     rows, cols = shape
     return rows, -(-cols // 2)
 
 
 def singles(shape: tuple[int, ...]) -> tuple[int, int]:
-    """Return the (rows, cols) of the sites that the pairs have."""
+    """Return the number of (rows, cols) of sites in pairs, with the padding of rows."""
     rows, cols = pairs(shape)
     return rows, 2 * cols
 
 
 def as_stored(values: FloatArray) -> FloatArray:
-    """Return values of shape (H, W, C) as they lie in a texture."""
+    """Return values of shape (H, W, C) in the layout of a texture."""
     lacking = values.shape[1] % 2
     return np.ascontiguousarray(np.pad(values, ((0, 0), (0, lacking), (0, 0))), "<f4")
 
 
 def as_given(stored: FloatArray, shape: tuple[int, ...], components: int) -> FloatArray:
-    """Return what a texture holds as values of shape (H, W, C)."""
+    """Return values in the layout of a texture as an array of shape (H, W, C)."""
     return stored.reshape(*singles(shape), components)[:, : shape[1]]
 
 
 def pairs_with_tissue(stored: FloatArray) -> npt.NDArray[np.bool_]:
-    """Return which pairs have tissue, given what a texture of stiffness holds."""
+    """Return the mask of pairs with tissue, for a stiffness in the layout of a texture."""
     tissue: npt.NDArray[np.bool_] = stored.reshape(*stored.shape[:2], 2, 2)[..., 0] > 0
     return tissue[..., 0] | tissue[..., 1]
 
 
 class Pool:
-    """The textures of one backend: those in use, and those waiting to be used again.
+    """Pool of the textures of one backend, which are reused.
 
     Parameters
     ----------
     make : callable
-        Makes a texture of (rows, cols) texels and some components.
+        Allocates a texture of (rows, cols) texels with a number of components.
     """
 
     def __init__(self, make: Callable[[tuple[int, ...], int], Any]) -> None:
@@ -90,10 +92,10 @@ class Pool:
         self.all: list[Any] = []
 
     def take(self, grid: tuple[int, ...], components: int, use: str = "pairs") -> Any:
-        """Return a texture; of ``pairs`` it holds 0 where the level has no tissue.
+        """Return a texture; for the use ``pairs`` it is 0 outside tissue.
 
-        Kernels that run on tissue only rely on that, so that what holds anything else must not
-        come back as pairs.
+        Kernels that run on tissue only rely on these zeros. A texture with other values must
+        therefore not be returned to the pool as ``pairs``.
         """
         spare = self._spare.get((grid, components, use))
         if spare:
@@ -107,11 +109,11 @@ class Pool:
     def give(
         self, grid: tuple[int, ...], components: int, texture: Any, use: str = "pairs"
     ) -> None:
-        """Take a texture back for others of the same use."""
+        """Return a texture to the pool, for later requests with the same size and use."""
         self._spare.setdefault((grid, components, use), []).append(texture)
 
     def blank(self, grid: tuple[int, ...]) -> None:
-        """Fill the waiting ``pairs`` of a level with 0."""
+        """Fill the unused textures for ``pairs`` of a grid with 0."""
         for (size, components, use), waiting in self._spare.items():
             if size == grid and use == "pairs":
                 for texture in waiting:

@@ -1,8 +1,8 @@
-"""One level of a linear model on the device: its vectors, and what needs no model.
+"""One level of a linear model on the device: the part that does not depend on the model.
 
-A vector has two textures, of which a kernel reads the one and writes the other. A scalar is a
-texture of one texel. Both give their textures back with their last reference, so that an
-iteration allocates nothing.
+A vector has two textures: a kernel reads one and writes the other. A scalar is a texture of one
+texel. The textures are reused after the last reference to their vector or scalar, so an iteration
+allocates no memory.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from napari_hmrf.solver.backends.opengl.images.totals import BLOCK
 from napari_hmrf.solver.backends.opengl.programs.programs import Uniforms
 from napari_hmrf.solver.backends.opengl.scalars import Ratio, values_of
 
-# Width of the ring of zeros around planes.
+# Width of the border of zeros around planes, in sites.
 _PAD = 2
 
 
 class Vector:
-    """Values of two components on a level's sites, in pairs.
+    """Vector of two components on a level's sites, in pairs.
 
     Parameters
     ----------
     take : callable
         Returns a texture of zeros.
     spare : list of moderngl.Texture
-        Where the textures go in the end.
+        List to which the textures are returned after the last reference.
     """
 
     def __init__(self, take: Callable[[], Any], spare: list[Any]) -> None:
-        self._take, self._spare = take, spare
+        self._zero_texture, self._spare = take, spare
         self._textures: list[Any] = []  # `__del__` needs the list even if `take` fails
         self._textures.append(take())
 
@@ -49,13 +49,13 @@ class Vector:
 
     @property
     def other(self) -> Any:
-        """Texture for the next values; 0 wherever there is no tissue."""
+        """Texture for the next values; 0 outside tissue."""
         if len(self._textures) == 1:
-            self._textures.append(self._take())
+            self._textures.append(self._zero_texture())
         return self._textures[1]
 
     def turn(self) -> None:
-        """Take what was written as the values."""
+        """Exchange the two textures, so that the written values become the vector."""
         self._textures.reverse()
 
     def __del__(self) -> None:
@@ -63,14 +63,14 @@ class Vector:
 
 
 class Scalar:
-    """A number on the device.
+    """Number on the device.
 
     Parameters
     ----------
     texture : moderngl.Texture
-        Its one texel.
+        Texture of one texel.
     spare : list of moderngl.Texture
-        Where it goes in the end.
+        List to which the texture is returned after the last reference.
     """
 
     def __init__(self, texture: Any, spare: list[Any]) -> None:
@@ -84,22 +84,22 @@ Number = Scalar | Ratio[Scalar]
 
 
 class Product:
-    """A scalar times another: `GLLevel.quotient` multiplies."""
+    """Product of two scalars, which `GLLevel.quotient` evaluates."""
 
     def __init__(self, first: Scalar, second: Scalar) -> None:
         self.first, self.second = first, second
 
 
 class GLLevel(CycleLevel[Scalar]):
-    """The part of a level that all models share; `LinearLevel` says what each method does.
+    """Base class of the levels of images; `LinearLevel` documents the methods.
 
     Parameters
     ----------
     passes : Passes
     grid : tuple of int
-        Its sites, (H, W).
-    shown : ndarray, shape (H, W)
-        Which of them are tissue.
+        Grid of the level, (H, W).
+    shown : ndarray of bool, shape (H, W)
+        Mask of tissue.
     """
 
     def __init__(self, passes: Passes, grid: tuple[int, ...], shown: npt.NDArray[np.bool_]) -> None:
@@ -114,19 +114,19 @@ class GLLevel(CycleLevel[Scalar]):
         self._share: Any = None
 
     def vector(self, values: FloatArray | None = None) -> Vector:
-        """Return zeros, or these planes."""
-        made = Vector(self._take, self._spare)
+        """Return a vector of zeros, or of the values in planes."""
+        made = Vector(self._zero_texture, self._spare)
         if values is not None:
             made.texture.write(stored_planes(values))
             self._passes.device.check("uploading a vector")
         return made
 
     def passing(self) -> Vector:
-        """Return a new vector."""
+        """Return a vector that is valid until the next cycle."""
         return self.vector()
 
     def planes(self, vector: Vector) -> FloatArray:
-        """Bring a vector back; a device that has stopped computing is found out."""
+        """Copy a vector to the host as planes; check that the device still works."""
         self._passes.wait()
         stored = np.frombuffer(vector.texture.read(), "<f4")
         self._passes.device.check("reading a vector")
@@ -139,32 +139,38 @@ class GLLevel(CycleLevel[Scalar]):
 
     def product(self, a: Vector, b: Vector) -> Scalar:
         """Return the scalar product."""
-        return self._reduced("product", {}, [a.texture, b.texture], "sum", {})
+        return self._reduce("product", {}, [a.texture, b.texture], "sum", {})
 
     def largest(self, a: Vector) -> Scalar:
         """Return the largest absolute value."""
-        return self._reduced("largest", {"PAIRS": 1}, [a.texture], "largest", {"PAIRS": 0})
+        return self._reduce("largest", {"PAIRS": 1}, [a.texture], "largest", {"PAIRS": 0})
 
     def weigh(self, a: Vector, b: Vector) -> tuple[Scalar, Scalar]:
-        """Return the largest absolute value of `a`, and the scalar product."""
+        """Return the largest absolute value of `a`, and the scalar product of both."""
         return self.largest(a), self.product(a, b)
 
     def quotient(self, a: Scalar | Product, b: Scalar | Product) -> Scalar:
-        """Return a over b, of either sign; 0 where b is 0."""
-        made = Scalar(self._one(), self._spare_scalars)
-        inputs = [*self._factors(a), *self._factors(b)]
+        """Return a / b for numbers of any sign; 0 if b is 0."""
+        made = Scalar(self._scalar_texture(), self._spare_scalars)
+        inputs = [*self._factor_textures(a), *self._factor_textures(b)]
         self._passes.run(self._passes.program("quotient"), inputs, [made.texture], (1, 1))
         return made
 
     def times(self, a: Scalar, b: Scalar) -> Product:
-        """Return a times b, to be divided."""
+        """Return a b as an argument for `quotient`."""
         return Product(a, b)
 
     def advance(
         self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: Number
     ) -> Scalar:
-        """Add length direction to d, take length image from rest; return the square of the rest."""
-        inputs = [d.texture, rest.texture, direction.texture, image.texture, *self._over(length)]
+        """Compute d += length direction and rest -= length image; return rest . rest."""
+        inputs = [
+            d.texture,
+            rest.texture,
+            direction.texture,
+            image.texture,
+            *self._ratio_textures(length),
+        ]
         signed = {"SIGNED": int(isinstance(length, Scalar))}
         self._run("advance", signed, inputs, [d.other, rest.other, self._shares()])
         d.turn()
@@ -173,7 +179,7 @@ class GLLevel(CycleLevel[Scalar]):
 
     def turn(self, steepest: Vector, direction: Vector, share: Number) -> None:
         """Compute direction = steepest + share direction."""
-        inputs = [steepest.texture, direction.texture, *self._over(share)]
+        inputs = [steepest.texture, direction.texture, *self._ratio_textures(share)]
         self._run("turn", {}, inputs, [direction.other])
         direction.turn()
 
@@ -186,7 +192,7 @@ class GLLevel(CycleLevel[Scalar]):
         direction.turn()
 
     def read(self, *scalars: Number) -> tuple[float, ...]:
-        """Wait for scalars."""
+        """Wait for the device, and return the values of scalars."""
         self._passes.wait()
 
         @cache
@@ -205,13 +211,13 @@ class GLLevel(CycleLevel[Scalar]):
         outputs: list[Any],
         uniforms: Uniforms | None = None,
     ) -> None:
-        """Run a kernel for tissue."""
+        """Run a kernel on the tissue of the level."""
         program = self._passes.program(name, defines)
         program.set(uniforms or {})
         self._passes.run(program, inputs, outputs, self._pairs, tissue=self._tissue)
 
-    def _take(self) -> Any:
-        """A texture of zeros, used before or not."""
+    def _zero_texture(self) -> Any:
+        """Return a texture of zeros, reused if possible."""
         if not self._spare:
             return self._passes.blank(self._pairs, 4)
         texture = self._spare.pop()
@@ -219,15 +225,15 @@ class GLLevel(CycleLevel[Scalar]):
         return texture
 
     def _shares(self) -> Any:
-        """The texture for what each pair gives to a sum."""
+        """Return the texture for the contribution of each pair to a sum."""
         if self._share is None:
             self._share = self._passes.blank(self._pairs, 1)
         return self._share
 
     def _sum_of_shares(self) -> Scalar:
-        return self._reduced("sum", {}, [self._share], "sum", {})
+        return self._reduce("sum", {}, [self._share], "sum", {})
 
-    def _reduced(
+    def _reduce(
         self,
         first: str,
         first_defines: dict[str, int],
@@ -235,12 +241,12 @@ class GLLevel(CycleLevel[Scalar]):
         then: str,
         then_defines: dict[str, int],
     ) -> Scalar:
-        """Reduce blocks by the first kernel, and blocks of these by the other until one is left."""
+        """Reduce blocks of texels by the kernel `first`, then by `then` until one value is left."""
         name, defines, grid = first, first_defines, self._pairs
         while True:
             rows, cols = (-(-size // BLOCK) for size in grid)
             grid = rows, cols
-            scalar = Scalar(self._one(), self._spare_scalars) if grid == (1, 1) else None
+            scalar = Scalar(self._scalar_texture(), self._spare_scalars) if grid == (1, 1) else None
             output = scalar.texture if scalar else self._block(grid)
             program = self._passes.program(name, {"BLOCK": BLOCK, **defines})
             self._passes.run(program, inputs, [output], grid)
@@ -248,7 +254,7 @@ class GLLevel(CycleLevel[Scalar]):
                 return scalar
             name, defines, inputs = then, then_defines, [output]
 
-    def _one(self) -> Any:
+    def _scalar_texture(self) -> Any:
         return self._spare_scalars.pop() if self._spare_scalars else self._passes.empty((1, 1), 1)
 
     def _block(self, grid: tuple[int, int]) -> Any:
@@ -256,21 +262,21 @@ class GLLevel(CycleLevel[Scalar]):
             self._blocks[grid] = self._passes.empty(grid, 1)
         return self._blocks[grid]
 
-    def _over(self, number: Number) -> list[Any]:
-        """Return the inputs of a kernel for a number: above and below."""
+    def _ratio_textures(self, number: Number) -> list[Any]:
+        """Return the textures of numerator and denominator of a number, as inputs of a kernel."""
         if isinstance(number, Ratio):
             return [number.above.texture, number.below.texture]
         return [number.texture, self._passes.unit]
 
-    def _factors(self, number: Scalar | Product) -> list[Any]:
-        """Return the inputs of a kernel for a number that may be a product."""
+    def _factor_textures(self, number: Scalar | Product) -> list[Any]:
+        """Return the textures of both factors of a number, as inputs of a kernel."""
         if isinstance(number, Product):
             return [number.first.texture, number.second.texture]
         return [number.texture, self._passes.unit]
 
 
 def stored_planes(planes: npt.NDArray[np.float32]) -> FloatArray:
-    """Return planes (2, H + 4, W + 4) as they lie in a texture, (H, pairs, 4)."""
+    """Return planes (2, H + 4, W + 4) in the layout of a texture, (H, pairs, 4)."""
     inner = planes[:, _PAD:-_PAD, _PAD:-_PAD]
     rows, cols = pairs(inner.shape[1:])
     made = np.zeros((rows, 2 * cols, 2), "<f4")

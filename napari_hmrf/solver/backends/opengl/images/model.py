@@ -1,4 +1,4 @@
-"""A linear model on the device: its levels; all that is done in double precision is the host's."""
+"""Linear model of an image with its levels on the device and double precision on the host."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from napari_hmrf.solver.backends.rigid.entrained import Entrained
 
 
 class GLModel:
-    """`LinearModel`, which says what each method does.
+    """Model with levels on the device; `LinearModel` documents the methods.
 
     Parameters
     ----------
     passes : Passes
-        Its own: they end with it.
+        Passes of this model, which `close` frees.
     host : LinearModel
-        The compiled loops' model of the same tissue.
+        Model of the same tissue on the host.
     levels : sequence of RelaxingLevel
-        Of that model, on the device.
+        Levels of that model, on the device.
     """
 
     def __init__(self, passes: Passes, host: LinearModel, levels: Sequence[RelaxingLevel]) -> None:
@@ -31,7 +31,7 @@ class GLModel:
         self.bounds = host.bounds
 
     def hold(self, held: HeldPlanes) -> None:
-        """Hold components on all levels."""
+        """Set the held components on all levels."""
         self._host.hold(held)
         for level in self.levels:
             level.hold()
@@ -43,17 +43,17 @@ class GLModel:
 
     @property
     def mild(self) -> bool:
-        """True if a cycle sees every motion of such tissue."""
+        """True if a cycle reduces every motion of such tissue."""
         return self._host.mild
 
     @property
     def slow(self) -> bool:
-        """True if factors are faster than cycles on this device."""
+        """True if direct factors are faster than cycles on this device."""
         return False
 
     @property
     def exactly(self) -> Any:
-        """None: cycles that are rounded by the host are for volumes."""
+        """None, because only volumes iterate in double precision."""
         return None
 
     @property
@@ -63,26 +63,26 @@ class GLModel:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The finest grid, (H, W)."""
+        """Finest grid, (H, W)."""
         return self._host.shape
 
     @property
     def bodies(self) -> Bodies | None:
-        """Rigid tissue, with what is held now."""
+        """Rigid bodies with the present held components; None without rigid tissue."""
         return self._host.bodies
 
     @property
     def iterates(self) -> bool:
-        """True if cycles can be used: bodies are moved as one on the host only."""
+        """True if cycles can be used; rigid bodies are supported on the host only."""
         return self.bodies is None
 
     @property
     def found(self) -> Found:
-        """Earlier results for the tissue with the present held components."""
+        """Results of earlier solves with the present held components."""
         return self._host.found
 
     def entrained(self, steps: Steps, coarsest: Steps) -> Entrained | None:
-        """Return None: see `iterates`."""
+        """Return None, because rigid bodies are supported on the host only."""
         return None
 
     def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:
@@ -94,20 +94,20 @@ class GLModel:
         return self._host.pull(d, low)
 
     def work(self, d: Planes) -> tuple[float, float]:
-        """Return the model's energy, and the norm of its forces."""
+        """Return the energy of a displacement, and the norm of its forces A d."""
         return self._host.work(d)
 
     @property
     def steepness(self) -> Planes:
-        """The diagonal of A, whatever is held."""
+        """Diagonal of A on the finest level, including held components."""
         return self._host.steepness
 
     def clear(self) -> None:
-        """Ignore the call: images have no better cycles."""
+        """Ignore the call; it is needed only for rigid tissue and double precision."""
 
     def forget(self) -> None:
-        """Ignore the call: no vector outlives a solve."""
+        """Ignore the call; no vector on the device outlives a solve."""
 
     def close(self) -> None:
-        """Free every texture."""
+        """Free all textures."""
         self._passes.close()

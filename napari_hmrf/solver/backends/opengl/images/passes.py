@@ -1,4 +1,4 @@
-"""Passes of kernels over textures, at a pace that leaves the device to others in between."""
+"""Passes of kernels over textures, in batches that leave the device time for other programs."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from napari_hmrf.solver.backends.opengl.programs.source import Stage
 
 
 class Passes(DeviceResources):
-    """A solve's way to the device, and the textures that are its own.
+    """Runner of kernels for one solve, and owner of the textures of that solve.
 
     Parameters
     ----------
     device : Device
     stage : {"fragment", "compute"}
     pace : Pace
-        Says when to wait for the device.
+        Size of batches, and waits for the device.
     """
 
     def __init__(self, device: Device, stage: Stage, pace: Pace) -> None:
@@ -40,7 +40,7 @@ class Passes(DeviceResources):
         self._unit: Any = None
 
     def program(self, name: str, defines: Mapping[str, int] | None = None) -> Program:
-        """Compile a kernel, or return it if it has been compiled before."""
+        """Return a kernel, compiled on first use."""
         return self.device.program(name, self.stage, defines)
 
     def run(
@@ -52,7 +52,7 @@ class Passes(DeviceResources):
         first_row: int = 0,
         tissue: Tissue | None = None,
     ) -> None:
-        """Run a kernel over a grid of texels, in as many strips as its size needs."""
+        """Run a kernel over a grid of texels, in strips if the grid is large."""
         region = Window(0, 0, *grid) if tissue is None else tissue.region
         target = self._target(outputs, tissue) if self.stage == "fragment" else None
         for rows in self.pace.strips(region.size):
@@ -60,7 +60,7 @@ class Passes(DeviceResources):
             program.run(inputs, outputs, target, part, first_row)
 
     def tissue(self, shown: npt.NDArray[np.bool_]) -> Tissue:
-        """Describe the texels, (rows, cols), that passes for tissue run on."""
+        """Return the region of the texels `shown`, shape (rows, cols), for passes on tissue."""
         if self.stage == "fragment":
             made = self.device.mask(shown)
             tissue = Tissue(window_around(shown), made)
@@ -74,27 +74,27 @@ class Passes(DeviceResources):
         return tissue
 
     def texture(self, values: npt.NDArray[np.float32]) -> Any:
-        """Make a texture of values (rows, cols, components)."""
+        """Create a texture of values (rows, cols, components)."""
         made = self.device.texture(values.shape[:2], values.shape[2])
         self._own.append(made)
         made.write(np.ascontiguousarray(values))
         return made
 
     def empty(self, grid: tuple[int, ...], components: int) -> Any:
-        """Make a texture that holds nothing yet."""
+        """Create an uninitialised texture."""
         made = self.device.texture(grid, components)
         self._own.append(made)
         return made
 
     def blank(self, grid: tuple[int, ...], components: int) -> Any:
-        """Make a texture of zeros."""
+        """Create a texture of zeros."""
         made = self.empty(grid, components)
         self.clear(made)
         return made
 
     @property
     def unit(self) -> Any:
-        """A texture of one texel that holds 1."""
+        """Texture of one texel with the value 1."""
         if self._unit is None:
             self._unit = self.texture(np.ones((1, 1, 1), np.float32))
         return self._unit
@@ -104,14 +104,14 @@ class Passes(DeviceResources):
         self.device.clear(self._target([texture], None))
 
     def close(self) -> None:
-        """Free what was made here."""
+        """Free all framebuffers and textures."""
         self.device.free(self._targets.values())
         self._targets.clear()
         self._unit = None
         super().close()
 
     def _target(self, outputs: Sequence[Any], tissue: Tissue | None) -> Any:
-        """Make the framebuffer that draws into these textures, or return it."""
+        """Return the framebuffer that draws into textures, created on first use."""
         key = (*outputs, tissue)
         if key not in self._targets:
             mask = None if tissue is None else tissue.mask

@@ -1,7 +1,7 @@
-"""A level on the device that smooths: the V-cycle's passes, whatever the tissue is.
+"""Level on the device with the passes of the V-cycle, for any prior.
 
-What a prior adds is which kernels look at the tissue, what they read of it, and how what is left of
-a load is handed down.
+A prior adds the kernels that compute forces, the textures that they read, and the restriction of
+the residual.
 """
 
 from __future__ import annotations
@@ -20,17 +20,19 @@ from napari_hmrf.solver.backends.opengl.programs.programs import Uniforms
 
 Float64Array = npt.NDArray[np.float64]
 
-# All steps of a level with so few values are one matrix; two passes would be no slower.
+# Largest number of values of a level on which one pass with a matrix replaces all steps, and number
+# of steps up to which separate passes are as fast.
 _FEW_VALUES = 128
 _FEW_STEPS = 2
 
-#: A level of fewer sites, with all that is below it, is visited once in a cycle.
+#: Number of sites below which a level, and all coarser levels, are visited once in a cycle.
 WORTH_AGAIN = 40_000
 
-# A step that changes nothing.
+# (scale, momentum) of a step that changes nothing.
 _NO_STEP = (0.0, 0.0)
 
-# START of smooth.glsl: from what the correction is, from zero, or with the coarse correction added.
+# Values of START in smooth.glsl: from the present correction, from zero, or with the coarse
+# correction added.
 AS_IS, FROM_ZERO, FROM_COARSE = 0, 1, 2
 
 
@@ -40,10 +42,11 @@ class Model(NamedTuple):
     Attributes
     ----------
     smooth, apply : str
-        The kernels' names.
+        Names of the kernels.
     defines : mapping of str to int
-        What all of them are compiled with.
+        Preprocessor definitions of all kernels of the prior.
     uniforms : mapping of str to ndarray
+        Uniforms of all kernels of the prior.
     """
 
     smooth: str
@@ -53,15 +56,15 @@ class Model(NamedTuple):
 
 
 class RelaxingLevel(GLLevel):
-    """A level of a model; `LinearLevel` says what each method does.
+    """Level with a smoother; `LinearLevel` documents the methods.
 
     Parameters
     ----------
     passes : Passes
     host : CpuLevel or ArrayLevel
-        Where the diagonal and the springs (its ``weight``) come from.
-    shown : ndarray, shape (H, W)
-        Which sites are tissue.
+        Level on the host, with the diagonal and the springs (``weight``).
+    shown : ndarray of bool, shape (H, W)
+        Mask of tissue.
     model : Model
     """
 
@@ -80,11 +83,11 @@ class RelaxingLevel(GLLevel):
         self._matrices: dict[Any, Any] = {}
 
     def _matrix(self) -> Float64Array:
-        """Return the matrix of a small level without springs, for values in pairs, row by row."""
+        """Return the matrix of a small level without springs, in the order of texture values."""
         raise NotImplementedError
 
     def hold(self) -> None:
-        """Bring what is held from the host."""
+        """Copy the diagonal and the springs for the present held components from the host."""
         self._inverse.write(stored_planes(self._host.inverse))
         if self._springs is not None:
             self._springs.write(stored_planes(np.asarray(self._host.weight)))
@@ -92,16 +95,16 @@ class RelaxingLevel(GLLevel):
 
     @property
     def worth_again(self) -> bool:
-        """Starting the passes of all coarser levels takes its time, however small they are."""
+        """True if a second visit is worth its cost, including the passes of all coarser levels."""
         return math.prod(self.grid) >= WORTH_AGAIN
 
     def ascend(self, steps: Steps, coarse: Self) -> None:
-        """Add the coarse correction, and relax."""
+        """Add the interpolated coarse correction, and smooth."""
         self._smooth(FROM_COARSE, *steps[0], coarse=coarse)
         self._relax(steps[1:], from_zero=False)
 
     def _relax(self, steps: Steps, from_zero: bool) -> None:
-        """Smooth the correction for the load; from zero two steps are one pass, or all are."""
+        """Smooth the correction; from zero, the first two steps or all steps are one pass."""
         if from_zero:
             if len(steps) > _FEW_STEPS and 4 * math.prod(self._pairs) <= _FEW_VALUES:
                 self._relax_at_once(steps)
@@ -132,7 +135,7 @@ class RelaxingLevel(GLLevel):
         first: float = 0.0,
         coarse: RelaxingLevel | None = None,
     ) -> None:
-        """One step of the smoother, or two from zero."""
+        """Run one step of the smoother, or two steps if it starts from zero."""
         d, last, unused = self.correction, self._last, self._inverse
         inputs = [
             unused if start == FROM_ZERO else d.texture,
@@ -151,7 +154,7 @@ class RelaxingLevel(GLLevel):
         last.turn()
 
     def _relax_at_once(self, steps: Steps) -> None:
-        """All steps from zero as one pass: they are a polynomial of the level's matrix."""
+        """Run all steps from zero as one pass that multiplies the load by a matrix."""
         key = tuple(steps)
         if key not in self._matrices:
             matrix = self._smoother(steps)
@@ -164,9 +167,9 @@ class RelaxingLevel(GLLevel):
         self.correction.turn()
 
     def _smoother(self, steps: Steps) -> Float64Array:
-        """Return all steps from zero, applied to a load, as one matrix."""
-        # By products of matrices: a decomposition would wake the threads of LAPACK, which then wait
-        # for more on the cores that a software rasteriser renders with.
+        """Return the matrix that maps a load to the correction after all steps from zero."""
+        # Matrix products are used, because a decomposition would wake the threads of LAPACK, which
+        # then spin on the cores that a software rasteriser needs.
         host, matrix = self._host, self._matrix()
         if host.weight is not None:
             matrix += np.diag(stored_planes(host.weight).astype(np.float64).ravel())

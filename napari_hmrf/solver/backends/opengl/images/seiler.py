@@ -1,4 +1,4 @@
-"""The paper's cliques on the device; set-up and double precision are the host's work."""
+"""The paper's cliques on the device; the host does the set-up and works in double precision."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from napari_hmrf.solver.priors.cliques import SeilerMaterial
 
 
 class GLSeilerLevel(RelaxingLevel):
-    """One level's cliques and springs.
+    """Cliques and springs of one level.
 
     Parameters
     ----------
     passes : Passes
     host : CpuSeilerLevel or ArraySeilerLevel
-        Where stiffness and springs come from.
+        Level on the host, with stiffness and springs.
     """
 
     def __init__(self, passes: Passes, host: Any) -> None:
@@ -42,12 +42,12 @@ class GLSeilerLevel(RelaxingLevel):
         stiffness = [passes.texture(stored_planes(host.stiffness))]
         passes.run(passes.program("ratios"), stiffness, self._tissue_textures, singles(host.grid))
         self._left = passes.blank(self._pairs, 4)
-        # A load that is a mean over sites stays one on coarser levels.
+        # With centred cliques a load is a mean over sites, also on coarser levels.
         self._even = None
         if not host.blanket:
             self._even = passes.texture(stored_planes(np.stack([host.even] * 2)))
 
-    def _hand_down(self, coarse: Self) -> None:
+    def _restrict_residual(self, coarse: Self) -> None:
         inputs = [
             self.correction.texture,
             self.load.texture,
@@ -66,7 +66,10 @@ class GLSeilerLevel(RelaxingLevel):
         first: float = 0.0,
         coarse: RelaxingLevel | None = None,
     ) -> None:
-        """One step of the smoother, or two from zero; blanket, a pass more if not as it is."""
+        """Run one step of the smoother, or two steps if it starts from zero.
+
+        Blanket cliques take an extra pass, unless START is `AS_IS`.
+        """
         if self._cliques.blanket and start != AS_IS:
             d, last, unused = self.correction, self._last, self._inverse
             other = unused if coarse is None else coarse.correction.texture
@@ -79,7 +82,7 @@ class GLSeilerLevel(RelaxingLevel):
         super()._smooth(start, scale, momentum, first, coarse)
 
     def _matrix(self) -> Float64Array:
-        """Found by applying the host's model to every single displacement."""
+        """Return the matrix, column by column from the host's forces of unit displacements."""
         host = self._cliques
         count = 4 * self._pairs[0] * self._pairs[1]
         grid = (*self._pairs, 2, 2)
@@ -103,7 +106,7 @@ class GLSeilerModel(GLModel):
     Parameters
     ----------
     passes : Passes
-        Its own: they end with it.
+        Passes of this model, which its `close` frees.
     material : SeilerMaterial
     """
 
@@ -113,16 +116,16 @@ class GLSeilerModel(GLModel):
 
     @property
     def slow(self) -> bool:
-        """Return whether factors are faster than cycles, as on a software rasteriser.
+        """True if direct factors are faster than cycles: blanket cliques on a software renderer.
 
-        Blanket, cycles are many, rehearsal included, and their kernels read much: such a program
-        takes twice as long for them, at any size, and must compile them first.
+        Blanket cliques need many cycles, and their kernels read many texels. On a software renderer
+        this takes twice as long as factors for any size of image, plus the time to compile.
         """
         return bool(self.material.blanket and self._passes.device.software)
 
 
 def _host(material: SeilerMaterial) -> LinearModel:
-    """The host's model: of loops, or of arrays before these are compiled."""
+    """Return the host's model, from compiled loops or, before they are compiled, in NumPy."""
     if loops.in_use():
         from napari_hmrf.solver.backends.cpu import seiler_model  # heavy: numba
 

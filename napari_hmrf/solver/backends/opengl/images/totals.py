@@ -1,6 +1,6 @@
-"""Energies of many sweeps, kept on the device until the last of them.
+"""Energies of many sweeps, which stay on the device until the last sweep.
 
-Reading after every sweep would make the host and the device wait for each other 700 times.
+A read after each sweep would make the host and the device wait for each other up to 700 times.
 """
 
 from __future__ import annotations
@@ -13,68 +13,68 @@ import numpy as np
 from napari_hmrf.solver.backends.base import EnergyArray
 from napari_hmrf.solver.backends.opengl.programs.programs import Program
 
-#: Rows and columns of shares that one invocation of the sum adds up.
+#: Rows and columns of shares that one invocation of the sum adds.
 BLOCK = 8
 
-#: Up to this many shares a software renderer keeps those of every sweep, as they are: to it a pass
-#: costs at least 30 microseconds and reading a small image one.
+#: Largest number of shares that a software renderer stores for each sweep without adding them: a
+#: pass takes at least 30 microseconds there, but reading a small image takes one microsecond.
 KEPT_SHARES = 2**16
 
-# Number of sweeps that are kept before they are read.
+# Number of sweeps that are stored before they are read.
 _KEPT_SWEEPS = 16
 
-#: Runs a program: inputs, outputs, grid, first row.
+#: Function that runs a program, given inputs, outputs, grid and first row.
 Run = Callable[[Program, list[Any], list[Any], tuple[int, ...], int], None]
 
 
 class Textures(Protocol):
-    """Pool of textures, by (rows, cols) of texels and components."""
+    """Pool of textures; see `fields.Pool`."""
 
     def take(self, grid: tuple[int, ...], components: int, use: str = "pairs") -> Any:
-        """Return a texture; of ``pairs`` it holds 0 where the level has no tissue."""
+        """Return a texture; for the use ``pairs`` it is 0 outside tissue."""
         ...
 
     def give(
         self, grid: tuple[int, ...], components: int, texture: Any, use: str = "pairs"
     ) -> None:
-        """Take a texture back for others of the same use."""
+        """Return a texture to the pool, for later requests with the same size and use."""
         ...
 
 
 class Totals(Protocol):
-    """U_total of one sweep after the other."""
+    """Collector of U_total over successive sweeps."""
 
     def share(self) -> Any:
-        """Return the texture that the next sweep writes the shares of its pairs of sites to."""
+        """Return the texture for the next sweep's energy of each pair of sites."""
         ...
 
     def add(self) -> None:
-        """Count what has been written."""
+        """Add the shares of the sweep that has been run."""
         ...
 
     def read(self) -> EnergyArray:
-        """Wait for the sums, in the order they were added, and give the textures back."""
+        """Wait for the sums and return them in the order of sweeps; release the textures."""
         ...
 
 
 class BlockTotals:
-    """The device adds up blocks of shares; the blocks of a sweep fill one strip of an atlas.
+    """Totals of blocks, which the device adds; each sweep fills one strip of an atlas texture.
 
     Parameters
     ----------
     program : Program
-        The kernel ``sum`` for blocks of `BLOCK`.
+        Kernel ``sum`` for blocks of `BLOCK`.
     run : callable
-        Runs it.
+        Runs the program.
     textures : Textures
     wait : callable
         Waits for the device.
     grid : (int, int)
-        How many (rows, cols) of shares there are.
+        Number of (rows, cols) of shares.
     sweeps : int
-        How many there will be.
+        Number of sweeps that will follow.
     largest : int
-        The most rows a texture can have.
+        Largest number of rows of a texture.
     """
 
     def __init__(
@@ -99,11 +99,11 @@ class BlockTotals:
         self._energies: list[float] = []
 
     def share(self) -> Any:
-        """Return the one texture there is."""
+        """Return the texture for the shares of the next sweep."""
         return self._share
 
     def add(self) -> None:
-        """Sum the blocks into the next strip."""
+        """Add the shares of each block, and write the sums to the next strip."""
         if self._used == self._strips:
             self._flush()
         row = self._used * self._blocks[0]
@@ -111,7 +111,7 @@ class BlockTotals:
         self._used += 1
 
     def read(self) -> EnergyArray:
-        """Add the blocks up in double precision."""
+        """Add the sums of blocks in double precision; return the total of each sweep."""
         self._flush()
         self._textures.give(self._atlas_shape, 1, self._atlas, use="atlas")
         self._textures.give(self._grid, 1, self._share)
@@ -125,7 +125,7 @@ class BlockTotals:
 
 
 class PairTotals:
-    """Every sweep has a texture of its own; the host adds the shares up.
+    """Totals of shares, which the host adds; each sweep has a texture of its own.
 
     Parameters
     ----------
@@ -133,9 +133,9 @@ class PairTotals:
     wait : callable
         Waits for the device.
     grid : (int, int)
-        How many (rows, cols) of shares there are.
+        Number of (rows, cols) of shares.
     sweeps : int
-        How many there will be.
+        Number of sweeps that will follow.
     """
 
     def __init__(
@@ -149,17 +149,17 @@ class PairTotals:
         self._energies: list[float] = []
 
     def share(self) -> Any:
-        """Return the next texture."""
+        """Return the texture for the shares of the next sweep."""
         if self._used == len(self._shares):
             self._flush()
         return self._shares[self._used]
 
     def add(self) -> None:
-        """Keep the texture as it is."""
+        """Mark the present texture as used."""
         self._used += 1
 
     def read(self) -> EnergyArray:
-        """Add the shares of a row up, and the rows in double precision."""
+        """Add the shares of each row, and the rows in double precision; return the totals."""
         self._flush()
         for share in reversed(self._shares):
             self._textures.give(self._grid, 1, share)

@@ -1,4 +1,4 @@
-"""Compiled kernels, and how each stage runs one over a grid of texels."""
+"""Compiled kernels, which run over a grid of texels in either stage."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ Uniforms = Mapping[str, npt.NDArray[np.float32] | npt.NDArray[np.float64] | npt.
 
 
 class Program(Protocol):
-    """A kernel, ready to run."""
+    """Compiled kernel."""
 
     def set(self, values: Uniforms) -> None:
-        """Give uniforms their values; they keep them."""
+        """Set uniforms; they keep their values until the next call."""
         ...
 
     def run(
@@ -37,29 +37,29 @@ class Program(Protocol):
         region: Window | Groups,
         first_row: int = 0,
     ) -> None:
-        """Run the kernel once for each texel of a region; returns before the device has done it.
+        """Start the kernel for each texel of a region, without waiting for the device.
 
         Parameters
         ----------
         inputs, outputs : sequence of moderngl.Texture
-            In the kernel's order. No texture may be both.
+            Textures in the kernel's order. No texture may be both input and output.
         target : moderngl.Framebuffer or None
-            Of the outputs; for the fragment stage. If it has a mask (`Device.mask`), only what the
-            mask shows is run, and other texels keep what they hold.
+            Framebuffer of the outputs, for the fragment stage. If it has a mask (`Device.mask`),
+            only texels in the mask are computed, and the others keep their values.
         region : Window or Groups
-            The texels to run: groups for kernels for tissue in the compute stage, a window for
-            all others.
+            Texels to compute: groups for kernels for tissue in the compute stage, otherwise a
+            window.
         first_row : int
             Row of the outputs in which the grid of texels begins.
         """
         ...
 
     def release(self) -> None:
-        """Free what OpenGL holds of it."""
+        """Free the kernel's objects in OpenGL."""
         ...
 
 
-# So many times it is run so that other threads go on.
+# Number of first runs that use `dispatch`, during which other Python threads can run.
 _FIRST_RUNS = 3
 #: Pause for other threads after each compilation, in seconds.
 BREATH = 0.005
@@ -73,15 +73,18 @@ def compile_program(
     rows: int = 1,
     dispatch: Callable[[int, int, int], None] | None = None,
 ) -> Program:
-    """Compile a kernel for a stage; the parameters are those of `source.compose`.
+    """Compile a kernel for a stage; most parameters are those of `source.compose`.
 
-    A driver without a GPU compiles each for the processor when it is first run, for so long that a
-    window would stand still: `dispatch` runs it without keeping the interpreter from others.
+    Parameters
+    ----------
+    dispatch : callable, optional
+        Runs a compute shader while other Python threads continue. A driver without a GPU compiles a
+        shader for the processor at its first run, which would freeze a window.
 
     Raises
     ------
     BackendError
-        With the compiler's words and the numbered text, if it does not compile.
+        If the kernel does not compile; with the compiler's log and the numbered source.
     """
     source = compose(name, stage, defines, rows)
     try:
@@ -92,7 +95,7 @@ def compile_program(
     except Exception as error:
         raise BackendError(
             f"the {stage} shader {name}.glsl does not compile on {ctx.info['GL_RENDERER']}; please "
-            f"report this with what follows\n{source.explain(str(error))}"
+            f"report this with the following text\n{source.explain(str(error))}"
         ) from error
     time.sleep(BREATH)
     for unit, texture in enumerate((*KERNELS[name].inputs, "groups")):
@@ -104,7 +107,7 @@ def compile_program(
 
 
 class Compiled:
-    """Common part of both stages: uniforms that are written only when they change."""
+    """Base class for both stages: writes uniforms only when they change."""
 
     def __init__(self, ctx: Any, program: Any) -> None:
         self._ctx = ctx
@@ -114,26 +117,26 @@ class Compiled:
         self._placed: dict[str, tuple[int, ...]] = {}
 
     def set(self, values: Uniforms) -> None:
-        """Give uniforms their values."""
+        """Set uniforms."""
         for name, value in values.items():
             data = value.tobytes()
             if self._written.get(name) != data:
                 self._written[name] = data
-                if name in self._uniforms:  # else the compiler saw that it does not matter
+                if name in self._uniforms:  # the compiler may remove unused uniforms
                     self._program[name].write(data)
 
-    def _place(self, name: str, *numbers: int) -> None:
+    def _set_integers(self, name: str, *numbers: int) -> None:
         if self._placed.get(name) != numbers:
             self._placed[name] = numbers
             self.set({name: np.array(numbers, np.int32)})
 
     def release(self) -> None:
-        """Free what OpenGL holds of it."""
+        """Free the program in OpenGL."""
         self._program.release()
 
 
 class _Fragment(Compiled):
-    """A fragment shader over a triangle that fills the window."""
+    """Fragment shader, drawn by a triangle that covers the window."""
 
     def __init__(self, ctx: Any, program: Any) -> None:
         super().__init__(ctx, program)
@@ -148,11 +151,11 @@ class _Fragment(Compiled):
         first_row: int = 0,
     ) -> None:
         if not isinstance(region, Window):
-            raise TypeError("a fragment shader is drawn in a window, not in work groups")
+            raise TypeError("a fragment shader runs in a window, not in work groups")
         for unit, texture in enumerate(inputs):
             texture.use(unit)
         rows, cols = region.size
-        self._place("origin", 0, first_row)
+        self._set_integers("origin", 0, first_row)
         target.viewport = (region.left, first_row + region.top, cols, rows)
         target.use()
         self._vertices.render(vertices=3)
@@ -163,7 +166,7 @@ class _Fragment(Compiled):
 
 
 class _Compute(Compiled):
-    """A compute shader: for a window, or for listed work groups if it is for tissue."""
+    """Compute shader for a window, or for listed work groups if it is a kernel for tissue."""
 
     def __init__(
         self,
@@ -186,21 +189,21 @@ class _Compute(Compiled):
         first_row: int = 0,
     ) -> None:
         if isinstance(region, Groups) != self._listed:
-            raise TypeError("kernels for tissue, and no others, are dispatched for listed groups")
+            raise TypeError("kernels for tissue run on listed groups, all others in a window")
         for unit, texture in enumerate(inputs):
             texture.use(unit)
         for unit, texture in enumerate(outputs):
             texture.bind_to_image(unit, read=False, write=True)
-        self._place("origin", 0, first_row)
+        self._set_integers("origin", 0, first_row)
         if isinstance(region, Window):
             rows, cols = (-(-size // side) for size, side in zip(region.size, GROUP, strict=True))
-            self._place("begin", region.left, region.top)
-            self._place("end", region.right, region.bottom)
+            self._set_integers("begin", region.left, region.top)
+            self._set_integers("end", region.right, region.bottom)
         else:
             rows, cols = region.bottom - region.top, region.places.width
             region.places.use(len(inputs))
-            self._place("first", region.top)
-            self._place("end", *reversed(region.grid))
+            self._set_integers("first", region.top)
+            self._set_integers("end", *reversed(region.grid))
         if self._first and self._dispatch is not None:
             self._first -= 1
             self._dispatch(self._program.glo, cols, rows)

@@ -1,4 +1,4 @@
-"""Texels of a grid that a pass runs on: a rectangle, or the work groups that hold tissue."""
+"""Regions of texels for passes: a rectangle, or the work groups that contain tissue."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ import numpy.typing as npt
 from napari_hmrf.solver.backends.base import FloatArray
 from napari_hmrf.solver.backends.opengl.programs.source import GROUP
 
-# Most work groups in a row of their list.
+# Largest number of work groups in a row of their list.
 _ACROSS = 256
 
 
 class Window(NamedTuple):
-    """A rectangle of a grid's texels: rows ``top`` to ``bottom``, columns ``left`` to ``right``."""
+    """Rectangle of texels, from row ``top`` and column ``left`` to ``bottom`` and ``right``.
+
+    The last row and column are excluded.
+    """
 
     top: int
     left: int
@@ -29,21 +32,21 @@ class Window(NamedTuple):
         return self.bottom - self.top, self.right - self.left
 
     def strip(self, begin: int, end: int) -> Window:
-        """Return some of its rows, counted from its top."""
+        """Return the rows from `begin` to `end`, counted from the top of the window."""
         return self._replace(top=self.top + begin, bottom=self.top + end)
 
 
 class Groups(NamedTuple):
-    """Work groups of a compute shader, by their places in a list.
+    """Listed work groups of a compute shader.
 
     Attributes
     ----------
     places : moderngl.Texture
-        (col, row) of each group, counted in groups; no texel is without one.
+        List of groups in several rows: (col, row) of each group, counted in groups.
     grid : (int, int)
-        How many (rows, cols) of texels there are to be run.
+        Number of (rows, cols) of texels of the level.
     top, bottom : int
-        The rows of the list to run.
+        Rows of the list to run; the last one is excluded.
     """
 
     places: Any
@@ -53,25 +56,24 @@ class Groups(NamedTuple):
 
     @property
     def size(self) -> tuple[int, int]:
-        """Number of rows, and of texels in each."""
+        """Number of rows of the list, and of texels in each row."""
         return self.bottom - self.top, self.places.width * GROUP[0] * GROUP[1]
 
     def strip(self, begin: int, end: int) -> Groups:
-        """Return some of its rows, counted from its top."""
+        """Return the rows of the list from `begin` to `end`, counted from `top`."""
         return self._replace(top=self.top + begin, bottom=self.top + end)
 
 
 @dataclass(frozen=True, eq=False)
 class Tissue:
-    """Region of a level with tissue, for passes that need not run anywhere else.
+    """Region of a level with tissue, to which passes can be limited.
 
     Attributes
     ----------
     region : Window or Groups
-        The rectangle around all of it (fragment stage), or the work groups that have some.
+        Rectangle around all tissue (fragment stage), or work groups that contain tissue.
     mask : moderngl.Texture or None
-        For the fragment stage: a depth image, 1 where a pair has tissue and 0 elsewhere
-        (``triangle.glsl``).
+        Depth texture for the fragment stage: 1 if a pair has tissue, else 0 (``triangle.glsl``).
     """
 
     region: Window | Groups
@@ -79,7 +81,7 @@ class Tissue:
 
 
 def window_around(shown: npt.NDArray[np.bool_]) -> Window:
-    """Return the smallest window that holds all that is shown."""
+    """Return the smallest window that contains all True texels of a mask."""
     rows, cols = (np.flatnonzero(shown.any(axis=axis)) for axis in (1, 0))
     if not len(rows):
         return Window(0, 0, 1, 1)
@@ -87,12 +89,12 @@ def window_around(shown: npt.NDArray[np.bool_]) -> Window:
 
 
 def groups_with(shown: npt.NDArray[np.bool_]) -> FloatArray:
-    """List the work groups that hold something shown: (col, row), shape (rows, cols, 2)."""
+    """List the work groups with True texels of a mask: (col, row), shape (rows, cols, 2)."""
     (rows, cols), (height, width) = shown.shape, GROUP
     filled = np.pad(shown, ((0, -rows % height), (0, -cols % width)))
     used = filled.reshape(filled.shape[0] // height, height, -1, width).any(axis=(1, 3))
     places = np.argwhere(used)[:, ::-1].astype(np.float32)
     lines = max(1, -(-len(places) // _ACROSS))
     across = max(1, -(-len(places) // lines))
-    # The last line is filled up with groups that are there already, which does no harm.
+    # The last row of the list is filled by repeated groups; computing them twice does no harm.
     return np.resize(places, (lines, across, 2))

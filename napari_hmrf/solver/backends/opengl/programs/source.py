@@ -1,9 +1,9 @@
-"""From the kernels' text to the shaders' text: one file per kernel, two stages.
+"""Source text of shaders, composed from the files of kernels.
 
 A kernel is a function ``kernel(ivec2)`` that reads textures and assigns its outputs, the values of
 one texel: those of a site or of a pair of sites (``common.glsl``). The same text becomes a fragment
-shader (OpenGL 3.3, outputs are render targets) or a compute shader (OpenGL 4.3, images). Needs no
-OpenGL: it is text in, text out.
+shader (OpenGL 3.3; outputs are render targets) or a compute shader (OpenGL 4.3; outputs are
+images). This module only handles text and needs no OpenGL.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ Stage = Literal["fragment", "compute"]
 STAGES: tuple[str, ...] = get_args(Stage)
 Define = int
 
-#: Texels that a compute work group does, (rows, cols).
+#: Texels of a compute work group, (rows, cols).
 GROUP = (8, 8)
 
 #: Versions of GLSL, by stage.
 VERSIONS = {"vertex": 330, "fragment": 330, "compute": 430}
 _TYPES = {1: "float", 2: "vec2", 4: "vec4"}
-# Lines of the second file count from 2001, and so on: not every compiler names the file.
+# Line numbers of file k begin at 1000 k + 1, because some compilers do not report the file.
 _FILE_LINES = 1000
-# A place in the text: "0:2014(3): error", "2(2014) : error" or "ERROR: 2:2014: ...".
+# Position in a log: "0:2014(3): error", "2(2014) : error" or "ERROR: 2:2014: ...".
 _PLACE = re.compile(r"\b\d+([:(])(\d+)\b")
 
 
@@ -42,20 +42,21 @@ class Kernel:
     ----------
     name : str
     inputs : tuple of str
-        Textures it reads, in the order of their texture units.
+        Textures that the kernel reads, in the order of their texture units.
     outputs : mapping of str to int
-        What it assigns, in the order of its targets, with the number of components (1, 2 or 4).
+        Variables that the kernel assigns, in the order of the targets, with their number of
+        components (1, 2 or 4).
     defines : tuple of str
-        Names that must be given a value to compile it.
+        Names of preprocessor definitions that need a value.
     shared : tuple of str
-        Files besides ``common.glsl`` that it needs.
+        Files besides ``common.glsl`` that the kernel needs.
     tissue : bool
-        Whether it is run in tissue only, since there is nothing but 0 elsewhere.
+        True if the kernel runs in tissue only, because its outputs are 0 elsewhere.
     carries : bool
-        Whether an invocation may do several texels, one below the other, and carries from each to
-        the next what both need. It has a function ``enter`` to begin with.
+        True if an invocation may compute several texels, one below the other, and carries values
+        that both need from each to the next. Such a kernel has a function ``enter``.
     of : str
-        The kernel whose file it takes, if not its own: what differs is in the files they share.
+        Name of the kernel whose file is used, if not its own; the shared files then differ.
     """
 
     name: str
@@ -69,7 +70,7 @@ class Kernel:
 
     @property
     def text(self) -> str:
-        """The name of its file, without ``.glsl``."""
+        """Name of the file, without ``.glsl``."""
         return self.of or self.name
 
 
@@ -79,11 +80,11 @@ _READING = ("BLANKET", "SQUARE")
 
 
 def _around(*shared: str) -> dict[str, Any]:
-    """Properties of a kernel that reads the tissue around a site."""
+    """Return the properties of a kernel that reads the tissue around a site."""
     return {"shared": shared, "tissue": True, "carries": True}
 
 
-#: Every kernel, by name.
+#: All kernels for images, by name.
 KERNELS: Mapping[str, Kernel] = {
     kernel.name: kernel
     for kernel in (
@@ -189,41 +190,42 @@ KERNELS: Mapping[str, Kernel] = {
 
 @dataclass(frozen=True)
 class Source:
-    """A shader's full text and the files it was put together from.
+    """Full text of a shader, and the files of which it consists.
 
     Attributes
     ----------
     text : str
-        What the compiler gets.
+        Text for the compiler.
     files : tuple of str
-        File names by the number that ``#line`` gives them: line l of file k is line 1000 k + l.
+        File names, in the order of their numbers in ``#line``: line l of file k has the number
+        1000 k + l.
     """
 
     text: str
     files: tuple[str, ...]
 
     def numbered(self) -> str:
-        """Return the text with the file and line number of each line, as a compiler counts them."""
+        """Return the text with the file name and line number of each line."""
         lines = []
         number = 0
         for line in self.text.splitlines():
             directive = re.match(r"#line (\d+)", line)
-            place = "" if directive or not number else ":".join(self._place(number))
+            place = "" if directive or not number else ":".join(self._position(number))
             lines.append(f"{place:>24} | {line}")
             number = int(directive[1]) if directive else number + bool(number)
         return "\n".join(lines)
 
     def explain(self, log: str) -> str:
-        """Return a compiler's log with file names for numbers, and the numbered text below it."""
+        """Return a compiler's log with file names, followed by the numbered text."""
 
         def named(match: re.Match[str]) -> str:
-            name, line = self._place(int(match[2]))
+            name, line = self._position(int(match[2]))
             return f"{name}{match[1]}{line}"
 
         return f"{_PLACE.sub(named, log.strip())}\n\n{self.numbered()}"
 
-    def _place(self, number: int) -> tuple[str, str]:
-        """File and line of a line number as ``#line`` has it."""
+    def _position(self, number: int) -> tuple[str, str]:
+        """Return the file name and line for a line number of the compiler."""
         file, line = divmod(number, _FILE_LINES)
         return self.files[min(file, len(self.files) - 1)], str(line)
 
@@ -231,7 +233,7 @@ class Source:
 def compose(
     name: str, stage: Stage, defines: Mapping[str, Define] | None = None, rows: int = 1
 ) -> Source:
-    """Put a kernel's shader together.
+    """Compose the shader of a kernel.
 
     Parameters
     ----------
@@ -239,25 +241,25 @@ def compose(
         One of `KERNELS`.
     stage : {"fragment", "compute"}
     defines : mapping of str to int, optional
-        A value for each name in the kernel's ``defines``.
+        Value for each name in the kernel's ``defines``.
     rows : {1, 2, 4, 8}
-        How many texels, one below the other, an invocation of the compute stage does of a kernel
-        that carries. More than one saves reading rows again, but leaves fewer invocations.
+        Number of texels, one below the other, that an invocation of the compute stage computes if
+        the kernel carries values. More texels save reads, but leave fewer invocations.
 
     Raises
     ------
     BackendError
-        Naming the kernel and what is unknown, missing or too much, or the missing file.
+        If the kernel or the stage is unknown, the definitions do not match, or a file is missing.
     """
     if name not in KERNELS:
-        raise BackendError(f"there is no kernel {name!r}; take one of {', '.join(KERNELS)}")
+        raise BackendError(f"there is no kernel {name!r}; use one of {', '.join(KERNELS)}")
     if stage not in STAGES:
-        raise BackendError(f"there is no shader stage {stage!r}; take one of {', '.join(STAGES)}")
+        raise BackendError(f"there is no shader stage {stage!r}; use one of {', '.join(STAGES)}")
     kernel = KERNELS[name]
     given = dict(defines or {})
     if set(given) != set(kernel.defines):
         raise BackendError(
-            f"kernel {name!r} is compiled with values for {sorted(kernel.defines)}, "
+            f"kernel {name!r} needs values for {sorted(kernel.defines)}, "
             f"but {sorted(given)} were given"
         )
     head = [f"#define {key} {value}" for key, value in given.items()]
@@ -272,12 +274,12 @@ def compose(
 
 
 def vertices() -> Source:
-    """Return the vertex shader that every fragment shader is drawn with."""
+    """Return the vertex shader for all fragment shaders."""
     return joined(VERSIONS["vertex"], [], ["triangle"])
 
 
 def _group(rows: int) -> list[str]:
-    """Define a work group, each invocation of which does some texels, one below the other."""
+    """Return the definitions of a work group with `rows` texels for each invocation."""
     runs = " ".join(f"run(at + ivec2(0, {row}));" for row in range(rows))
     return [
         f"#define GROUP_ROWS {GROUP[0]}",
@@ -289,7 +291,7 @@ def _group(rows: int) -> list[str]:
 
 
 def _outputs(kernel: Kernel, stage: Stage) -> list[str]:
-    """Declare a kernel's outputs: render targets, or variables and the images they go to."""
+    """Return the declarations of a kernel's outputs: render targets, or variables and images."""
     if stage == "fragment":
         return [
             f"layout(location = {target}) out {_TYPES[components]} {name};"
@@ -304,7 +306,7 @@ def _outputs(kernel: Kernel, stage: Stage) -> list[str]:
 
 
 def joined(version: int, head: list[str], names: list[str]) -> Source:
-    """Join lines and files, which keep their numbers."""
+    """Join lines and files to a source; ``#line`` directives keep the line numbers of files."""
     files = ["(declarations)", *(f"{name}.glsl" for name in names)]
     parts = [f"#version {version} core", "#line 1 0", *head]
     for number, name in enumerate(names, start=1):
@@ -322,7 +324,7 @@ def _text(name: str) -> str:
             f"the shader {path.name} cannot be read ({error.strerror}); install napari-hmrf again"
         ) from error
     if not text.isascii():
-        raise BackendError(f"the shader {path.name} holds characters other than ASCII")
+        raise BackendError(f"the shader {path.name} contains characters other than ASCII")
     if "#version" in text:
-        raise BackendError(f"the shader {path.name} must not give a #version: the loader does")
+        raise BackendError(f"the shader {path.name} must not contain #version: the loader adds it")
     return text

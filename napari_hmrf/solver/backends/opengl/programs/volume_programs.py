@@ -1,4 +1,4 @@
-"""Compiled kernels for volumes, and which sites they are run for."""
+"""Compiled kernels for volumes, and the groups of sites on which they run."""
 
 from __future__ import annotations
 
@@ -19,27 +19,28 @@ from napari_hmrf.solver.backends.opengl.programs.volume_source import (
     compose_volume,
 )
 
-#: The buffers of a kernel's fields, by name.
+#: Buffers of a kernel's fields, by name.
 Buffers = Mapping[str, Sequence[Any]]
 
-# Most work groups along the first axis of a dispatch, of which every driver allows 65535.
+# Largest number of work groups along the first axis of a dispatch; all drivers allow 65535.
 _ACROSS = 2**15
-# Planes that a work group does, at most; and columns of them that keep a GPU busy. More planes
-# spare elements that two groups share, and fewer spare void.
+# Largest number of planes of a work group, and number of invocations that keep a GPU busy. With
+# more planes, fewer elements are computed by two groups; with fewer planes, groups contain less
+# void.
 _MOST_PLANES = 8
 _ENOUGH = 2**16
 
 
 @dataclass(frozen=True)
 class Groups:
-    """The work groups of a level.
+    """Work groups of a level.
 
     Attributes
     ----------
     grid : (int, int, int)
-        The level's sites.
+        Grid of the level, (D, H, W).
     planes : int
-        How many each group does.
+        Number of planes of each group.
     """
 
     grid: tuple[int, ...]
@@ -59,21 +60,21 @@ class Groups:
 
 
 def groups_of(grid: tuple[int, ...], software: bool) -> Groups:
-    """Divide a level among work groups; a program that plays the GPU needs few of them."""
+    """Divide a level into work groups; a software renderer gets few large ones."""
     planes = _MOST_PLANES if software else math.prod(grid) // _ENOUGH
     return Groups(grid, max(1, min(planes, _MOST_PLANES)))
 
 
 class Places(NamedTuple):
-    """Groups that a kernel runs on: those in a list, or all.
+    """Groups on which a kernel runs: those in a list, or all.
 
     Attributes
     ----------
     groups : Groups
     buffer : moderngl.Buffer or None
-        The numbers of those in the list.
+        Numbers of the listed groups; None for all groups.
     number : int
-        How many are run.
+        Number of groups that run.
     """
 
     groups: Groups
@@ -82,16 +83,16 @@ class Places(NamedTuple):
 
 
 class VolumeProgram(Compiled):
-    """A kernel for volumes, ready to run.
+    """Compiled kernel for volumes.
 
     Parameters
     ----------
     ctx : moderngl.Context
     program : moderngl.ComputeShader
     names : sequence of str
-        Its fields, in the order of their bindings.
+        Names of the fields, in the order of their bindings.
     dispatch : callable
-        Runs it without keeping the interpreter from others.
+        Runs the program while other Python threads continue.
     """
 
     def __init__(
@@ -106,7 +107,7 @@ class VolumeProgram(Compiled):
         self._places: Places | None = None
 
     def visit(self, places: Places) -> None:
-        """Say which sites it will run for."""
+        """Set the groups on which the kernel runs."""
         if places is self._places:
             return
         self._places, (depth, height, width) = places, places.groups.grid
@@ -120,7 +121,7 @@ class VolumeProgram(Compiled):
         self.set({name: np.array([value], np.int32) for name, value in values.items()})
 
     def bind(self, buffers: Buffers) -> None:
-        """Say which buffers it reads and writes."""
+        """Set the buffers that the kernel reads and writes."""
         place = 0
         for name in self._names:
             for buffer in buffers[name]:
@@ -128,9 +129,9 @@ class VolumeProgram(Compiled):
                 place += 1
 
     def run(self, first: int, past: int) -> None:
-        """Run some of the groups that it visits; returns before the device has done it."""
-        self._place("first", first)
-        self._place("past", past)
+        """Start the groups from `first` to `past` (excluded), without waiting for the device."""
+        self._set_integers("first", first)
+        self._set_integers("past", past)
         groups = past - first
         cols = min(groups, _ACROSS)
         self._dispatch(self._program.glo, cols, -(-groups // cols))
@@ -148,7 +149,7 @@ def compile_volume(
     Raises
     ------
     BackendError
-        With the compiler's words and the numbered text, if it does not compile.
+        If the kernel does not compile; with the compiler's log and the numbered source.
     """
     source = compose_volume(name, defines)
     try:
@@ -156,7 +157,7 @@ def compile_volume(
     except Exception as error:
         raise BackendError(
             f"the compute shader {name}.glsl does not compile on {ctx.info['GL_RENDERER']}; please "
-            f"report this with what follows\n{source.explain(str(error))}"
+            f"report this with the following text\n{source.explain(str(error))}"
         ) from error
     time.sleep(BREATH)
     fields = bindings(VOLUME_KERNELS[name], defines or {})

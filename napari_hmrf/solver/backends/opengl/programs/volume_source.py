@@ -1,9 +1,9 @@
-"""The kernels for volumes: what each reads and writes, and the text of its shader.
+"""Kernels for volumes: their fields, and the source text of their shaders.
 
-They are compute shaders (OpenGL 4.3) on storage buffers, one for each component of a field: the
-least that a driver may allow of one is 16 MiB, and a component of 256^3 sites takes 67. Each is a
-function ``kernel(int)`` of a site's number (``volume.glsl``) that reads and assigns buffers. Needs
-no OpenGL: it is text in, text out.
+The kernels are compute shaders (OpenGL 4.3) on storage buffers. Each component of a field has a
+buffer of its own, because drivers may limit a buffer to 16 MiB, and a component of 256^3 sites
+takes 67 MiB. A kernel is a function ``kernel(int)`` of a site's number (``volume.glsl``) that reads
+and assigns buffers. This module only handles text and needs no OpenGL.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from dataclasses import dataclass
 from napari_hmrf.errors import BackendError
 from napari_hmrf.solver.backends.opengl.programs.source import VERSIONS, Source, joined
 
-#: Columns and rows of sites that a work group does, each of them some planes deep.
+#: Columns and rows of a work group, which is several planes deep.
 GROUP = (32, 4)
-#: Invocations of the one work group that adds up what the others have.
+#: Number of invocations of the single work group that adds the totals of all groups.
 TOGETHER = 256
-#: Sites of a level that one work group relaxes in one go, the most steps that it takes there, and
-#: how many values a component of so small a level has: 5^3 sites with what is beside them.
+#: Largest level that one work group smooths in one pass, in sites; largest number of its smoothing
+#: steps; and number of values of a component on a level of 5^3 sites with its border.
 SITES, MOST_STEPS, TILE = 128, 128, 9**3
-#: The most storage buffers that a kernel reads and writes.
+#: Largest number of storage buffers of a kernel.
 MOST_BUFFERS = 16
 
 
 @dataclass(frozen=True)
 class Field:
-    """Buffers that a kernel has under one name.
+    """Field of a kernel: one or more buffers with the same name.
 
     Attributes
     ----------
@@ -35,11 +35,11 @@ class Field:
     access : str
         "readonly", "writeonly", or "" for both.
     parts : int or str
-        How many buffers it has, or what is defined as that.
+        Number of buffers, or name of the definition with this number.
     kind : str
-        Of its values.
+        Type of the values in GLSL.
     where : str
-        Defined as 0 where the kernel has none of it.
+        Name of a definition; if it is 0, the kernel does not have the field.
     """
 
     name: str
@@ -58,15 +58,15 @@ class VolumeKernel:
     name : str
     fields : tuple of Field
     defines : tuple of str
-        Names that must be given a value to compile it.
+        Names of preprocessor definitions that need a value.
     shared : tuple of str
-        Files besides ``volume.glsl`` that it needs.
+        Files besides ``volume.glsl`` that the kernel needs.
     shares : bool
-        Whether each work group adds something up.
+        True if each work group computes a total and a largest value.
     exact : bool
-        Whether it computes in double precision.
+        True if the kernel computes in double precision.
     alone : bool
-        Whether it is run as one work group, and not over the sites of a grid.
+        True if the kernel runs as one work group, not over the sites of a grid.
     """
 
     name: str
@@ -79,7 +79,7 @@ class VolumeKernel:
 
     @property
     def all_fields(self) -> tuple[Field, ...]:
-        """Its fields, and those that the stage adds."""
+        """Fields of the kernel, and those that the stage adds."""
         shares = (Field("shares", "writeonly", 1, "REAL"),) if self.shares else ()
         places = () if self.alone else (Field("places", "readonly", 1, "int"),)
         return *self.fields, *shares, *places
@@ -98,7 +98,7 @@ _SPRINGS = Field("springs", "readonly", 1, where="SPRINGS")
 _SCALARS = Field("scalars", "readonly", 1)
 _AROUND = ("PARAMETERS", "SPRINGS")
 
-#: Every kernel for volumes, by name.
+#: All kernels for volumes, by name.
 VOLUME_KERNELS: Mapping[str, VolumeKernel] = {
     kernel.name: kernel
     for kernel in (
@@ -198,7 +198,7 @@ VOLUME_KERNELS: Mapping[str, VolumeKernel] = {
 
 
 def bindings(kernel: VolumeKernel, defines: Mapping[str, int]) -> list[tuple[Field, int]]:
-    """Return a kernel's fields as it is compiled, and the number of buffers of each."""
+    """Return the fields of a kernel for given definitions, with the number of buffers of each."""
     found = []
     for field in kernel.all_fields:
         if not field.where or defines[field.where]:
@@ -208,24 +208,24 @@ def bindings(kernel: VolumeKernel, defines: Mapping[str, int]) -> list[tuple[Fie
 
 
 def compose_volume(name: str, defines: Mapping[str, int] | None = None) -> Source:
-    """Put the compute shader of a kernel for volumes together.
+    """Compose the compute shader of a kernel for volumes.
 
     Parameters
     ----------
     name : str
         One of `VOLUME_KERNELS`.
     defines : mapping of str to int, optional
-        A value for each name in the kernel's ``defines``.
+        Value for each name in the kernel's ``defines``.
 
     Raises
     ------
     BackendError
-        Naming the kernel and what is missing or too much, or the missing file.
+        If the definitions do not match those of the kernel, or a file is missing.
     """
     kernel, given = VOLUME_KERNELS[name], dict(defines or {})
     if set(given) != set(kernel.defines):
         raise BackendError(
-            f"kernel {name!r} is compiled with values for {sorted(kernel.defines)}, "
+            f"kernel {name!r} needs values for {sorted(kernel.defines)}, "
             f"but {sorted(given)} were given"
         )
     given |= {"GROUP_COLS": GROUP[0], "GROUP_ROWS": GROUP[1], "TOGETHER": TOGETHER}

@@ -1,1 +1,1 @@
-"""Kernels on volumes: storage buffers, and passes of compute shaders over them."""
+"""Linear models of volumes on the device: storage buffers, and passes of compute shaders."""

@@ -1,7 +1,7 @@
 """Level of an elastic volume on the device: the operations of multigrid, as compute shaders.
 
-Buffers hold what the arrays of the compiled loops do (`backends.cpu.volume`), one component
-each: padded by two sites of void on every side.
+Each buffer has one component of an array of the compiled loops (`backends.cpu.volume`), with a
+border of void, two sites wide on every side.
 """
 
 from __future__ import annotations
@@ -30,13 +30,14 @@ Number = Scalar | Ratio[Scalar]
 
 
 class Vector:
-    """Values of three components on a level's sites.
+    """Vector of three components on a level's sites.
 
     Parameters
     ----------
     buffers : list of moderngl.Buffer
+        One buffer for each component.
     spare : list
-        Where they go in the end.
+        List to which the buffers are returned after the last reference.
     """
 
     def __init__(self, buffers: list[Any], spare: list[list[Any]]) -> None:
@@ -47,26 +48,28 @@ class Vector:
 
 
 class GLVolumeLevel(CycleLevel[Scalar]):
-    """One level's elements and springs; `LinearLevel` says what each method does.
+    """Elements and springs of one level; `LinearLevel` documents the methods.
 
     Parameters
     ----------
     passes : VolumePasses
     grid : (int, int, int)
-        Its sites.
+        Grid of the level, (D, H, W).
     parameters : int
-        How many an element has: mu, and lambda unless that is a fixed share of it.
+        Number of parameters of an element: 2 for mu and lambda, or 1 if lambda is a fixed multiple
+        of mu.
     finest : bool
+        True for the finest level.
 
     Attributes
     ----------
     lame : list of moderngl.Buffer
         Parameters of the elements; 0 in void.
     inverse : list of moderngl.Buffer
-        Of the diagonal; 0 where a component does not move.
+        Reciprocal of the diagonal; 0 where a component does not move.
     """
 
-    #: Each visit gains more than it costs.
+    #: True, because a second visit within a cycle is worth its cost on every level.
     worth_again = True
 
     def __init__(
@@ -85,7 +88,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         self._list = passes.buffer(groups.count, np.int32)
         self._shares = passes.buffer(2 * groups.count)
         self._spare: list[list[Any]] = []
-        #: On the finest level iterations bring their own.
+        #: Load of the level; on the finest level the iteration assigns it.
         self.load: Any = None if finest else self.vector()
         self.correction, self._other = self.vector(), self.vector()
         self.shape: Uniforms = {}
@@ -93,11 +96,19 @@ class GLVolumeLevel(CycleLevel[Scalar]):
     # Parameters of the tissue
 
     def know(self, shape: Sequence[float], share: float) -> None:
-        """Take what the size of a voxel makes of derivatives, and how lambda is stored."""
+        """Set the uniforms of the elements.
+
+        Parameters
+        ----------
+        shape : sequence of float
+            Factors of derivatives along planes, rows and columns (`BrickShape`).
+        share : float
+            Ratio lambda / mu of all elements; 1 if each element has its own lambda.
+        """
         self.shape = {"shape": np.array(shape, np.float32), "share": np.array([share], np.float32)}
 
     def coarsen(self, finer: Self) -> None:
-        """Make elements of the finer level's."""
+        """Compute the elements from those of the next finer level."""
         _, height, width = finer.grid
         sizes = _integers(fine_height=height, fine_width=width)
         for fine, coarse in zip(finer.lame, self.lame, strict=True):
@@ -105,24 +116,24 @@ class GLVolumeLevel(CycleLevel[Scalar]):
             self._passes.run("volume_coarsen", buffers, self.everywhere, sizes)
 
     def diagonal(self, out: Sequence[Any]) -> None:
-        """Write the diagonal of the stiffness matrix."""
+        """Write the diagonal of the stiffness matrix to buffers."""
         self._run_everywhere("volume_diagonal", {"lame": self.lame, "diagonal": out}, self.shape)
 
     def hold(self, held: HeldPlanes) -> None:
-        """Hold components on the finest level."""
+        """Set the held components of the finest level."""
         for buffer, each in zip(self._other.buffers, held, strict=True):
             buffer.write(each.astype(np.float32))
         self.diagonal(self.inverse)
-        self._hold("volume_hold", {})
+        self._invert_diagonal("volume_hold", {})
 
     def hold_as(self, finer: Self) -> None:
-        """Put the sites near those that the finer level holds on springs."""
+        """Set the springs of sites near held sites of the next finer level."""
         self.diagonal(self.inverse)
         self._restrict(finer, finer._other, self._other, self.everywhere)
-        self._hold("volume_spring", _numbers(most_pins=MOST_PINS, strength=SPRING))
+        self._invert_diagonal("volume_spring", _numbers(most_pins=MOST_PINS, strength=SPRING))
 
-    def _hold(self, name: str, uniforms: Uniforms) -> None:
-        """Find what moves, given what does not in place of `_other`."""
+    def _invert_diagonal(self, name: str, uniforms: Uniforms) -> None:
+        """Invert the diagonal for the pins in `_other`, and list the groups with moving sites."""
         buffers = {"inverse": self.inverse, "pins": self._other.buffers, "springs": self._springs}
         self._run_everywhere(name, {**buffers, "shares": [self._shares]}, uniforms)
         count = self.everywhere.number
@@ -133,14 +144,14 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         self._region = self.everywhere._replace(buffer=self._list, number=len(numbers))
 
     def clear(self) -> None:
-        """Make the correction zero, and what else a cycle begins with."""
+        """Set the correction to zero, and its second vector."""
         for vector in (self.correction, self._other):
             self._clear(vector.buffers)
 
     # The cycle
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
-        """Relax from zero as the coarsest level: all steps at once where one work group can."""
+        """Smooth from zero as the coarsest level; in one pass if a work group is large enough."""
         if math.prod(self.grid) > SITES or len(coarsest) > MOST_STEPS:
             super().finish(steps, coarsest)
             return
@@ -156,8 +167,8 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         uniforms = {**self.shape, "paces": paces, **_integers(count=len(coarsest))}
         self._passes.run_alone("volume_finish", buffers, self._region, uniforms, self._defines)
 
-    def _hand_down(self, coarse: Self) -> None:
-        """Make what the correction leaves of the load the coarser level's load."""
+    def _restrict_residual(self, coarse: Self) -> None:
+        """Restrict the residual of the correction to the load of `coarse`."""
         buffers = {
             "displacement": self.correction.buffers,
             "load": self.load.buffers,
@@ -170,7 +181,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         coarse._restrict(self, self._other, coarse.load, coarse._region)
 
     def ascend(self, steps: Steps, coarse: Self) -> None:
-        """Add the coarse correction, and relax."""
+        """Add the interpolated coarse correction, and smooth."""
         _, height, width = coarse.grid
         self._run(
             "volume_interpolate",
@@ -184,7 +195,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         self._relax(steps, from_zero=False)
 
     def _relax(self, steps: Steps, from_zero: bool) -> None:
-        """Chebyshev-Jacobi steps on the correction for the load."""
+        """Run Chebyshev-Jacobi steps on the correction for the load."""
         about = {"load": self.load.buffers, "inverse": self.inverse}
         begun = 0
         if from_zero:
@@ -193,8 +204,8 @@ class GLVolumeLevel(CycleLevel[Scalar]):
             begun = 1
         about |= {"lame": self.lame, "springs": self._springs}
         for number, (scale, momentum) in enumerate(steps[begun:], begun):
-            # The displacement before the last step, from which momentum comes: before the first
-            # there is none, and before the second it may have been zero.
+            # `back` multiplies the displacement before the last step. The first step has none, and
+            # at the second step after a start from zero it is zero.
             back = momentum if number > begun else 0.0
             pace = _numbers(scale=scale, ahead=momentum, back=back)
             taken = {"displacement": self.correction.buffers, "other": self._other.buffers}
@@ -202,7 +213,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
             self.correction, self._other = self._other, self.correction
 
     def _restrict(self, finer: Self, fine: Vector, coarse: Vector, places: Places) -> None:
-        """Carry forces from the next finer level."""
+        """Restrict forces of the next finer level to this level."""
         _, height, width = finer.grid
         buffers = {"fine": fine.buffers, "coarse": coarse.buffers}
         sizes = _integers(fine_height=height, fine_width=width)
@@ -211,7 +222,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
     # Vectors
 
     def vector(self, values: FloatArray | Vector | None = None) -> Vector:
-        """Return zeros, or these planes, or this vector itself."""
+        """Return a vector of zeros, or of the values in planes; return a given vector itself."""
         if isinstance(values, Vector):
             return values
         if self._spare:
@@ -227,17 +238,17 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         return Vector(buffers, self._spare)
 
     def passing(self) -> Vector:
-        """Return what only cycles need: memory is what limits volumes."""
+        """Return a vector of the cycle that is unused between cycles, which saves memory."""
         return self._other
 
     def planes(self, vector: Vector) -> FloatArray:
-        """Bring a vector back; a device that has stopped computing is found out."""
+        """Copy a vector to the host as planes; check that the device still works."""
         made = self.fetch(vector.buffers)
         self._passes.device.canary("compute")
         return made
 
     def fetch(self, buffers: Sequence[Any]) -> FloatArray:
-        """Bring fields of one value each back."""
+        """Copy buffers to the host, shape (buffers, D + 4, H + 4, W + 4)."""
         self._passes.wait()
         made = np.empty((len(buffers), *self.padded), np.float32)
         for buffer, each in zip(buffers, made, strict=True):
@@ -256,7 +267,7 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         return self.weigh(a, a)[0]
 
     def weigh(self, a: Vector, b: Vector) -> tuple[Scalar, Scalar]:
-        """Return the largest absolute value of `a`, and the scalar product."""
+        """Return the largest absolute value of `a`, and the scalar product of both."""
         buffers = {"one": a.buffers, "other": b.buffers, "shares": [self._shares]}
         self._run("volume_weigh", buffers, {})
         product, most = self._passes.total(self._shares, self._region.number)
@@ -278,19 +289,21 @@ class GLVolumeLevel(CycleLevel[Scalar]):
     def advance(
         self, d: Vector, rest: Vector, direction: Vector, image: Vector, length: Number
     ) -> Scalar:
-        """Add length direction to d, take length image from rest; return the square of the rest."""
+        """Compute d += length direction and rest -= length image; return rest . rest."""
         vectors = {"found": d, "rest": rest, "direction": direction, "image": image}
         buffers = {name: vector.buffers for name, vector in vectors.items()}
-        self._run("volume_advance", {**buffers, "shares": [self._shares]}, self._over(length))
+        self._run(
+            "volume_advance", {**buffers, "shares": [self._shares]}, self._ratio_uniforms(length)
+        )
         return self._passes.total(self._shares, self._region.number)[0]
 
     def turn(self, steepest: Vector, direction: Vector, share: Number) -> None:
         """Compute direction = steepest + share direction."""
         buffers = {"steepest": steepest.buffers, "direction": direction.buffers}
-        self._run("volume_turn", buffers, self._over(share))
+        self._run("volume_turn", buffers, self._ratio_uniforms(share))
 
     def read(self, *scalars: Number) -> tuple[float, ...]:
-        """Wait for scalars."""
+        """Wait for the device, and return the values of scalars."""
         numbers = self._passes.read_scalars()
         return values_of(scalars, lambda scalar: float(numbers[scalar.slot]))
 
@@ -303,11 +316,11 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         uniforms: Uniforms,
         defines: Mapping[str, int] | None = None,
     ) -> None:
-        """Run a kernel where something moves."""
+        """Run a kernel on the groups with moving sites."""
         self._passes.run(name, buffers, self._region, uniforms, defines)
 
     def _run_everywhere(self, name: str, buffers: Buffers, uniforms: Uniforms) -> None:
-        """Run a kernel of a level's set-up."""
+        """Run a kernel on all groups, for the set-up of the level."""
         defines = {"PARAMETERS": len(self.lame)} if "lame" in buffers else None
         self._passes.run(name, buffers, self.everywhere, uniforms, defines)
 
@@ -315,8 +328,8 @@ class GLVolumeLevel(CycleLevel[Scalar]):
         for buffer in buffers:
             self._passes.device.clear_buffer(buffer)
 
-    def _over(self, number: Number) -> Uniforms:
-        """Return the inputs of a kernel for a number: above and below."""
+    def _ratio_uniforms(self, number: Number) -> Uniforms:
+        """Return the uniforms `above` and `below` of a kernel for a scalar or a ratio."""
         above, below = number if isinstance(number, Ratio) else (number, self._passes.unit)
         return _integers(above=above.slot, below=below.slot)
 

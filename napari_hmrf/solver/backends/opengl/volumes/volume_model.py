@@ -1,6 +1,6 @@
 """Elastic volumes on the device: levels, and residuals in double precision, as compute shaders.
 
-Of a solve the host has the displacement, and sees one number after the other of its iterations.
+The host keeps the displacement of a solve, and reads only single numbers during its iterations.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _ELEMENTS = (slice(None), *(slice(2, -3),) * 3)
 
 
 class _System(NamedTuple):
-    """Results for a system, which outlive a solve."""
+    """System of equations with results that outlive a solve."""
 
     material: ElasticMaterial
     held: HeldPlanes
@@ -45,7 +45,7 @@ class GLVolumeModel(HostModel):
     Parameters
     ----------
     passes : VolumePasses
-        Its own: they end with it.
+        Passes of this model, which its `close` frees.
     material : ElasticMaterial
     """
 
@@ -67,19 +67,19 @@ class GLVolumeModel(HostModel):
             coarse.coarsen(fine)
         finest = self.levels[0]
         self._residual = finest.vector()
-        # It stays on the device, where the iteration reads it.
+        # The residual stays on the device, where the iteration reads it.
         self._rest = cast(Any, self._residual)
         self._exactly = [passes.buffer(finest.values, np.float64) for _ in range(3)]
         self._shares = passes.buffer(2 * finest.everywhere.number, np.float64)
         self._moves: HeldPlanes | None = None
 
     def _assemble(self, parameters: int) -> None:
-        """Find the parameters of the finest level's elements."""
+        """Compute the parameters of the finest level's elements."""
         finest, material = self.levels[0], self.material
         scale = 0.125 / stiffest(material.m)
         if isinstance(material.poisson, float):
             scale /= 2 + 2 * material.poisson
-        # Vectors that nothing needs yet lend what the sites' values lie in.
+        # The values of sites are uploaded to the buffers of a vector that is unused until then.
         passing = finest.correction.buffers
         for buffer, values in zip(passing, (material.m, material.poisson), strict=False):
             if not isinstance(values, float):
@@ -90,7 +90,7 @@ class GLVolumeModel(HostModel):
         self._passes.run("volume_elements", buffers, place, exact(scale=scale), defines)
 
     def hold(self, held: HeldPlanes) -> None:
-        """Hold components on all levels."""
+        """Set the held components on all levels."""
         finest, self._moves = self.levels[0], None
         finest.hold(held)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
@@ -113,7 +113,7 @@ class GLVolumeModel(HostModel):
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
         if load is not None:
-            raise NotImplementedError("forces pull at images only: at volumes nothing slips")
+            raise NotImplementedError("shaders support loads in images only")
         self._send(d)
         buffers = {"rest": self._residual.buffers, "inverse": self.levels[0].inverse}
         shares = self._add_up("volume_balance", buffers, exact(unit=unit))
@@ -131,7 +131,7 @@ class GLVolumeModel(HostModel):
         return work / 2, math.sqrt(square)
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """Return -A d everywhere, in double precision, computed on the host: no cycle needs it."""
+        """Return -A d everywhere, in double precision, computed on the host."""
         finest, share = self.levels[0], float(self._shape["share"][0])
         stored = finest.fetch(finest.lame)[_ELEMENTS].astype(np.float64)
         lame = Lame(share * stored[-1], stored[0])
@@ -141,28 +141,28 @@ class GLVolumeModel(HostModel):
 
     @property
     def steepness(self) -> Planes:
-        """Compute the diagonal of the stiffness matrix."""
+        """Diagonal of the stiffness matrix, planes."""
         finest = self.levels[0]
         out = finest.vector()
         finest.diagonal(out.buffers)
         return np.asarray(finest.fetch(out.buffers), np.float64)
 
     def forget(self) -> None:
-        """Keep nothing for a later solve."""
+        """Clear the results that are kept for later solves."""
         _last[:] = ()
 
     def close(self) -> None:
-        """Free every buffer."""
+        """Free all buffers."""
         self._passes.close()
 
     def _send(self, d: Planes) -> None:
-        """Bring a displacement to the device in double precision."""
+        """Copy a displacement to the device in double precision."""
         for buffer, values in zip(self._exactly, d, strict=True):
             buffer.write(np.ascontiguousarray(values))
         self._passes.device.check("uploading a displacement")
 
     def _add_up(self, name: str, buffers: Buffers, uniforms: Uniforms) -> npt.NDArray[np.float64]:
-        """Run a kernel in double precision; what each work group adds up, (groups, 2)."""
+        """Run a kernel in double precision; return (total, largest value) of each work group."""
         finest = self.levels[0]
         about = {"displacement": self._exactly, "lame": finest.lame, "shares": [self._shares]}
         defines = {"PARAMETERS": len(finest.lame)}
@@ -173,7 +173,7 @@ class GLVolumeModel(HostModel):
 
 
 def _padded(values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """Values of sites in a ring of void."""
+    """Return values of sites with a border of void."""
     made = np.zeros([size + 4 for size in values.shape], np.float32)
     made[_INSIDE] = values
     return made

@@ -18,23 +18,23 @@ from napari_hmrf.solver.backends.opengl.programs.volume_programs import (
     VolumeProgram,
 )
 
-#: Bytes that a solve holds for each voxel, about: of float32 its parameters, the inverse diagonal
-#: and five vectors, a displacement in double precision, and a tenth more for the coarser levels.
+#: Approximate bytes of memory for each voxel: parameters, the inverse diagonal and five vectors in
+#: single precision, a displacement in double precision, and a tenth more for the coarser levels.
 BYTES_PER_VOXEL = 112
 
-# Pairs of numbers that are kept on the device.
+# Number of pairs of scalars in the buffer of scalars.
 _PAIRS = 64
 
 
 class Scalar:
-    """A number on the device.
+    """Number on the device.
 
     Parameters
     ----------
     slot : int
-        Where it is among the scalars.
+        Index in the buffer of scalars.
     pair : object
-        What keeps that place for it.
+        Reservation of the slot, which ends with the last reference.
     """
 
     def __init__(self, slot: int, pair: object) -> None:
@@ -42,7 +42,7 @@ class Scalar:
 
 
 class _Pair:
-    """Place of two numbers, which is free again after its last reference."""
+    """Reservation of two slots, which are free again after the last reference."""
 
     def __init__(self, slot: int, spare: list[int]) -> None:
         self.slot, self._spare = slot, spare
@@ -52,13 +52,13 @@ class _Pair:
 
 
 class VolumePasses(DeviceResources):
-    """A solve's way to the device, and the buffers that are its own.
+    """Runner of kernels for one solve of a volume, and owner of the buffers of that solve.
 
     Parameters
     ----------
     device : Device
     pace : Pace
-        Says when to wait for the device.
+        Size of batches, and waits for the device.
     """
 
     def __init__(self, device: Device, pace: Pace) -> None:
@@ -66,11 +66,11 @@ class VolumePasses(DeviceResources):
         self._scalars = self.buffer(2 * _PAIRS)
         self._spare_slots = list(range(2, 2 * _PAIRS, 2))
         self._scalars.write(np.ones(1, np.float32).tobytes())
-        #: The number one.
+        #: Scalar with the value 1.
         self.unit = Scalar(0, None)
 
     def buffer(self, count: int, kind: type[np.generic] = np.float32) -> Any:
-        """Make a buffer of so many zeros."""
+        """Create a buffer of `count` zeros."""
         made = self.device.buffer(count * np.dtype(kind).itemsize)
         self._own.append(made)
         return made
@@ -83,7 +83,7 @@ class VolumePasses(DeviceResources):
         uniforms: Uniforms,
         defines: Mapping[str, int] | None = None,
     ) -> None:
-        """Run a kernel for some sites of a level, in as many strips as their number needs."""
+        """Run a kernel on groups of a level, in strips if they are many."""
         listed = self._scalars if places.buffer is None else places.buffer
         bound = {**buffers, "scalars": [self._scalars], "places": [listed]}
         program = self._program(name, bound, places, uniforms, defines)
@@ -100,7 +100,7 @@ class VolumePasses(DeviceResources):
         uniforms: Uniforms,
         defines: Mapping[str, int] | None = None,
     ) -> None:
-        """Run a kernel that is one work group, for a level."""
+        """Run a kernel of a single work group on a level."""
         program = self._program(name, buffers, places, uniforms, defines)
         for _ in self.pace.strips((1, places.groups.sites)):
             program.run(0, 1)
@@ -113,7 +113,7 @@ class VolumePasses(DeviceResources):
         uniforms: Uniforms,
         defines: Mapping[str, int] | None,
     ) -> VolumeProgram:
-        """A kernel with all that it reads and writes."""
+        """Return a kernel with its places, uniforms and buffers set."""
         program = self.device.volume_program(name, defines)
         program.visit(places)
         program.set(uniforms)
@@ -121,7 +121,7 @@ class VolumePasses(DeviceResources):
         return program
 
     def total(self, shares: Any, count: int) -> tuple[Scalar, Scalar]:
-        """Add up the totals of so many groups, and find the largest of their largest values."""
+        """Return the sum of the totals of `count` groups, and the largest of their values."""
         pair = _Pair(self._spare_slots.pop(), self._spare_slots)
         program = self.device.volume_program("volume_total")
         program.set({"count": np.array([count], np.int32), "slot": np.array([pair.slot], np.int32)})
@@ -130,11 +130,11 @@ class VolumePasses(DeviceResources):
         return Scalar(pair.slot, pair), Scalar(pair.slot + 1, pair)
 
     def read_scalars(self) -> npt.NDArray[np.float32]:
-        """Wait for all numbers."""
+        """Wait for the device, and return all scalars."""
         return self.read(self._scalars, np.float32, 2 * _PAIRS)
 
     def read(self, buffer: Any, kind: type[np.generic], count: int) -> npt.NDArray[Any]:
-        """Wait for the first so many values of a buffer."""
+        """Wait for the device, and return the first `count` values of a buffer."""
         self.wait()
         found = np.frombuffer(buffer.read(size=count * np.dtype(kind).itemsize), kind)
         self.device.check("reading numbers")
