@@ -563,7 +563,7 @@ def test_shaders_refuse_volumes(optimizer):
 
 def test_what_has_no_meaning_is_refused():
     problem = squeezed()
-    with pytest.raises(ProblemError, match="the blanket reading is there for images only"):
+    with pytest.raises(ProblemError, match="the blanket reading is for images only"):
         solve(problem, SeilerPrior(conditional="blanket"))
     m = problem.stiffness.copy()
     m[3, 3, 3] = np.inf

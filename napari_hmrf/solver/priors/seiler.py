@@ -39,8 +39,8 @@ from napari_hmrf.solver.quadtree import levels, sampled
 Float64Array = npt.NDArray[np.float64]
 Conditional = Literal["centred", "blanket"]
 
-# K in uniform tissue, by the number of axes: one pixel of deviation then weighs as much as 200
-# pixels of difference from the neighbours.
+# K in uniform tissue, by the number of axes: one pixel of deviation from the observation then has
+# the energy of a difference of 200 pixels from the neighbours.
 _UNIFORM_PENALTY = {2: 1e4, 3: 3e4}
 # Range of penalties: float32 energies overflow beyond it.
 _SMALLEST_PENALTY, _LARGEST_PENALTY = 1e-30, 1e30
@@ -82,9 +82,9 @@ class SeilerPrior:
 
     def __post_init__(self) -> None:
         low, high = _SMALLEST_PENALTY, _LARGEST_PENALTY
-        firm = self.penalty is None or low <= real(self.penalty) <= high
-        what = f"a number from {low:g} to {high:g}, or None"
-        refuse_unless(firm, "penalty", self.penalty, what)
+        in_range = self.penalty is None or low <= real(self.penalty) <= high
+        expected = f"a number from {low:g} to {high:g}, or None"
+        refuse_unless(in_range, "penalty", self.penalty, expected)
         known = is_one_of(self.conditional, get_args(Conditional))
         refuse_unless(known, "conditional", self.conditional, '"centred" or "blanket"')
         damped = self.damping is None or 0 < real(self.damping) <= 1
@@ -106,7 +106,7 @@ class SeilerPrior:
 
     @property
     def relaxation(self) -> float:
-        """Damping in force."""
+        """Damping that is used: the given value, or the default of the reading."""
         if self.damping is not None:
             return self.damping
         return 1.0 if self.conditional == "centred" else 0.6
@@ -127,7 +127,7 @@ class SeilerPrior:
         return min(penalty, _LARGEST_PENALTY)
 
     def resolved(self, problem: Problem) -> SeilerPrior:
-        """Return this prior with the penalty in force for a problem.
+        """Return this prior with the penalty for a problem, after a check of the problem.
 
         Raises
         ------
@@ -137,20 +137,20 @@ class SeilerPrior:
         if problem.loads is not None:
             raise ProblemError(
                 "loads",
-                "are there, but the paper's prior uses only ratios of stiffness and has no forces. "
-                "Take ElasticPrior, or leave them out.",
+                "are given, but the paper's prior uses only ratios of stiffness and has no forces. "
+                "Use ElasticPrior, or leave them out.",
             )
         if problem.is_volume and self.conditional == "blanket":
             raise ProblemError(
                 "stiffness",
-                "is a volume, but the blanket reading is there for images only. Take SeilerPrior() "
-                "or ElasticPrior().",
+                "is a volume, but the blanket reading is for images only. Use SeilerPrior() or "
+                "ElasticPrior().",
             )
         if problem.rigid.any():
             raise ProblemError(
                 "stiffness",
-                "is infinite (rigid) somewhere, but the paper's prior compares tissue by ratios of "
-                "stiffness, which have no meaning there. Take ElasticPrior, or give a number.",
+                "is infinite (rigid) somewhere, but the paper's prior uses ratios of stiffness, "
+                "which are undefined there. Use ElasticPrior, or give a finite stiffness.",
             )
         return replace(self, penalty=self.penalty_for(problem))
 
@@ -209,8 +209,8 @@ class SeilerPrior:
             np.moveaxis(each[:, *_inside(problem)], 0, -1)
             for each in (found.curvature, found.slope)
         )
-        way = np.divide(slope, curvature, out=np.zeros_like(d), where=curvature > 0)
-        return SiteParabola(curvature, (d + way) * problem.unit)
+        step = np.divide(slope, curvature, out=np.zeros_like(d), where=curvature > 0)
+        return SiteParabola(curvature, (d + step) * problem.unit)
 
     def _cliques_of(self, problem: Problem, d: Float64Array) -> Cliques:
         """Evaluate the cliques of a problem for a displacement (H, W, 2) in pixels."""
