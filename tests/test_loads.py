@@ -485,7 +485,7 @@ MASK = np.ones((6, 6), bool)
         ("Give 2 components", lambda m: traction(m, MASK, 1.0, spacing=1)),
         ("Give 2 components", lambda m: weight(m, (1.0, 0, 0), spacing=1)),
         ("no numbers", lambda m: weight(m, (np.nan, 0), spacing=1)),
-        ("nowhere two pixels wide", lambda m: weight(np.eye(6), (1.0, 0), spacing=1)),
+        ("no tissue that is two pixels wide", lambda m: weight(np.eye(6), (1.0, 0), spacing=1)),
     ],
 )
 def test_loads_that_make_no_sense_are_refused_in_a_sentence(what, make):

@@ -60,7 +60,7 @@ def test_where_all_is_observed_nothing_needs_to_be_two_pixels_wide(prior):
 def test_thin_tissue_that_is_not_all_observed_is_refused():
     y, c = np.zeros((2, 5, 1, 2))
     c[0] = 1
-    with pytest.raises(ProblemError, match="nowhere two pixels wide"):
+    with pytest.raises(ProblemError, match="no tissue that is two pixels wide"):
         solve(Problem(y, c, np.ones((5, 1))), ElasticPrior(), backend="cpu")
 
 
