@@ -472,7 +472,7 @@ MASK = np.ones((6, 6), bool)
         ("one number is needed", lambda m: growth(0.1)),
         ("not symmetric", lambda m: Loads(growth=np.arange(144).reshape(6, 6, 2, 2))),
         ("above -1", lambda m: growth(-np.ones((6, 6)))),
-        ("no numbers", lambda m: growth(np.full((6, 6), np.nan))),
+        ("NaN or infinite", lambda m: growth(np.full((6, 6), np.nan))),
         ("has shape", lambda m: growth(np.ones((5, 6)))),
         ("rigid tissue", lambda m: growth(np.ones((6, 6)))),
         ("has shape", lambda m: Loads(force=np.ones((6, 6)))),
@@ -484,7 +484,7 @@ MASK = np.ones((6, 6), bool)
         ("Give one number", lambda m: pressure(m, MASK, (1.0, 2.0), spacing=1)),
         ("Give 2 components", lambda m: traction(m, MASK, 1.0, spacing=1)),
         ("Give 2 components", lambda m: weight(m, (1.0, 0, 0), spacing=1)),
-        ("no numbers", lambda m: weight(m, (np.nan, 0), spacing=1)),
+        ("NaN or infinite", lambda m: weight(m, (np.nan, 0), spacing=1)),
         ("no tissue that is two pixels wide", lambda m: weight(np.eye(6), (1.0, 0), spacing=1)),
     ],
 )
@@ -534,7 +534,7 @@ def test_loads_are_frozen_told_in_a_line_and_part_of_what_a_result_was_made_of()
     assert set(other.digests) == {"observed", "confidence", "stiffness"}
     with pytest.raises(ArgumentError, match="another problem"):
         reactions(other, made)
-    with pytest.raises(ArgumentError, match="made by"):
+    with pytest.raises(ArgumentError, match="has the prior"):
         reactions(problem, made, ElasticPrior(0.2))
     with pytest.raises(ArgumentError, match="no forces"):
         reactions(problem, made, SeilerPrior())

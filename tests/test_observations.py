@@ -183,7 +183,7 @@ def test_a_start_of_another_grid_is_refused():
     small, large = (phantom("bar", size).problem for size in (32, 48))
     with pytest.raises(ValueError, match="initial has a grid"):
         solve(large, ElasticPrior(), initial=solve(small, ElasticPrior()))
-    with pytest.raises(ValueError, match="initial is for Multigrid"):
+    with pytest.raises(ValueError, match="Leave initial out, or use Multigrid"):
         solve(small, SeilerPrior(), initial=solve(small, SeilerPrior()))
 
 
