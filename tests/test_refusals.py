@@ -33,7 +33,7 @@ def test_tissue_that_bends_at_no_cost_is_named():
 
 
 def test_tissue_that_double_precision_cannot_tell_is_named_with_its_cost():
-    with pytest.raises(ConvergenceError, match=r"around \(22, 0\) .* at 4e-14 of"):
+    with pytest.raises(ConvergenceError, match=r"around \(22, 0\) .* is 4e-14 of"):
         answer(101, 1109)
 
 

@@ -24,7 +24,7 @@ _DIRECTIONS = ("along rows", "along columns")
 
 
 def check_bent(problem: Problem) -> None:
-    """Refuse a problem with a piece of tissue that could still move at no cost.
+    """Refuse a problem with a piece of tissue that could still move without energy.
 
     Raises
     ------

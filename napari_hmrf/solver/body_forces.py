@@ -122,7 +122,7 @@ def traction(
     *,
     spacing: float | Sequence[float],
 ) -> Loads:
-    """Return the forces of a force per area, in any direction, on a painted part of the surface.
+    """Return the forces of a traction, in any direction, on a painted part of the tissue's surface.
 
     An oblique surface is a staircase of faces, whose total area is larger than that of the surface.
     The area of each face is therefore multiplied by the cosine of the angle between the face and

@@ -23,7 +23,7 @@ LOOSE = "nothing holds the tissue"
 
 
 def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> tuple[str, ...]:
-    """Return caveats of a problem, as clauses for the user; not those that a solve refuses anyway.
+    """Return caveats of a problem, as clauses for the user, except those that a solve refuses.
 
     Parameters
     ----------

@@ -38,7 +38,7 @@ def grids(shape: tuple[int, ...]) -> list[tuple[int, ...]]:
 
 
 def smoother_bounds(material: ElasticMaterial) -> tuple[float, float]:
-    """Return two upper bounds of the spectrum of D^-1 A: for usual and for any materials.
+    """Return two upper bounds of the spectrum of D^-1 A: one for usual, one for any materials.
 
     The first is the bound for a uniform grid, from its symbol; mixtures of materials hardly exceed
     it. The second is the bound for the worst single element, which no mixture exceeds. Both grow

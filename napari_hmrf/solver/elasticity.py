@@ -104,7 +104,7 @@ def read_elasticity(header: array_file.Header, arrays: array_file.Arrays) -> Ela
 
 
 def _elasticity_in_parameters(provenance: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return the properties of a result without growth and with a single Poisson's ratio."""
+    """Return the properties of a result without growth and with one Poisson's ratio, else None."""
     # Parameters hold neither growth nor a map of Poisson's ratios.
     prior = provenance.get("parameters", {}).get("prior")
     finite = {"ElasticPrior": False, "NeoHookeanPrior": True}

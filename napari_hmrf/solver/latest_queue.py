@@ -175,7 +175,7 @@ class LatestQueue:
             return "" if self._scheduled is None else compute_thread.delays(self._scheduled)
 
     def _go_on(self) -> None:
-        """Schedule a run of the waiting job, if any; one job a run, so that other queues get turns."""
+        """Schedule the waiting job, if any: one job at a time, so that other queues get turns."""
         if self._scheduled is not None:
             return
         if self._waiting is None:

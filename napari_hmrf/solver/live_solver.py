@@ -49,9 +49,10 @@ class Update:
     problem : Problem or None
         The solved problem; None if it could not be built.
     solution : Solution or None
-        None if there is an error.
+        Solution of the problem; None if there is an error.
     error : Exception or None
-        Such as a `ProblemError`, if the problem cannot be solved yet.
+        Error, such as a `ProblemError` if the problem cannot be solved yet; None if there is a
+        solution.
     final : bool
         False for a preview, which is within `GLANCE` pixels and is followed by the final solution
         unless there is a newer edit.
@@ -84,14 +85,15 @@ class LiveSolver:
     ----------
     deliver : callable
         Called with an `Update` on the compute thread, where an image can be warped, too. It should
-        return soon: nothing is solved while it runs.
+        return soon, because the solver waits for it.
     prior : Prior, optional
-        By default elastic tissue. `prior` may be set at any time, for later edits.
+        Energy of the tissue; by default elastic tissue. The attribute `prior` may be set at any
+        time, for later edits.
     optimizer : Optimizer, optional
-        By default multigrid, to `TOLERANCE`. The paper's schedule works, but with a cold start
-        each time. `optimizer` may be set at any time, for later edits.
+        Schedule; by default multigrid, to `TOLERANCE`. The paper's schedule works, but with a cold
+        start each time. The attribute `optimizer` may be set at any time, for later edits.
     backend : str
-        As for `solve`. `backend` may be set at any time, for later edits.
+        Backend, as for `solve`. The attribute `backend` may be set at any time, for later edits.
     progress : callable, optional
         Called with a `Monitor` on the compute thread. The first solve on a machine compiles for
         half a minute.
@@ -187,7 +189,7 @@ class LiveSolver:
     def hold(self) -> None:
         """Start no newer edit until `resume`, for instance until a solution is painted.
 
-        Called while an update is delivered.
+        It has an effect only while an update is delivered.
         """
         self._queue.hold()
 

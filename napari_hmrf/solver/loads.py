@@ -170,8 +170,8 @@ class Loads:
             if nowhere.any():
                 raise ProblemError(
                     "force",
-                    f"has {how_many(nowhere)} where no tissue two pixels wide could bear it, the "
-                    f"first at {first_index(nowhere)}. Give 0 there, or that place a stiffness.",
+                    f"has {how_many(nowhere)} that are on no tissue two pixels wide, the first at "
+                    f"{first_index(nowhere)}. Give 0 there, or that place a stiffness.",
                 )
 
 
@@ -237,7 +237,7 @@ def _check_growth(strain: FloatArray | None) -> None:
         if strain.shape[-1] != strain.shape[-2]:
             raise ProblemError(
                 "growth",
-                f"has shape {strain.shape}: a tensor has as many rows as columns.",
+                f"has shape {strain.shape}. Give tensors with as many rows as columns.",
             )
         apart = np.abs(strain - strain.swapaxes(-1, -2)).max(initial=0)
         if apart > _ASYMMETRY * np.abs(strain).max(initial=0):
@@ -261,7 +261,9 @@ def _sum_of_growth(
         return one + other
     tensors = _tensor(one), _tensor(other)
     if tensors[0].shape != tensors[1].shape:
-        raise ProblemError("growth", f"is on grids of {one.shape} and {other.shape}: use one grid.")
+        raise ProblemError(
+            "growth", f"is on grids of {one.shape} and {other.shape}. Give both on one grid."
+        )
     return np.asarray(tensors[0] + tensors[1])
 
 
@@ -279,7 +281,9 @@ def _sum_of_forces(
     if one is None or other is None:
         return other if one is None else one
     if one.shape != other.shape:
-        raise ProblemError("force", f"is on grids of {one.shape} and {other.shape}: use one grid.")
+        raise ProblemError(
+            "force", f"is on grids of {one.shape} and {other.shape}. Give both on one grid."
+        )
     return np.asarray(one + other)
 
 

@@ -87,7 +87,7 @@ def prepare(
 
 
 def loop_watch(job: str, report: Callable[[Monitor], None]) -> AbstractContextManager[None]:
-    """Return a context that reports which loops this process compiles.
+    """Return a context manager that reports the loops that this process compiles.
 
     Parameters
     ----------

@@ -80,7 +80,7 @@ class Problem:
         spacing: Sequence[float] = _EVEN,
         loads: Loads | None = None,
     ) -> None:
-        # If `observed` has one value per pixel, do not take the stiffness for a volume.
+        # If `observed` has one value per pixel, do not interpret the stiffness as a volume.
         image = isinstance(observed, np.ndarray) and observed.ndim == 2
         m = _as_image(stiffness, (2,) if image else (2, 3))
         pixel = checked_spacing((1.0,) * m.ndim if spacing is _EVEN else spacing, m.ndim)

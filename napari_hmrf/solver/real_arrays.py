@@ -32,7 +32,7 @@ def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
 
 
 def as_float32(field: str, value: npt.ArrayLike) -> FloatArray:
-    """Copy `value` to a C-contiguous native float32 array; refuse a loss of mask or magnitude."""
+    """Copy `value` to a C-contiguous native float32 array; refuse masked or too large values."""
     if isinstance(value, np.ma.MaskedArray):
         raise ProblemError(field, "is a masked array, whose mask would be lost. Fill it first.")
     array = as_numbers(field, value)

@@ -24,7 +24,7 @@ from napari_hmrf.solver.problem import Problem
 
 # Strength of a constraint, relative to the largest, up to which it counts as rounding.
 _ROUNDING = 1e-9
-# Motion of a piece in a free motion, relative to the largest, up to which it counts as at rest.
+# Size of a piece's motion, relative to the largest in a free motion, up to which it is at rest.
 _REST = 1e-6
 _STEPS = ("along planes", "along rows", "along columns")
 
@@ -37,7 +37,7 @@ _Ways = tuple[npt.NDArray[np.int64], Motions, Motions, Motions]
 
 
 class Firm(NamedTuple):
-    """Result of a check, kept because a check takes as long as a few cycles: held tissue.
+    """Tissue that was found to be held; kept because the check takes as long as a few cycles.
 
     Attributes
     ----------
@@ -136,7 +136,7 @@ def refusal(free: FreeMotion) -> ProblemError:
     """Return an error that names the piece that could move, and the motion."""
     return ProblemError(
         "confidence",
-        f"leaves a piece of tissue free: the one of {int(free.piece.sum())} pixels around "
+        f"leaves a piece of tissue free: the piece of {int(free.piece.sum())} pixels around "
         f"{free.centre} {free.how}. Fix some of it in place, or give it no stiffness.",
     )
 
@@ -268,6 +268,7 @@ def _free(ways: Iterable[_Ways]) -> Iterator[tuple[npt.NDArray[np.int64], Motion
 
 def _modes(pieces: Labels, count: int, held: npt.NDArray[np.bool_]) -> Iterator[_Ways]:
     """Compute the motions of each cluster and their costs, in ascending order of cost."""
+    # The cost of a motion is the sum of its squared displacements at the constraints.
     if count == 0:
         return
     shape = held.shape[:-1]

@@ -175,7 +175,7 @@ class Solution:
         Returns
         -------
         ndarray
-            Same shape and dtype as `image`.
+            Moved image, with the shape and dtype of `image`.
 
         Raises
         ------
@@ -251,7 +251,7 @@ class Solution:
         Returns
         -------
         ndarray, shape (N, n), float64
-            In the unit of `spacing`.
+            Displacements, in the unit of `spacing`.
 
         Raises
         ------
@@ -268,12 +268,12 @@ class Solution:
         Parameters
         ----------
         points : array_like, shape (N, n)
-            In pixels, in the order of the axes.
+            Positions before the motion, in pixels, in the order of the axes.
 
         Returns
         -------
         ndarray, shape (N, n), float64
-            In pixels.
+            Positions after the motion, in pixels.
 
         Raises
         ------

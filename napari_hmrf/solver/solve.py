@@ -67,7 +67,7 @@ def solve(
     cancel: CancelFlag | None = None,
     initial: Initial | None = None,
 ) -> Solution:
-    """Compute how the tissue moves.
+    """Compute the displacement of the tissue.
 
     The work runs on the process's compute thread; the caller waits, and may be any thread.
 
@@ -81,12 +81,14 @@ def solve(
         The schedule; by default multigrid, and for the paper's prior its own: 70 sweeps on each
         level. ``Multigrid()`` solves the paper's prior to the limit of such sweeps.
     backend : {"auto", "opengl", "opengl:fragment", "opengl:compute", "cpu"}
-        Backend to run on. "auto" takes the shaders on a real GPU and the compiled loops elsewhere,
-        and logs the choice once. Volumes need compute shaders (OpenGL 4.3), or the loops.
+        Backend to run on. "auto" chooses the shaders on a real GPU and the compiled loops
+        elsewhere, and logs the choice once. Volumes need compute shaders (OpenGL 4.3), or the
+        loops.
     progress : callable, optional
         Called on the caller's thread with a `Monitor`: a message and the fraction done.
-    cancel : threading.Event or alike, optional
-        Set it to cancel; the call returns within half a second, even while loops are compiled.
+    cancel : threading.Event or similar, optional
+        Flag that cancels the solve once it is set; the call then returns within half a second, even
+        while loops are compiled.
     initial : Solution or sequence of Solution, optional
         Warm start from earlier solutions of the same grid: after a small edit of the problem
         multigrid then needs fewer cycles. Several solutions are combined linearly to match the
@@ -104,7 +106,7 @@ def solve(
     ArgumentError
         If an argument is of the wrong type, or the optimizer does not fit the prior.
     BackendError
-        If the backend is missing or cannot be trusted.
+        If the backend is not available, or returns wrong values.
     ProblemError
         If the solution is not unique: some tissue could still move freely.
     ConvergenceError
@@ -231,7 +233,7 @@ def run_here(
     cancel: CancelFlag,
     initial: Initial | None = None,
 ) -> Solution:
-    """Solve on the current thread, which must be the compute thread; for jobs that run there.
+    """Solve on the compute thread, which must be the current thread.
 
     Parameters
     ----------

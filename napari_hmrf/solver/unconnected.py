@@ -1,7 +1,7 @@
 """Small loose pieces of tissue, which are left out of a solve.
 
-Elastic tissue that could still move freely has no unique solution, and is refused. A mask of tissue
-that was made with an intensity threshold, however, contains specks; these stay at rest instead.
+Elastic tissue that could still move freely has no unique solution, and is refused. However, a mask
+of tissue from an intensity threshold may contain specks; these stay at rest instead.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import scipy
 
 from napari_hmrf.solver.rigid_modes import Firm, free_pieces
 
-#: Fraction of all tissue from which an observed piece is large enough to be kept.
+#: Size from which an observed piece is kept, as a fraction of all tissue.
 _LARGE_PIECE = 0.01
 # Leaving out a piece may free another one. Longer chains than this are left to the solver, which
 # refuses the problem.
@@ -46,8 +46,8 @@ def scraps(tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> npt.ND
     """Find loose pieces of tissue that are left out of a solve.
 
     These are the loose pieces without an observation, and small loose pieces with too few
-    observations. If no observed tissue would be left, the result is empty, and the solver refuses
-    the problem with its reason.
+    observations. If no observed tissue would be left, the result is empty, and the solver then
+    refuses the problem with a reason.
 
     Parameters
     ----------

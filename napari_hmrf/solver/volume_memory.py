@@ -27,7 +27,7 @@ def check_memory(problem: Problem) -> None:
     Raises
     ------
     ProblemError
-        With the largest volume that fits, and a remedy.
+        Naming the largest size that fits, and a remedy.
     """
     bytes_per_voxel = ORDINARY if problem.loads is None else ORDINARY + LOADED
     if not problem.is_volume or fits(problem.shape, bytes_per_voxel):

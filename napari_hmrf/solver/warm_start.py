@@ -81,8 +81,8 @@ def beginning(initial: Initial, problem: Problem) -> Beginning:
 class _Blocks:
     """Observations and loads of a problem, with those of each solution, in blocks of values."""
 
-    # Loads are scaled to the size of the displacements, so that both count alike. They come in
-    # blocks because those of a volume are large.
+    # Loads are scaled to the size of the displacements, so that both have a similar weight. They
+    # are split into blocks, because those of a volume are large.
 
     def __init__(self, problem: Problem, solutions: tuple[Solution, ...]) -> None:
         self._problem, self._solutions = problem, solutions

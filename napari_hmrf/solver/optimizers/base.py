@@ -75,7 +75,7 @@ class Convergence:
 class Reach:
     """Extent to which large motion meets the observations; no tissue is folded.
 
-    Crushed tissue may still creep: `unbalanced` is how far it may move, at `unbalanced_at`.
+    Crushed tissue may still creep: `unbalanced` is the remaining distance, at `unbalanced_at`.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class Reach:
     missing : float
         Distance of that site from its observation, in the unit of the spacing.
     where : tuple of int, or None
-        That site; None if all observations were met.
+        Index of that site; None if all observations were met.
     sites : int
         Number of sites that are not at their observed positions.
     grown : float
@@ -96,7 +96,7 @@ class Reach:
         Estimated largest distance of any site from its balanced position, in the unit of the
         spacing; 0 if the field converged to the tolerance.
     unbalanced_at : tuple of int, or None
-        That site; None if the field converged to the tolerance.
+        Index of that site; None if the field converged to the tolerance.
     """
 
     least_jacobian: float
@@ -147,7 +147,19 @@ class Optimizer(Protocol):
     ) -> Outcome:
         """Run the schedule; on the compute thread only.
 
-        `start` is the initial displacement.
+        Parameters
+        ----------
+        problem : Problem
+        prior : Prior
+        backend : Backend
+        report : callable
+            Called with a `Monitor`; raises to cancel.
+        start : Beginning, optional
+            Initial displacement; by default a cold start.
+
+        Returns
+        -------
+        Outcome
         """
         ...
 

@@ -21,9 +21,9 @@ class Smoothing(NamedTuple):
     coarsest_part, coarsest_sweeps : float, int
         The same on the coarsest level.
     visits : int
-        Number of visits of the second level, with all levels below it, in each cycle, where they
-        are worth their work. More than one makes up for the slower convergence of V-cycles with
-        many levels, for a fifth more work.
+        Number of visits of the second level, with all levels below it, in each cycle, where this
+        saves time. More than one makes up for the slower convergence of V-cycles with many levels,
+        for a fifth more work.
     patience : int
         Number of cycles after which factors are faster.
     careful : Smoothing or None
@@ -104,7 +104,7 @@ class Cycle:
         return True
 
     def smooth_more(self) -> bool:
-        """Change to `Smoothing.careful`; return False if there is none, or no longer one."""
+        """Change to `Smoothing.careful`; return False if there is no such change left."""
         return self._smoothing.careful is not None and self.be_careful()
 
     def _smooth_up_to(self, bound: float) -> None:
@@ -138,7 +138,7 @@ class Cycle:
 
 
 def chebyshev(low: float, high: float, steps: int) -> Steps:
-    """Return (scale, momentum) of each step of the polynomial that is smallest on [low, high]."""
+    """Return (scale, momentum) of each step of the Chebyshev polynomial on [low, high]."""
     centre, half = (high + low) / 2, (high - low) / 2
     sigma = centre / half
     rho = 1 / sigma

@@ -39,13 +39,13 @@ _EXTRAPOLATION_PART = 0.25
 _RETURNED_PART = 0.5
 # Distance up to which an observation counts as met, as a fraction of the tolerance.
 _MET = 1.0
-# Grip below which cycles turn tissue slowly.
+# Grip below which cycles reduce turning motions slowly.
 _WEAK_GRIP = 5e-3
 # Grip below which cycles are too slow, so that factors are used at once.
 _LOOSE_GRIP = 1e-4
-# Ratio of stiffnesses above which cycles hardly turn stiff parts.
+# Ratio of stiffnesses above which cycles hardly reduce the turning of stiff parts.
 _HIGH_CONTRAST = 50.0
-# Ratio of stiffnesses above which cycles do not turn stiff parts, so that factors are used at once.
+# Ratio of stiffnesses above which cycles do not reduce it, so that factors are used at once.
 _EXTREME_CONTRAST = 1.2e3
 # Logarithm of the growth of area in one growth step.
 _GROWTH_STEP = math.log(4.0)

@@ -1,7 +1,8 @@
 """Large motion with observations that may slip: search for the held and the slipping ones.
 
-First the kink of each observation's energy is rounded, less and less; the result separates held
-from slipping observations, and the problem with these states is then solved without rounding.
+First the kink of each observation's energy is rounded, and the rounding is reduced in steps. The
+result separates held from slipping observations; the problem with these states is then solved
+without rounding.
 """
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ _MILD_GRIP = 0.05
 class Multigrid:
     """Schedule of a Krylov iteration with a V-cycle, Chebyshev-Jacobi smoothing, and refinement.
 
-    The iteration runs in single precision; the residual that decides is computed in double.
+    The iteration runs in single precision; the residual that ends it is computed in double.
     Conjugate gradients solve priors with an energy: `ElasticPrior`, and `SeilerPrior` in its
     blanket reading. Stabilised biconjugate gradients solve the centred reading, which is not
     symmetric (`napari_hmrf.solver.optimizers.centred`). For `NeoHookeanPrior` conjugate gradients

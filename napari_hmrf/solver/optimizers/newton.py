@@ -32,21 +32,21 @@ from napari_hmrf.solver.optimizers.outside import Outside
 
 # A step of the field
 
-#: Part of its Jacobian that every corner keeps in a step; more shortens all steps.
+#: Fraction of its Jacobian that every corner must keep in a step; larger values shorten all steps.
 _JACOBIAN_PART = 0.25
-#: Part of its possible length that a pull takes if a corner limits it; 1 would end at the limit.
+#: Fraction of its possible length that a pull takes if a corner limits it.
 _PULL_PART = 0.85
 #: Jacobian below which tissue is pulled no further.
 _PULL_FLOOR = 1e-5
 #: Fraction of a step. If the energy falls over less, a step without the buckling terms is tried.
 _LEAST_STEP = 0.1
-#: Part of the fall in energy promised by the slope that a step must reach (Armijo's condition).
+#: Fraction of the fall in energy predicted by the slope that a step must reach (Armijo).
 _ARMIJO = 1e-4
 #: Rounding of the energy, relative to the energy: a rise up to this is accepted.
 _ENERGY_ROUNDING = 1e-12
 #: Energy per component, in pixels squared, that is added to the energy to estimate its rounding.
 _COMPONENT_ROUNDING = 1e-3
-#: Largest number of halvings of a step; after them the step is not taken.
+#: Largest number of halvings of a step, after which the step is not taken.
 _HALVING_LIMIT = 12
 #: Largest number of pulls, after which the remaining gaps stay open.
 _PULL_LIMIT = 150
@@ -61,11 +61,11 @@ _INNER_REDUCTION = 0.03
 _INNER_TOLERANCE = 0.3
 #: Residual, relative to the load, that single precision cannot reduce.
 _SINGLE_RESIDUAL = 2e-5
-#: Cycles after which a small system is factorised.
+#: Number of cycles after which a small system is factorised.
 _CYCLE_LIMIT = 40
-#: Sites up to which a system is small: its factorisation takes less time than many cycles.
+#: Number of sites up to which a system is small, so that factors take less time than many cycles.
 _SMALL_GRID = 20_000
-#: Cycles after which a larger system is factorised.
+#: Number of cycles after which a larger system is factorised.
 _LARGE_CYCLE_LIMIT = 200
 #: Least share of the buckling terms to leave out, if any is left out.
 _FIRST_SHARE = 0.05
@@ -101,7 +101,7 @@ _CREEP_STEPS = 30
 _CREEP_ENERGY = 1e-7
 #: Distance from balance, in pixels, at which tissue that creeps counts as balanced.
 _CREEP_DISTANCE = 0.1
-#: Length of the last step, in tolerances, of tissue whose motions cycles may miss.
+#: Largest last step, relative to the tolerance, for tissue whose motions cycles may miss.
 _FINAL_STEP = 10.0
 #: Least Jacobian of any corner of a field: far above rounding in double precision.
 LEAST_JACOBIAN = 1e-9
@@ -507,7 +507,7 @@ class Newton:
             # Free tissue obstructs all pulls: the remaining gaps cannot be closed.
             np.copyto(y, d)
             return
-        # A part that is pulled as one piece stops as one, or it would be crushed in itself.
+        # A part that is pulled as one piece must stop as one piece, or it would be crushed.
         pieces, _ = scipy.ndimage.label(pulled, structure=np.ones((3, 3)))
         gap = (y - d)[:, 2:-2, 2:-2]
         for number in np.unique(pieces[stops]):

@@ -77,7 +77,7 @@ class Refinement:
     Parameters
     ----------
     max_iterations : int
-        Cycles after which a run fails.
+        Number of cycles after which a run fails.
     model : LinearModel
     smoothing : Smoothing
     report : callable

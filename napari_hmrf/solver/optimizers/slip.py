@@ -38,7 +38,7 @@ _ROUGH_FACTOR = 10.0
 _EXACT = 1e-11
 # Factor on this accuracy from which a component contradicts its state in an exchange.
 _CONTRADICTION = 10.0
-# The same factor when the states found are confirmed.
+# The same factor for the final confirmation of states.
 _CONFIRMATION = 10.0
 # Margin below its limit, as a fraction, with which a component is certainly held.
 _AT_LIMIT = 1e-9
@@ -129,7 +129,7 @@ class Slip:
             interior.solve(self._model, self._states, d, self._report)
 
     def _held(self, d: Planes) -> Planes:
-        """Return the field with all observations held; requires that they are held now."""
+        """Return the field with all observations held; the model must hold them already."""
         model, states = self._model, self._states
         held = np.where(self._steepness > 0, 0.0, d)
         states.place_fixed(held)

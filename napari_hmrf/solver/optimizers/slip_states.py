@@ -145,7 +145,7 @@ class ActiveSet(States):
 
     @property
     def lost(self) -> bool:
-        """True once exchanges alone have made no progress for a while; stays True."""
+        """True once exchanges alone have stopped making progress; stays True from then on."""
         return self._patience == 0
 
     def cost(self, d: Planes) -> float:
@@ -195,7 +195,7 @@ class ActiveSet(States):
                 break
             if len(released) == 1:
                 return self.slide(d, motion) or int(wrong.sum()) > 1
-            # Released too many: keep only those with the largest excess.
+            # Too many components were released: keep only those with the largest excess.
             wrong[released[np.argsort(excess[released])[: len(released) // 2]]] = False
         return count > 0
 

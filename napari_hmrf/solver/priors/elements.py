@@ -7,7 +7,7 @@ compute forces from differences of displacement, never from an assembled stencil
     along columns  D_c = (d01 - d00) + (d11 - d10)
     the twist      D_x = (d11 - d01) - (d10 - d00)
 
-The mean strains follow from D_r and D_c; the energy of the twist separates from theirs.
+The mean strains follow from D_r and D_c. Their energy and that of the twist add up.
 """
 
 from __future__ import annotations
@@ -55,8 +55,9 @@ class ElasticMaterial:
     m : ndarray, shape (H, W) or (D, H, W), float32
         Stiffness; 0 is void. Only its ratios matter.
     poisson : float or ndarray of the same shape, float32
+        Poisson's ratio of all tissue, or of each site.
     strain : bool
-        Plane strain instead of plane stress; a volume is strained in all directions.
+        True for plane strain and for volumes, False for plane stress.
     shape : ElementShape or BrickShape
     """
 
@@ -112,7 +113,7 @@ class ElasticMaterial:
         share = np.count_nonzero(in_elements(self.m)) / np.count_nonzero(self.m > 0)
         return float(share ** (2 / self.m.ndim))
 
-    #: Sites along a side of an element.
+    #: Number of sites along a side of an element.
     patch = 2
     #: Number of sites by which elements extend beyond the image.
     margin = 0
@@ -236,8 +237,9 @@ def lame_parameters(m: Float64Array, poisson: Any, strain: bool) -> Lame:
     m : ndarray, shape (H, W) or (D, H, W)
         Stiffness.
     poisson : float or ndarray of the same shape
+        Poisson's ratio of all tissue, or of each site.
     strain : bool
-        Plane strain, or a volume, instead of plane stress.
+        True for plane strain and for volumes, False for plane stress.
     """
     whole = in_elements(m)
     young = np.where(whole, of_elements(m), 0.0)

@@ -107,7 +107,7 @@ def modes(d: Float64Array) -> Float64Array:
 
 
 def corners(pulls: Float64Array) -> Float64Array:
-    """Apply the transpose of `modes`, which adds forces of modes up at the sites, (D, H, W, 3)."""
+    """Apply the transpose of `modes`: add the forces of all modes at the sites, (D, H, W, 3)."""
     for axis in (-3, -2, -1):
         behind, ahead = pulls[0] - pulls[1], pulls[0] + pulls[1]
         pad = [(0, 0)] * behind.ndim

@@ -61,15 +61,15 @@ class SeilerPrior:
     ----------
     penalty : float, optional
         K of eq. 19: the largest force with which a site of confidence 1 is held at its observed
-        position; where tissue needs more, it slips. In the unit of the energy: the cost of a pixel
-        of deviation. By default 10^4 in uniform tissue (3 x 10^4 in volumes, where three times as
-        many cliques pull), times the ratio by which the energy at the steepest observed site is
-        steeper than in uniform tissue, so that boundaries hold between any tissues.
+        position; where tissue pulls harder, the site slips. Its unit is that of the energy: it is
+        the cost of one pixel of deviation. By default 10^4 in uniform tissue (3 x 10^4 in volumes,
+        where three times as many cliques pull), times the ratio by which the energy at the steepest
+        observed site is steeper than in uniform tissue, so that boundaries hold between any
+        tissues.
     conditional : {"centred", "blanket"}
-        Cliques that count when a site chooses its displacement (line 8 of the algorithm):
-        ``"centred"``, those with the site in the middle; ``"blanket"``, all that contain the site,
-        which is the textbook reading of eq. 7, for images only. docs/method.md compares their
-        accuracy.
+        Cliques that determine the displacement of a site (line 8 of the algorithm): ``"centred"``,
+        those with the site in the middle; ``"blanket"``, all that contain the site, which is the
+        textbook reading of eq. 7, for images only. docs/method.md compares their accuracy.
     damping : float, optional
         Fraction of the step to its best displacement that a site takes, as all sites move at once.
         By default 1 for centred; 0.6 for blanket, which diverges undamped (below 2/3 is safe for
@@ -172,12 +172,12 @@ class SeilerPrior:
         ----------
         problem : Problem
         displacement : array_like, shape (H, W, 2) or (D, H, W, 3)
-            In the unit of ``problem.spacing``.
+            Displacement, in the unit of ``problem.spacing``.
 
         Returns
         -------
         ndarray, shape (H, W) or (D, H, W)
-            In pixels squared; the sum over all sites is U_total.
+            Energies, in pixels squared; their sum over all sites is U_total.
         """
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
         y = problem.observed / np.float64(problem.unit)
