@@ -325,7 +325,7 @@ def test_whatever_is_given_by_mistake_is_refused_by_an_error_of_ours_in_short(
         (lambda: solve(PROBLEM, Multigrid()), r"prior is Multigrid.*Give a prior: ElasticPrior"),
         (lambda: solve(PROBLEM, optimizer=ElasticPrior()), "optimizer is .*Give an optimizer"),
         (lambda: solve(PROBLEM, optimizer=Multigrid), "optimizer is .*Give an optimizer"),
-        (lambda: LiveSolver(3), "deliver is 3, of type int. Give something to call"),
+        (lambda: LiveSolver(3), "deliver is 3, of type int. Give a function to call"),
         (lambda: Multigrid("x"), "tolerance must be a positive number, in pixels, not 'x'"),
         (lambda: ICM(steps=3), r"steps must be positive numbers, such as \(1, 0.1\).*, not 3"),
         (lambda: ICM("many"), "iterations must be a whole number of at least 1, not 'many'"),

@@ -1,9 +1,9 @@
-"""Whether what is observed determines the least energy of the paper's cliques (eq. 7).
+"""Check that the observations determine the motion in the paper's model (eq. 7).
 
-The cliques resist the bending of each component only. Where tissue is uniform, a component that is
-the same everywhere, or grows evenly in some direction, costs nothing; across tissues of different
-stiffness only the first. What is observed of a piece must stop all of that, or there is no one
-answer.
+The cliques resist only the bending of each component. In uniform tissue, a component that is
+constant or varies linearly has no energy; across tissues of different stiffness, only a constant
+component has none. The observations of each piece must prevent these motions, or the solution is
+not unique.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from napari_hmrf.solver.priors.seiler import in_cliques
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import FreeMotion, refusal
 
-# Below this fraction of what a motion could be stopped by, it is free.
-_NOTHING = 1e-9
-_ALONG = ("along rows", "along columns")
+# Fraction of a motion's squared displacement at held sites up to which the motion is free.
+_FREE_SHARE = 1e-9
+_DIRECTIONS = ("along rows", "along columns")
 
 
 def check_bent(problem: Problem) -> None:
-    """Refuse a problem with a piece of tissue that could still move at no cost.
+    """Refuse a problem with a piece of tissue that could still move without energy.
 
     Raises
     ------
     ProblemError
-        Naming the piece by its size and centre, and how it could move.
+        Naming the piece by its size and centre, and its possible motion.
     """
     free = free_bend(problem, problem.known)
     if free is not None:
@@ -37,35 +37,36 @@ def check_bent(problem: Problem) -> None:
 
 
 def free_bend(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | None:
-    """Find a way in which some tissue could move at no cost, if there is one.
+    """Return a motion of some tissue that has no energy, or None.
 
     Parameters
     ----------
     problem : Problem
     held : ndarray of bool, shape (H, W, 2)
-        Which components are held.
+        Mask of the held components.
     """
-    for piece, component, ways in _free_pieces(problem, held):
-        how = "could still grow" if held[piece, component].any() else "is not held anywhere"
-        return FreeMotion(piece, f"{how} {_ALONG[component]}", ways[0])
+    for piece, component, motions in _free_pieces(problem, held):
+        clause = "could still grow" if held[piece, component].any() else "is not held anywhere"
+        return FreeMotion(piece, f"{clause} {_DIRECTIONS[component]}", motions[0])
     return None
 
 
 def _free_pieces(
     problem: Problem, held: npt.NDArray[np.bool_]
 ) -> Iterator[tuple[npt.NDArray[np.bool_], int, npt.NDArray[np.float64]]]:
-    """Find each piece that could move, its component, and how: (ways, H, W, 2)."""
+    """Yield each piece that could move, its component, and its free motions (motions, H, W, 2)."""
     cliques = in_cliques(problem)
     i, j = np.indices(problem.shape)
-    ways = np.stack([np.ones(problem.shape), i / max(problem.shape), j / max(problem.shape)], -1)
-    for component in range(len(_ALONG)):
+    # Motions that a component of a piece can make without energy: constant and linear.
+    basis = np.stack([np.ones(problem.shape), i / max(problem.shape), j / max(problem.shape)], -1)
+    for component in range(len(_DIRECTIONS)):
         pieces, _ = scipy.ndimage.label(cliques[..., component], structure=np.ones((3, 3)))
         for number, box in enumerate(scipy.ndimage.find_objects(pieces), start=1):
             inside = pieces[box] == number
-            stopped = held[box][inside, component]
+            held_sites = held[box][inside, component]
             m = problem.stiffness[box][inside]
-            possible = ways[box][inside][:, : 3 if m.min() == m.max() else 1]
-            modes = _free_modes(possible, stopped)
+            possible = basis[box][inside][:, : 3 if m.min() == m.max() else 1]
+            modes = _free_modes(possible, held_sites)
             if not modes.shape[1]:
                 continue
             piece = pieces == number
@@ -75,13 +76,13 @@ def _free_pieces(
 
 
 def _free_modes(
-    possible: npt.NDArray[np.float64], stopped: npt.NDArray[np.bool_]
+    possible: npt.NDArray[np.float64], held_sites: npt.NDArray[np.bool_]
 ) -> npt.NDArray[np.float64]:
-    """Find the mixes of motions (sites, motions) that vanish where they would be stopped."""
-    sizes, mixes = np.linalg.eigh(possible.T @ possible)
-    real = sizes > _NOTHING * sizes[-1]
-    basis = mixes[:, real] / np.sqrt(sizes[real])
-    at = possible[stopped] @ basis
-    stops, modes = np.linalg.eigh(at.T @ at)
-    free: npt.NDArray[np.float64] = basis @ modes[:, stops <= _NOTHING]
+    """Return the combinations of motions (sites, motions) that vanish at the held sites."""
+    sizes, combinations = np.linalg.eigh(possible.T @ possible)
+    is_independent = sizes > _FREE_SHARE * sizes[-1]
+    basis = combinations[:, is_independent] / np.sqrt(sizes[is_independent])
+    at_held = possible[held_sites] @ basis
+    shares, modes = np.linalg.eigh(at_held.T @ at_held)
+    free: npt.NDArray[np.float64] = basis @ modes[:, shares <= _FREE_SHARE]
     return free

@@ -1,8 +1,8 @@
-"""Weight, and what presses or pulls at surfaces, as forces at sites.
+"""Weight, pressure and traction as forces at sites.
 
-Tissue ends where its elements do: its surface is made of the faces (in an image, the edges) that
-belong to one element only. A force per volume or per area counts in equal parts at the corners of
-an element or a face, as it does in finite elements.
+The surface of tissue consists of the faces of elements (in an image, the edges) that belong to one
+element only. A force per volume or per area is shared equally by the corners of the element or the
+face, as in finite elements.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from napari_hmrf.solver.real_arrays import as_float32, check_finite
 Float64Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-# Over how far the faces of a surface tell its slope, in pixels.
+# Standard deviation of the Gaussian that smooths a surface to estimate its slope, in pixels.
 _SMOOTHING = 2.0
 
 
@@ -41,12 +41,12 @@ def weight(
     Parameters
     ----------
     stiffness : array_like, shape (H, W) or (D, H, W)
-        Of the problem: where it is above 0 there is tissue.
+        Stiffness of the problem; above 0 is tissue.
     acceleration : sequence of float, shape (n,)
-        With its direction, components in the order of the axes. Times density it is a force per
-        volume, in the unit of stiffness per length: water's weight is 0.00981 kPa / mm.
+        Acceleration vector, components in the order of the axes. Its product with density is a
+        force per volume, in the unit of stiffness per length: 0.00981 kPa / mm for water.
     density : float or array_like, shape (H, W) or (D, H, W)
-        Of all tissue, or of each site.
+        Density of all tissue, or of each site.
     spacing : float or sequence of float, shape (n,)
         Size of a pixel, as in the problem; a single number applies to all axes.
 
@@ -57,18 +57,21 @@ def weight(
     Raises
     ------
     ProblemError
-        Naming the input at fault and what to do about it.
+        Naming the invalid input and a remedy.
     """
     tissue, size = _tissue(stiffness), _size(stiffness, spacing)
-    way = _vector("acceleration", acceleration, tissue.shape, of_sites=False)
-    heavy = _of_sites("density", density, tissue.shape)
+    vector = _vector("acceleration", acceleration, tissue.shape, of_sites=False)
+    density_of_sites = _of_sites("density", density, tissue.shape)
     elements = in_elements(tissue)
     if not elements.any():
-        raise ProblemError("stiffness", "has tissue nowhere two pixels wide, which has no weight.")
+        raise ProblemError(
+            "stiffness",
+            "has no tissue that is two pixels wide, so that no weight acts. Make the tissue wider.",
+        )
     share = math.prod(size) / 2**tissue.ndim
-    mean = of_corners(heavy, np.add) / 2**tissue.ndim
-    heaviness = share * around_sites(np.where(elements, mean, 0.0), np.add)
-    return Loads(force=heaviness[..., None] * way, spacing=size)
+    mean = of_corners(density_of_sites, np.add) / 2**tissue.ndim
+    mass = share * around_sites(np.where(elements, mean, 0.0), np.add)
+    return Loads(force=mass[..., None] * vector, spacing=size)
 
 
 def pressure(
@@ -83,13 +86,13 @@ def pressure(
     Parameters
     ----------
     stiffness : array_like, shape (H, W) or (D, H, W)
-        Of the problem: where it is above 0 there is tissue.
+        Stiffness of the problem; above 0 is tissue.
     surface : array_like of bool, shape (H, W) or (D, H, W)
-        What is painted. A face of the surface is pressed if all its corners are in it; what is
-        painted beside the surface does not matter. Tissue ends at the edge of the image, too.
+        Mask of painted sites. The pressure acts on each face of the surface whose corners are all
+        painted; other painted sites have no effect. The surface includes the edge of the image.
     amount : float or array_like, shape (H, W) or (D, H, W)
-        Force per area, in the unit of stiffness: above 0 it presses into the tissue, below 0 it
-        sucks.
+        Force per area, in the unit of stiffness; above 0 it pushes into the tissue, below 0 it
+        pulls outwards.
     spacing : float or sequence of float, shape (n,)
         Size of a pixel, as in the problem; a single number applies to all axes.
 
@@ -100,7 +103,7 @@ def pressure(
     Raises
     ------
     ProblemError
-        Naming the input at fault and what to do about it.
+        Naming the invalid input and a remedy.
     """
     tissue, size = _tissue(stiffness), _size(stiffness, spacing)
     presses = _of_sites("amount", amount, tissue.shape)
@@ -119,20 +122,21 @@ def traction(
     *,
     spacing: float | Sequence[float],
 ) -> Loads:
-    """Return the forces of a force per area, in any direction, on a painted part of the surface.
+    """Return the forces of a traction, in any direction, on a painted part of the tissue's surface.
 
-    A surface that is oblique is a staircase of faces, whose areas add up to more than its own: each
-    face counts by how far it faces as the surface around it does.
+    An oblique surface is a staircase of faces, whose total area is larger than that of the surface.
+    The area of each face is therefore multiplied by the cosine of the angle between the face and
+    the smoothed surface.
 
     Parameters
     ----------
     stiffness : array_like, shape (H, W) or (D, H, W)
-        Of the problem: where it is above 0 there is tissue.
+        Stiffness of the problem; above 0 is tissue.
     surface : array_like of bool, shape (H, W) or (D, H, W)
-        What is painted, as for `pressure`.
+        Mask of painted sites, as for `pressure`.
     vector : array_like, shape (n,), (H, W, 2) or (D, H, W, 3)
-        Force per area, in the unit of stiffness, components in the order of the axes: of all of the
-        surface, or of each site.
+        Force per area, in the unit of stiffness, components in the order of the axes: one vector
+        for the whole surface, or one for each site.
     spacing : float or sequence of float, shape (n,)
         Size of a pixel, as in the problem; a single number applies to all axes.
 
@@ -143,7 +147,7 @@ def traction(
     Raises
     ------
     ProblemError
-        Naming the input at fault and what to do about it.
+        Naming the invalid input and a remedy.
     """
     tissue, size = _tissue(stiffness), _size(stiffness, spacing)
     pulls = _vector("vector", vector, tissue.shape, of_sites=True)
@@ -155,10 +159,10 @@ def traction(
 
 
 class _Faces(NamedTuple):
-    """The faces of a surface across one axis: all that there could be, of which some are there."""
+    """Faces of a grid across one axis, with the sign of their outward normal on a surface."""
 
     axis: int
-    # 1 where tissue ends in the direction of the axis, -1 where it ends against it, 0 where not.
+    # Sign of the outward normal along the axis; 0 for faces that are not on the surface.
     outward: npt.NDArray[np.int8]
 
     def mean(self, values: npt.NDArray[Any]) -> Float64Array:
@@ -184,7 +188,7 @@ def _across(
 
 
 def _surface(tissue: Mask, surface: npt.ArrayLike) -> list[_Faces]:
-    """The painted faces of tissue's surface, for each axis."""
+    """Return the painted faces of the tissue's surface, for each axis."""
     painted = as_float32("surface", surface)
     if painted.shape != tissue.shape:
         raise ProblemError(
@@ -192,41 +196,42 @@ def _surface(tissue: Mask, surface: npt.ArrayLike) -> list[_Faces]:
             f"has shape {painted.shape}, but stiffness has shape {tissue.shape}. Give both on the "
             "same pixel grid.",
         )
-    mask, elements, found = painted > 0, in_elements(tissue), []
+    mask, elements, faces_of_axes = painted > 0, in_elements(tissue), []
     for axis, (first, last) in enumerate(pairs(tissue.ndim)):
         ends = [(1 if along == axis else 0,) * 2 for along in range(tissue.ndim)]
         around = np.pad(elements, ends).astype(np.int8)
         outward = (around[first] - around[last]) * _across(mask, axis, np.logical_and)
-        found.append(_Faces(axis, outward))
-    if not any(faces.outward.any() for faces in found):
+        faces_of_axes.append(_Faces(axis, outward))
+    if not any(faces.outward.any() for faces in faces_of_axes):
         raise ProblemError(
             "surface",
-            "covers no face of tissue's surface, neither beside what is no tissue nor at the edge "
-            "of the image. Paint all sites along a part of it.",
+            "covers no face of the tissue's surface, neither next to void nor at the edge of the "
+            "image. Paint all sites along a part of the surface.",
         )
-    return found
+    return faces_of_axes
 
 
 def _areas(surface: list[_Faces], size: tuple[float, ...]) -> Iterator[tuple[_Faces, Float64Array]]:
-    """The faces across each axis, each with its part of the area of a surface without steps."""
+    """Yield the faces across each axis with their areas, corrected for the steps of the surface."""
     axes = len(size)
     sigma = [_SMOOTHING * max(size) / each for each in size]
-    # Area around each site that faces along an axis, or against it.
+    # Smoothed area at each site, by axis and sign of the normal.
     around = {}
     for faces in surface:
         area = math.prod(size) / size[faces.axis]
-        for way in (1, -1):
-            there = area * faces.corners((faces.outward == way).astype(np.float64))
-            around[faces.axis, way] = scipy.ndimage.gaussian_filter(there, sigma, mode="constant")
+        for sign in (1, -1):
+            at_sites = area * faces.corners((faces.outward == sign).astype(np.float64))
+            smoothed = scipy.ndimage.gaussian_filter(at_sites, sigma, mode="constant")
+            around[faces.axis, sign] = smoothed
     most = [np.maximum(around[axis, 1], around[axis, -1]) for axis in range(axes)]
     for faces in surface:
         total = np.zeros(faces.outward.shape)
-        for way in (1, -1):
-            own = faces.mean(around[faces.axis, way])
+        for sign in (1, -1):
+            own = faces.mean(around[faces.axis, sign])
             squares = sum(faces.mean(most[axis]) ** 2 for axis in range(axes) if axis != faces.axis)
             slope = np.sqrt(own**2 + squares)
-            here = faces.outward == way
-            total[here] = math.prod(size) / size[faces.axis] * own[here] / slope[here]
+            facing = faces.outward == sign
+            total[facing] = math.prod(size) / size[faces.axis] * own[facing] / slope[facing]
         yield faces, total
 
 
@@ -245,7 +250,7 @@ def _size(stiffness: npt.ArrayLike, spacing: float | Sequence[float]) -> tuple[f
 
 
 def _of_sites(name: str, values: npt.ArrayLike, grid: tuple[int, ...]) -> Float64Array:
-    """One number for each site."""
+    """Return a number, or one number for each site, broadcast to the grid."""
     array = as_float32(name, values)
     if array.shape not in ((), grid):
         raise ProblemError(
@@ -258,14 +263,14 @@ def _of_sites(name: str, values: npt.ArrayLike, grid: tuple[int, ...]) -> Float6
 def _vector(
     name: str, values: npt.ArrayLike, grid: tuple[int, ...], of_sites: bool
 ) -> Float64Array:
-    """One vector, or one for each site."""
+    """Return a checked vector; with `of_sites`, one vector for each site of the grid."""
     array, axes = as_float32(name, values), len(grid)
     if array.shape != (axes,) and not (of_sites and array.shape == (*grid, axes)):
-        each = f", or one for each site, {(*grid, axes)}" if of_sites else ""
+        or_field = f", or a vector for each site, {(*grid, axes)}" if of_sites else ""
         raise ProblemError(
             name,
             f"is {shown(values)}, of shape {array.shape}. Give {axes} components in the order of "
-            f"the axes{each}.",
+            f"the axes{or_field}.",
         )
     check_finite(name, array)
     made = array.astype(np.float64)

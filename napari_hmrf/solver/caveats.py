@@ -12,17 +12,18 @@ from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.quadtree import levels, sampled
 
-# Share of a boundary that the first three coarse levels must see. They see 0.16 to 0.29 of a
-# boundary one pixel wide, and 0.41 or more at 3 pixels. Images of up to 32 pixels have hardly any
-# coarse levels.
-_ENOUGH = 0.32
+# Share of a boundary that the first three coarse levels must sample. They sample 0.16 to 0.29 of a
+# boundary that is one pixel wide, and 0.41 or more if it is 3 pixels wide.
+_SAMPLED_SHARE = 0.32
+# Number of levels up to which the share is not checked: images of up to 32 pixels have few coarse
+# levels.
 _SMALLEST_TREE = 6
 #: Clause for tissue that nothing holds.
 LOOSE = "nothing holds the tissue"
 
 
 def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> tuple[str, ...]:
-    """Return caveats, as clauses for the user; without those that are refused anyway.
+    """Return caveats of a problem, as clauses for the user, except those that a solve refuses.
 
     Parameters
     ----------
@@ -39,35 +40,35 @@ def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> tuple[str, 
 
 
 def shortfall(reach: Reach | None, unit: str) -> str:
-    """Describe the shortfall of large motion, with its size and place; "" if there is none.
+    """Describe where large motion fell short of the problem, and by how much; "" if nowhere.
 
     Parameters
     ----------
     reach : Reach or None
-        Reach of a solution.
+        Reach of a solution, with lengths in `unit`.
     unit : str
         Unit of lengths.
     """
-    said = []
+    clauses = []
     if reach is not None and reach.grown < 1:
-        said.append(
+        clauses.append(
             f"tissue has grown by {reach.grown:.0%} of what it was to: there is no more room"
         )
     if reach is not None and reach.where is not None:
-        said.append(
+        clauses.append(
             f"tissue could not go all the way without folding: {reach.sites} pixels stay short of "
             f"where they were to be, the one at {reach.where} by {reach.missing:.3g} {unit}"
         )
     if reach is not None and reach.unbalanced_at is not None:
-        said.append(
+        clauses.append(
             "crushed tissue did not settle: pixels may still be "
             f"{reach.unbalanced:.3g} {unit} from balance, most at {reach.unbalanced_at}"
         )
-    return "; ".join(said)
+    return "; ".join(clauses)
 
 
 def lack(problem: Problem) -> str:
-    """Return a clause if no tissue moves, or nothing holds the rest; "" if neither is missing.
+    """Return a clause if no tissue moves, or if nothing holds the tissue; else "".
 
     Parameters
     ----------
@@ -75,20 +76,21 @@ def lack(problem: Problem) -> str:
     """
     if problem.loads is not None:  # loads are refused elsewhere if nothing holds the tissue
         return ""
-    seen = problem.known.any(axis=-1)
-    steps = problem.observed[seen]
-    if not steps.any():
+    observed = problem.known.any(axis=-1)
+    displacements = problem.observed[observed]
+    if not displacements.any():
         return (
             "nothing moves: have something on tissue move or expand, by a distance other than 0 "
             "and with a confidence above 0"
         )
     rim = problem.tissue & ~scipy.ndimage.binary_erosion(problem.tissue)
-    as_one = np.allclose(steps, steps[0], atol=1e-3 * float(np.abs(steps).max()))
-    if not steps.any(axis=-1).all() or ((seen & rim).any() and not as_one):
+    tolerance = 1e-3 * float(np.abs(displacements).max())
+    is_translation = np.allclose(displacements, displacements[0], atol=tolerance)
+    if not displacements.any(axis=-1).all() or ((observed & rim).any() and not is_translation):
         return ""
-    how = "moves as one" if as_one else "gives way"
-    held = "hold its edge (`hold_edge=True`), or paint what stays there"
-    return f"{LOOSE}, so that all of it {how}: {held}"
+    motion = "moves as one" if is_translation else "gives way"
+    remedy = "hold its edge (`hold_edge=True`), or paint what stays there"
+    return f"{LOOSE}, so that all of it {motion}: {remedy}"
 
 
 def rigid_caveat(problem: Problem, prior: Prior) -> str:
@@ -106,29 +108,29 @@ def rigid_caveat(problem: Problem, prior: Prior) -> str:
     count = int(doubted.any(axis=-1).sum())
     if not count:
         return ""
-    what = "1 boundary pixel was" if count == 1 else f"{count} boundary pixels were"
+    pixels = "1 boundary pixel was" if count == 1 else f"{count} boundary pixels were"
     return (
-        f"{what} held exactly, though of a confidence below 1, as beside rigid tissue nothing may "
-        "slip"
+        f"{pixels} held exactly, though of a confidence below 1, as beside rigid tissue nothing "
+        "may slip"
     )
 
 
 def _thin_boundary(problem: Problem) -> str:
-    """Return a clause if the coarse levels, which take every second pixel and fewer, miss much."""
-    # Motion starts on those levels; the sweeps on the finest level cannot make up for a boundary
-    # that they miss.
+    """Return a clause if the boundary is too thin for the coarse levels to sample it; else ""."""
+    # Level n samples every 2^n-th pixel. Motion starts on the coarse levels; the sweeps on the
+    # finest level cannot correct for a boundary that these miss.
     tree = levels(problem.shape)
     if len(tree) <= _SMALLEST_TREE:
         return ""
-    seen = np.asarray(problem.known.any(axis=-1))
+    observed = np.asarray(problem.known.any(axis=-1))
     shares = []
     for level in tree[1:4]:
         size = 2**level.number
-        there = seen
-        for axis, extent in enumerate(seen.shape):
-            there = np.logical_or.reduceat(there, np.arange(0, extent, size), axis=axis)
-        shares.append(float(sampled(seen, level).sum()) / max(1.0, float(there.sum())))
-    if np.mean(shares) > _ENOUGH:
+        blocks = observed
+        for axis, extent in enumerate(observed.shape):
+            blocks = np.logical_or.reduceat(blocks, np.arange(0, extent, size), axis=axis)
+        shares.append(float(sampled(observed, level).sum()) / max(1.0, float(blocks.sum())))
+    if np.mean(shares) > _SAMPLED_SHARE:
         return ""
     return (
         "most of the boundary is so thin that the coarse levels miss it, and the motion falls "
@@ -137,7 +139,7 @@ def _thin_boundary(problem: Problem) -> str:
 
 
 def _loose_pieces(problem: Problem) -> str:
-    """Return a clause if pieces of tissue are connected to no observation."""
+    """Return a clause if pieces of tissue have no observation; else ""."""
     around = np.ones((3,) * problem.tissue.ndim)
     pieces, count = scipy.ndimage.label(problem.tissue, structure=around)
     held = np.unique(pieces[problem.known.any(axis=-1)])
@@ -146,5 +148,5 @@ def _loose_pieces(problem: Problem) -> str:
         return ""
     pixels = int((problem.tissue & ~np.isin(pieces, held)).sum())
     sites = "voxels" if problem.tissue.ndim == 3 else "pixels"
-    what = "a piece of tissue touches" if loose == 1 else f"{loose} pieces of tissue touch"
-    return f"{what} no boundary ({pixels} {sites}): how it moves is not determined"
+    subject = "a piece of tissue touches" if loose == 1 else f"{loose} pieces of tissue touch"
+    return f"{subject} no boundary ({pixels} {sites}): how it moves is not determined"

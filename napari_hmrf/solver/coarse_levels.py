@@ -1,14 +1,14 @@
-"""The same model again, on ever coarser grids: how multigrid sees a prior.
+"""Coarse levels of multigrid: their grids, springs at held sites, and bounds of the spectrum.
 
-Here coarse site i lies *on* fine site 2 i (the quadtree's sites lie between), so a level has
-``size // 2 + 1`` sites along an axis. A coarse element has the mean Lame parameters of the four it
-covers, void counted as 0. In two dimensions an element's energy does not depend on its size, so the
-kernels need to know nothing else. In three it grows with its side: there it has twice the mean of
-the eight.
+Coarse site i lies *on* fine site 2 i (the sites of the quadtree lie between), so a level has
+``size // 2 + 1`` sites along an axis. A coarse element has the mean Lame parameters of the four
+elements that it covers, with 0 for void. In two dimensions the energy of an element does not depend
+on its size, so the kernels need no other data. In three dimensions it is proportional to the side
+of the element, so a coarse element has twice the mean of its eight elements.
 
-A site that is held does not move on the finest level. A coarse site near it is on a spring
-instead: pinning every coarse site that touches a fine one would make the correction useless near
-any boundary.
+Held sites do not move on the finest level. On coarse levels, springs act on the sites near them:
+fixing every coarse site that touches a held one would make the correction useless near any
+boundary.
 """
 
 from __future__ import annotations
@@ -21,27 +21,28 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.priors.elements import ElasticMaterial, Lame, lame_ratio
 
-#: A level this small (sites along its longer axis) is the last one.
+#: Number of sites along the longest axis up to which a level is the coarsest.
 COARSEST = 5
-#: Held fine sites that count at a coarse site, at most.
+#: Largest number of held fine sites that count at a coarse site.
 MOST_PINS = 4.0
-#: The spring of one of them, as a part of the site's diagonal.
+#: Stiffness of the spring for each held fine site, as a fraction of the coarse site's diagonal.
 SPRING = 0.6
 
 
 def grids(shape: tuple[int, ...]) -> list[tuple[int, ...]]:
-    """The grids of sites, finest first."""
-    made = [shape]
-    while max(made[-1]) > COARSEST:
-        made.append(tuple(size // 2 + 1 for size in made[-1]))
-    return made
+    """Return the shapes of the grids of sites, finest first."""
+    shapes = [shape]
+    while max(shapes[-1]) > COARSEST:
+        shapes.append(tuple(size // 2 + 1 for size in shapes[-1]))
+    return shapes
 
 
 def smoother_bounds(material: ElasticMaterial) -> tuple[float, float]:
-    """Two upper bounds of the spectrum of D^-1 A: the usual one, and one for any material.
+    """Return two upper bounds of the spectrum of D^-1 A: one for usual, one for any materials.
 
-    The first is that of a uniform grid (its symbol), which mixtures hardly exceed; the second that
-    of the worst single element, which no mixture can. Both grow with lambda / mu.
+    The first is the bound for a uniform grid, from its symbol; mixtures of materials hardly exceed
+    it. The second is the bound for the worst single element, which no mixture exceeds. Both grow
+    with lambda / mu.
     """
     return _bounds(lame_ratio(material.largest_poisson, material.strain), material.shape)
 
@@ -56,7 +57,7 @@ def _bounds(ratio: float, shape: Any) -> tuple[float, float]:
         impulse = np.zeros((*(5,) * ndim, ndim))
         impulse[(*(2,) * ndim, component)] = 1
         stencil[..., component] = shape.forces(grid, impulse)[around]
-    # A wave and its opposite have the same spectrum: along the first axis half of them will do.
+    # Opposite wave vectors have the same spectrum, so half of the first axis is enough.
     half, whole = np.linspace(0, np.pi, 9), np.linspace(-np.pi, np.pi, 17)
     numbers = np.stack(np.meshgrid(half, *[whole] * (ndim - 1)), axis=-1)
     waves = np.exp(1j * np.tensordot(numbers, np.indices((3,) * ndim) - 1, 1))
@@ -70,6 +71,6 @@ def _bounds(ratio: float, shape: Any) -> tuple[float, float]:
 
 
 def _largest(matrices: npt.NDArray[Any], of_diagonal: npt.NDArray[Any]) -> float:
-    """The largest eigenvalue of Hermitian matrices in units of a diagonal."""
+    """Return the largest eigenvalue of Hermitian matrices, scaled by a diagonal."""
     scale = np.sqrt(np.diag(of_diagonal).real)
     return float(np.linalg.eigvalsh(matrices / np.outer(scale, scale)).max())

@@ -14,10 +14,10 @@ KEPT = 4
 
 
 class Earlier:
-    """The latest solutions on one grid, for different observations and loads.
+    """Latest solutions on one grid, for different observations and loads.
 
-    Displacements are proportional to the prescribed ones, so that a linear combination of these
-    solutions is often so close that the next solve takes hardly a cycle.
+    Displacements are proportional to observations and loads, so that a linear combination of these
+    solutions is often so close to the next one that its solve needs hardly any cycles.
 
     Attributes
     ----------
@@ -27,19 +27,19 @@ class Earlier:
 
     def __init__(self) -> None:
         self.solutions: list[Solution] = []
-        self._newest: Problem | None = None
-        self._of: tuple[object, ...] = ()
+        self._latest_problem: Problem | None = None
+        self._key: tuple[object, ...] = ()
 
     def look_at(self, problem: Problem, series: object) -> None:
         """Discard all solutions if the grid or the series has changed."""
-        of = (problem.shape, problem.spacing, series)
-        if of != self._of:
-            self._of = of
-            self.solutions, self._newest = [], None
+        key = (problem.shape, problem.spacing, series)
+        if key != self._key:
+            self._key = key
+            self.solutions, self._latest_problem = [], None
 
     def add(self, problem: Problem, solution: Solution) -> None:
         """Keep a solution; it replaces the latest one if both have the same observations."""
-        before, self._newest = self._newest, problem
+        before, self._latest_problem = self._latest_problem, problem
         if before is not None and _same_observations(before, problem):
             del self.solutions[0]
         self.solutions = [solution, *self.solutions][:KEPT]

@@ -1,4 +1,4 @@
-"""Elastic properties of a solution: what elastic strain needs beside the displacement."""
+"""Elastic properties of a solution, from which elastic strain is computed."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class Elasticity:
     poisson : float or ndarray, shape ([D,] H, W), float32
         Poisson's ratio of all tissue, or of each site.
     plane : {"stress", "strain"}
-        As of `ElasticPrior`; without meaning in a volume.
+        As for `ElasticPrior`; ignored in a volume.
     finite : bool
         True for `NeoHookeanPrior`, False for `ElasticPrior`, whose strain is small strain.
     growth : ndarray, optional
-        Strain of the tissue that grew, as of `Loads`: the part of it that the solve reached.
+        Growth strain as in `Loads`, scaled to the fraction of the growth that the solve reached.
     rigid : ndarray of bool, shape ([D,] H, W), optional
         Rigid tissue, which has no strain; None if there is none.
     """
@@ -42,7 +42,15 @@ class Elasticity:
 
     @classmethod
     def of_problem(cls, problem: Problem, prior: Elastic, grown: float = 1.0) -> Elasticity:
-        """Return the properties of a problem's tissue, grown by a part of its growth."""
+        """Return the properties of a problem's tissue.
+
+        Parameters
+        ----------
+        problem : Problem
+        prior : ElasticPrior or NeoHookeanPrior
+        grown : float
+            Fraction of the growth that the solve reached.
+        """
         growth = None if problem.loads is None else problem.loads.growth
         if growth is not None and grown != 1:
             growth = growth * np.float32(grown)
@@ -51,7 +59,7 @@ class Elasticity:
         return cls(prior.poisson, prior.plane, finite, growth, rigid)
 
     def mapped(self, change: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]) -> Elasticity:
-        """Return the properties on other sites: `change` makes each array one of these."""
+        """Return the properties on other sites; `change` maps each array to these sites."""
         poisson = self.poisson if isinstance(self.poisson, float) else change(self.poisson)
         growth = None if self.growth is None else change(self.growth)
         rigid = None if self.rigid is None else change(self.rigid)
@@ -59,12 +67,12 @@ class Elasticity:
 
 
 def read_elasticity(header: array_file.Header, arrays: array_file.Arrays) -> Elasticity | None:
-    """Read elastic properties from a file; of an earlier one as far as its parameters tell them.
+    """Read elastic properties from a file; older files have them only in their parameters.
 
     Raises
     ------
     Invalid
-        If they are not those of tissue on the file's grid.
+        If the properties are invalid, or do not fit the grid of the file.
     """
     grid, poisson, growth = arrays["tissue"].shape, arrays.get("poisson"), arrays.get("growth")
     given, rigid = header.get("elasticity"), arrays.get("rigid")
@@ -83,7 +91,7 @@ def read_elasticity(header: array_file.Header, arrays: array_file.Arrays) -> Ela
     elif not (np.isfinite(poisson) & (np.abs(poisson) < 1)).all():
         raise array_file.Invalid("its Poisson's ratios are out of range")
     if plane not in get_args(Plane) or not isinstance(finite, bool):
-        raise array_file.Invalid("its elastic model is none")
+        raise array_file.Invalid("its elastic model is unknown")
     if growth is not None:
         sizes = {len(grid), 3}
         if growth.shape not in [grid, *((*grid, size, size) for size in sizes)]:
@@ -96,7 +104,8 @@ def read_elasticity(header: array_file.Header, arrays: array_file.Arrays) -> Ela
 
 
 def _elasticity_in_parameters(provenance: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Find elastic properties of a result without growth and with one Poisson's ratio."""
+    """Return the properties of a result without growth and with one Poisson's ratio, else None."""
+    # Parameters hold neither growth nor a map of Poisson's ratios.
     prior = provenance.get("parameters", {}).get("prior")
     finite = {"ElasticPrior": False, "NeoHookeanPrior": True}
     if not isinstance(prior, dict) or prior.get("name") not in finite:

@@ -2,7 +2,7 @@
 
 Edits come faster than they can be solved, and a slider moves faster than pictures can be drawn. A
 `LatestQueue` runs one job at a time. A job that is submitted meanwhile waits, and replaces the job
-that waited before. Each job is called with a `Turn`, from which it learns that it is out of date.
+that waited before. Each job is called with a `Turn`, which shows whether the job is out of date.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ class Turn:
     generation : int
         Number of the job: 1 for the first that was submitted to its queue, then counting up.
     series : int
-        How often the jobs of the queue had been dropped before: jobs of one series belong together.
+        Number of times that the jobs of the queue had been dropped before. Jobs with the same
+        number belong together.
     submitted : float
         Time of submission, by `time.perf_counter`.
     patience : float
@@ -48,12 +49,12 @@ class Turn:
         return self.series != self._queue.series
 
     def is_set(self) -> bool:
-        """Return whether to stop: dropped, or out of patience while a newer job waits."""
+        """Return whether to stop: the job is dropped, or too late while a newer job waits."""
         late = time.perf_counter() > self._started + self.patience
         return self.dropped or (late and self._queue.can_go_on)
 
     def start(self) -> None:
-        """Start to count the patience."""
+        """Start the time that `patience` limits."""
         self._started = time.perf_counter()
 
 
@@ -70,8 +71,8 @@ class LatestQueue:
     Parameters
     ----------
     doing : str
-        Clause for jobs of others that wait for one of this queue, after "waiting for": what it
-        does, and how to stop it.
+        Description of the jobs of this queue and how to stop them, as a clause after "waiting for";
+        shown to other users of the compute thread.
     """
 
     def __init__(self, doing: str) -> None:
@@ -96,7 +97,7 @@ class LatestQueue:
         job : callable
             Called with its turn on the compute thread, unless it is replaced before.
         patience : float
-            As of `Turn`; by default the job runs to its end.
+            As for `Turn`; by default the job runs to its end.
 
         Raises
         ------
@@ -115,7 +116,7 @@ class LatestQueue:
     def hold(self) -> None:
         """Start no other job until `resume`, for instance until a result is painted.
 
-        Called by the running job; it has no effect if that was dropped.
+        Called by the running job; without effect if that job was dropped.
         """
         with self._changed:
             self._held = self._current is not None and not self._current.dropped
@@ -169,12 +170,12 @@ class LatestQueue:
 
     @property
     def delay(self) -> str:
-        """Work of others that the job waits for, and how to stop it, as a clause; "" if none."""
+        """Description of other work that the job waits for, and how to stop it; "" if none."""
         with self._changed:
             return "" if self._scheduled is None else compute_thread.delays(self._scheduled)
 
     def _go_on(self) -> None:
-        """Schedule a run, if there is a job for it; one run a job, so that others get turns."""
+        """Schedule the waiting job, if any: one job at a time, so that other queues get turns."""
         if self._scheduled is not None:
             return
         if self._waiting is None:
@@ -198,7 +199,7 @@ class LatestQueue:
                     waiting[0](turn)
         except Cancelled:
             pass
-        except Exception:  # noqa: BLE001 - no one waits for the result of the job
+        except Exception:  # noqa: BLE001 - the result of the job is not awaited anywhere
             _log.exception("a job in the background failed")
         finally:
             del waiting

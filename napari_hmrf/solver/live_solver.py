@@ -23,7 +23,7 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, run_here
 
-#: Tolerance of a live solution, in pixels: less than is visible.
+#: Tolerance of a live solution, in pixels; smaller errors are not visible.
 TOLERANCE = 0.01
 #: Tolerance of a preview, in pixels.
 GLANCE = 0.3
@@ -49,9 +49,10 @@ class Update:
     problem : Problem or None
         The solved problem; None if it could not be built.
     solution : Solution or None
-        None if there is an error.
+        Solution of the problem; None if there is an error.
     error : Exception or None
-        Such as a `ProblemError`, if the problem cannot be solved yet.
+        Error, such as a `ProblemError` if the problem cannot be solved yet; None if there is a
+        solution.
     final : bool
         False for a preview, which is within `GLANCE` pixels and is followed by the final solution
         unless there is a newer edit.
@@ -84,14 +85,15 @@ class LiveSolver:
     ----------
     deliver : callable
         Called with an `Update` on the compute thread, where an image can be warped, too. It should
-        return soon: nothing is solved while it runs.
+        return soon, because the solver waits for it.
     prior : Prior, optional
-        By default elastic tissue. `prior` may be set at any time, for later edits.
+        Energy of the tissue; by default elastic tissue. The attribute `prior` may be set at any
+        time, for later edits.
     optimizer : Optimizer, optional
-        By default multigrid, to `TOLERANCE`. The paper's schedule works, but with a cold start
-        each time. `optimizer` may be set at any time, for later edits.
+        Schedule; by default multigrid, to `TOLERANCE`. The paper's schedule works, but with a cold
+        start each time. The attribute `optimizer` may be set at any time, for later edits.
     backend : str
-        As for `solve`. `backend` may be set at any time, for later edits.
+        Backend, as for `solve`. The attribute `backend` may be set at any time, for later edits.
     progress : callable, optional
         Called with a `Monitor` on the compute thread. The first solve on a machine compiles for
         half a minute.
@@ -117,7 +119,7 @@ class LiveSolver:
         optimizer: Optimizer | None = None,
         backend: str = "auto",
         progress: Progress | None = None,
-        doing: str = "tissue that a script has follow its edits, which its close() stops",
+        doing: str = "a live solver of a script, which its close() stops",
     ) -> None:
         check_arguments(
             deliver=deliver,
@@ -150,18 +152,18 @@ class LiveSolver:
         problem : Problem, tuple of Problem and Prior, or callable
             A callable is called on the compute thread, unless the edit is replaced before, and
             returns the problem; an error that it raises is delivered. Building a problem may take
-            as long as a solve, which an edit that is replaced does not cost.
+            as long as a solve, and with a callable a replaced edit does not take this time.
         glance : bool
-            Whether a preview may be delivered if the solution takes long. Without a preview, the
-            first edit after `forget` has the same bits as `solve` has.
+            True if a preview may be delivered when the solution takes long. Without a preview, the
+            solution of the first edit after `forget` is bitwise equal to that of `solve`.
         patience : float, optional
-            Time, in seconds, for which the edit is solved although a newer one waits; by default
-            to its end.
+            Time, in seconds, for which the solve of this edit continues while a newer edit waits;
+            by default to its end.
 
         Returns
         -------
         int
-            The number of the edit, one more than that of the last.
+            Number of the edit: one more than the number of the previous edit.
 
         Raises
         ------
@@ -175,18 +177,19 @@ class LiveSolver:
     def forget(self) -> None:
         """Drop the waiting and the running edit; the next solve is a cold start.
 
-        No edit submitted so far is delivered any more, except by a delivery that has already begun.
+        Results of the edits submitted so far are no longer delivered, unless a delivery has already
+        begun.
         """
         self._queue.drop()
 
     def close(self) -> None:
-        """Drop everything, for good; harmless if repeated."""
+        """Drop all edits, and accept none from now on; harmless if repeated."""
         self._queue.close()
 
     def hold(self) -> None:
         """Start no newer edit until `resume`, for instance until a solution is painted.
 
-        Called while an update is delivered.
+        It has an effect only while an update is delivered.
         """
         self._queue.hold()
 
@@ -200,7 +203,7 @@ class LiveSolver:
         Returns
         -------
         bool
-            Whether it was, in time.
+            True if the last edit was answered before the timeout.
         """
         return self._queue.wait(timeout)
 
@@ -221,7 +224,7 @@ class LiveSolver:
 
     @property
     def delay(self) -> str:
-        """Job that an edit waits for, and how to stop it, as a clause; "" if none."""
+        """Description of the job that an edit waits for, and how to stop it; "" if none."""
         return self._queue.delay
 
     def __enter__(self) -> LiveSolver:
@@ -233,24 +236,24 @@ class LiveSolver:
     def _answer(self, edit: _Edit, turn: Turn) -> None:
         problem: Problem | None = None
         try:
-            made = edit.problem() if callable(edit.problem) else edit.problem
-            found, prior = made if isinstance(made, tuple) else (made, edit.prior)
-            check_arguments(problem=found, prior=prior)
-            problem = found
+            given = edit.problem() if callable(edit.problem) else edit.problem
+            unchecked, prior = given if isinstance(given, tuple) else (given, edit.prior)
+            check_arguments(problem=unchecked, prior=prior)
+            problem = unchecked
             self._earlier.look_at(problem, turn.series)
             solve = partial(self._solve, problem, prior, edit.backend, stop=turn)
             optimizer = edit.optimizer
             if edit.glance and self._takes_long(problem) and isinstance(optimizer, Multigrid):
                 preview = solve(replace(optimizer, tolerance=GLANCE))
-                self._say(turn, problem, preview, final=False)
+                self._deliver_update(turn, problem, preview, final=False)
                 turn.patience = 0
-            self._say(turn, problem, solve(optimizer))
+            self._deliver_update(turn, problem, solve(optimizer))
         except Cancelled:
             raise
         except Exception as error:  # noqa: BLE001 - the caller always gets an answer
             if not isinstance(error, HmrfError):
                 _log.exception("a live solve failed")
-            self._say(turn, problem, error=error)
+            self._deliver_update(turn, problem, error=error)
 
     def _takes_long(self, problem: Problem) -> bool:
         """Return whether the solve is a cold start of large tissue."""
@@ -267,13 +270,13 @@ class LiveSolver:
         stop: CancelFlag,
     ) -> Solution:
         """Solve with a warm start, and keep the solution for the next one."""
-        known = self._earlier.solutions if isinstance(optimizer, Multigrid) else ()
-        initial = [each for each in known if not _is_crushed(each)] or None
+        earlier = self._earlier.solutions if isinstance(optimizer, Multigrid) else ()
+        initial = [solution for solution in earlier if not _is_crushed(solution)] or None
         solution = run_here(problem, prior, optimizer, backend, self._progress, stop, initial)
         self._earlier.add(problem, solution)
         return solution
 
-    def _say(
+    def _deliver_update(
         self,
         turn: Turn,
         problem: Problem | None,
@@ -281,7 +284,7 @@ class LiveSolver:
         error: Exception | None = None,
         final: bool = True,
     ) -> None:
-        # The error of an edit that was replaced is corrected by now, or occurs again.
+        # The newer edit either corrects the error of a replaced edit, or raises it again.
         if turn.dropped or (error is not None and self._queue.waits):
             return
         seconds = time.perf_counter() - turn.submitted
@@ -289,12 +292,12 @@ class LiveSolver:
             self._deliver(Update(turn.generation, problem, solution, error, final, seconds))
         except Cancelled:
             raise
-        except Exception:  # noqa: BLE001 - later edits are answered all the same
+        except Exception:  # noqa: BLE001 - later edits must still be answered
             _log.exception("a live result could not be shown")
 
 
 def _is_crushed(solution: Solution) -> bool:
-    """Return whether a solution is no warm start for large motion: a cold start is faster."""
+    """Return whether a solution is too crushed for a warm start: a cold start is faster."""
     return solution.reach is not None and solution.reach.least_jacobian < _CRUSHED
 
 

@@ -1,4 +1,4 @@
-"""The loads of elastic tissue: growth, and forces at sites."""
+"""Loads of elastic tissue: growth, and forces at sites."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from napari_hmrf.solver.real_arrays import (
     how_many,
 )
 
-# By which part of the largest strain a tensor may differ from its transpose.
+# Largest difference between a tensor and its transpose, relative to the largest strain.
 _ASYMMETRY = 1e-5
 # Relative difference up to which pixel sizes, often rounded in files, are equal.
 _SAME_SPACING = 1e-4
@@ -27,34 +27,34 @@ _AXES = 3
 
 
 class Loads:
-    """Growth of elastic tissue, and forces on it; frozen, and of one grid.
+    """Growth of elastic tissue and forces on it, on one grid; frozen.
 
-    Loads add up: ``growth(0.1 * tumour) + weight(stiffness, (0.01, 0), spacing=1)``. Motion is
-    proportional to forces, and inversely to stiffness, whose unit then matters.
+    Loads can be added: ``growth(0.1 * tumour) + weight(stiffness, (0.01, 0), spacing=1)``. Motion
+    is proportional to the forces and inversely proportional to stiffness, whose unit then matters.
 
     Parameters
     ----------
     growth : array_like, optional
-        The strain that tissue would have if it were free: 0.1 is a tenth longer. One number a
-        site, (H, W) or (D, H, W): the same along all three axes, that across an image included. Or
-        a symmetric tensor a site, in the order of the axes: (H, W, 2, 2), which is nothing across
-        the image; (H, W, 3, 3), whose first axis is across; (D, H, W, 3, 3). Across an image counts
-        in plane strain, where a slice that cannot thicken pushes outwards instead; in large motion
-        a slice that thickens is as much stiffer, too. In void it does not matter; rigid tissue does
-        not grow.
+        Strain that the tissue would have if it were free: 0.1 is a tenth longer. Either one number
+        for each site, (H, W) or (D, H, W): equal growth along all three axes, including the axis
+        across an image. Or a symmetric tensor for each site, in the order of the axes:
+        (H, W, 2, 2), without growth across the image; (H, W, 3, 3), whose first axis is across the
+        image; (D, H, W, 3, 3). Growth across an image has an effect in plane strain, where a slice
+        that cannot thicken pushes outwards instead, and in large motion, where a thicker slice is
+        stiffer in proportion. Values in void are ignored. Rigid tissue must not grow.
     force : array_like, shape (H, W, 2) or (D, H, W, 3), optional
-        What pulls at each site, components in the order of the axes: in an image a force per
-        thickness, stiffness times length; in a volume a force, stiffness times length squared. It
-        stays as it is, wherever the site gets to.
+        Force on each site, components in the order of the axes: in an image a force per thickness,
+        in the unit of stiffness times length; in a volume a force, in the unit of stiffness times
+        length squared. The force stays constant while the site moves (dead load).
     spacing : sequence of float, shape (n,), optional
-        Size of a pixel along each axis for which the forces were computed, as `pressure`,
-        `traction` and `weight` give it. A `Problem` of another spacing refuses the loads. By
-        default unknown, and not checked.
+        Size of a pixel along each axis for which the forces were computed; `pressure`, `traction`
+        and `weight` set it. A `Problem` with another spacing refuses the loads. By default unknown,
+        and not checked.
 
     Raises
     ------
     ProblemError
-        Naming the input at fault and what to do about it.
+        Naming the invalid input and a remedy.
     """
 
     growth: FloatArray | None
@@ -87,10 +87,10 @@ class Loads:
         object.__setattr__(self, "spacing", sizes)
 
     def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError("Loads are frozen: make others")
+        raise AttributeError("Loads are frozen. Create new ones")
 
     def __add__(self, other: Loads) -> Loads:
-        """Both together."""
+        """Add the growth and the forces of two loads."""
         if not isinstance(other, Loads):
             return NotImplemented
         if not _is_close(self.spacing, other.spacing):
@@ -100,8 +100,8 @@ class Loads:
                 "Make both with the spacing of the problem.",
             )
         return Loads(
-            growth=_grown(self.growth, other.growth),
-            force=_pulled(self.force, other.force),
+            growth=_sum_of_growth(self.growth, other.growth),
+            force=_sum_of_forces(self.force, other.force),
             spacing=self.spacing or other.spacing,
         )
 
@@ -115,7 +115,7 @@ class Loads:
         return f"Loads({', '.join(parts) or 'none'})"
 
     def same_as(self, other: Loads | None) -> bool:
-        """Return whether the values of the other are equal."""
+        """Return whether growth and forces equal those of other loads."""
         return self is other or (
             other is not None
             and is_equal(self.growth, other.growth)
@@ -123,13 +123,17 @@ class Loads:
         )
 
     def check(self, stiffness: FloatArray, spacing: tuple[float, ...]) -> None:
-        """Refuse tissue that cannot bear these loads.
+        """Refuse loads that do not fit the tissue of a problem.
+
+        Parameters
+        ----------
+        stiffness : ndarray, shape (H, W) or (D, H, W)
+        spacing : tuple of float
 
         Raises
         ------
         ProblemError
-            If the grid or its spacing is another one, if rigid tissue would grow, or if a force
-            acts where there is no tissue.
+            If the grid or its spacing differs, rigid tissue would grow, or a force acts on void.
         """
         grid, axes = stiffness.shape, stiffness.ndim
         if self.growth is not None:
@@ -166,22 +170,24 @@ class Loads:
             if nowhere.any():
                 raise ProblemError(
                     "force",
-                    f"has {how_many(nowhere)} where no tissue two pixels wide could bear it, the "
-                    f"first at {first_index(nowhere)}. Give 0 there, or that place a stiffness.",
+                    f"has {how_many(nowhere)} that are on no tissue two pixels wide, the first at "
+                    f"{first_index(nowhere)}. Give 0 there, or that place a stiffness.",
                 )
 
 
 def growth(strain: npt.ArrayLike, *, along: npt.ArrayLike | None = None) -> Loads:
-    """Return loads of tissue that grows, or shrinks, by the strain that it would have if free.
+    """Return the loads of tissue that grows or shrinks.
 
     Parameters
     ----------
     strain : array_like, shape (H, W) or (D, H, W)
-        Of each site: 0.1 is a tenth longer, -0.1 a tenth shorter, 0 does not grow. Of two tissues
-        ``0.1 * (labels == 2) + 0.02 * (labels == 3)``, say.
-    along : array_like, shape (n,) or of one direction for each site, (H, W, 2) or (D, H, W, 3)
-        The direction in which it grows, as muscle does; by default all, that across an image
-        included.
+        Strain that each site would have if it were free: 0.1 is a tenth longer, -0.1 a tenth
+        shorter, 0 is no growth. For two tissues, for example,
+        ``0.1 * (labels == 2) + 0.02 * (labels == 3)``.
+    along : array_like, shape (n,), (H, W, 2) or (D, H, W, 3), optional
+        Direction of growth for all sites, or for each site, for tissue that grows along fibres; its
+        length is ignored. By default growth is equal in all directions, including the one across an
+        image.
 
     Returns
     -------
@@ -190,7 +196,7 @@ def growth(strain: npt.ArrayLike, *, along: npt.ArrayLike | None = None) -> Load
     Raises
     ------
     ProblemError
-        If strain is no image or volume of numbers above -1, or a direction has no length.
+        If strain is no image or volume of numbers above -1, or a direction has length 0.
     """
     amount = as_float32("growth", strain)
     if amount.ndim not in (2, 3):
@@ -201,22 +207,24 @@ def growth(strain: npt.ArrayLike, *, along: npt.ArrayLike | None = None) -> Load
         )
     if along is None:
         return Loads(growth=amount)
-    way = as_float32("along", along).astype(np.float64)
-    if way.shape not in ((amount.ndim,), (*amount.shape, amount.ndim)):
+    direction = as_float32("along", along).astype(np.float64)
+    if direction.shape not in ((amount.ndim,), (*amount.shape, amount.ndim)):
         raise ProblemError(
             "along",
-            f"has shape {way.shape}. Give one direction, of {amount.ndim} components in the order "
-            "of the axes, or one for each site.",
+            f"has shape {direction.shape}. Give one direction, of {amount.ndim} components in the "
+            "order of the axes, or one for each site.",
         )
-    length = np.linalg.norm(way, axis=-1)
-    wanting = ~(np.isfinite(length) & (length > 0)) & (amount != 0)
-    if wanting.any():
+    length = np.linalg.norm(direction, axis=-1)
+    bad = ~(np.isfinite(length) & (length > 0)) & (amount != 0)
+    if bad.any():
+        first = np.broadcast_to(direction, (*amount.shape, amount.ndim))[bad][0]
         raise ProblemError(
             "along",
-            f"is {shown(np.broadcast_to(way, (*amount.shape, amount.ndim))[wanting][0].tolist())} "
-            f"at {first_index(wanting)}, which is no direction. Give a vector of any length.",
+            f"is {shown(first.tolist())} at {first_index(bad)}, which is no direction. Give a "
+            "finite vector other than 0.",
         )
-    unit = np.divide(way, length[..., None], out=np.zeros_like(way), where=length[..., None] > 0)
+    norm = length[..., None]
+    unit = np.divide(direction, norm, out=np.zeros_like(direction), where=norm > 0)
     return Loads(growth=amount[..., None, None] * (unit[..., :, None] * unit[..., None, :]))
 
 
@@ -229,7 +237,7 @@ def _check_growth(strain: FloatArray | None) -> None:
         if strain.shape[-1] != strain.shape[-2]:
             raise ProblemError(
                 "growth",
-                f"has shape {strain.shape}: a tensor has as many rows as columns.",
+                f"has shape {strain.shape}. Give tensors with as many rows as columns.",
             )
         apart = np.abs(strain - strain.swapaxes(-1, -2)).max(initial=0)
         if apart > _ASYMMETRY * np.abs(strain).max(initial=0):
@@ -239,35 +247,43 @@ def _check_growth(strain: FloatArray | None) -> None:
     if least <= -1:
         raise ProblemError(
             "growth",
-            f"is {least:.3g} somewhere: nothing is left of tissue that shrinks by all its length. "
-            "Give strains above -1; -0.1 is a tenth shorter.",
+            f"is {least:.3g} somewhere, but tissue cannot shrink by its whole length. Give strains "
+            "above -1; -0.1 is a tenth shorter.",
         )
 
 
-def _grown(one: FloatArray | None, other: FloatArray | None) -> npt.NDArray[np.floating] | None:
+def _sum_of_growth(
+    one: FloatArray | None, other: FloatArray | None
+) -> npt.NDArray[np.floating] | None:
     if one is None or other is None:
         return other if one is None else one
     if one.shape == other.shape:
         return one + other
-    made = _tensor(one), _tensor(other)
-    if made[0].shape != made[1].shape:
-        raise ProblemError("growth", f"is on grids of {one.shape} and {other.shape}: use one grid.")
-    return np.asarray(made[0] + made[1])
+    tensors = _tensor(one), _tensor(other)
+    if tensors[0].shape != tensors[1].shape:
+        raise ProblemError(
+            "growth", f"is on grids of {one.shape} and {other.shape}. Give both on one grid."
+        )
+    return np.asarray(tensors[0] + tensors[1])
 
 
 def _tensor(strain: FloatArray) -> FloatArray:
-    """A tensor of three axes at each site; a strain of one number is along all of them."""
+    """Return a 3 x 3 tensor for each site; a single number is equal growth along all axes."""
     if strain.ndim <= _AXES:
         return strain[..., None, None] * np.eye(_AXES, dtype=np.float32)
     missing = _AXES - strain.shape[-1]
     return np.pad(strain, [*[(0, 0)] * (strain.ndim - 2), (missing, 0), (missing, 0)])
 
 
-def _pulled(one: FloatArray | None, other: FloatArray | None) -> npt.NDArray[np.floating] | None:
+def _sum_of_forces(
+    one: FloatArray | None, other: FloatArray | None
+) -> npt.NDArray[np.floating] | None:
     if one is None or other is None:
         return other if one is None else one
     if one.shape != other.shape:
-        raise ProblemError("force", f"is on grids of {one.shape} and {other.shape}: use one grid.")
+        raise ProblemError(
+            "force", f"is on grids of {one.shape} and {other.shape}. Give both on one grid."
+        )
     return np.asarray(one + other)
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from napari_hmrf.solver.model_names import ELASTIC, ModelName
 from napari_hmrf.solver.priors.elastic import Plane
 
-# The figures are those of the README, from `make benchmarks`: on two cores, without a GPU.
+# The figures are the same as in the README. `make benchmarks` measures them; the times are for two
+# cores without a GPU.
 _WHEN: dict[ModelName, str] = {
     "elastic": "Tissue stretches and bulges as elastic material does. Boundaries of confidence 1 "
     "are held exactly.",
@@ -43,5 +44,5 @@ def when_to_take(model: ModelName, plane: Plane | None) -> str:
     plane : {"stress", "strain"} or None
         None for a volume.
     """
-    said = f"{_WHEN[model]} {_FROM_FEM.format(_OFF[model])}" if model in _OFF else _WHEN[model]
-    return f"{said} {_WHEN_PLANE[plane]} {_HOW_MUCH}" if plane and model in ELASTIC else said
+    advice = f"{_WHEN[model]} {_FROM_FEM.format(_OFF[model])}" if model in _OFF else _WHEN[model]
+    return f"{advice} {_WHEN_PLANE[plane]} {_HOW_MUCH}" if plane and model in ELASTIC else advice

@@ -1,4 +1,4 @@
-"""What tissue was taken to be, in a name or a few words: of a result, of a choice, in files."""
+"""Names of the tissue models, for display, for files and for the command line."""
 
 from __future__ import annotations
 
@@ -6,39 +6,39 @@ import re
 from collections.abc import Mapping
 from typing import Any, Literal, get_args
 
-#: Linear elasticity; finite strain; the paper's random field by its schedule; and where its sweeps
-#: would end.
+#: Linear elasticity; finite strain; the paper's random field with its schedule of sweeps; and the
+#: same random field with sweeps until they converge.
 ModelName = Literal["elastic", "large motion", "paper", "paper, converged"]
-#: Those of tissue that is strained.
+#: Models that have an elastic strain.
 ELASTIC: tuple[ModelName, ...] = "elastic", "large motion"
 
 
 def as_word(name: str) -> str:
-    """The name of a model as one word, as it is typed in a shell or in a table."""
+    """Return the name of a model as one word, as it is typed in a shell or in a table."""
     return re.sub(r"[\s,_-]+", "-", name.strip().casefold())
 
 
-#: The models by what is typed for them.
+#: Models by the word that is typed for them.
 MODELS: dict[str, ModelName] = {as_word(name): name for name in get_args(ModelName)}
 
-# Sweeps that may end only once the energy stands still to so many digits converge, too.
-_STILL = 1e-7
+# Largest `energy_change` with which a schedule of sweeps counts as converged.
+_CONVERGED_CHANGE = 1e-7
 
 
 def model_name(parameters: Mapping[str, Any]) -> str:
-    """The name of the model that a result is of.
+    """Return the name of the model of a result.
 
     Parameters
     ----------
     parameters : mapping
-        Of prior and optimizer, as `Provenance.parameters` has them; from a file they may be
-        anything.
+        Parameters of prior and optimizer, as in `Provenance.parameters`; if they were read from a
+        file, they may have any type.
 
     Returns
     -------
     str
-        A `ModelName`, with "blanket" after "paper" where the prior is read so, as in "paper,
-        blanket, converged"; "" if it is not told.
+        A `ModelName`, with "blanket" after "paper" if the prior uses the blanket reading, as in
+        "paper, blanket, converged"; "" if it is unknown.
     """
     prior, optimizer = _parts(parameters)
     if prior.get("name") == "ElasticPrior":
@@ -52,7 +52,7 @@ def model_name(parameters: Mapping[str, Any]) -> str:
 
 
 def in_words(parameters: Mapping[str, Any]) -> str:
-    """Which energy was minimised, and how; "unknown" if that is not told.
+    """Describe the energy that was minimised, and the schedule; "unknown" if they are not recorded.
 
     Parameters
     ----------
@@ -61,35 +61,35 @@ def in_words(parameters: Mapping[str, Any]) -> str:
     """
     prior, optimizer = _parts(parameters)
     if prior.get("name") in ("ElasticPrior", "NeoHookeanPrior"):
-        kind = "elastic" if prior["name"] == "ElasticPrior" else "large motion"
+        model = "elastic" if prior["name"] == "ElasticPrior" else "large motion"
         nu = prior.get("poisson")
         ratio = f"{nu:g}" if isinstance(nu, int | float) else "by tissue"
         plane = f", plane {prior['plane']}" if "plane" in prior else ""  # a volume has none
-        what = f"{kind} (Poisson's ratio {ratio}{plane})"
+        description = f"{model} (Poisson's ratio {ratio}{plane})"
     elif prior.get("name") == "SeilerPrior":
-        what = f"the paper's prior ({prior.get('conditional')})"
+        description = f"the paper's prior ({prior.get('conditional')})"
     else:
         return "unknown"
     if converged(optimizer):
-        return f"{what}, converged"
-    return f"{what}, {optimizer.get('iterations')} sweeps per level"
+        return f"{description}, converged"
+    return f"{description}, {optimizer.get('iterations')} sweeps per level"
 
 
 def is_multigrid(parameters: Mapping[str, Any]) -> bool:
-    """Whether a result's iterations are cycles over all levels, not sweeps on each."""
+    """Return whether the iterations of a result are cycles over all levels, not sweeps on each."""
     return _parts(parameters)[1].get("name") == "Multigrid"
 
 
 def converged(optimizer: Mapping[str, Any]) -> bool:
-    """Whether an optimizer of these parameters goes on until the field no longer changes."""
-    # "tolerance" in older files.
+    """Return whether an optimizer with these parameters iterates until the field stays the same."""
+    # Older files have "tolerance" instead.
     change = optimizer.get("energy_change", optimizer.get("tolerance"))
-    exact = isinstance(change, int | float) and change <= _STILL
+    exact = isinstance(change, int | float) and change <= _CONVERGED_CHANGE
     return optimizer.get("name") == "Multigrid" or exact
 
 
 def _parts(parameters: Mapping[str, Any]) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    """The parameters of the prior and of the optimizer, where there are such."""
+    """Return the parameters of the prior and of the optimizer; empty where they are missing."""
     known = parameters if isinstance(parameters, Mapping) else {}
     prior, optimizer = (known.get(part) for part in ("prior", "optimizer"))
     return (

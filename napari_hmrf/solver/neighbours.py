@@ -1,6 +1,7 @@
-"""Sites and the elements between them: blocks of two sites along each axis.
+"""Grid operations on sites and on the elements between them.
 
-An element has the index of its first site, so that there is one less along each axis.
+An element is a block of two sites along each axis. It has the index of its first site, so that an
+array of elements is one shorter along each axis than an array of sites.
 """
 
 from __future__ import annotations
@@ -16,24 +17,36 @@ Values = npt.NDArray[Any]
 
 
 def pairs(ndim: int) -> Iterator[tuple[Any, Any]]:
-    """Along each axis, the index of all sites but the last, and of all but the first."""
+    """Yield, for each axis, the index of all sites but the last and of all but the first."""
     for axis in range(ndim):
         before = (slice(None),) * axis
         yield (*before, slice(None, -1)), (*before, slice(1, None))
 
 
 def of_corners(values: Values, combine: Callable[[Values, Values], Values]) -> Values:
-    """What is made of each element's corners, two and two of them."""
+    """Combine the values at the corners of each element, in pairs along each axis in turn."""
     return reduce(
-        lambda made, ends: combine(made[ends[0]], made[ends[1]]), pairs(values.ndim), values
+        lambda combined, ends: combine(combined[ends[0]], combined[ends[1]]),
+        pairs(values.ndim),
+        values,
     )
 
 
 def around_sites(values: Values, combine: Callable[[Values, Values], Values]) -> Values:
-    """What is made of the elements around each site; beyond the grid they are 0."""
+    """Combine the values of the elements around each site; elements beyond the grid are 0."""
     return of_corners(np.pad(values, 1), combine)
 
 
 def in_elements(m: Values) -> npt.NDArray[np.bool_]:
-    """Which elements there are: those whose sites all are tissue."""
+    """Return a mask of the elements of tissue: those whose sites are all tissue.
+
+    Parameters
+    ----------
+    m : ndarray, shape (H, W) or (D, H, W)
+        Stiffness, or a mask; above 0 is tissue.
+
+    Returns
+    -------
+    ndarray of bool, shape (H - 1, W - 1) or (D - 1, H - 1, W - 1)
+    """
     return of_corners(m > 0, np.logical_and)

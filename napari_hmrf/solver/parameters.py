@@ -1,4 +1,4 @@
-"""Priors and optimizers from their parameters, as solutions and files record them."""
+"""Construction of priors and optimizers from the parameters that solutions and files record."""
 
 from __future__ import annotations
 
@@ -14,42 +14,54 @@ _Kind = TypeVar("_Kind")
 
 
 def prior_from_dict(parameters: Mapping[str, Any], poisson: Any = None) -> Prior:
-    """The prior of these `parameters`; a map of Poisson's ratios is given beside them.
+    """Return the prior with these parameters.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Name and parameters, as in `ElasticPrior.parameters`.
+    poisson : ndarray, shape (H, W) or (D, H, W), optional
+        Map of Poisson's ratios, of which `parameters` hold only the digest.
 
     Raises
     ------
     ArgumentError
-        If there is none of that name or with such parameters.
+        If there is no prior of this name or with these parameters.
     """
     kinds: dict[str, type[Prior]] = {
         "ElasticPrior": ElasticPrior,
         "NeoHookeanPrior": NeoHookeanPrior,
         "SeilerPrior": SeilerPrior,
     }
-    more: dict[str, Any] = {} if poisson is None else {"poisson": poisson}
+    replaced: dict[str, Any] = {} if poisson is None else {"poisson": poisson}
     if parameters.get("penalty") == "inf":
-        more["penalty"] = math.inf
-    return _made(kinds, {**parameters, **more})
+        replaced["penalty"] = math.inf
+    return _construct(kinds, {**parameters, **replaced})
 
 
 def optimizer_from_dict(parameters: Mapping[str, Any]) -> Optimizer:
-    """The optimizer of these `parameters`.
+    """Return the optimizer with these parameters.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Name and parameters, as in `Multigrid.parameters`.
 
     Raises
     ------
     ArgumentError
-        As of `prior_from_dict`.
+        If there is no optimizer of this name or with these parameters.
     """
     kinds: dict[str, type[Optimizer]] = {"ICM": ICM, "Multigrid": Multigrid}
-    return _made(kinds, parameters)
+    return _construct(kinds, parameters)
 
 
-def _made(kinds: Mapping[str, type[_Kind]], parameters: Mapping[str, Any]) -> _Kind:
+def _construct(kinds: Mapping[str, type[_Kind]], parameters: Mapping[str, Any]) -> _Kind:
     values = dict(parameters)
     name = values.pop("name", None)
     if name not in kinds:
-        raise ArgumentError(f"there is no {name!r}. Take one of {', '.join(kinds)}.")
+        raise ArgumentError(f"name is {name!r}. Give one of {', '.join(kinds)}.")
     try:
         return kinds[name](**values)
     except TypeError as error:
-        raise ArgumentError(f"{name} cannot have been made of {values}") from error
+        raise ArgumentError(f"{name} does not accept the parameters {values}") from error

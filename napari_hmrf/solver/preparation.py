@@ -38,12 +38,12 @@ def provide_loops(job: str, report: Callable[[Monitor], None]) -> None:
         Called several times a second; raises to stop waiting.
     """
 
-    def tell(stage: Stage) -> None:
+    def report_stage(stage: Stage) -> None:
         if stage.of and job == sets.EVERYTHING:
             stage = stage._replace(of=sets.USUAL_COUNT)
         report(Monitor(stage.words, stage.fraction))
 
-    compiler.provide(job, tell)
+    compiler.provide(job, report_stage)
 
 
 def prepare(
@@ -54,8 +54,16 @@ def prepare(
 ) -> None:
     """Compile the kernels of a schedule by running it on a small problem, once per process.
 
-    The problem is small, but has intermediate levels, a solution other than 0, and more sites than
-    would be solved without a cycle. Square pixels have kernels of their own, as have volumes.
+    The problem is small, but has intermediate levels, a solution other than 0, and too many sites
+    to be solved without a cycle. Square pixels and volumes have kernels of their own.
+
+    Parameters
+    ----------
+    device : Backend
+    job : SolveJob
+    optimizer : ICM or Multigrid
+    report : callable
+        Called with a `Monitor` now and then; raises to cancel.
     """
     rehearsal, axes, prior = optimizer.rehearsal(), len(job.shape), job.prior
     square = len(set(job.spacing)) == 1
@@ -70,21 +78,21 @@ def prepare(
     small = Problem(y, c, m, spacing=(1.0,) * axes if square else (1.0, 2.0, 2.0)[:axes])
     tissue = prior.rehearsal(small.shape)
 
-    def go_on(_: Monitor) -> None:
+    def report_preparing(_: Monitor) -> None:
         report(Monitor("preparing", 0.0))
 
     with loop_watch(job.loops, report):
-        found = rehearsal.run(small, tissue, device, go_on).displacement
+        found = rehearsal.run(small, tissue, device, report_preparing).displacement
         host.settle(found, small.tissue, small.unit)
         if isinstance(rehearsal, Multigrid):
-            # One start for all kernels: those for two displacements at once, and for a single one.
+            # Three solutions need both kernels that combine them: for two at once and for one.
             three = Beginning((found,) * 3, (1.0, 0.0, 0.0), 1.0, math.inf)
-            rehearsal.run(small, tissue, device, go_on, three)
+            rehearsal.run(small, tissue, device, report_preparing, three)
     _prepared.add(key)
 
 
 def loop_watch(job: str, report: Callable[[Monitor], None]) -> AbstractContextManager[None]:
-    """Return a context that reports which loops this process compiles.
+    """Return a context manager that reports the loops that this process compiles.
 
     Parameters
     ----------

@@ -80,7 +80,7 @@ class Problem:
         spacing: Sequence[float] = _EVEN,
         loads: Loads | None = None,
     ) -> None:
-        # If `observed` has one value per pixel, do not take the stiffness for a volume.
+        # If `observed` has one value per pixel, do not interpret the stiffness as a volume.
         image = isinstance(observed, np.ndarray) and observed.ndim == 2
         m = _as_image(stiffness, (2,) if image else (2, 3))
         pixel = checked_spacing((1.0,) * m.ndim if spacing is _EVEN else spacing, m.ndim)
@@ -113,10 +113,10 @@ class Problem:
         size, pixel = grid_in_words(self.shape), grid_in_words(self.spacing)
         tissue = int(np.count_nonzero(self.tissue))
         void = "" if tissue == self.tissue.size else f", {tissue:,} of tissue"
-        seen = int(np.count_nonzero(self.known.any(axis=-1)))
+        observed = int(np.count_nonzero(self.known.any(axis=-1)))
         loads = "" if self.loads is None else f", {self.loads}"
         return (
-            f"Problem({size} sites of {pixel}{void}, {seen:,} observed, "
+            f"Problem({size} sites of {pixel}{void}, {observed:,} observed, "
             f"stiffness {_range_in_words(self.stiffness)}{loads})"
         )
 
@@ -168,16 +168,16 @@ class Problem:
 
 
 class _Digests(Mapping[str, str]):
-    """SHA-256 of arrays that do not change, computed on access, as it takes milliseconds."""
+    """SHA-256 of read-only arrays, computed on access because it takes milliseconds."""
 
     def __init__(self, arrays: dict[str, FloatArray]) -> None:
         self._arrays = arrays
-        self._made: dict[str, str] = {}
+        self._digests: dict[str, str] = {}
 
     def __getitem__(self, name: str) -> str:
-        if name not in self._made:
-            self._made[name] = hashlib.sha256(self._arrays[name].tobytes()).hexdigest()
-        return self._made[name]
+        if name not in self._digests:
+            self._digests[name] = hashlib.sha256(self._arrays[name].tobytes()).hexdigest()
+        return self._digests[name]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._arrays)
@@ -269,7 +269,7 @@ def check_reach(y: FloatArray, spacing: tuple[float, ...]) -> None:
     """Refuse displacements far beyond the image, usually because of a wrong unit."""
     grid = y.shape[:-1]
     diagonal = math.hypot(*(size * step for size, step in zip(grid, spacing, strict=True)))
-    # The largest component usually is enough; the length of each takes ten times as long.
+    # The largest component usually decides; computing all lengths takes ten times as long.
     largest = max(float(y.max()), -float(y.min()))
     if math.sqrt(len(grid)) * largest <= MAX_REACH * diagonal:
         return
@@ -302,7 +302,7 @@ def _check_stiffness(m: FloatArray) -> None:
     tissue = m > 0
     if not tissue.any():
         raise ProblemError(
-            "stiffness", "is 0 everywhere: there is no tissue. Give some a stiffness."
+            "stiffness", "is 0 everywhere: there is no tissue. Give tissue a stiffness above 0."
         )
     soft = tissue & np.isfinite(m)
     low = float(m.min(where=soft, initial=np.inf))
@@ -317,7 +317,7 @@ def _check_stiffness(m: FloatArray) -> None:
 
 
 def _check_stiffness_unit(given: npt.ArrayLike, m: FloatArray) -> None:
-    """Refuse stiffnesses that keep few digits in single precision, or have no inverse there."""
+    """Refuse stiffnesses that lose digits in single precision, or whose inverse overflows."""
     array = np.asarray(given)
     extreme = (m > 1 / _SMALLEST_STIFFNESS) | ((m < _SMALLEST_STIFFNESS) & (array > 0))
     extreme &= array != np.inf
@@ -344,8 +344,8 @@ def _check_confidence(c: FloatArray) -> None:
     if not c.any():
         raise ProblemError(
             "confidence",
-            "is 0 everywhere: nothing says how any tissue moves. Mark at least one place as fixed "
-            "or moving.",
+            "is 0 everywhere: nothing determines how tissue moves. Mark at least one place as "
+            "fixed or moving.",
         )
 
 

@@ -1,8 +1,8 @@
-"""The quadtree: which sites exist on which scale level, and where their values come from.
+"""Quadtree of scale levels: the sites of each level, and the pixels that they sample.
 
 Level 0 is the image; a site of level n covers 2^n x 2^n pixels of it, fewer at the far borders. The
-coarsest level R is a single site (the paper's root r). Of a volume it is an octree, whose sites
-cover 2^n x 2^n x 2^n voxels.
+coarsest level R is a single site (the paper's root r). For a volume the tree is an octree, whose
+sites cover 2^n x 2^n x 2^n voxels.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ _Type = TypeVar("_Type", bound=np.generic)
 
 @dataclass(frozen=True)
 class Level:
-    """One scale level: its number n and its grid, ``ceil(size / 2**n)`` along each axis."""
+    """Scale level: its number n and its grid, with ``ceil(size / 2**n)`` sites along each axis."""
 
     number: int
     shape: tuple[int, ...]
 
     @property
     def sites(self) -> int:
-        """How many sites the level has."""
+        """Number of sites of the level."""
         total = 1
         for size in self.shape:
             total *= size
@@ -34,28 +34,34 @@ class Level:
 
 
 def levels(shape: tuple[int, ...]) -> tuple[Level, ...]:
-    """All levels of a grid, finest (0) first, down to the single site of level R.
+    """Return all levels of a grid, from the finest (0) to the single site of level R.
 
     Parameters
     ----------
     shape : tuple of int
-        The grid of the image or volume, such as (H, W).
+        Shape of the image or volume, such as (H, W).
 
     Returns
     -------
     tuple of Level
-        R + 1 of them, R = ceil(log2(largest size)): ten for 300 x 300.
+        R + 1 levels, R = ceil(log2(largest size)): ten levels for 300 x 300.
     """
     coarsest = max(0, (max(shape) - 1).bit_length())
     return tuple(Level(n, tuple(-(-size // 2**n) for size in shape)) for n in range(coarsest + 1))
 
 
 def nearest_pixels(level: Level, shape: tuple[int, ...]) -> tuple[IntArray, ...]:
-    """For each axis, the pixel of level 0 that lies nearest to the centre of each site of a level.
+    """Return, for each axis, the pixel of level 0 nearest to the centre of each site of a level.
 
     The centre of site i of level n is at pixel coordinate (i + 1/2) 2^n - 1/2, half-way between two
-    pixels for n > 0; the later of the two is taken, as nearest-neighbour texture sampling does, and
-    the last pixel where a site reaches beyond the image.
+    pixels for n > 0. The later pixel is used, as in nearest-neighbour texture sampling, and the
+    last pixel of the axis if a centre lies beyond it.
+
+    Parameters
+    ----------
+    level : Level
+    shape : tuple of int
+        Shape of the image or volume.
     """
     half = (1 << level.number) >> 1
     return tuple(
@@ -65,7 +71,7 @@ def nearest_pixels(level: Level, shape: tuple[int, ...]) -> tuple[IntArray, ...]
 
 
 def sampled(values: npt.NDArray[_Type], level: Level) -> npt.NDArray[_Type]:
-    """The values of an image or volume at the pixels nearest to a level's sites."""
+    """Return the values of an image or volume at the pixels nearest to the sites of a level."""
     for axis, pixels in enumerate(nearest_pixels(level, values.shape)):
         values = values.take(pixels, axis=axis)
     return values

@@ -29,7 +29,7 @@ def reactions(
     solution : Solution
         Solution of this problem.
     prior : ElasticPrior or NeoHookeanPrior, optional
-        Prior of the solve; by default that of elastic tissue, as in `solve`.
+        Prior of the solve; by default `ElasticPrior()`, as in `solve`.
 
     Returns
     -------
@@ -41,23 +41,27 @@ def reactions(
     Raises
     ------
     ArgumentError
-        If an argument is of another type, the solution is of another problem or prior, or the prior
+        If an argument is of the wrong type, the solution has another problem or prior, or the prior
         is not elastic.
     """
     require_kind(Problem, "problem", problem, "Problem(observed, confidence, stiffness)")
     require_kind(Solution, "solution", solution, "the result of solve()")
     prior = ElasticPrior() if prior is None else prior
     if not isinstance(prior, Elastic):
-        raise ArgumentError("reactions are known of elastic tissue only: the paper's has no forces")
+        raise ArgumentError(
+            "the paper's prior has no forces, so there are no reactions. Give an elastic prior"
+        )
     given = dict(prior.in_force(problem).parameters)
     if problem.is_volume:
         given.pop("plane", None)
     used = solution.provenance.parameters.get("prior", given)
     if used != given:
-        raise ArgumentError(f"the solution was made by {used}. Give that prior, not {given}")
+        raise ArgumentError(f"the solution has the prior {used}. Give that prior, not {given}")
     inputs = solution.provenance.inputs
     if inputs is not problem.digests and dict(inputs) != dict(problem.digests):
-        raise ArgumentError("the solution is of another problem. Give the one that was solved")
+        raise ArgumentError(
+            "the solution was computed from another problem. Give the problem that was solved"
+        )
     forces = prior.forces(problem, solution.displacement)
     if problem.rigid.any():
         planes, known = host.planes(forces), host.planes(problem.known).astype(np.bool_)

@@ -1,4 +1,4 @@
-"""Arrays of real numbers that somebody gave, taken as they are or refused by name."""
+"""Checked conversion of input to arrays of real numbers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _LARGEST = float(np.finfo(np.float32).max)
 
 
 def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
-    """Take an array of real numbers as it is, or raise `ProblemError` naming it."""
+    """Return a value as an array of real numbers, not copied; raise `ProblemError` otherwise."""
     try:
         array = np.asarray(value)
     except ValueError as error:  # rows of different length
@@ -32,7 +32,7 @@ def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
 
 
 def as_float32(field: str, value: npt.ArrayLike) -> FloatArray:
-    """Copy `value` to a C-contiguous native float32 array, or say why that would lose something."""
+    """Copy `value` to a C-contiguous native float32 array; refuse masked or too large values."""
     if isinstance(value, np.ma.MaskedArray):
         raise ProblemError(field, "is a masked array, whose mask would be lost. Fill it first.")
     array = as_numbers(field, value)
@@ -48,17 +48,17 @@ def as_float32(field: str, value: npt.ArrayLike) -> FloatArray:
 
 
 def check_finite(field: str, array: FloatArray) -> None:
-    """Refuse an array that is infinite or no number somewhere."""
+    """Refuse an array with NaN or infinite values."""
     if not np.isfinite(array).all():
-        raise ProblemError(field, "has values that are no numbers. Replace them.")
+        raise ProblemError(field, "has values that are NaN or infinite. Replace them by numbers.")
 
 
 def how_many(bad: npt.NDArray[np.bool_]) -> str:
-    """Say at how many pixels there are such values."""
+    """Describe the number of pixels in a mask for an error message: "values at 3 pixels"."""
     count = int(bad.sum())
     return f"values at {count} pixel{'s' if count > 1 else ''}"
 
 
 def first_index(bad: npt.NDArray[np.bool_]) -> tuple[int, ...]:
-    """The index of the first of them."""
+    """Return the index of the first pixel in a mask, in row-major order."""
     return tuple(int(i) for i in np.unravel_index(int(np.argmax(bad)), bad.shape))

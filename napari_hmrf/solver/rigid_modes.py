@@ -1,9 +1,9 @@
 """Check that the observations determine the motion of elastic tissue.
 
-A piece of tissue can move as a rigid body at no cost in three ways (along rows, along columns, and
-turning), in a volume in six. Its observations must stop all of them, or the solution is not unique.
-Two pieces that meet in a single site, or in a volume along an edge, are hinged there: each may
-still turn by itself.
+A piece of tissue has three rigid motions without energy (along rows, along columns, and turning),
+in a volume six. Its observations must prevent all of them, or the solution is not unique. Two
+pieces that meet in a single site, or in a volume along an edge, are hinged there: each can still
+turn by itself.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.problem import Problem
 
-# Strength of a constraint, relative to the largest, below which it counts as rounding.
-_NOTHING = 1e-9
-# Part in a free motion below which a piece counts as at rest.
+# Strength of a constraint, relative to the largest, up to which it counts as rounding.
+_ROUNDING = 1e-9
+# Size of a piece's motion, relative to the largest in a free motion, up to which it is at rest.
 _REST = 1e-6
 _STEPS = ("along planes", "along rows", "along columns")
 
@@ -37,20 +37,29 @@ _Ways = tuple[npt.NDArray[np.int64], Motions, Motions, Motions]
 
 
 class Firm(NamedTuple):
-    """Tissue that is known to be held, and its held components; the check takes a few cycles."""
+    """Tissue that was found to be held; kept because the check takes as long as a few cycles.
+
+    Attributes
+    ----------
+    tissue : ndarray of bool, shape (H, W) or (D, H, W)
+        Mask of tissue, all of which is held.
+    held : ndarray of bool, shape (H, W, 2) or (D, H, W, 3)
+        Mask of the held components.
+    grip : float
+        Result of `grip`.
+    """
 
     tissue: npt.NDArray[np.bool_]
     held: npt.NDArray[np.bool_]
-    #: Result of `grip`.
     grip: float = 0.0
 
     def covers(self, tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> bool:
-        """Return whether other constraints are enough, too: more held sites never free tissue.
+        """Return whether other constraints hold the tissue, too: more of them never free tissue.
 
         Parameters
         ----------
         tissue : ndarray of bool, shape (H, W) or (D, H, W)
-        held : ndarray of bool, of as many components as axes
+        held : ndarray of bool, shape (H, W, 2) or (D, H, W, 3)
         """
         return np.array_equal(self.tissue, tissue) and not (self.held > held).any()
 
@@ -61,14 +70,14 @@ _firm: list[Firm] = []
 
 @dataclass(frozen=True, eq=False)
 class FreeMotion:
-    """Motion of some tissue at no cost.
+    """Motion of some tissue without energy.
 
     Attributes
     ----------
     piece : ndarray of bool, shape (H, W)
         The tissue that moves most.
     how : str
-        Direction of the motion, in words.
+        Description of the motion, as a clause.
     motion : ndarray, shape (H, W, 2)
         Displacement of all tissue, in pixels; its scale is arbitrary.
     """
@@ -89,7 +98,7 @@ def check_held(problem: Problem) -> None:
     Raises
     ------
     ProblemError
-        Naming the piece by its size and centre, and how it could move.
+        Naming the piece by its size and centre, and its possible motion.
     """
     grip(problem)
 
@@ -97,9 +106,9 @@ def check_held(problem: Problem) -> None:
 def grip(problem: Problem) -> float:
     """Return how firmly the observations hold tissue against its rigid motions.
 
-    The value is that of the motion that is stopped least: the sum of squares over all held
-    components, where the far end of the tissue moves by about 1, divided by the approximate size of
-    the tissue's surface.
+    The value is that of the least constrained rigid motion, scaled so that the far end of the
+    tissue moves by about 1: the sum of its squared displacements over all held components, divided
+    by the approximate size of the tissue's surface.
 
     Raises
     ------
@@ -107,9 +116,9 @@ def grip(problem: Problem) -> float:
         As for `check_held`.
     """
     held = problem.known
-    for known in _firm:  # first: every picture of a drag needs it
-        if known.covers(problem.tissue, held):
-            return known.grip
+    for firm in _firm:  # first, because every image of a drag needs the result
+        if firm.covers(problem.tissue, held):
+            return firm.grip
     if held[problem.tissue].all():
         return 1.0  # no site is free to move
     pieces, count = _some_pieces(problem)
@@ -127,7 +136,7 @@ def refusal(free: FreeMotion) -> ProblemError:
     """Return an error that names the piece that could move, and the motion."""
     return ProblemError(
         "confidence",
-        f"leaves a piece of tissue free: the one of {int(free.piece.sum())} pixels around "
+        f"leaves a piece of tissue free: the piece of {int(free.piece.sum())} pixels around "
         f"{free.centre} {free.how}. Fix some of it in place, or give it no stiffness.",
     )
 
@@ -150,7 +159,9 @@ def _some_pieces(problem: Problem) -> tuple[Labels, int]:
     pieces, count = _pieces(problem.stiffness)
     if count == 0:
         raise ProblemError(
-            "stiffness", "has tissue nowhere two pixels wide: nothing there could be stretched."
+            "stiffness",
+            "has no tissue that is two pixels wide, so that nothing can deform. Make the tissue "
+            "wider.",
         )
     return pieces, count
 
@@ -250,18 +261,20 @@ def _free(ways: Iterable[_Ways]) -> Iterator[tuple[npt.NDArray[np.int64], Motion
     # Yields the pieces of the cluster, from 0; its cost matrix; and its free motions, of shape
     # (ways, pieces, motions).
     for cluster, strength, stops, modes in ways:
-        free = stops <= _NOTHING * max(stops[-1], 1.0)
+        free = stops <= _ROUNDING * max(stops[-1], 1.0)
         if free.any():
             yield cluster, strength, modes[:, free].T.reshape(int(free.sum()), len(cluster), -1)
 
 
 def _modes(pieces: Labels, count: int, held: npt.NDArray[np.bool_]) -> Iterator[_Ways]:
     """Compute the motions of each cluster and their costs, in ascending order of cost."""
+    # The cost of a motion is the sum of its squared displacements at the constraints.
     if count == 0:
         return
     shape = held.shape[:-1]
     axes, freedom = len(shape), len(_turns(len(shape))) + len(shape)
-    # Constraints of a piece: a row for each held component, and for each of a hinge's (- and +).
+    # Constraints of a piece: a row for each held component, and for each component of a hinge, in
+    # which its two pieces have opposite signs.
     of_sites = _sites(pieces)
     holds = []
     for along in range(axes):

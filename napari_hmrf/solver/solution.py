@@ -84,7 +84,8 @@ class Solution:
         squared, less the work of loads; one value if no iteration was needed. For multigrid with
         the centred update, which has no energy to minimise, the final value throughout.
     levels : tuple of LevelRun
-        Levels in the order of their runs, with their iterations: the boundaries in `energy`.
+        Levels in the order in which they ran, with their numbers of iterations, which divide
+        `energy` by level.
     tissue : ndarray, shape (H, W), bool
         Mask of tissue.
     spacing : tuple of float
@@ -131,7 +132,7 @@ class Solution:
         near = "" if self.convergence is None else f", within {self.convergence.error:.1g} px"
         return (
             f"Solution({grid_in_words(self.tissue.shape)} sites of {grid_in_words(self.spacing)}"
-            f"{unit or ' (unit unknown)'}, {run.model or 'no model told'}, moved up to "
+            f"{unit or ' (unit unknown)'}, {run.model or 'unknown model'}, moved up to "
             f"{farthest:.3g}{unit}, {self.iterations} iterations in {run.seconds:.2g} s on "
             f"{run.backend}{near})"
         )
@@ -156,8 +157,8 @@ class Solution:
         """Mean total energy per site of tissue at the end, in pixels squared."""
         return float(self.energy[-1])
 
-    # These methods import higher layers of the package when they are called, so that a solution
-    # needs no other name, and its spacing and tissue cannot be forgotten.
+    # These methods import higher layers of the package when they are called. They pass on spacing
+    # and tissue, so that the caller cannot forget them.
 
     def warp(
         self, image: npt.ArrayLike, *, order: int = 1, fill: float = 0
@@ -173,7 +174,7 @@ class Solution:
         Returns
         -------
         ndarray
-            Same shape and dtype as `image`.
+            Moved image, with the shape and dtype of `image`.
 
         Raises
         ------
@@ -224,7 +225,7 @@ class Solution:
         Raises
         ------
         ArgumentError
-            If there is no such kind.
+            If `kind` is none of these.
         ProblemError
             If the model has no elastic strain, such as the paper's.
         """
@@ -249,7 +250,7 @@ class Solution:
         Returns
         -------
         ndarray, shape (N, n), float64
-            In the unit of `spacing`.
+            Displacements, in the unit of `spacing`.
 
         Raises
         ------
@@ -266,12 +267,12 @@ class Solution:
         Parameters
         ----------
         points : array_like, shape (N, n)
-            In pixels, in the order of the axes.
+            Positions before the motion, in pixels, in the order of the axes.
 
         Returns
         -------
         ndarray, shape (N, n), float64
-            In pixels.
+            Positions after the motion, in pixels.
 
         Raises
         ------
@@ -297,7 +298,7 @@ class Solution:
         Returns
         -------
         tuple of Measurement
-            By label; labels without tissue are left out.
+            One measurement for each label that has tissue.
 
         Raises
         ------
@@ -323,8 +324,8 @@ class Solution:
         path : str or path-like
             As for `napari_hmrf.fields.write_field`, which lists the formats.
         forward : bool
-            Whether the file maps the tissue's old position to its new one, as transforms of points
-            do, instead of the reverse, which moves images.
+            If True, the file maps the old position of tissue to the new one, as transforms of
+            points do; by default the new position to the old one, as transforms of images do.
         grid : Grid, optional
             Grid of the image, as returned by `Grid.from_image`; needed if the solution has no
             place, because it comes from a `Problem`, or from a study whose grid has none.
@@ -378,7 +379,8 @@ class Solution:
         OSError
             If the folder is missing or the file cannot be written; the message names the file.
         TypeError, ValueError
-            If frame or parameters hold a value of no JSON type, or parts disagree.
+            If frame or parameters hold a value that is no JSON type, or the shapes of the parts
+            disagree.
         """
         return array_file.write(path, SOLUTION_FORMAT, self)
 
@@ -395,7 +397,7 @@ class Solution:
         Raises
         ------
         FileFormatError
-            If the file is something else, or damaged.
+            If the file holds no solution, or is damaged.
         OSError
             If the file cannot be opened.
         """

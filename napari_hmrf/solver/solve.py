@@ -43,8 +43,10 @@ _announced: set[str] = set()
 
 #: Description of a solve for other callers that wait for the compute thread.
 _DOING = "a solve that a script started, which its cancel flag or Ctrl-C stops"
-# Interval between checks of the cancel flag, and time that the work has to stop, in seconds.
-_LOOK, _GRACE = 0.1, 0.25
+# Interval between checks of the cancel flag, in seconds.
+_CHECK_INTERVAL = 0.1
+# Time that cancelled work has to stop before the call returns without it, in seconds.
+_GRACE = 0.25
 
 
 class CancelFlag(Protocol):
@@ -65,7 +67,7 @@ def solve(
     cancel: CancelFlag | None = None,
     initial: Initial | None = None,
 ) -> Solution:
-    """Compute how the tissue moves.
+    """Compute the displacement of the tissue.
 
     The work runs on the process's compute thread; the caller waits, and may be any thread.
 
@@ -79,19 +81,21 @@ def solve(
         The schedule; by default multigrid, and for the paper's prior its own: 70 sweeps on each
         level. ``Multigrid()`` solves the paper's prior to the limit of such sweeps.
     backend : {"auto", "opengl", "opengl:fragment", "opengl:compute", "cpu"}
-        Backend to run on. "auto" takes the shaders on a real GPU and the compiled loops elsewhere,
-        and logs the choice once. Volumes need compute shaders (OpenGL 4.3), or the loops.
+        Backend to run on. "auto" chooses the shaders on a real GPU and the compiled loops
+        elsewhere, and logs the choice once. Volumes need compute shaders (OpenGL 4.3), or the
+        loops.
     progress : callable, optional
         Called on the caller's thread with a `Monitor`: a message and the fraction done.
-    cancel : threading.Event or alike, optional
-        Set it to cancel; the call returns within half a second, even while loops are compiled.
+    cancel : threading.Event or similar, optional
+        Flag that cancels the solve once it is set; the call then returns within half a second, even
+        while loops are compiled.
     initial : Solution or sequence of Solution, optional
         Warm start from earlier solutions of the same grid: after a small edit of the problem
-        multigrid then has less to do. Several solutions are combined to come closest to the
-        observations and loads: displacements are proportional to what causes them, so moving the
-        same patch again takes one cycle, or none if the errors of the solutions add up to less than
-        the tolerance. The result is the same within the tolerance. The paper's schedule starts from
-        zero on its coarsest level, and ignores `initial`.
+        multigrid then needs fewer cycles. Several solutions are combined linearly to match the
+        observations and loads most closely. Displacements are proportional to observations and
+        loads, so moving the same patch again takes one cycle, or none if the errors of the
+        solutions add up to less than the tolerance. The result is the same within the tolerance.
+        The paper's schedule starts from zero on its coarsest level, and ignores `initial`.
 
     Returns
     -------
@@ -102,7 +106,7 @@ def solve(
     ArgumentError
         If an argument is of the wrong type, or the optimizer does not fit the prior.
     BackendError
-        If the backend is missing or cannot be trusted.
+        If the backend is not available, or returns wrong values.
     ProblemError
         If the solution is not unique: some tissue could still move freely.
     ConvergenceError
@@ -132,13 +136,13 @@ def solve(
         return run_here(problem, prior, optimizer, backend, progress, stop, initial)
     reports: queue.SimpleQueue[Monitor | None] = queue.SimpleQueue()
     # Send no reports without `progress`: each one wakes the caller, which competes with the work.
-    tell = None if progress is None else reports.put
+    send = None if progress is None else reports.put
     interrupted = threading.Event()
     either = _Either(stop, interrupted)
     job: Future[Solution] | None = None
     try:
         job = compute_thread.submit(
-            lambda: run_here(problem, prior, optimizer, backend, tell, either, initial),
+            lambda: run_here(problem, prior, optimizer, backend, send, either, initial),
             lambda: STOPPED if either.is_set() else _DOING,
         )
         job.add_done_callback(lambda _: reports.put(None))
@@ -161,7 +165,7 @@ def _next(reports: queue.SimpleQueue[Monitor | None], cancel: CancelFlag | None)
         return reports.get()
     for _ in iter(cancel.is_set, True):
         with suppress(queue.Empty):
-            return reports.get(timeout=_LOOK)
+            return reports.get(timeout=_CHECK_INTERVAL)
     try:
         return reports.get(timeout=_GRACE)
     except queue.Empty:
@@ -172,9 +176,9 @@ def _has(method: str, value: object) -> bool:
     return not isinstance(value, type) and callable(getattr(value, method, None))
 
 
-def _may_begin(value: object) -> bool:
-    each = value if isinstance(value, Sequence) else (value,)
-    return all(isinstance(one, Solution) for one in each)
+def _is_initial(value: object) -> bool:
+    solutions = value if isinstance(value, Sequence) else (value,)
+    return all(isinstance(solution, Solution) for solution in solutions)
 
 
 _ARGUMENTS: dict[str, tuple[Callable[[object], bool], str]] = {
@@ -193,14 +197,14 @@ _ARGUMENTS: dict[str, tuple[Callable[[object], bool], str]] = {
     "backend": (lambda value: isinstance(value, str), f"one of {', '.join(BACKEND_NAMES)}"),
     "progress": (
         lambda value: value is None or callable(value),
-        "something to call with a Monitor, such as print",
+        "a function to call with a Monitor, such as print",
     ),
     "cancel": (
         lambda value: value is None or _has("is_set", value),
-        "something that has is_set(), such as a threading.Event",
+        "an object with a method is_set(), such as a threading.Event",
     ),
-    "initial": (lambda value: value is None or _may_begin(value), "a Solution, or a list of them"),
-    "deliver": (callable, "something to call with an Update"),
+    "initial": (lambda value: value is None or _is_initial(value), "a Solution, or a list of them"),
+    "deliver": (callable, "a function to call with an Update"),
     "doing": (lambda value: isinstance(value, str), "a description of the work"),
 }
 
@@ -211,13 +215,13 @@ def check_arguments(**given: object) -> None:
     Raises
     ------
     ArgumentError
-        Naming the argument, and what to give.
+        Naming the argument and the expected type.
     """
     for name, value in given.items():
-        right, what = _ARGUMENTS[name]
-        if not right(value):
+        is_valid, expected = _ARGUMENTS[name]
+        if not is_valid(value):
             kind = type(value).__name__
-            raise ArgumentError(f"{name} is {shown(value)}, of type {kind}. Give {what}.")
+            raise ArgumentError(f"{name} is {shown(value)}, of type {kind}. Give {expected}.")
 
 
 def run_here(
@@ -229,7 +233,22 @@ def run_here(
     cancel: CancelFlag,
     initial: Initial | None = None,
 ) -> Solution:
-    """Solve on the compute thread itself, for jobs that do more there than solve."""
+    """Solve on the compute thread, which must be the current thread.
+
+    Parameters
+    ----------
+    problem, prior, optimizer, backend, progress, cancel, initial
+        As for `solve`.
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    RuntimeError
+        On any other thread.
+    """
     if not compute_thread.is_current():
         raise RuntimeError("run_here() is for jobs of the compute thread; call solve() instead")
     with compute_thread.unless(cancel.is_set):
@@ -280,8 +299,9 @@ def _solution_of(
     finite = host.settle(displacement, problem.tissue, problem.unit)
     if not (finite and np.isfinite(outcome.energy).all()):
         raise BackendError(
-            f"{renderer} returned values that are not numbers, so the result was dropped. Is the "
-            'prior damped enough, and observed of a reasonable size? If so, try backend="cpu".'
+            f"{renderer} returned NaN or infinite values, so the result was discarded. Check the "
+            "damping of the prior and the size of the observed displacement; if both are "
+            'reasonable, try backend="cpu".'
         )
     grown = 1.0 if outcome.reach is None else outcome.reach.grown
     of_prior = dict(prior.parameters)
@@ -336,10 +356,10 @@ def _announce(choice: Choice) -> None:
 
 @cache
 def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version(), "system": platform.system()}
+    versions = {"python": platform.python_version(), "system": platform.system()}
     for package in ("napari-hmrf", "numpy", "numba", "moderngl", "napari"):
         try:
-            found[package] = version(package)
+            versions[package] = version(package)
         except PackageNotFoundError:
             continue
-    return found
+    return versions

@@ -1,7 +1,7 @@
-"""Scraps of tissue that hang on nothing: cut off by a threshold, they would keep the rest waiting.
+"""Small loose pieces of tissue, which are left out of a solve.
 
-Elastic tissue that could still move has no one answer, and is refused. But where tissue was told
-from air by its intensity there are specks that nobody means anything by; they stay where they are.
+Elastic tissue that could still move freely has no unique solution, and is refused. However, a mask
+of tissue from an intensity threshold may contain specks; these stay at rest instead.
 """
 
 from __future__ import annotations
@@ -14,89 +14,92 @@ import scipy
 
 from napari_hmrf.solver.rigid_modes import Firm, free_pieces
 
-#: What is observed of a piece of this part of all tissue, or more, is meant: it is not a scrap.
-_MATTERS = 0.01
-# To leave a piece out may let another go; chains of more than this are for the solver to refuse.
+#: Size from which an observed piece is kept, as a fraction of all tissue.
+_LARGE_PIECE = 0.01
+# Leaving out a piece may free another one. Longer chains than this are left to the solver, which
+# refuses the problem.
 _ROUNDS = 4
 
 
-class _Known(NamedTuple):
-    """What was found, for what, and whether nothing of the rest could move."""
+class _Search(NamedTuple):
+    """Search for loose pieces: its constraints, the pieces, and whether all others are held."""
 
-    asked: Firm
-    found: npt.NDArray[np.bool_]
-    firm: bool
+    constraints: Firm
+    pieces: npt.NDArray[np.bool_]
+    is_rest_held: bool
 
-    def serves(self, tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> bool:
-        """Whether it is what would be found again."""
-        if not self.asked.covers(tissue, held):
+    def is_valid_for(self, tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> bool:
+        """Return whether a search with other constraints would find the same pieces."""
+        if not self.constraints.covers(tissue, held):
             return False
-        if not self.firm:
-            return np.array_equal(self.asked.held, held)
-        # What was left out may matter now.
-        return not (self.found.any() and (held > self.asked.held)[self.found].any())
+        if not self.is_rest_held:
+            return np.array_equal(self.constraints.held, held)
+        # A new constraint may hold a piece that was left out.
+        return not (self.pieces.any() and (held > self.constraints.held)[self.pieces].any())
 
 
-# The last that was found, and for what: to find it takes as long as a few cycles.
-_known: list[_Known] = []
+# Last search, kept because a search takes as long as a few cycles.
+_last_search: list[_Search] = []
 
 
 def scraps(tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Find tissue that could move freely and is not worth a refusal.
+    """Find loose pieces of tissue that are left out of a solve.
 
-    Those are pieces of which nothing is observed, and small ones of which too little is. If
-    nothing would be left that is observed, there are none: the solver says what is wrong.
+    These are the loose pieces without an observation, and small loose pieces with too few
+    observations. If no observed tissue would be left, the result is empty, and the solver then
+    refuses the problem with a reason.
 
     Parameters
     ----------
     tissue : ndarray of bool, shape (H, W)
+        Mask of tissue.
     held : ndarray of bool, shape (H, W, 2)
-        Which components are observed.
+        Mask of observed components.
 
     Returns
     -------
     ndarray of bool, shape (H, W)
-        Not to be written to.
+        Mask of the loose pieces; read-only.
     """
-    for known in _known:
-        if known.serves(tissue, held):
-            return known.found
-    found, firm = _scraps(tissue, held)
-    found.setflags(write=False)
-    _known[:] = [_Known(Firm(tissue.copy(), held.copy()), found, firm)]
-    return found
+    for search in _last_search:
+        if search.is_valid_for(tissue, held):
+            return search.pieces
+    pieces, is_rest_held = _scraps(tissue, held)
+    pieces.setflags(write=False)
+    _last_search[:] = [_Search(Firm(tissue.copy(), held.copy()), pieces, is_rest_held)]
+    return pieces
 
 
 def _scraps(
     tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]
 ) -> tuple[npt.NDArray[np.bool_], bool]:
-    rest, seen = tissue.copy(), held.any(axis=-1)
-    enough = _MATTERS * tissue.sum()
-    firm = False
+    rest, observed = tissue.copy(), held.any(axis=-1)
+    large = _LARGE_PIECE * tissue.sum()
+    is_rest_held = False
     for _ in range(_ROUNDS):
         pieces, free = free_pieces(rest, held)
-        firm = not len(free)
-        if firm:
+        is_rest_held = not len(free)
+        if is_rest_held:
             break
         sizes = np.bincount(pieces.ravel(), minlength=free[-1] + 1)
-        observed = np.bincount(pieces[seen], minlength=len(sizes)) > 0
-        scrap = ~observed | (sizes < enough)
+        has_observation = np.bincount(pieces[observed], minlength=len(sizes)) > 0
+        scrap = ~has_observation | (sizes < large)
         scrap[0] = False
         if not scrap[free].any():
             break
         rest &= ~scrap[pieces]
-    if not (seen & rest).any():
+    if not (observed & rest).any():
         return np.zeros_like(tissue), False
-    return tissue & ~rest, firm
+    return tissue & ~rest, is_rest_held
 
 
 def left_at_rest(scrap: npt.NDArray[np.bool_]) -> str:
-    """Say so, as a clause for people; "" if there are none."""
+    """Describe the pieces that are left at rest, as a clause for the user; "" if there are none."""
     _, count = scipy.ndimage.label(scrap, structure=np.ones((3, 3)))
     if not count:
         return ""
     pixels = int(scrap.sum())
-    what = "1 piece" if count == 1 else f"{count} pieces"
+    pieces = "1 piece" if count == 1 else f"{count} pieces"
     size = "1 pixel" if pixels == 1 else f"{pixels} pixels"
     verb = "holds stays where it is" if count == 1 else "holds stay where they are"
-    return f"{what} of tissue that too little {verb} ({size})"
+    return f"{pieces} of tissue that too little {verb} ({size})"

@@ -1,4 +1,4 @@
-"""Whether there is the memory to solve a volume, before any of it is taken."""
+"""Check that there is enough memory to solve a volume, before any is allocated."""
 
 from __future__ import annotations
 
@@ -10,40 +10,45 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.backends import kept_volumes
 from napari_hmrf.solver.problem import Problem, grid_in_words
 
-#: Bytes a voxel that a solve takes beside the problem; and where cycles go on in double precision.
-ORDINARY, IN_DOUBLE = 112, 256
-#: What loads take beside that: the forces at each voxel, while they are made.
+#: Bytes per voxel that a solve needs in addition to the problem.
+ORDINARY = 112
+#: The same, for a solve whose cycles continue in double precision.
+IN_DOUBLE = 256
+#: Additional bytes per voxel for loads, while the forces at the voxels are computed.
 LOADED = 48
-# The part of the memory that is free now that a solve may take.
+# Fraction of the free memory that a solve may use.
 _FREE = 0.9
 _GIB = 2.0**30
 
 
 def check_memory(problem: Problem) -> None:
-    """Refuse a volume that there is no memory for.
+    """Refuse a volume that does not fit into memory.
 
     Raises
     ------
     ProblemError
-        Saying what would fit, and what to do.
+        Naming the largest size that fits, and a remedy.
     """
-    each = ORDINARY if problem.loads is None else ORDINARY + LOADED
-    if not problem.is_volume or fits(problem.shape, each):
+    bytes_per_voxel = ORDINARY if problem.loads is None else ORDINARY + LOADED
+    if not problem.is_volume or fits(problem.shape, bytes_per_voxel):
         return
     kept_volumes.forget()
-    if fits(problem.shape, each):
+    if fits(problem.shape, bytes_per_voxel):
         return
-    needed, free = each * math.prod(problem.shape), _FREE * psutil.virtual_memory().available
-    side = int((free / each) ** (1 / 3))
+    needed, free = (
+        bytes_per_voxel * math.prod(problem.shape),
+        _FREE * psutil.virtual_memory().available,
+    )
+    side = int((free / bytes_per_voxel) ** (1 / 3))
     raise ProblemError(
         "stiffness",
-        f"is a volume, {grid_in_words(problem.shape)}, which takes {needed / _GIB:.2g} GiB of "
+        f"is a volume, {grid_in_words(problem.shape)}, which needs {needed / _GIB:.2g} GiB of "
         f"memory to solve, and {free / _GIB:.2g} GiB are free. As many voxels as in {side} x "
         f"{side} x {side} would fit: crop it, or take every second voxel along each axis, which "
-        "takes an eighth of that.",
+        "needs an eighth of that.",
     )
 
 
 def fits(shape: tuple[int, ...], bytes_a_voxel: float) -> bool:
-    """Whether so much is free for each voxel."""
+    """Return whether so many bytes are free for each voxel of a grid."""
     return bool(bytes_a_voxel * math.prod(shape) <= _FREE * psutil.virtual_memory().available)

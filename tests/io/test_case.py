@@ -141,7 +141,10 @@ def test_a_pressed_label_without_a_surface_is_named(files, capsys, monkeypatch):
     (folder / "press.csv").write_text("label,action,amount\n1,fixed,\n2,press,0.2\n")
     told = "solve labels.png --hold-edge --boundary paint.png --rules press.csv -o out"
     assert main(told.split()) == 1
-    assert "'paint.png' under label 2 covers no face of tissue's surface" in capsys.readouterr().err
+    assert (
+        "'paint.png' under label 2 covers no face of the tissue's surface"
+        in capsys.readouterr().err
+    )
 
 
 def test_the_shell_solves_what_python_would(files, capsys):
@@ -261,7 +264,7 @@ def test_a_rule_may_fill_the_columns_it_does_not_use_with_what_they_are_anyway(t
         ("--hold-edge --confidence edges", "--confidence is for a --boundary that is a field"),
         ("--hold-edge --slice 1", "--slice is for volumes, and rim.png is none"),
         ("--boundary labels.png", "If it is an image of labels, give --rules, too."),
-        ("--boundary zero.png --rules r.csv", "'zero.png' is 0 everywhere: nothing says how"),
+        ("--boundary zero.png --rules r.csv", "'zero.png' is 0 everywhere: nothing determines how"),
         ("--boundary labels.png --rules plane.csv", "plane.csv: has a column 'plane', but what"),
         ("--hold-edge --labels colours.png", "colours.png: is in colours. Give an image of one"),
         ("--boundary none.csv", "none.csv: holds no landmarks in use. Give a pair, and have it"),

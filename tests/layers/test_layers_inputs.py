@@ -311,7 +311,7 @@ def test_nothing_the_solver_calls_by_a_symbol_reaches_the_user():
     assert str(error).startswith("'Tissue' is 0 everywhere: there is no tissue")
     unsure = tuple(BoundaryRule(label, "fixed", confidence=(0.0, 0.0)) for label in (1, 2))
     error = refusal(Request(void.tissue, void.boundary, void.image, MATERIALS, unsure))
-    assert str(error).startswith("'Boundary' is 0 everywhere: nothing says how any tissue moves")
+    assert str(error).startswith("'Boundary' is 0 everywhere: nothing determines how tissue moves")
 
 
 def test_a_boundary_in_the_void_alone_is_refused():
@@ -503,7 +503,7 @@ def test_confidence_can_come_from_an_image():
     [
         ([[(40, 3), (1, 1)]], "vector 0 at (40, 3)"),
         ([[(5, 3), (1, 1)], [(5.2, 3), (2, 1)]], "vector 0 at (5, 3)"),
-        ([], "'arrows' is 0 everywhere: nothing says how any tissue moves"),
+        ([], "'arrows' is 0 everywhere: nothing determines how tissue moves"),
     ],
     ids=["outside", "conflict", "none"],
 )

@@ -181,9 +181,9 @@ def test_a_patch_that_was_moved_before_is_known_to_move_in_proportion():
 
 def test_a_start_of_another_grid_is_refused():
     small, large = (phantom("bar", size).problem for size in (32, 48))
-    with pytest.raises(ValueError, match="initial is of a grid"):
+    with pytest.raises(ValueError, match="initial has a grid"):
         solve(large, ElasticPrior(), initial=solve(small, ElasticPrior()))
-    with pytest.raises(ValueError, match="initial is for Multigrid"):
+    with pytest.raises(ValueError, match="Leave initial out, or use Multigrid"):
         solve(small, SeilerPrior(), initial=solve(small, SeilerPrior()))
 
 

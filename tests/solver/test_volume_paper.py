@@ -563,7 +563,7 @@ def test_shaders_refuse_volumes(optimizer):
 
 def test_what_has_no_meaning_is_refused():
     problem = squeezed()
-    with pytest.raises(ProblemError, match="the blanket reading is there for images only"):
+    with pytest.raises(ProblemError, match="the blanket reading is for images only"):
         solve(problem, SeilerPrior(conditional="blanket"))
     m = problem.stiffness.copy()
     m[3, 3, 3] = np.inf
@@ -573,5 +573,5 @@ def test_what_has_no_meaning_is_refused():
 
 def test_a_volume_that_cycles_are_not_sure_of_is_refused_as_it_has_no_factors():
     y, c, m, spacing, _ = random_volume(6)
-    with pytest.raises(ConvergenceError, match="no factors are there"):
+    with pytest.raises(ConvergenceError, match="no factors are available"):
         solve(Problem(y, c, m, spacing=spacing), SeilerPrior(), optimizer=Multigrid(0.01))

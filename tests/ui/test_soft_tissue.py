@@ -659,7 +659,7 @@ def test_that_nothing_holds_or_moves_is_said_without_a_boundary(widget, small_sa
     viewer.layers.remove("Boundary")
     widget.hold_edge = False
     assert run(widget) is None
-    assert widget.status.startswith("'Motion' is 0 everywhere: nothing says how any tissue moves")
+    assert widget.status.startswith("'Motion' is 0 everywhere: nothing determines how tissue moves")
     widget.hold_edge = True
     assert not run(widget).solution.displacement.any()
     assert widget.status.startswith("Nothing moves yet")

@@ -36,9 +36,9 @@ Report = Callable[[Monitor], None]
 
 
 def part_done(first: float, now: float, tolerance: float) -> float:
-    """Return the progress from a first error to a tolerance, in orders of magnitude, 0 to 1."""
-    way = math.log(max(first / tolerance, 1 + 1e-9))
-    return min(max(1 - math.log(max(now / tolerance, 1.0)) / way, 0.0), 1.0)
+    """Return the progress from a first error to a tolerance, on a logarithmic scale, 0 to 1."""
+    whole = math.log(max(first / tolerance, 1 + 1e-9))
+    return min(max(1 - math.log(max(now / tolerance, 1.0)) / whole, 0.0), 1.0)
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,8 @@ class Convergence:
         Norm of the remaining forces, relative to that of all forces of the tissue, in double
         precision.
     way : {"cycles", "factors"}
-        Whether cycles over the levels solved the system, or its factors, where cycles cannot be
-        trusted.
+        Method that solved the system: cycles over the levels, or factors where cycles are not
+        reliable.
     """
 
     error: float
@@ -75,28 +75,28 @@ class Convergence:
 class Reach:
     """Extent to which large motion meets the observations; no tissue is folded.
 
-    Crushed tissue may creep on: `unbalanced` says by how much, and `unbalanced_at` where.
+    Crushed tissue may still creep: `unbalanced` is the remaining distance, at `unbalanced_at`.
 
     Attributes
     ----------
     least_jacobian : float
-        Least Jacobian at any corner of a pixel: above 0. A pixel of 0.5 has half its area.
+        Least Jacobian at any corner of a pixel, above 0; 0.5 means half the area.
     part : float
         Completed part of the motion of the site that is furthest from its observation: 1 if all
         observations were met.
     missing : float
         Distance of that site from its observation, in the unit of the spacing.
     where : tuple of int, or None
-        That site; None if all observations were met.
+        Index of that site; None if all observations were met.
     sites : int
         Number of sites that are not at their observed positions.
     grown : float
         Completed part of the growth of tissue: below 1 where tissue would have been crushed.
     unbalanced : float
-        Estimated largest distance of any site from its place of balance, in the unit of the
+        Estimated largest distance of any site from its balanced position, in the unit of the
         spacing; 0 if the field converged to the tolerance.
     unbalanced_at : tuple of int, or None
-        That site; None if the field converged to the tolerance.
+        Index of that site; None if the field converged to the tolerance.
     """
 
     least_jacobian: float
@@ -120,11 +120,11 @@ class Outcome:
         Mean total energy per site of tissue after each iteration, coarse to fine, pixels squared;
         the initial energy if there was nothing to do.
     levels : tuple of LevelRun
-        In the order of their runs; their iterations add up to ``len(energy)``, or to 0.
+        Levels in the order in which they ran; their iterations add up to ``len(energy)``, or to 0.
     convergence : Convergence or None
         None if the schedule does not measure convergence.
     reach : Reach or None
-        For large motion only.
+        Extent to which observations were met; for large motion only.
     """
 
     displacement: npt.NDArray[np.floating]
@@ -147,7 +147,19 @@ class Optimizer(Protocol):
     ) -> Outcome:
         """Run the schedule; on the compute thread only.
 
-        `start` is the initial displacement.
+        Parameters
+        ----------
+        problem : Problem
+        prior : Prior
+        backend : Backend
+        report : callable
+            Called with a `Monitor`; raises to cancel.
+        start : Beginning, optional
+            Initial displacement; by default a cold start.
+
+        Returns
+        -------
+        Outcome
         """
         ...
 

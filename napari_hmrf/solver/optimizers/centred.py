@@ -1,13 +1,13 @@
 """Converged field of the paper's centred update, with a bound on its error.
 
-Where it has converged, each site is at the weighted mean q of its neighbours, at most p / 2 A from
-there towards what was observed at it (A is the curvature of its energy, p = K c), or at what was
-observed. No energy is least there, and the equations are not symmetric; but weights that are
-positive and sum to one make a maximum principle:
+In the converged field each site is at the weighted mean q of its neighbours, moved by at most
+p / 2 A towards its observed position (A is the curvature of its energy, p = K c), or exactly at
+this position. The field minimises no energy, and the equations are not symmetric. But the weights
+are positive and sum to one, which gives a maximum principle:
 
     a field w >= 0 with w - q(w) >= 1 bounds every error: |d - exact| <= max w * max |d - q(d)|.
 
-Such a *barrier* is found by the same iteration, to a coarse tolerance, and proves the result.
+Such a *barrier* is computed by the same iteration, to a coarse tolerance. It proves the bound.
 """
 
 from __future__ import annotations
@@ -38,21 +38,24 @@ from napari_hmrf.solver.optimizers.slip_states import PATIENCE, States
 from napari_hmrf.solver.priors import SeilerPrior
 from napari_hmrf.solver.problem import Problem
 
-# Largest distance of a barrier's w - q(w) from 1 that is accepted, and the one aimed for.
+# Largest accepted distance of w - q(w) from 1 for a barrier w.
 _BARRIER = 0.5
+# The same distance at which the iteration for a barrier stops.
 _BARRIER_AIM = 0.4
-# Contradiction of a state that is ignored, as a part of the tolerance.
+# Contradiction of a state up to which it is ignored, as a fraction of the tolerance.
 _CONTRADICTION = 0.1
-# Cycles after which factors are faster.
+# Number of cycles after which factors are faster.
 _CYCLES = 60
-# Exchanges of states after which the solve is refused.
+# Number of exchanges of states after which the solve fails.
 _MOST_EXCHANGES = 2000
 _TINY = 1e-300
-# Residual of an exact field; and the difference above which one of two values is the larger.
-_EXACT, _SURE = 1e-12, 1e-11
+# Largest residual of a field that counts as exact.
+_EXACT = 1e-12
+# Relative difference above which one value certainly exceeds another.
+_SURE = 1e-11
 # Largest residual of a solution by factors, relative to the largest displacement.
 _ROUNDING = 1e-14
-# Part of its limit below which a held observation is certain to be held.
+# Fraction of its limit below which a held observation is certain to be held.
 _FIRM = 0.5
 
 
@@ -65,7 +68,25 @@ def converge(
     report: Report,
     start: Beginning | None,
 ) -> Outcome:
-    """Solve to a tolerance in so many cycles for each set of states; lengths are in pixels."""
+    """Solve the centred reading of the paper's prior; lengths are in pixels from here on.
+
+    Parameters
+    ----------
+    tolerance : float
+        Largest error of the field.
+    max_iterations : int
+        Largest number of cycles for each set of states.
+    problem : Problem
+    prior : SeilerPrior
+    backend : Backend
+    report : callable
+    start : Beginning or None
+
+    Raises
+    ------
+    ConvergenceError
+        If the tolerance is not certainly reached, or the states stay undetermined.
+    """
     model = backend.seiler_model(prior.material(problem))
     refinement = _Refinement(tolerance, max_iterations, model, report)
     try:
@@ -81,13 +102,13 @@ def converge(
                 states.be_exact()
         else:
             raise ConvergenceError(
-                f"which observations slip is open after {_MOST_EXCHANGES} attempts. Raise the "
-                "penalty, or hold more of the tissue"
+                f"the slipping observations are undetermined after {_MOST_EXCHANGES} exchanges. "
+                "Raise the penalty, or hold more of the tissue"
             )
         off = max(reach * refinement.most, max(reach, 1.0) * states.off(d, pull))
         refinement.estimate = tolerance / refinement.within * off
         if reach * refinement.most > refinement.within:
-            refinement.give_up()
+            refinement.fail()
         energy, forces = model.work(d)
         way = "cycles" if model.found.factors is None else "factors"
     except ConvergenceError:
@@ -114,7 +135,7 @@ def _beginning(
     """Return the initial displacement and the states of the observations."""
     d, observed = host.prescribed(problem)
     steep = model.steepness
-    # A site that is the middle of no clique stays in place: nothing pulls at it.
+    # A site that is in the middle of no clique stays in place, as no force acts on it.
     states = _CentredStates(observed & (steep > 0), d, host.planes(prior.limit(problem)), steep)
     if start is not None:
         np.copyto(d, host.combined(start), where=~observed & (steep > 0))
@@ -124,15 +145,15 @@ def _beginning(
 class _CentredStates(States):
     """States of the observed components, held or slipping: eq. 19 for the centred update."""
 
-    # A component is held where q is within l = p / 2 A of what was observed, so that everywhere
+    # A component is held if q is within l = p / 2 A of its observed value y, so that everywhere
     #
     #     d = max(q - l, min(y, q + l)).
     #
-    # Which ones are is found by exchanging all that contradict their state. Where that leads
-    # nowhere, by the improvement of two policies in turn: which components the maximum takes to
-    # q - l and, for each such set, which of the others the minimum takes to q + l. Both go one way
-    # only, in a system whose weights are positive and sum to one, and so they end (Hoffman and
-    # Karp, Management Science 12, 1966).
+    # The held components are found by exchanging all components that contradict their state. If
+    # this makes no progress, two policies are improved in turn: the set of components at which the
+    # maximum selects q - l and, for each such set, the set of others at which the minimum selects
+    # q + l. In a system whose weights are positive and sum to one, both improvements are monotone,
+    # so that they end (Hoffman and Karp, Management Science 12, 1966).
 
     def __init__(self, candidates: HeldPlanes, y: Planes, force: Planes, steep: Planes) -> None:
         limit = np.divide(force, steep, out=np.zeros_like(force), where=candidates)
@@ -154,7 +175,7 @@ class _CentredStates(States):
         return float(np.abs(away - target).max())
 
     def exchange(self, d: Planes, pull: Planes, tolerance: float) -> bool:
-        """Let components slip whose force exceeds its limit, and hold those that have passed y."""
+        """Let held components slip above their limit, and hold slipping ones that have passed y."""
         # `pull` is q - d. Returns whether any state has changed.
         off = d.ravel()[self.at] - self.y
         q = off + pull.ravel()[self.at]
@@ -180,13 +201,13 @@ class _CentredStates(States):
         return self._patience == 0
 
     def be_exact(self) -> None:
-        """Ask for exact solutions from now on."""
+        """Require exact solutions from now on."""
         self._patience = 0
 
     def firm(self, d: Planes, pull: Planes) -> bool:
         """Return whether all components are held with much less than their limits."""
-        # A small residual proves nothing if stiff tissue slips that could equally be held: other
-        # states may have a quite different field.
+        # If stiff tissue slips that could also be held, a small residual proves nothing: with other
+        # states the field may be quite different.
         q = d.ravel()[self.at] - self.y + pull.ravel()[self.at]
         return not self.any_slip and bool((np.abs(q) < _FIRM * self.limit).all())
 
@@ -213,7 +234,7 @@ class _Refinement:
     ) -> None:
         self._tolerance, self._max_iterations, self._report = tolerance, max_iterations, report
         self._model = model
-        #: Tolerance of single components, which bounds are of: a site may be further off.
+        #: Tolerance of a single component, as the bounds are for components and not for sites.
         self.within = tolerance / math.sqrt(len(model.shape))
         self._iteration = StabilisedGradients(Cycle(model, AVERAGING))
         self._barrier: Planes | None = None
@@ -223,13 +244,15 @@ class _Refinement:
         self._first: float | None = None
 
     def run(self, d: Planes, load: Planes | None, exactly: bool) -> float:
-        """Move `d` to where each site is at q plus its load: to the tolerance, or exactly."""
-        # Returns how far a site can be from the solution per unit of the largest residual.
+        """Solve d = q(d) + load in place, to the tolerance or exactly."""
+        # Returns the largest error of a site per unit of the largest residual.
         self._begun = self.cycles
         reach = self._reach(d.shape)
 
         def enough(step: Step, scale: float) -> bool:
-            self._say(f"{scale * reach * step.rest:.2g} px to go", scale * reach * step.rest)
+            self._report_cycle(
+                f"{scale * reach * step.rest:.2g} px to go", scale * reach * step.rest
+            )
             return scale * step.rest <= target
 
         most = target = self.within / reach if reach > 0 else math.inf
@@ -244,7 +267,7 @@ class _Refinement:
             self._barrier = np.zeros(shape)
 
         def enough(step: Step, scale: float) -> bool:
-            self._say("finding what bounds the error", math.inf)
+            self._report_cycle("computing the error bound", math.inf)
             return scale * step.rest <= _BARRIER_AIM
 
         barrier, ones = self._barrier, np.ones(shape)
@@ -255,8 +278,8 @@ class _Refinement:
     def _solve(
         self, d: Planes, load: Planes | None, most: float, enough: Any, target: float
     ) -> tuple[float, float]:
-        """Move `d` to where no residual exceeds `most`, or `target` if rounding allows."""
-        # Returns the largest, and the norm.
+        """Reduce all residuals of `d` to `most`, or to `target` if rounding allows, in place."""
+        # Returns the largest residual, and the norm of the residual.
         balance = self._model.balance(d, load)
         least, last = math.inf, self.cycles + _CYCLES
         while balance.most > target:
@@ -274,18 +297,18 @@ class _Refinement:
                     continue
             else:
                 if not cycles and not balance.most < 0.9 * least:
-                    # Tissue moves far if states let too much slip. Its residual cannot fall below
-                    # rounding then, and the next states hold more.
+                    # If too many components slip, tissue moves far, and its residual cannot fall
+                    # below rounding. The next states then hold more components.
                     if balance.most <= max(most, _ROUNDING * float(np.abs(d).max())):
                         break
-                    self.give_up()
+                    self.fail()
                 least = math.inf if cycles else balance.most
                 d += unit * factorise(self._model, self._report).solve(balance.rest)
             balance = self._model.balance(d, load, balance.most)
         return balance.most, balance.norm
 
-    def _say(self, message: str, estimate: float) -> None:
-        """Report a cycle, count it, and raise once there are too many."""
+    def _report_cycle(self, message: str, estimate: float) -> None:
+        """Count and report a cycle; fail after too many."""
         self.cycles += 1
         done = 0.0
         if math.isfinite(estimate):
@@ -293,12 +316,12 @@ class _Refinement:
             done = part_done(self._first, estimate, self.within)
         self._report(Monitor(f"cycle {self.cycles}, {message}", done))
         if self.cycles - self._begun > self._max_iterations:
-            self.give_up()
+            self.fail()
 
-    def give_up(self) -> None:
-        """Raise the error of a field that is not sure to the tolerance."""
+    def fail(self) -> None:
+        """Raise the error of a field that is not certain to be within the tolerance."""
         raise ConvergenceError(
-            f"the field is not sure to be within {self._tolerance:g} px of converged "
-            f"after {self.cycles} cycles. Raise max_iterations, or bring the softest and the "
-            "stiffest tissue closer together"
+            f"the field is not certain to be within {self._tolerance:g} px of converged after "
+            f"{self.cycles} cycles. Raise max_iterations, or reduce the ratio of the stiffest to "
+            "the softest tissue"
         )

@@ -1,4 +1,4 @@
-"""The V-cycle over the hierarchy: smooth, hand what is left down, correct, smooth."""
+"""V-cycle over the hierarchy: smooth, restrict the residual, correct, smooth."""
 
 from __future__ import annotations
 
@@ -9,23 +9,26 @@ from napari_hmrf.solver.priors.elements import ElasticMaterial, lame_ratio
 
 
 class Smoothing(NamedTuple):
-    """How much each level smooths, each time it is visited.
+    """Smoothing of each level at each visit, and number of visits.
 
     Attributes
     ----------
-    part, sweeps : float, int
-        The part of the spectrum of D^-1 A that the smoother is for, as a fraction of its largest,
-        and its Chebyshev steps.
+    part : float
+        Lower end of the range of eigenvalues of D^-1 A that the smoother reduces, as a fraction of
+        the upper end.
+    sweeps : int
+        Number of Chebyshev steps.
     coarsest_part, coarsest_sweeps : float, int
-        The same, for the coarsest level.
+        The same on the coarsest level.
     visits : int
-        How often a cycle visits the second level, and from there all below, if that is worth it
-        there: what V-cycles lose with every level, that wins back, for a fifth more work.
+        Number of visits of the second level, with all levels below it, in each cycle, where this
+        saves time. More than one makes up for the slower convergence of V-cycles with many levels,
+        for a fifth more work.
     patience : int
-        Cycles after which factors are the shorter way.
+        Number of cycles after which factors are faster.
     careful : Smoothing or None
-        What to go over to where this turns out to amplify something; by default the same, for any
-        mixture of materials.
+        Smoothing to change to if this one turns out to amplify a motion. None changes only the
+        bound of the eigenvalues, to the one for any mixture of materials.
     """
 
     part: float
@@ -37,29 +40,31 @@ class Smoothing(NamedTuple):
     careful: Smoothing | None = None
 
 
-#: For models that stretch: elastic tissue.
+#: For elastic tissue.
 STRETCHING = Smoothing(0.1, 2, 0.02, 20, visits=2)
-#: The same, for tissue that resists changes of volume much more than those of shape, which coarse
-#: levels see less well.
+#: For elastic tissue that resists changes of volume much more than changes of shape, whose motions
+#: coarse levels represent less well.
 NEARLY_INCOMPRESSIBLE = Smoothing(0.06, 14, 0.005, 60, visits=2, patience=38)
-# Up to which ratio of lambda to mu the former does.
+# Largest ratio of lambda to mu for which `STRETCHING` is enough.
 _MOST_RATIO = 50.0
-#: For volumes that coarse levels turn out to see less well, beside free surfaces, of high contrast
-#: or of oblong voxels.
+#: For volumes whose motions coarse levels turn out to represent less well: near free surfaces, with
+#: a high contrast, or with oblong voxels.
 CAREFUL_VOLUME = Smoothing(0.02, 14, 0.01, 30, visits=2)
-#: For volumes; and for those that resist changes of volume much more than those of shape.
+#: `STRETCHING` for volumes.
 STRETCHING_VOLUME = Smoothing(0.1, 3, 0.02, 20, visits=2, careful=CAREFUL_VOLUME)
+#: `NEARLY_INCOMPRESSIBLE` for volumes.
 NEARLY_INCOMPRESSIBLE_VOLUME = Smoothing(0.02, 10, 0.01, 30, visits=2, careful=CAREFUL_VOLUME)
-# Up to which ratio of lambda to mu the former does.
+# Largest ratio of lambda to mu for which `STRETCHING_VOLUME` is enough.
 _MOST_RATIO_VOLUME = 20.0
-#: For models of means of neighbours, which are not symmetric.
+#: For the centred reading, which takes means of neighbours and is not symmetric.
 AVERAGING = Smoothing(0.3, 2, 0.02, 20)
-#: For models that bend: their spectra are wider, and bilinear transfer leaves more to do.
+#: For the blanket reading, which resists bending: its spectrum is wider, and bilinear transfer
+#: between levels is less accurate.
 BENDING = Smoothing(0.1, 4, 0.005, 40)
 
 
 def smoothing_of(material: ElasticMaterial) -> Smoothing:
-    """How much to smooth elastic tissue."""
+    """Return the smoothing for elastic tissue."""
     ratio = lame_ratio(material.largest_poisson, material.strain)
     if material.m.ndim == 3:
         return STRETCHING_VOLUME if ratio <= _MOST_RATIO_VOLUME else NEARLY_INCOMPRESSIBLE_VOLUME
@@ -67,7 +72,7 @@ def smoothing_of(material: ElasticMaterial) -> Smoothing:
 
 
 class Cycle:
-    """A V-cycle from the finest level down and back.
+    """V-cycle from the finest level down and back.
 
     Parameters
     ----------
@@ -80,16 +85,16 @@ class Cycle:
         rest = (number for number, level in enumerate(self.levels) if level.takes_rest)
         self._visited = self.levels[: next(rest, len(self.levels)) + 1]
         self._smoothing = smoothing
-        #: How often it has gone over to `Smoothing.careful`.
+        #: Number of changes to `Smoothing.careful`.
         self.care = 0
         usual, self._worst = model.bounds
         self._smooth_up_to(usual)
 
     def be_careful(self) -> bool:
-        """Smooth for any mixture of materials from now on; False if that is so already.
+        """Smooth for any mixture of materials from now on; return False if that is done already.
 
-        A smoother that amplifies what lies beyond its bound makes a preconditioner that is not
-        positive, which conjugate gradients notice.
+        A smoother amplifies motions with eigenvalues above its bound. The preconditioner is then
+        not positive definite, which conjugate gradients detect.
         """
         if self._smoothing.careful is not None:
             self._smoothing, self.care = self._smoothing.careful, self.care + 1
@@ -99,7 +104,7 @@ class Cycle:
         return True
 
     def smooth_more(self) -> bool:
-        """Be careful if that takes more smoothing; False if it takes none, or is so already."""
+        """Change to `Smoothing.careful`; return False if there is no such change left."""
         return self._smoothing.careful is not None and self.be_careful()
 
     def _smooth_up_to(self, bound: float) -> None:
@@ -110,7 +115,7 @@ class Cycle:
 
     @property
     def steps(self) -> tuple[Steps, Steps]:
-        """Of smoothing: on all levels but the coarsest, and there."""
+        """Smoothing steps on all levels but the coarsest, and on the coarsest."""
         return self._steps, self._coarsest
 
     def run(self, load: Any) -> Any:
@@ -120,7 +125,7 @@ class Cycle:
         return self.levels[0].correction
 
     def _visit(self, number: int) -> None:
-        """Find a level's correction for its load."""
+        """Compute the correction of a level for its load."""
         level, *rest = self._visited[number:]
         if not rest:
             level.finish(self._steps, self._coarsest)
@@ -133,13 +138,13 @@ class Cycle:
 
 
 def chebyshev(low: float, high: float, steps: int) -> Steps:
-    """(scale, momentum) of each step of the polynomial that is least on [low, high]."""
+    """Return (scale, momentum) of each step of the Chebyshev polynomial on [low, high]."""
     centre, half = (high + low) / 2, (high - low) / 2
     sigma = centre / half
     rho = 1 / sigma
-    made = [(1 / centre, 0.0)]
+    coefficients = [(1 / centre, 0.0)]
     for _ in range(steps - 1):
         following = 1 / (2 * sigma - rho)
-        made.append((2 * following / half, following * rho))
+        coefficients.append((2 * following / half, following * rho))
         rho = following
-    return tuple(made)
+    return tuple(coefficients)

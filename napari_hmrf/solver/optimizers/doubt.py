@@ -1,8 +1,8 @@
-"""Whether what an iteration reports is true: of a random field, whose answer is known.
+"""Test of the error estimate of an iteration, on a random field with a known solution.
 
-A Krylov iteration judges itself by the modes that it has met. Where parts of stiff tissue are so
-thin or so close together that coarse levels weld them, to move them costs so little that it is not
-met before all else has converged.
+A Krylov iteration estimates its error from the modes that it has met. If parts of stiff tissue are
+so thin or so close together that coarse levels join them, the modes that move them have so little
+energy that the iteration may meet them only after everything else has converged.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from napari_hmrf.solver.backends.linear import Balance, Planes
 from napari_hmrf.solver.optimizers.base import Monitor, Report
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
 
-#: What an iteration reports may be this much less than what is true, and is believed.
+#: Largest ratio of the true error to the estimated error with which an estimate is accepted.
 BELIEVABLE = 3.0
-# What a round must leave of its error at most, for another one.
-_GAIN = 0.5
+# Largest ratio of the error after a round to the error before it with which another round follows.
+_ROUND_REDUCTION = 0.5
 
 
 class Rehearsal(NamedTuple):
-    """How long a rehearsal goes on.
+    """Run of an iteration on a random field, whose solution is known: zero.
 
     Attributes
     ----------
     part : float
-        It ends at this part of its field, as reported.
+        Estimated error at which the run ends, as a fraction of the largest value of the field.
     patience : int
-        After so many cycles it has failed.
+        Number of cycles after which the run has failed.
     """
 
     part: float = 0.003
@@ -44,21 +44,22 @@ class Rehearsal(NamedTuple):
         balance_of: Callable[[Planes], Balance],
         report: Report,
     ) -> float:
-        """How far off a known answer is, over how far off it is said to be.
+        """Return the true error of the solution over its estimated error; infinite on failure.
 
         Parameters
         ----------
         iteration : ConjugateGradients
         error : ndarray, planes
-            The random field; changed in place.
+            Random field; changed in place.
         balance_of : callable
-            What a displacement leaves of no load.
+            Returns the residual of a displacement without a load.
         report : callable
+            Called with a `Monitor` after each cycle.
         """
         most = float(np.abs(error).max())
         doubt, cycles, rounds, left = math.inf, 0, 0, most
         while most > 0 and doubt > BELIEVABLE and cycles < self.patience:
-            # What is left of the error is what was not met: from there it is.
+            # The remaining error consists of modes that were not met; a new round meets them.
             balance, step = balance_of(error), None
             target = self.part * most / balance.unit
 
@@ -77,9 +78,9 @@ class Rehearsal(NamedTuple):
             before, left = left, float(np.abs(error).max())
             if step.error <= target:
                 doubt = left / (balance.unit * step.error)
-            # Else single precision has carried no further from there. A motion may be met late, but
-            # once there have been two rounds each must gain something.
+            # Otherwise the round ended at the limit of single precision. A motion may be met late,
+            # but from the second round on each round must reduce the error.
             rounds += 1
-            if rounds > 1 and left > _GAIN * before:
+            if rounds > 1 and left > _ROUND_REDUCTION * before:
                 break
         return doubt if most > 0 else 1.0

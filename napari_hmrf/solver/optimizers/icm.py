@@ -18,10 +18,11 @@ from napari_hmrf.solver.priors import Prior, SeilerPrior, line_weights
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.quadtree import Level, levels, sampled
 
-#: Sweeps between two looks at the mean energy, and between two reports of progress.
+#: Number of sweeps between two checks of the mean energy, and between two progress reports.
 BLOCK = 10
-# Sites below which a level is swept in one go, but for this many sweeps at most.
+# Number of sites below which all sweeps of a level run in one call.
 _SMALL = 10_000
+# Largest number of sweeps in one call.
 _MOST = 1000
 
 
@@ -34,14 +35,14 @@ class ICM:
     Parameters
     ----------
     iterations : int
-        Sweeps on each level; with an `energy_change`, the most there may be.
+        Number of sweeps on each level; with an `energy_change`, the largest number.
     steps : tuple of float or None
         Step sizes of the candidate set Gamma, in pixels: a site may stay, or move by -e, 0 or e
         in each component, for one of the steps e. ``None``: the exact minimiser of the site's
         energy, in closed form.
     energy_change : float, optional
-        Leave a level when its mean energy has changed by at most this fraction of itself over the
-        last ten sweeps; by default all sweeps run.
+        Fraction of the mean energy. A level ends when its mean energy has changed by no more than
+        this over the last ten sweeps; by default all sweeps run.
     """
 
     iterations: int = 70
@@ -58,8 +59,8 @@ class ICM:
                 self.steps, max(1, len(self.steps) if isinstance(self.steps, Sized) else 0)
             )
             positive = all(math.isfinite(step) and step > 0 for step in steps)
-            what = "positive numbers, such as (1, 0.1), or None for the closed form"
-            refuse_unless(positive, "steps", self.steps, what)
+            expected = "positive numbers, such as (1, 0.1), or None for the closed form"
+            refuse_unless(positive, "steps", self.steps, expected)
             object.__setattr__(self, "steps", steps)
         change = self.energy_change
         refuse_unless(
@@ -68,7 +69,7 @@ class ICM:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """The parameters, by name."""
+        """Parameters by name (JSON types only)."""
         steps = None if self.steps is None else list(self.steps)
         return {"name": "ICM", **asdict(self), "steps": steps}
 
@@ -92,10 +93,11 @@ class ICM:
         """Run the schedule on a backend; lengths are in pixels from here on."""
         if start is not None:
             raise ArgumentError(
-                "ICM begins with zero on its coarsest level: initial is for Multigrid"
+                "ICM starts from zero on its coarsest level. Leave initial out, or use Multigrid"
             )
         if not isinstance(prior, SeilerPrior):
-            raise ArgumentError(f"ICM is for SeilerPrior; {type(prior).__name__} takes Multigrid")
+            name = type(prior).__name__
+            raise ArgumentError(f"ICM is for SeilerPrior. Use Multigrid for {name}")
         rule = SiteRule(
             blanket=prior.conditional == "blanket",
             relaxation=prior.relaxation,
@@ -110,14 +112,14 @@ class ICM:
         energies: list[float] = []
         runs: list[LevelRun] = []
         displacement = backend.zeros(tree[-1])
-        above: _Images | None = None
+        coarser: _Images | None = None
         for level in reversed(tree):
             images = finest.projected(backend, level)
-            if above is not None:
+            if coarser is not None:
                 coarse = displacement
-                displacement = backend.prolong(coarse, above.stiffness, images.stiffness)
-                backend.release(coarse, above.stiffness, above.observation)
-            above = images
+                displacement = backend.prolong(coarse, coarser.stiffness, images.stiffness)
+                backend.release(coarse, coarser.stiffness, coarser.observation)
+            coarser = images
             tissue = int(sampled(problem.tissue, level).sum())
             displacement, level_energies = self._relax(
                 backend, displacement, images, rule, max(1, tissue), progress, level
@@ -137,11 +139,11 @@ class ICM:
         progress: _Progress,
         level: Level,
     ) -> tuple[Any, list[float]]:
-        """Sweep one level; the mean energy after each sweep."""
+        """Sweep one level; return the displacement, and the mean energy after each sweep."""
         stiffness, observation = images.stiffness, images.observation
         before: list[float] = []
-        while len(before) < self.iterations and not self._stable(before):
-            # A small level ends before a user could see it.
+        while len(before) < self.iterations and not self._has_converged(before):
+            # A small level ends too soon for progress reports.
             block = (
                 self.iterations if level.sites < _SMALL and self.energy_change is None else BLOCK
             )
@@ -152,7 +154,7 @@ class ICM:
         last = backend.energy(displacement, stiffness, observation, rule) / tissue_sites
         return displacement, [*before[1:], last]
 
-    def _stable(self, energies: list[float]) -> bool:
+    def _has_converged(self, energies: list[float]) -> bool:
         if self.energy_change is None or len(energies) <= BLOCK:
             return False
         change = abs(energies[-1] - energies[-1 - BLOCK])
@@ -161,7 +163,7 @@ class ICM:
 
 @dataclass(frozen=True, eq=False)
 class _Images:
-    """The given images m and (y, p) on one level."""
+    """Images of stiffness and observation, m and (y, p), on one level."""
 
     stiffness: Any
     observation: Any
@@ -175,7 +177,7 @@ class _Images:
 
 
 class _Progress:
-    """Turns sweeps into the fraction of all site updates that are done."""
+    """Progress reports of a schedule, with the completed fraction of all updates of sites."""
 
     def __init__(self, report: Report, tree: tuple[Level, ...], iterations: int) -> None:
         self._report = report
@@ -198,14 +200,14 @@ class _Progress:
 
 
 def _stiffness(problem: Problem) -> FloatArray:
-    """(m, 1/m) with the largest m as 1, and 0 for both in void; shape (H, W, 2) or (D, H, W, 2)."""
+    """Return (m, 1/m), scaled to a largest m of 1; 0 in void; (H, W, 2) or (D, H, W, 2)."""
     m = problem.stiffness / problem.stiffness.max()
     inverse = np.divide(1.0, m, out=np.zeros_like(m), where=problem.tissue)
     return np.stack([m, inverse], axis=-1)
 
 
 def _observation(problem: Problem, prior: SeilerPrior) -> FloatArray:
-    """(y, p = K c) in pixels, nothing in void; shape (H, W, 4) or (D, H, W, 6)."""
+    """Return (y, p = K c) in pixels; 0 in void; shape (H, W, 4) or (D, H, W, 6)."""
     axes = len(problem.shape)
     both = np.empty((*problem.shape, 2 * axes), dtype=np.float32)
     np.divide(problem.observed, np.float32(problem.unit), out=both[..., :axes])

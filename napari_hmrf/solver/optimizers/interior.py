@@ -5,10 +5,10 @@ of observations between -p and p, the minimum satisfies
 
     A d = f,   a (p - f) = 0,   b (p + f) = 0,
 
-and f is a point of the dual problem: sum of a (p - f) + b (p + f) bounds the distance of the energy
-from its minimum (the duality gap). Mehrotra's predictor and corrector follow a path on which these
-products are equal (Wright, Primal-Dual Interior-Point Methods, 1997). Each step takes the factors
-of A + W, where W >= 0 are springs on all observed components, so that no motion is ever free.
+and f is feasible in the dual problem: the sum of a (p - f) + b (p + f) bounds the distance of the
+energy from its minimum (the duality gap). Mehrotra's predictor and corrector follow a path on which
+these products are equal (Wright, Primal-Dual Interior-Point Methods, 1997). Each step needs the
+factors of A + W, where W >= 0 are springs on all observed components, so that no motion is free.
 """
 
 from __future__ import annotations
@@ -26,24 +26,34 @@ from napari_hmrf.solver.optimizers.slip_states import ActiveSet
 
 Vector = npt.NDArray[np.float64]
 
+# Largest number of steps.
 _MOST_STEPS = 100
-# Part of the distance to the boundary of the feasible set that a step may take.
+# Fraction of the distance to the boundary of the feasible set that a step may take.
 _FRACTION = 0.9995
-# Largest product at the end, as a part of limit times passage; the least product that is aimed at;
-# and the largest one that is accepted where rounding ends the iteration.
-_GAP, _LEAST_GAP, _CLOSE = 1e-19, 1e-22, 1e-8
-# Largest motion in the last step, in units of the observations; and number of steps with a closed
-# gap after which any remaining motion is rounding.
-_STILL, _ROUNDED = 1e-10, 8
+# Largest product at the end, relative to the limit times the scale of displacements.
+_GAP = 1e-19
+# Least product that a step aims at.
+_LEAST_GAP = 1e-22
+# Largest product that is accepted if rounding ends the iteration.
+_ACCEPTED_GAP = 1e-8
+# Largest motion in the last step, relative to the scale of displacements.
+_LAST_MOTION = 1e-10
+# Number of steps with a closed gap after which any remaining motion is rounding.
+_CLOSED_STEPS = 8
+# Least scale of displacements, in pixels.
 _LEAST_SCALE = 1e-3
-# Part of a step below which it is replaced by one that evens the products out; and the part of
-# their mean at which that step aims.
-_SHORT, _CENTRING = 0.1, 0.5
-# Springs that hold tissue in place, as a part of the diagonal; the weakest that rounding allows is
-# taken: they change the steps, not the limit.
+# Fraction of a step below which a step that makes the products equal replaces it.
+_SHORT = 0.1
+# Fraction of their mean at which this step aims.
+_CENTRING = 0.5
+# Springs that hold tissue in place, as a fraction of the diagonal. The weakest that rounding allows
+# are used; they change the steps, but not the result.
 _PROXIMAL = tuple(10.0**power for power in range(-16, -10))
-# Largest number of corrections of a step; and the part of it that needs no correction.
-_CORRECTIONS, _EXACTLY = 10, 1e-9
+# Largest number of corrections of a step.
+_CORRECTIONS = 10
+# Size of a correction, relative to the step, up to which it is the last.
+_LAST_CORRECTION = 1e-9
+# Signs of the two sides of an observed position.
 _SIDE = np.array([[1.0], [-1.0]])
 
 
@@ -64,7 +74,8 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> N
         scale = max(scale, float(np.abs(d).max()))
     d.ravel()[at] = y
     low, force = np.zeros_like(d), np.zeros(len(at))
-    # Passage beyond the mark on either side, and distance of the force from either limit.
+    # Distance beyond the observed position on either side, a and b, and distance of the force from
+    # either limit.
     past, slack = np.full((2, len(at)), scale), np.stack([p, p])
     far = gap = np.inf
     closed = 0
@@ -73,7 +84,7 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> N
         gap = float(products.max())
         report(Monitor(f"interior point, step {number}, a gap of {gap:.1e}", 0.5))
         closed += gap < _GAP
-        if closed and (far <= _STILL * scale or closed > _ROUNDED):
+        if closed and (far <= _LAST_MOTION * scale or closed > _CLOSED_STEPS):
             break
         weight = 1 / (past / slack).sum(axis=0)
         factors = _factors(model, moves, at, weight)
@@ -95,7 +106,7 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> N
                 left[~moves] = 0
                 more = factors.solve(left)
                 way += more
-                if np.abs(more).max() <= _EXACTLY * np.abs(way).max():
+                if np.abs(more).max() <= _LAST_CORRECTION * np.abs(way).max():
                     break
             stronger = weight * (target - way.ravel()[at])
             narrower = -_SIDE * stronger
@@ -110,7 +121,7 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> N
             elif part > _SHORT:
                 break
             else:
-                # Corrections of second order may lead in circles from products that differ widely.
+                # If the products differ widely, steps with second-order corrections may cycle.
                 mean = max(_CENTRING * float(products.mean()), _LEAST_GAP)
                 aim = p * scale * mean
         if not np.isfinite(way).all():
@@ -119,10 +130,10 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> N
         force += part * stronger
         past, slack = past + part * wider, slack + part * narrower
         far = float(np.abs(part * way).max())
-    if not gap <= _CLOSE:
+    if not gap <= _ACCEPTED_GAP:
         raise ConvergenceError(
-            "which observations slip stays open: the energy is known to a part of "
-            f"{gap:.1g} only. Raise the penalty, or hold more of the tissue"
+            "the slipping observations are undetermined: the duality gap is still "
+            f"{gap:.1g}. Raise the penalty, or hold more of the tissue"
         )
     slips = past / scale > slack / p
     states.slip_as(np.where(slips[0], 1.0, np.where(slips[1], -1.0, 0.0)))
@@ -131,7 +142,7 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> N
 def _factors(
     model: LinearModel, moves: HeldPlanes, at: npt.NDArray[np.intp], weight: Vector
 ) -> Factors | None:
-    """Return the factors of the model with springs on observations; None if rounding forbids."""
+    """Return the factors of the model with springs on observations; None if it is singular."""
     for proximal in _PROXIMAL:
         springs = proximal * model.steepness
         springs.ravel()[at] += weight

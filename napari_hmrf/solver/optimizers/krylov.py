@@ -17,23 +17,26 @@ from napari_hmrf.solver.backends.rigid.entrained import Entrained
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers.cycle import Cycle
 
-# Reduction of a residual within single precision, before it is computed again in double; and within
-# double precision.
-_INNER, _INNER_DOUBLE = 1e-5, 1e-12
-# Residual, relative to the first, that is rounding in single precision; and eigenvalues that are
-# rounding in single and in double precision.
+# Reduction of the residual in single precision, after which it is computed again in double.
+_INNER = 1e-5
+# Reduction of the residual in an iteration in double precision.
+_INNER_DOUBLE = 1e-12
+# Residual, relative to the first, that counts as rounding in single precision.
 _ROUNDING = 1e-7
-_LEAST, _LEAST_DOUBLE = 1e-6, 1e-12
-# A residual of this part of the solution is at the limit of single precision.
+# Eigenvalue that counts as rounding in single precision.
+_LEAST = 1e-6
+# Eigenvalue that counts as rounding in double precision.
+_LEAST_DOUBLE = 1e-12
+# Residual, relative to the solution, at the limit of single precision.
 _ATTAINED = 3e-7
-# Bounds on what an iteration is trusted with: the fastest fall of errors in a step, and the largest
-# least eigenvalue before enough steps are taken.
+# Fastest reduction of errors in one step that an estimate assumes.
 _FASTEST = 0.2
+# Largest least eigenvalue that an estimate assumes before `_RELIABLE_STEPS`.
 _USUAL_LEAST = 0.3
-# Ratio to an expected eigenvalue up to which a met eigenvalue counts as that one.
+# Ratio to an expected eigenvalue up to which a met eigenvalue counts as the expected one.
 _MET = 1.2
-# Number of steps after which the least eigenvalue is known well enough.
-_ENOUGH = 6
+# Number of steps after which the estimate of the least eigenvalue is reliable.
+_RELIABLE_STEPS = 6
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,7 @@ Watch = Callable[[Step], bool]
 
 
 class ConjugateGradients:
-    """Conjugate gradients for symmetric models; the spectrum learnt lasts from run to run.
+    """Conjugate gradients for symmetric models; the estimated spectrum lasts from run to run.
 
     Parameters
     ----------
@@ -103,7 +106,7 @@ class ConjugateGradients:
     def take_care(self) -> bool:
         """Switch to better cycles or to double precision; return False if neither is left.
 
-        The spectrum must then be learnt again.
+        The spectrum must then be estimated again.
         """
         if not self._cycle.smooth_more():
             if self.in_double:
@@ -133,11 +136,12 @@ class ConjugateGradients:
         return self._spectrum.met
 
     def expect(self, least: float) -> None:
-        """Set the expected least eigenvalue to one that the solves of a warm start have met.
+        """Set the expected least eigenvalue.
 
         Parameters
         ----------
         least : float
+            Least eigenvalue that the solves of the warm start have met.
         """
         self._expected = least
         self.least = min(self.least, least)
@@ -148,10 +152,18 @@ class ConjugateGradients:
 
         Overwrites the residual. If numbers overflow, `d` is still valid.
 
+        Parameters
+        ----------
+        balance : Balance
+            Residual of the load.
+        d : ndarray, planes
+        enough : callable
+            Called with a `Step` after each step; returns True to end the run.
+
         Raises
         ------
         FloatingPointError
-            If numbers overflow, or vanish.
+            If numbers overflow, or the residual vanishes.
         """
         unit = balance.unit
         norm = balance.norm / unit
@@ -217,7 +229,8 @@ class ConjugateGradients:
         level.free(direction, image)
 
     def _judged(self, far: float, first: float, before: float, after: float, gain: float) -> Step:
-        """Return the estimates after a step whose cycle corrected `far`, from squared residuals."""
+        """Return the estimates after a step with a largest correction of `far`."""
+        # `first`, `before` and `after` are squared norms of residuals.
         # At first residuals fall faster than errors, as jumps next to held sites are smoothed, and
         # the least eigenvalues have not been met yet.
         rounding = _INNER_DOUBLE if self.in_double else _ROUNDING
@@ -228,11 +241,11 @@ class ConjugateGradients:
         fall = max(math.sqrt(after / before), _FASTEST, lasting)
         if self._spectrum.met > _MET * self._expected:
             fall = max(fall, 1 - self._expected)  # only the cycles have reduced the slow motion
-        if self._spectrum.steps < _ENOUGH:
+        if self._spectrum.steps < _RELIABLE_STEPS:
             least = min(least, _USUAL_LEAST)
         self._taken += 1
-        if self._taken < _ENOUGH:
-            fall = max(fall, 1 - least)  # so far, each cycle takes its part of a slow motion
+        if self._taken < _RELIABLE_STEPS:
+            fall = max(fall, 1 - least)  # early cycles remove only this part of a slow motion
         return Step(far * fall / least / rest, rest, gain)
 
 
@@ -253,6 +266,12 @@ class StabilisedGradients:
     @np.errstate(over="ignore", invalid="ignore")
     def run(self, residual: npt.NDArray[np.float32], enough: Watch) -> npt.NDArray[np.float32]:
         """Return a correction for a residual (planes), in single precision.
+
+        Parameters
+        ----------
+        residual : ndarray, planes, float32
+        enough : callable
+            Called with a `Step` after each step; returns True to end the run.
 
         Raises
         ------
@@ -311,7 +330,7 @@ class _Spectrum:
         self.met = 1.0
 
     def add(self, length: float, turn: float) -> None:
-        """Add a step: its length along the direction, and the direction's update before it."""
+        """Add a step: its length, and the factor of the last direction in its direction."""
         self._diagonal.append(1 / length + (turn / self._length if self._length else 0.0))
         if self._length:
             self._beside.append(math.sqrt(turn) / self._length)

@@ -33,19 +33,28 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import grip
 
 _TINY = 1e-300
-# Part of each corner's Jacobian that the extrapolation of a start must keep.
-_KEPT = 0.25
-# Part of the least Jacobian that a returned field keeps when its unit is changed.
-_LEFT = 0.5
-# Distance up to which an observation counts as met, as a part of the tolerance.
+# Fraction of its Jacobian that each corner must keep when a start is extrapolated.
+_EXTRAPOLATION_PART = 0.25
+# Fraction of `LEAST_JACOBIAN` that a returned field must keep when its unit is changed.
+_RETURNED_PART = 0.5
+# Distance up to which an observation counts as met, as a fraction of the tolerance.
 _MET = 1.0
-# Grips below which cycles are slow to turn tissue, and too slow. Contrasts of stiffness from which
-# cycles hardly turn stiff parts, and from which they do not turn them at all.
-_GRASP, _LOOSE, _STIFF, _CONTRAST = 5e-3, 1e-4, 50.0, 1.2e3
-# Logarithm of the growth of area that tissue takes in one step, its distance from balance after
-# such a step, in pixels, the number of Newton steps after which the growth step is halved, and the
-# least growth step that is still halved.
-_GROWTH, _ROUGHLY, _GROWTH_STEPS, _LEAST_GROWTH = math.log(4.0), 0.1, 80, 0.05
+# Grip below which cycles reduce turning motions slowly.
+_WEAK_GRIP = 5e-3
+# Grip below which cycles are too slow, so that factors are used at once.
+_LOOSE_GRIP = 1e-4
+# Ratio of stiffnesses above which cycles hardly reduce the turning of stiff parts.
+_HIGH_CONTRAST = 50.0
+# Ratio of stiffnesses above which cycles do not reduce it, so that factors are used at once.
+_EXTREME_CONTRAST = 1.2e3
+# Logarithm of the growth of area in one growth step.
+_GROWTH_STEP = math.log(4.0)
+# Distance from balance after all growth steps but the last, in pixels.
+_GROWTH_DISTANCE = 0.1
+# Number of Newton steps after which a growth step is halved.
+_NEWTON_STEPS = 80
+# Least growth step that is still halved, as a fraction of the growth.
+_LEAST_GROWTH_STEP = 0.05
 
 
 def converge(
@@ -56,11 +65,12 @@ def converge(
     report: Report,
     start: Beginning | None,
 ) -> Outcome:
-    """Solve; lengths are in pixels from here on.
+    """Solve a problem of large motion; lengths are in pixels from here on.
 
     Raises
     ------
     ConvergenceError
+        If Newton's method does not reach balance, or if tissue is crushed to nothing.
     """
     material = prior.material(problem)
     model = backend.finite_model(material)
@@ -126,27 +136,27 @@ def _returned(
     ConvergenceError
         If a corner folds in double precision.
     """
-    for wanted in (tolerance, 0.0):
-        displacement, rounding = host.gathered(d, wanted)
+    for largest_rounding in (tolerance, 0.0):
+        displacement, rounding = host.gathered(d, largest_rounding)
         unit = displacement.dtype.type(problem.unit)
-        seen = (displacement * unit).astype(np.float64) / problem.unit
-        energy, least = model.energy(host.planes(seen))
-        if math.isfinite(energy) and least >= _LEFT * LEAST_JACOBIAN:
+        converted = (displacement * unit).astype(np.float64) / problem.unit
+        energy, least = model.energy(host.planes(converted))
+        if math.isfinite(energy) and least >= _RETURNED_PART * LEAST_JACOBIAN:
             return displacement, rounding, least
     raise ConvergenceError(
-        "a pixel of the tissue is crushed to nothing. Move, press or grow it less, or bring the "
-        "softest and the stiffest tissue closer together"
+        "a pixel of the tissue is crushed to nothing. Move, press or grow it less, or reduce the "
+        "ratio of the stiffest to the softest tissue"
     )
 
 
 def _strategy(problem: Problem, material: FiniteMaterial) -> Strategy:
-    grasp, ratio = grip(problem), contrast(material.m)
-    made = Strategy(
-        doubtful=not material.mild or material.rigid or grasp < _GRASP,
-        stiff=ratio > _STIFF or grasp < _GRASP,
-        by_factors=grasp < _LOOSE or ratio > _CONTRAST,
+    firmness, ratio = grip(problem), contrast(material.m)
+    strategy = Strategy(
+        doubtful=not material.mild or material.rigid or firmness < _WEAK_GRIP,
+        stiff=ratio > _HIGH_CONTRAST or firmness < _WEAK_GRIP,
+        by_factors=firmness < _LOOSE_GRIP or ratio > _EXTREME_CONTRAST,
     )
-    return made if material.growth is None else made._replace(steps=_GROWTH_STEPS)
+    return strategy if material.growth is None else strategy._replace(steps=_NEWTON_STEPS)
 
 
 def _grow(
@@ -160,20 +170,20 @@ def _grow(
     if material.growth is None:
         settle(tolerance)
         return 1.0
-    done, step = 0.0, min(1.0, _GROWTH / max(math.log(material.most_growth), _GROWTH))
+    done, step = 0.0, min(1.0, _GROWTH_STEP / max(math.log(material.most_growth), _GROWTH_STEP))
     while done < 1:
         before, aim = d.copy(), min(1.0, done + step)
         model.assemble(material.grown(aim))
         try:
-            settle(tolerance if aim == 1 else max(tolerance, _ROUGHLY))
+            settle(tolerance if aim == 1 else max(tolerance, _GROWTH_DISTANCE))
         except ConvergenceError:
             np.copyto(d, before)
-            if step >= _LEAST_GROWTH:
+            if step >= _LEAST_GROWTH_STEP:
                 step /= 2
                 continue
             if done == 0:
                 raise
-            # This growth was reached before, roughly.
+            # The field was close to balance for this growth before.
             model.assemble(material.grown(done))
             with suppress(ConvergenceError):
                 settle(tolerance)
@@ -192,28 +202,28 @@ def _beginning(
     held: HeldPlanes,
 ) -> Planes:
     """Return an unfolded initial field: as close to the start as possible, or 0."""
-    nothing: Planes = np.zeros(observed.shape)
+    zero: Planes = np.zeros(observed.shape)
     if start is None:
-        return nothing
+        return zero
     last, combined = host.planes(start.displacements[0] / start.unit), host.combined(start)
     idle = ~around_sites(in_elements(problem.stiffness), np.logical_or)
     for field in last, combined:
-        host.inside(field)[:, idle] = 0  # no step moves it
+        host.inside(field)[:, idle] = 0  # steps do not move these sites
     poses.settle(last)
     if not model.energy(last)[1] >= LEAST_JACOBIAN:
-        last = nothing
+        last = zero
     # Extrapolate a drag linearly, unless that would fold tissue.
-    way = combined - last
+    step = combined - last
     if len(start.displacements) == 1:
         # Before the first frame tissue was at rest, so the field is scaled.
-        there = last[held]
-        square = float((there**2).sum())
-        share = float((there * observed[held]).sum()) / square if square > 0 else 1.0
-        way = (share - 1) * last
-    length, _ = model.length(last, way, _KEPT, LEAST_JACOBIAN)
-    there = last + min(1.0, length) * way
-    poses.settle(there)
-    return there if model.energy(there)[1] >= LEAST_JACOBIAN else last
+        at_held = last[held]
+        square = float((at_held**2).sum())
+        scale = float((at_held * observed[held]).sum()) / square if square > 0 else 1.0
+        step = (scale - 1) * last
+    length, _ = model.length(last, step, _EXTRAPOLATION_PART, LEAST_JACOBIAN)
+    extrapolated = last + min(1.0, length) * step
+    poses.settle(extrapolated)
+    return extrapolated if model.energy(extrapolated)[1] >= LEAST_JACOBIAN else last
 
 
 def _reach(

@@ -1,7 +1,8 @@
 """Large motion with observations that may slip: search for the held and the slipping ones.
 
-First the kink of each observation's energy is rounded, less and less; the result separates held
-from slipping observations, and the problem with these states is then solved without rounding.
+First the kink of each observation's energy is rounded, and the rounding is reduced in steps. The
+result separates held from slipping observations; the problem with these states is then solved
+without rounding.
 """
 
 from __future__ import annotations
@@ -14,13 +15,18 @@ from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
 from napari_hmrf.solver.optimizers.newton import Newton
 from napari_hmrf.solver.optimizers.outside import Outside, SoftObservations
 
-# Widths of the kink, in pixels: the first as a part of the longest distance to go, the factor from
-# each to the next, and the last as a part of the tolerance.
-_BEGIN, _LESS, _LAST = 0.2, 0.1, 0.1
-# Distance, in widths, from which an observation counts as slipping.
-_SLIPS = 30.0
-# Part of its limit by which a held observation may exceed it, and largest number of exchanges.
-_MORE, _EXCHANGES = 1e-3, 8
+# First width of the kink, as a fraction of the largest distance to an observation.
+_FIRST_WIDTH = 0.2
+# Factor from each width of the kink to the next.
+_WIDTH_FACTOR = 0.1
+# Last width of the kink, as a fraction of the tolerance.
+_LAST_WIDTH = 0.1
+# Distance from which an observation counts as slipping, in widths of the kink.
+_SLIP_DISTANCE = 30.0
+# Excess over its limit up to which an observation can be held, as a fraction of the limit.
+_EXCESS = 1e-3
+# Largest number of exchanges of states.
+_EXCHANGES = 8
 
 
 class LargeSlip:
@@ -34,7 +40,7 @@ class LargeSlip:
     limit : ndarray, planes
         Largest force of each component; infinite if the component never slips.
     load : ndarray, planes, or None
-        Given forces.
+        Dead load on each component.
     """
 
     def __init__(self, newton: Newton, y: Planes, limit: Planes, load: Planes | None) -> None:
@@ -53,11 +59,12 @@ class LargeSlip:
         tolerance : float
             Largest error of the field, in pixels.
         warm : bool
-            Whether `d` is close to the result, so that its forces show which observations slip.
+            True if `d` is close to the result, so that its forces show which observations slip.
 
         Raises
         ------
         ConvergenceError
+            If Newton's method fails, or no consistent set of slipping observations is found.
         """
         begun = d.copy()
         if warm:
@@ -67,8 +74,8 @@ class LargeSlip:
         try:
             self._soften(d, tolerance)
         except ConvergenceError:
-            # Large forces may crush tissue on the way. With all observations met the forces are
-            # small, and grow as the tissue gives way.
+            # Large forces may crush tissue on the way. Start again with all observations held, and
+            # let only those slip whose force exceeds the limit.
             np.copyto(d, begun)
             self._newton.outside = Outside(self._load)
             self._newton.run(d, self._y, self._observed, tolerance)
@@ -78,25 +85,25 @@ class LargeSlip:
     def _slipping(self, d: Planes) -> npt.NDArray[np.float64]:
         """Return the side to which the present force makes each component slip; 0 if held."""
         needed = self._needed(d, self._observed)
-        slips = np.abs(needed) >= (1 - _MORE) * self._limit
+        slips = np.abs(needed) >= (1 - _EXCESS) * self._limit
         return np.where(slips, np.sign(needed), 0.0)
 
     def _soften(self, d: Planes, tolerance: float) -> None:
-        """Move `d` in place to the field of least energy, through less and less rounded kinks."""
+        """Move `d` in place to the field of least energy, with ever narrower kinks."""
         newton = self._newton
         far = float(np.abs(np.where(self._yielding > 0, self._y - d, 0.0)).max())
-        last = _LAST * tolerance
-        width = max(_BEGIN * far, last)
+        last = _LAST_WIDTH * tolerance
+        width = max(_FIRST_WIDTH * far, last)
         soft = SoftObservations(self._y, self._yielding, self._load)
         while True:
             soft.sharpen(d, width)
             newton.outside = soft
-            newton.run(d, self._y, self._fixed, max(tolerance, _BEGIN * width))
+            newton.run(d, self._y, self._fixed, max(tolerance, _FIRST_WIDTH * width))
             if width == last:
                 break
-            width = max(_LESS * width, last)
+            width = max(_WIDTH_FACTOR * width, last)
         off = np.where(self._yielding > 0, self._y - d, 0.0)
-        sides = np.where(np.abs(off) > _SLIPS * width, np.sign(off), 0.0)
+        sides = np.where(np.abs(off) > _SLIP_DISTANCE * width, np.sign(off), 0.0)
         found, known = d.copy(), newton.distance
         if not self._sharpen(d, sides, tolerance):
             # The rounded solution is the best available.
@@ -116,7 +123,7 @@ class LargeSlip:
                 return False
             needed = self._needed(d, held)
             passed = sides * (d - self._y) > tolerance
-            wrong = (np.abs(needed) > (1 + _MORE) * self._limit) | passed
+            wrong = (np.abs(needed) > (1 + _EXCESS) * self._limit) | passed
             missed = held & ~self._fixed & (np.abs(self._y - d) > tolerance)
             if not (wrong | missed).any():
                 return True

@@ -17,50 +17,58 @@ from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, Seil
 from napari_hmrf.solver.problem import MAX_REACH, Problem
 from napari_hmrf.solver.rigid_modes import free_motions
 
-# Share of all forces up to which a force counts as rounding.
-_NOTHING = 1e-9
-# Part by which loads may exceed the limits of observations: the accuracy of linear programs.
+# Fraction of all forces up to which a force counts as rounding.
+_ROUNDING = 1e-9
+# Fraction by which loads may exceed the limits of observations: the accuracy of linear programs.
 _AT_LIMIT = 1e-6
 
 
 class Given(NamedTuple):
-    """Forces of loads, and the energy of tissue that grows but does not move."""
+    """Forces of loads (planes, or None), and the energy of grown tissue without displacement."""
 
     pulls: Planes | None
     energy: float
 
 
-class _Known(NamedTuple):
+class _LastLoads(NamedTuple):
+    """Loads of a problem, kept for the next one."""
+
     problem: Problem
     prior: ElasticPrior | NeoHookeanPrior
     given: Given
 
-    def serves(self, problem: Problem, prior: ElasticPrior | NeoHookeanPrior) -> bool:
+    def are_valid_for(self, problem: Problem, prior: ElasticPrior | NeoHookeanPrior) -> bool:
         """Return whether tissue and loads are unchanged; observations may differ."""
-        mine = self.problem
+        own = self.problem
         return (
             prior == self.prior
-            and mine.spacing == problem.spacing
-            and are_same(mine.loads, problem.loads)
-            and np.array_equal(mine.stiffness, problem.stiffness)
+            and own.spacing == problem.spacing
+            and are_same(own.loads, problem.loads)
+            and np.array_equal(own.stiffness, problem.stiffness)
         )
 
 
-# Loads of the last image: they stay the same while tissue is dragged.
-_last: list[_Known] = []
+# Loads of the last image, which stay the same while tissue is dragged.
+_last: list[_LastLoads] = []
 
 
 def given(problem: Problem, prior: Prior) -> Given:
-    """Return the loads of a problem in the form that multigrid takes; not to be written to."""
+    """Return the loads of a problem as forces in planes and an energy; read-only.
+
+    Parameters
+    ----------
+    problem : Problem
+    prior : Prior
+    """
     if isinstance(prior, SeilerPrior) or problem.loads is None:
         return Given(None, 0.0)
-    if _last and _last[0].serves(problem, prior):
+    if _last and _last[0].are_valid_for(problem, prior):
         return _last[0].given
     load = prior.load(problem)
     if load is None:
         return Given(None, 0.0)
     made = Given(host.planes(load.forces), load.energy)
-    _last[:] = [] if problem.is_volume else [_Known(problem, prior, made)]
+    _last[:] = [] if problem.is_volume else [_LastLoads(problem, prior, made)]
     return made
 
 
@@ -74,9 +82,16 @@ def work_of(load: Planes | None, d: Planes) -> float:
 def check_reach(d: Planes, problem: Problem) -> None:
     """Refuse loads that move tissue far beyond the image, usually because of a wrong unit.
 
+    Parameters
+    ----------
+    d : ndarray, planes
+        Displacement, in pixels.
+    problem : Problem
+
     Raises
     ------
     ProblemError
+        If any component exceeds `MAX_REACH` diagonals of the image.
     """
     sides = np.array(problem.spacing) / problem.unit
     diagonal = float(np.linalg.norm(sides * problem.shape))
@@ -86,8 +101,8 @@ def check_reach(d: Planes, problem: Problem) -> None:
     raise ProblemError(
         "loads",
         f"move tissue by {farthest / diagonal:.2g} times the diagonal of the image. Give forces "
-        "and stiffness in units that go together, such as kPa, and kPa times the unit of length "
-        "of the spacing; or hold more of the tissue.",
+        "and stiffness in consistent units, such as stiffness in kPa, and forces in kPa times the "
+        "unit of length of the spacing; or hold more of the tissue.",
     )
 
 
@@ -107,49 +122,51 @@ def check_balanced(
         Components of flat planes that may slip.
     limit : ndarray
         Largest force of each component.
-    load : ndarray, planes
+    load : ndarray, planes, or None
+        Force on each component.
     fixed : ndarray of bool, shape (H, W, 2)
         Components that are held exactly.
 
     Raises
     ------
     ProblemError
+        If the loads would move some tissue without end.
     """
     if load is None or problem.loads is None or problem.loads.force is None:
         return  # growth is balanced in itself
     total = np.abs(load).sum()
     for ways in free_motions(problem, fixed):
         motions = [host.planes(way) for way in ways]
-        asked = np.array([work_of(load, motion) for motion in motions])
-        if np.abs(asked).max() <= _NOTHING * total:
+        demand = np.array([work_of(load, motion) for motion in motions])
+        if np.abs(demand).max() <= _ROUNDING * total:
             continue
         stops = np.stack([motion.ravel()[at] for motion in motions])
         here = stops.any(axis=0)
-        if not _can_hold(stops[:, here] * limit[here], asked):
+        if not _can_hold(stops[:, here] * limit[here], demand):
             raise ProblemError(
                 "loads",
-                "pull more than what is observed can hold: its penalty times its confidence is "
-                "the greatest force of each site, and tissue would slip for ever. Raise the "
-                "penalty, hold more of the tissue, or lower the loads.",
+                "pull harder than the observations can hold: the largest force of an observation "
+                "is the penalty times its confidence, and tissue would slip without end. Raise "
+                "the penalty, hold more of the tissue, or reduce the loads.",
             )
 
 
-def _can_hold(stops: npt.NDArray[np.float64], asked: npt.NDArray[np.float64]) -> bool:
+def _can_hold(stops: npt.NDArray[np.float64], demand: npt.NDArray[np.float64]) -> bool:
     """Return whether fractions of the limits, each from -1 to 1, balance the demanded work."""
     size = np.abs(stops).sum(axis=1)
-    if (np.abs(asked) > size).any():
+    if (np.abs(demand) > size).any():
         return False
     # The least-squares fractions usually are small enough.
     square = np.einsum("an,bn->ab", stops, stops)
-    shares = np.linalg.lstsq(square, asked)[0]
-    apart = np.abs(square @ shares - asked).max()
-    if apart <= _NOTHING * np.abs(asked).max() and np.abs(shares @ stops).max() <= 1:
+    shares = np.linalg.lstsq(square, demand)[0]
+    apart = np.abs(square @ shares - demand).max()
+    if apart <= _ROUNDING * np.abs(demand).max() and np.abs(shares @ stops).max() <= 1:
         return True
-    # The largest multiple of the demand that can be balanced.
-    matrix = np.column_stack([stops / size[:, None], -asked / size])
+    # Otherwise, find the largest multiple of the demand that can be balanced.
+    matrix = np.column_stack([stops / size[:, None], -demand / size])
     cost = np.zeros(matrix.shape[1])
     cost[-1] = -1.0
     limits = [*[(-1.0, 1.0)] * stops.shape[1], (0.0, 2.0)]
-    found = scipy.optimize.linprog(cost, A_eq=matrix, b_eq=np.zeros(len(asked)), bounds=limits)
+    found = scipy.optimize.linprog(cost, A_eq=matrix, b_eq=np.zeros(len(demand)), bounds=limits)
     most = float(found.x[-1]) if found.success else math.nan
     return most >= 1 - _AT_LIMIT

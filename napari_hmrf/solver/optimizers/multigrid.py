@@ -1,7 +1,7 @@
-"""The converged field: a Krylov iteration, preconditioned by a V-cycle over the hierarchy.
+"""Converged field: a Krylov iteration, preconditioned by a V-cycle over the hierarchy.
 
-Work per pixel does not depend on the size of the image: each level removes the error that its own
-pixels resolve.
+The work per pixel does not depend on the size of the image: each level removes the error that its
+own pixels resolve.
 """
 
 from __future__ import annotations
@@ -32,9 +32,10 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import grip
 
 _TINY = 1e-300
-# Part of the tolerance up to which a distance is negligible.
-_NOTHING = 0.01
-# Least grip on tissue whose turn coarse levels do not miss: they hold wider parts of it.
+# Fraction of the tolerance up to which a distance is negligible.
+_NEGLIGIBLE = 0.01
+# Least grip with which cycles are sure to reduce the turning of tissue. On coarse levels wider
+# parts are held, so that with a weak grip they represent it less well.
 _MILD_GRIP = 0.05
 
 
@@ -42,7 +43,7 @@ _MILD_GRIP = 0.05
 class Multigrid:
     """Schedule of a Krylov iteration with a V-cycle, Chebyshev-Jacobi smoothing, and refinement.
 
-    The iteration runs in single precision; the residual that decides is computed in double.
+    The iteration runs in single precision; the residual that ends it is computed in double.
     Conjugate gradients solve priors with an energy: `ElasticPrior`, and `SeilerPrior` in its
     blanket reading. Stabilised biconjugate gradients solve the centred reading, which is not
     symmetric (`napari_hmrf.solver.optimizers.centred`). For `NeoHookeanPrior` conjugate gradients
@@ -51,15 +52,17 @@ class Multigrid:
     Parameters
     ----------
     tolerance : float
-        Stop when no site is estimated to be further than this from the converged field, in
-        pixels. The estimate is the correction of the last cycle, times the residual it left, over
-        the least eigenvalue of the preconditioned system met by the iteration; where tissue is not
-        mild, a rehearsal shows whether the estimate can be trusted, and if not the system is
-        factorised. In the centred reading it is a bound, by a maximum principle.
+        Largest distance of any site from the converged field, in pixels, as estimated at the end.
+        The estimate is the correction of the last cycle, times the reduction of the residual, over
+        the least eigenvalue of the preconditioned system that the iteration has met. For tissue
+        with high contrast, thin parts or a weak grip, the estimate is first tested on a field with
+        a known solution; if it fails, the system is factorised. In the centred reading the estimate
+        is a bound, from a maximum principle.
     max_iterations : int
-        Number of cycles after which the solve fails with an error. Where observations may slip, the
-        number for each set of slipping ones; in a volume that needs double precision, eight times
-        as many. Large motion fails after a fixed number of steps that no tested tissue has needed.
+        Number of cycles after which the solve fails with an error. Where observations may slip,
+        this is the number for each set of slipping observations; in a volume that needs double
+        precision, eight times as many cycles may run. Large motion fails after a fixed number of
+        steps, which no tested tissue has needed.
     """
 
     tolerance: float = 1e-3
@@ -75,7 +78,7 @@ class Multigrid:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Parameters by name."""
+        """Parameters by name (JSON types only)."""
         return {"name": "Multigrid", **asdict(self)}
 
     @property
@@ -119,10 +122,10 @@ class Multigrid:
             if limit is None:
                 model.hold(observed)
                 if start is not None:
-                    _put_idle_to_rest(problem, model, observed, d)
+                    _reset_idle(problem, model, observed, d)
                 if model.bodies is not None:
                     model.bodies.settle(d)
-                refinement.run(d, pulls, self.tolerance, self._known(start, model))
+                refinement.run(d, pulls, self.tolerance, self._quality(start, model))
                 compute_thread.look()
                 energy, forces = model.work(d)
                 refinement.settle(energy + stored - work_of(pulls, d))
@@ -148,7 +151,7 @@ class Multigrid:
         energies = np.array(refinement.energies) / max(1, np.count_nonzero(problem.tissue))
         displacement, rounding = host.gathered(d, self.tolerance)
         if problem.is_volume:
-            rounding *= 3  # the model's knowledge of the tissue is rounded, too
+            rounding *= 3  # the coefficients of the model are rounded, too
         host.reuse(d, observed)
         if limit is None:
             model.found.add(displacement, Quality(refinement.error, refinement.residual))
@@ -164,19 +167,17 @@ class Multigrid:
             ),
         )
 
-    def _known(self, start: Beginning | None, model: LinearModel) -> Quality | None:
-        """Return the quality of the start, or None if it misses observations."""
-        if start is None or start.missing > _NOTHING * self.tolerance:
+    def _quality(self, start: Beginning | None, model: LinearModel) -> Quality | None:
+        """Return the quality of the start; None if unknown, or if the start misses observations."""
+        if start is None or start.missing > _NEGLIGIBLE * self.tolerance:
             return None
         return model.found.quality(start)
 
 
-def _put_idle_to_rest(
-    problem: Problem, model: LinearModel, observed: HeldPlanes, d: Planes
-) -> None:
-    """Set unobserved tissue that nothing pulls at to zero, in place, as a cold start does.
+def _reset_idle(problem: Problem, model: LinearModel, observed: HeldPlanes, d: Planes) -> None:
+    """Set unobserved tissue without any force to zero, in place, as a cold start does.
 
-    No cycle moves it: it would keep the motion of the solutions that a warm start begins with.
+    Cycles do not move such tissue: it would keep the motion of the solutions of a warm start.
     """
     found = model.found
     if found.idle is None:

@@ -32,40 +32,40 @@ from napari_hmrf.solver.optimizers.outside import Outside
 
 # A step of the field
 
-#: Part of its Jacobian that every corner keeps in a step; more shortens all steps.
+#: Fraction of its Jacobian that every corner must keep in a step; larger values shorten all steps.
 _JACOBIAN_PART = 0.25
-#: Part of its possible length that a pull takes if a corner limits it; 1 would end at the limit.
+#: Fraction of its possible length that a pull takes if a corner limits it.
 _PULL_PART = 0.85
 #: Jacobian below which tissue is pulled no further.
 _PULL_FLOOR = 1e-5
-#: Part of a step: one that falls in energy over less is tried without the buckling terms.
+#: Fraction of a step. If the energy falls over less, a step without the buckling terms is tried.
 _LEAST_STEP = 0.1
-#: Part of the fall in energy promised by the slope that a step must reach (Armijo's condition).
+#: Fraction of the fall in energy predicted by the slope that a step must reach (Armijo).
 _ARMIJO = 1e-4
 #: Rounding of the energy, relative to the energy: a rise up to this is accepted.
 _ENERGY_ROUNDING = 1e-12
-#: Energy of each component, in pixels squared, that counts as rounded beside the whole energy.
+#: Energy per component, in pixels squared, that is added to the energy to estimate its rounding.
 _COMPONENT_ROUNDING = 1e-3
-#: Largest number of halvings of a step; after them the step is not taken.
+#: Largest number of halvings of a step, after which the step is not taken.
 _HALVING_LIMIT = 12
-#: Largest number of pulls; then all gaps that are left stay open.
+#: Largest number of pulls, after which the remaining gaps stay open.
 _PULL_LIMIT = 150
-#: Largest number of steps; then a run fails.
+#: Largest number of steps, after which a run fails.
 _STEP_LIMIT = 400
 
 # The linear system of a step
 
 #: Error left in a linear system, relative to its first error.
 _INNER_REDUCTION = 0.03
-#: Error left in a linear system, in tolerances; the larger of both is enough.
+#: Error left in a linear system, relative to the tolerance; the larger of both errors is enough.
 _INNER_TOLERANCE = 0.3
 #: Residual, relative to the load, that single precision cannot reduce.
 _SINGLE_RESIDUAL = 2e-5
-#: Cycles after which a small system is factorised.
+#: Number of cycles after which a small system is factorised.
 _CYCLE_LIMIT = 40
-#: Sites up to which a system is small: its factorisation takes less time than many cycles.
+#: Number of sites up to which a system is small, so that factors take less time than many cycles.
 _SMALL_GRID = 20_000
-#: Cycles after which a larger system is factorised.
+#: Number of cycles after which a larger system is factorised.
 _LARGE_CYCLE_LIMIT = 200
 #: Least share of the buckling terms to leave out, if any is left out.
 _FIRST_SHARE = 0.05
@@ -76,19 +76,19 @@ _SHARE_GROWTH = 2.0
 
 #: Distance from balance, in pixels, at which tissue is relaxed enough for the next pull.
 _RELAXED_DISTANCE = 0.3
-#: Largest number of steps to get there.
+#: Largest number of steps to reach this distance.
 _RELAXATION_LIMIT = 6
 #: Distance from balance, in pixels, that must be reached before a pull can count as stuck.
 _BALANCED_DISTANCE = 0.02
-#: Largest number of steps to get there.
+#: Largest number of steps to reach this distance.
 _BALANCE_LIMIT = 25
-#: Part of its way below which a pull is stuck, if it is also shorter than `_STUCK_DISTANCE`.
+#: Fraction of its step below which a pull is stuck, if it is also shorter than `_STUCK_DISTANCE`.
 _STUCK_PART = 0.05
 #: Length of a pull, in pixels, below which it is stuck.
 _STUCK_DISTANCE = 0.1
-#: Number of stuck pulls in a row after which the components in the way are let be.
+#: Number of stuck pulls in a row after which components that obstruct the pull are released.
 _STUCK_LIMIT = 2
-#: Part of a pull: an element that limits it to less is in the way.
+#: Fraction of a pull. An element that limits the pull to less obstructs it.
 _OBSTRUCTION = 0.3
 #: Largest spread of the motions of sites that are pulled as one piece, relative to the motions.
 _PIECE_SPREAD = 0.2
@@ -101,7 +101,7 @@ _CREEP_STEPS = 30
 _CREEP_ENERGY = 1e-7
 #: Distance from balance, in pixels, at which tissue that creeps counts as balanced.
 _CREEP_DISTANCE = 0.1
-#: Length of the last step, in tolerances, of tissue whose motions cycles may miss.
+#: Largest last step, relative to the tolerance, for tissue whose motions cycles may miss.
 _FINAL_STEP = 10.0
 #: Least Jacobian of any corner of a field: far above rounding in double precision.
 LEAST_JACOBIAN = 1e-9
@@ -113,15 +113,14 @@ class Strategy(NamedTuple):
     Attributes
     ----------
     doubtful : bool
-        Whether cycles may miss motions: the last step must then be a short one, and cycles are
-        rehearsed.
+        True if cycles may miss motions: the last step must then be short, and cycles are rehearsed.
     stiff : bool
-        Whether parts are so stiff, or the grip is so loose, that parts must be free to turn, and
+        True if parts are so stiff, or the grip is so loose, that parts must be free to turn, and
         rounding there resembles buckling.
     by_factors : bool
-        Whether factors are used without trying cycles.
+        True if factors are used without trying cycles.
     steps : int
-        Steps after which a run fails.
+        Number of steps after which a run fails.
     """
 
     doubtful: bool
@@ -169,7 +168,7 @@ class _Linear(NamedTuple):
 
 
 class Newton:
-    """Newton iteration.
+    """Newton iteration for the balance of forces in large motion.
 
     Parameters
     ----------
@@ -243,11 +242,11 @@ class Newton:
             aim = self._poses.aim(d, y)
             if aim is not y:
                 gap = np.where(held, aim - d, 0.0)
-            self._say(number, left)
+            self._report_step(number, left)
             before, known = d.copy(), self.distance
             step = self._step(d, gap if pulls else None, held)
             if step is None:
-                # The tissue is crushed beyond what the linear model can solve: it goes no further.
+                # The tissue is too crushed for the linear model, so that it moves no further.
                 self._met = self._met and (left == 0 or math.isinf(self.distance.estimate))
                 break
             if pulls:
@@ -259,7 +258,7 @@ class Newton:
                     relaxations = _BALANCE_LIMIT if stays else _RELAXATION_LIMIT
                     if stuck == patience:
                         stuck, patience = 0, 1
-                        self._let_be(d, y, held, step.way)
+                        self._release(d, y, held, step.way)
             else:
                 step, taken = self._relax(d, held, step)
                 relaxations = max(relaxations - 1, 0)
@@ -278,21 +277,21 @@ class Newton:
                 far = max(self.distance.estimate, step.far)
                 self.distance = self.distance._replace(estimate=far)
                 break
-        # Crushed tissue creeps: it goes no further.
+        # Crushed tissue creeps; the run ends here.
         estimate = self.distance.estimate
         if not math.isfinite(estimate) or (self._met and estimate > _CREEP_DISTANCE):
-            self._give_up()
+            self._fail()
 
-    def _give_up(self) -> None:
+    def _fail(self) -> None:
         if not math.isfinite(self.distance.estimate):
             raise ConvergenceError(
-                "cycles cannot be sure of this tissue. Crop the image, or bring the softest and "
-                "the stiffest tissue closer together"
+                "cycles may miss motions of this tissue. Crop the image, or reduce the ratio of "
+                "the stiffest to the softest tissue"
             )
         raise ConvergenceError(
             f"the tissue is still {self.distance.estimate:.2g} px from balance after "
-            f"{len(self.energies)} steps of large motion. Move, press or grow it less, or bring "
-            "the softest and the stiffest tissue closer together"
+            f"{len(self.energies)} steps of large motion. Move, press or grow it less, or reduce "
+            "the ratio of the stiffest to the softest tissue"
         )
 
     def _judge(self, d: Planes, step: _Linear) -> bool:
@@ -321,7 +320,7 @@ class Newton:
         return True
 
     def _is_balanced(self, d: Planes, held: HeldPlanes, step: _Linear) -> bool:
-        """Return whether tissue is within the tolerance of balance, as far as known."""
+        """Return whether tissue is reliably within the tolerance of balance."""
         if self.distance.estimate > self._tolerance:
             return False
         if not self._strategy.doubtful:
@@ -352,7 +351,7 @@ class Newton:
     def _step(
         self, d: Planes, gap: Planes | None, held: HeldPlanes, positive: float = 0.0
     ) -> _Linear | None:
-        """Return the step of the linear model, which closes the gap; None if it has none."""
+        """Return the step of the linear model, which closes the gap; None if there is none."""
         forces = self.forces(d)
         springs = None if self.outside is None else self.outside.springs(d)
         if gap is not None:
@@ -411,14 +410,14 @@ class Newton:
     def _solve(self, load: Planes) -> _Linear | None:
         """Return a correction for a load by factors; None if the matrix is not positive."""
 
-        def tell(part: float) -> None:
+        def report_part(part: float) -> None:
             self._report(Monitor(f"factorising, {part:.0%}", part))
 
         moves = self._model.moves
         load = np.where(moves, load, 0.0)
         self._model.project(load)
         try:
-            factors = Factors(self._model.tangents, moves, tell, self._model.springs)
+            factors = Factors(self._model.tangents, moves, report_part, self._model.springs)
             way = factors.solve(load)
         except Singular:
             return None
@@ -430,7 +429,7 @@ class Newton:
         return _Linear(way, far / most if most > 0 else 0.0, far, factors=factors)
 
     def _creeps(self, far: float) -> bool:
-        """Return whether steps have been short for long, and the energy hardly falls."""
+        """Return whether the last steps were all short, and the energy hardly falls."""
         late = self.energies[self._pulled :][-_CREEP_STEPS:]
         short = len(late) == _CREEP_STEPS and far <= _CREEP_DISTANCE
         return short and late[0] - late[-1] <= _CREEP_ENERGY * abs(late[-1])
@@ -497,8 +496,8 @@ class Newton:
             taken /= 2
         return 0.0
 
-    def _let_be(self, d: Planes, y: Planes, held: HeldPlanes, way: Planes) -> None:
-        """Stop pulling held components that stand in the way of the rest."""
+    def _release(self, d: Planes, y: Planes, held: HeldPlanes, way: Planes) -> None:
+        """Stop pulling the held components that obstruct the pull of the others."""
         self._met = False
         _, lengths = self._model.length(d, way, _JACOBIAN_PART, _PULL_FLOOR, each=True)
         sites = around_sites(lengths < _OBSTRUCTION, np.logical_or)
@@ -508,7 +507,7 @@ class Newton:
             # Free tissue obstructs all pulls: the remaining gaps cannot be closed.
             np.copyto(y, d)
             return
-        # A part that is pulled as one piece stops as one, or it would be crushed in itself.
+        # A part that is pulled as one piece must stop as one piece, or it would be crushed.
         pieces, _ = scipy.ndimage.label(pulled, structure=np.ones((3, 3)))
         gap = (y - d)[:, 2:-2, 2:-2]
         for number in np.unique(pieces[stops]):
@@ -523,10 +522,10 @@ class Newton:
         stay[:, 2:-2, 2:-2] = stops
         np.copyto(y, d, where=stay)
 
-    def _say(self, number: int, left: float) -> None:
+    def _report_step(self, number: int, left: float) -> None:
         done = part_done(max(self._first, 1e-3), max(left, 1e-3), 1e-3) if self._first else 1.0
-        what = f"{left:.2g} px to pull" if left else "relaxing"
-        self._report(Monitor(f"step {number + 1}, {what}", done))
+        action = f"{left:.2g} px to pull" if left else "relaxing"
+        self._report(Monitor(f"step {number + 1}, {action}", done))
 
 
 def _shares(first: float) -> Iterator[float]:

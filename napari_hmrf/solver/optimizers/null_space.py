@@ -1,4 +1,4 @@
-"""Null space of a model: motions at no cost, or almost none, computed from its factors."""
+"""Null space of a model: motions with no energy, or almost none, computed from its factors."""
 
 from __future__ import annotations
 
@@ -20,24 +20,41 @@ from napari_hmrf.solver.rigid_modes import FreeMotion, refusal
 
 Float64Array = npt.NDArray[np.float64]
 
-# Springs that make the model invertible, as a part of its diagonal; relative cost below which a
-# motion is soft; and relative cost below which it is free.
-_SPRINGS, _LITTLE, _NOTHING = 1e-13, 1e-11, 1e-28
+# Springs that make the model invertible, as a fraction of its diagonal.
+_SPRINGS = 1e-13
+# Energy, relative to that of the sites moved one by one, below which a motion is soft.
+_SOFT = 1e-11
+# The same energy below which a motion is free.
+_FREE = 1e-28
+# Number of inverse iterations for the soft motions.
 _ITERATIONS = 4
-_FIRST, _MOST = 8, 64
-_EXACT, _FLOOR = 1e-12, 1e-14
+# Number of random motions with which inverse iteration starts.
+_FIRST_MOTIONS = 8
+# Largest number of motions in inverse iteration.
+_MOST_MOTIONS = 64
+# Largest error of a soft motion, in pixels where tissue moves by one.
+_EXACT = 1e-12
+# Singular value, relative to the largest, that is rounding in the matrix of soft motions.
+_FLOOR = 1e-14
+# Largest number of corrections of the soft motions in a field.
 _BALANCINGS = 4
-# Largest distance of a motion from balance, in pixels where tissue moves by one; and the part of
-# a load that may remain in a free motion.
-_ASTRAY, _BALANCED = 1e-6, 1e-9
-_MIXINGS = 2
-# Least eigenvalue, where the diagonal is 1, that factors resolve; number of inverse iterations that
-# estimate it; and factor on it, for each root of an unknown, above which one iteration is enough.
-_RESOLVED, _ESTIMATES, _CLEAR = 1e-15, 3, 1e3
+# Largest accepted distance of a soft motion from balance, in pixels where tissue moves by one.
+_UNBALANCED = 1e-6
+# Fraction of a load's work on a free motion that is rounding.
+_BALANCED = 1e-9
+# Number of passes that separate the soft motions.
+_SEPARATIONS = 2
+# Least eigenvalue, for a diagonal of 1, that factors resolve.
+_RESOLVED = 1e-15
+# Number of inverse iterations that estimate the least eigenvalue.
+_ESTIMATES = 3
+# Factor on `_RESOLVED`, times the root of the number of unknowns, above which one iteration is
+# enough.
+_CLEAR = 1e3
 # Largest number of soft motions that a refusal analyses: more take seconds to separate.
 _EXPLAINED = 16
-# Part of the largest displacement above which a site belongs to a motion.
-_TAKES_PART = 0.1
+# Fraction of the largest displacement above which a site takes part in a motion.
+_PARTICIPATION = 0.1
 
 
 class Play(NamedTuple):
@@ -48,11 +65,11 @@ class Play(NamedTuple):
     pins : ndarray of bool, planes
         Components that stop all of these motions if they are held.
     ways : ndarray, shape (ways, planes)
-        The motions that cost something.
+        Soft motions that have some energy.
     cost : ndarray, shape (ways, ways)
-        Their second derivatives of the energy.
+        Second derivatives of the energy by these motions.
     free : list of ndarray, each of shape (ways, H, W, 2)
-        The motions that cost nothing: one item, if there are any.
+        Free motions, which have no energy: one item with all of them, or none.
     """
 
     pins: HeldPlanes
@@ -63,29 +80,33 @@ class Play(NamedTuple):
     def balance(
         self, model: LinearModel, refinement: Refinement, d: Planes, load: Planes, tolerance: float
     ) -> None:
-        """Move `d` in place to where tissue and load balance, including pins that cost something.
+        """Move `d` in place to balance with a load, including the soft motions.
 
-        The lengths come from energies, which unlike forces are sums of squares and stay accurate.
+        The lengths of the soft motions are computed from energies. These are sums of squares, and
+        therefore more accurate than forces.
 
         Raises
         ------
         ConvergenceError
-            If double precision is too coarse for that.
+            If double precision is not accurate enough.
         """
         refinement.run(d, load, tolerance)
         size = np.sqrt(np.diagonal(self.cost).clip(1e-300))
         inverse = np.linalg.pinv(self.cost / np.outer(size, size), _FLOOR, True)
         far = np.inf
         for _ in range(_BALANCINGS):
-            left = [(load * way).sum() - _product(model, d, way) for way in self.ways]
-            go = np.tensordot(inverse @ (np.array(left) / size) / size, self.ways, 1)
-            far = float(np.abs(go).max(initial=0.0))
+            rest = [(load * way).sum() - _product(model, d, way) for way in self.ways]
+            step = np.tensordot(inverse @ (np.array(rest) / size) / size, self.ways, 1)
+            far = float(np.abs(step).max(initial=0.0))
             if far <= tolerance:
                 return
-            d += go
+            d += step
             refinement.run(d, load, tolerance)
-        if far > _ASTRAY * max(1.0, float(np.abs(d).max())):
-            raise ConvergenceError("soft motions of the tissue do not reach balance")
+        if far > _UNBALANCED * max(1.0, float(np.abs(d).max())):
+            raise ConvergenceError(
+                "double precision cannot balance motions of the tissue that are barely held. Hold "
+                "more of the tissue"
+            )
 
     def adrift(self, load: Planes) -> Planes | None:
         """Return a free motion on which a load does work, or None."""
@@ -99,10 +120,10 @@ class Play(NamedTuple):
 
 
 def resolves(model: LinearModel) -> bool:
-    """Return whether a model's factors can tell its softest motion from a free one.
+    """Return whether the factors of a model distinguish its softest motion from a free one.
 
-    Pivots alone cannot: where stiff tissue hangs on soft tissue its last pivot is small, and the
-    rounding of that pivot passes for resistance in the pivots that follow.
+    The pivots alone do not show this. If soft tissue holds stiff tissue, the last pivot of the
+    stiff tissue is small, and its rounding error looks like resistance in the pivots that follow.
     """
     factors, moves = model.found.factors, model.moves
     weights = np.sqrt(model.steepness[moves])
@@ -123,12 +144,12 @@ def resolves(model: LinearModel) -> bool:
 def refuse_free(
     model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report
 ) -> None:
-    """Refuse tissue that moves at no cost although the model has factors.
+    """Refuse tissue that has a free motion although the model has factors.
 
     Raises
     ------
     ProblemError
-        Naming the tissue.
+        Naming the tissue and its motion.
     """
     free = find_play(model, held, refinement, report).free
     if free:
@@ -140,8 +161,8 @@ def why_unsolvable(
 ) -> ProblemError | ConvergenceError:
     """Return the error that explains why a system without factors has no solution.
 
-    Either some tissue can move at no cost, or at so little that the solution depends on digits
-    beyond double precision.
+    Either some tissue has a free motion, or a motion with so little energy that the solution
+    depends on digits beyond double precision.
 
     Parameters
     ----------
@@ -168,12 +189,13 @@ def why_unsolvable(
     d[moves] = soft[:, 0] / weights
     cost = 2 * model.work(d)[0] / float((steep * d**2).sum())
     motion = _as_free_motion(host.field(d))
-    if cost < _NOTHING:
+    if cost < _FREE:
         return refusal(motion)
     return ConvergenceError(
-        f"the tissue around {motion.centre} is barely held: it can move at {cost:.0e} of what its "
-        f"sites cost one by one, and double precision resolves no less than {HELD:.0e}. "
-        "Hold more of it, or bring the softest and the stiffest tissue closer together"
+        f"the tissue around {motion.centre} is barely held: the energy of one of its motions is "
+        f"{cost:.0e} of that of its sites moved one by one, and double precision resolves no less "
+        f"than {HELD:.0e}. Hold more of it, or reduce the ratio of the stiffest to the softest "
+        "tissue"
     )
 
 
@@ -181,24 +203,25 @@ def _as_free_motion(motion: Float64Array) -> FreeMotion:
     """Return a motion (H, W, 2) as a `FreeMotion`, with the tissue that takes part in it."""
     sizes = np.abs(motion)
     axis = int(np.argmax(sizes.max(axis=tuple(range(motion.ndim - 1)))))
-    piece = sizes[..., axis] > _TAKES_PART * sizes[..., axis].max()
+    piece = sizes[..., axis] > _PARTICIPATION * sizes[..., axis].max()
     names = ("along planes", "along rows", "along columns")[-motion.shape[-1] :]
-    return FreeMotion(piece, f"could still bend {names[axis]} at no cost", motion)
+    return FreeMotion(piece, f"could still bend {names[axis]} without resistance", motion)
 
 
 def find_play(model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report) -> Play:
     """Find the soft motions of tissue that is held at some components only.
 
-    Inverse iteration with the model on weak springs, for a few random motions at once.
+    The method is inverse iteration for a few random motions at once, with weak springs added to the
+    model.
     """
     steep = model.steepness
     moves = (steep > 0) & ~held
     pins, weights = np.zeros_like(held), np.sqrt(steep[moves])
-    some = _soft(model, moves, weights)
-    count, every = some.shape[1], tuple(range(1, 1 + held.ndim))
+    soft = _soft(model, moves, weights)
+    count, planes = soft.shape[1], tuple(range(1, 1 + held.ndim))
     if not count:
         return Play(pins, np.zeros((0, *held.shape)), np.zeros((0, 0)), [])
-    *_, order = scipy.linalg.qr(some.T, mode="economic", pivoting=True)
+    *_, order = scipy.linalg.qr(soft.T, mode="economic", pivoting=True)
     at = np.flatnonzero(moves)[order[:count]]
     pins.ravel()[at] = True
     model.hold(held | pins)
@@ -207,16 +230,16 @@ def find_play(model: LinearModel, held: HeldPlanes, refinement: Refinement, repo
     for way, pin in zip(ways, at, strict=True):
         way.ravel()[pin] = 1.0
         refinement.run(way, None, _EXACT)
-    for _ in range(_MIXINGS):
-        # Products lose small costs beside those of other motions, until the motions are separated.
-        ways /= np.sqrt((steep * ways**2).sum(axis=every, keepdims=True))
+    for _ in range(_SEPARATIONS):
+        # Until the motions are separated, rounding hides the small energies behind larger ones.
+        ways /= np.sqrt((steep * ways**2).sum(axis=planes, keepdims=True))
         cost = _costs(model, ways)
-        _, mixes = np.linalg.eigh(cost)
-        ways = np.tensordot(mixes.T, ways, 1)
+        _, modes = np.linalg.eigh(cost)
+        ways = np.tensordot(modes.T, ways, 1)
     cost = _costs(model, ways)
-    nothing = np.diagonal(cost) < _NOTHING * (steep * ways**2).sum(axis=every)
-    free, ways, cost = ways[nothing], ways[~nothing], cost[~nothing][:, ~nothing]
-    free /= np.abs(free).max(axis=every, keepdims=True)
+    is_free = np.diagonal(cost) < _FREE * (steep * ways**2).sum(axis=planes)
+    free, ways, cost = ways[is_free], ways[~is_free], cost[~is_free][:, ~is_free]
+    free /= np.abs(free).max(axis=planes, keepdims=True)
     motions = [np.stack([host.field(way) for way in free])] if len(free) else []
     return Play(pins, ways, cost, motions)
 
@@ -224,7 +247,8 @@ def find_play(model: LinearModel, held: HeldPlanes, refinement: Refinement, repo
 def _costs(model: LinearModel, ways: Float64Array) -> Float64Array:
     """Return the inner products of all pairs of motions in the energy, a symmetric matrix.
 
-    They come from energies, which are sums of squares: those of stiff tissue do not cancel there.
+    They are computed from energies, which are sums of squares, so that the large contributions of
+    stiff tissue do not cancel.
     """
     energies = np.array([model.work(way)[0] for way in ways])
     costs = np.diag(2 * energies)
@@ -235,12 +259,13 @@ def _costs(model: LinearModel, ways: Float64Array) -> Float64Array:
 
 
 def _product(model: LinearModel, one: Planes, two: Planes) -> float:
-    """Return the inner product of two motions in the energy (an energy is half a square)."""
+    """Return the inner product of two motions in the energy."""
+    # The energy is half the square of the norm that belongs to this inner product.
     return (model.work(one + two)[0] - model.work(one - two)[0]) / 2
 
 
 def _soft(model: LinearModel, moves: HeldPlanes, weights: Float64Array) -> Float64Array:
-    """Return the soft motions, scaled by roots of the diagonal: (components, motions)."""
+    """Return the soft motions, scaled by the roots of the diagonal: (components, motions)."""
     if not len(weights):
         return np.zeros((0, 0))
     springs = np.where(moves, _SPRINGS * model.steepness, 0.0)
@@ -248,32 +273,32 @@ def _soft(model: LinearModel, moves: HeldPlanes, weights: Float64Array) -> Float
         factors = Factors(model.material, moves, lambda part: None, springs)
     except Singular:
         raise ConvergenceError(
-            "double precision cannot resolve how tissue moves at no cost. Hold more of it, "
-            "or bring the softest and the stiffest tissue closer together"
+            "double precision cannot resolve the free motions of the tissue. Hold more of it, or "
+            "reduce the ratio of the stiffest to the softest tissue"
         ) from None
-    random, count = np.random.default_rng(0), _FIRST
+    random, count = np.random.default_rng(0), _FIRST_MOTIONS
     while True:
-        some = random.standard_normal((len(weights), min(count, len(weights))))
+        motions = random.standard_normal((len(weights), min(count, len(weights))))
         for _ in range(_ITERATIONS):
-            some, _ = np.linalg.qr(_inverse(factors, moves, weights, some))
-        images = np.stack([_image(model, moves, weights, way) for way in some.T], axis=1)
-        costs, mixes = scipy.linalg.eigh(some.T @ images)
-        soft = costs < _LITTLE
-        if not soft.all() or count >= min(_MOST, len(weights)):
-            return np.asarray(some @ mixes[:, soft])
+            motions, _ = np.linalg.qr(_inverse(factors, moves, weights, motions))
+        images = np.stack([_image(model, moves, weights, way) for way in motions.T], axis=1)
+        costs, modes = scipy.linalg.eigh(motions.T @ images)
+        is_soft = costs < _SOFT
+        if not is_soft.all() or count >= min(_MOST_MOTIONS, len(weights)):
+            return np.asarray(motions @ modes[:, is_soft])
         count *= 2
 
 
 def _inverse(
-    factors: Factors, moves: HeldPlanes, weights: Float64Array, some: Float64Array
+    factors: Factors, moves: HeldPlanes, weights: Float64Array, columns: Float64Array
 ) -> Float64Array:
     """Apply the inverse, scaled by the roots of the diagonal, to each column."""
-    made = np.empty_like(some)
-    for number, column in enumerate(some.T):
+    images = np.empty_like(columns)
+    for number, column in enumerate(columns.T):
         load: Planes = np.zeros(moves.shape)
         load[moves] = column * weights
-        made[:, number] = factors.solve(load)[moves] * weights
-    return made
+        images[:, number] = factors.solve(load)[moves] * weights
+    return images
 
 
 def _image(

@@ -1,4 +1,4 @@
-"""What pulls at tissue that moves far besides the tissue itself."""
+"""External forces on tissue in large motion: dead loads, and observations that may slip."""
 
 from __future__ import annotations
 
@@ -8,50 +8,54 @@ import numpy.typing as npt
 from napari_hmrf.solver.backends.linear import Planes
 from napari_hmrf.solver.optimizers.loading import work_of
 
-# How near to its limit a part of a force is taken to be at most.
-_ALMOST = 1 - 1e-9
+# Largest force of an observation in the linear model, as a fraction of its limit.
+_LARGEST_SHARE = 1 - 1e-9
 
 
 class Outside:
-    """Dead loads: forces that stay as they are, wherever tissue gets to.
+    """Dead loads: forces that stay constant while tissue moves.
 
     Parameters
     ----------
     load : ndarray, planes, or None
+        Force on each component.
     """
 
     def __init__(self, load: Planes | None) -> None:
         self._load = load
 
     def energy(self, d: Planes) -> float:
-        """What they add to the energy of a displacement."""
+        """Return the contribution of the forces to the energy of a displacement."""
         return -work_of(self._load, d)
 
     def forces(self, d: Planes) -> Planes:
-        """The derivative of that."""
+        """Return the derivative of this energy by each component."""
         return np.zeros_like(d) if self._load is None else -self._load
 
     def springs(self, d: Planes) -> Planes | None:
-        """How much that changes with the motion of each component; None if it does not."""
+        """Return the second derivative of this energy by each component; None if it is 0."""
         return None
 
     def follow(self, before: Planes, after: Planes) -> None:
-        """Take notice of a step."""
+        """Update the forces after a step of the field; dead loads stay the same."""
 
 
 class SoftObservations(Outside):
-    """Observations that pull with a force p at most, next to which the kink at y is rounded.
+    """Observations that pull with a force of at most p, with a rounded kink of the energy at y.
 
-    Their energy is p (sqrt(r^2 + width^2) - width) with r = d - y: with a width of 0, p |r|. As its
-    derivative bends sharply, Newton's method finds the force p w along with d, from
-    w sqrt(r^2 + width^2) = r (Chan, Golub and Mulet, SIAM J. Sci. Comput. 20, 1999).
+    Their energy is p (sqrt(r^2 + width^2) - width) with r = d - y; for a width of 0 it is p |r|.
+    Its derivative changes abruptly near y. Newton's method therefore solves for the force p w
+    together with d, from w sqrt(r^2 + width^2) = r (Chan, Golub and Mulet, SIAM J. Sci. Comput. 20,
+    1999).
 
     Parameters
     ----------
     y : ndarray, planes
+        Observed displacement, in pixels.
     limit : ndarray, planes
-        The greatest force of each component, p.
+        Largest force of each component, p; 0 where nothing is observed.
     load : ndarray, planes, or None
+        Dead load on each component.
     """
 
     def __init__(self, y: Planes, limit: Planes, load: Planes | None) -> None:
@@ -62,39 +66,39 @@ class SoftObservations(Outside):
         self._share: npt.NDArray[np.float64] = np.zeros(len(self._at))
 
     def sharpen(self, d: Planes, width: float) -> None:
-        """Round the kink by so much, in pixels, from here on."""
+        """Set the width of the rounded kink, in pixels, for a field `d`."""
         self._width = width
         off, length = self._lengths(d)
         self._share = off / length
 
     def energy(self, d: Planes) -> float:
-        """What they add to the energy of a displacement."""
+        """Return the contribution of loads and observations to the energy of a displacement."""
         _, length = self._lengths(d)
         return super().energy(d) + float((self._limit * (length - self._width)).sum())
 
     def forces(self, d: Planes) -> Planes:
-        """The derivative of that."""
+        """Return the derivative of this energy by each component."""
         off, length = self._lengths(d)
         return super().forces(d) + self._planes(self._limit * off / length)
 
     def springs(self, d: Planes) -> Planes:
-        """How much that changes with the motion of each component."""
+        """Return the diagonal of the second derivative of this energy, with w as an unknown."""
         off, length = self._lengths(d)
         return self._planes(self._limit * (1 - self._share * off / length) / length)
 
     def follow(self, before: Planes, after: Planes) -> None:
-        """Take notice of a step: of the forces that go with it."""
+        """Update the forces p w after a step of the field, by the linear model of the step."""
         off, length = self._lengths(before)
-        way = after.ravel()[self._at] - before.ravel()[self._at]
-        share = (off + way * (1 - self._share * off / length)) / length
-        self._share = np.clip(share, -_ALMOST, _ALMOST)
+        step = after.ravel()[self._at] - before.ravel()[self._at]
+        share = (off + step * (1 - self._share * off / length)) / length
+        self._share = np.clip(share, -_LARGEST_SHARE, _LARGEST_SHARE)
 
     def _lengths(self, d: Planes) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """How far each component is from what was observed, and that with the kink rounded."""
+        """Return the distance r of each component from y, and sqrt(r^2 + width^2)."""
         off = d.ravel()[self._at] - self._y
         return off, np.hypot(off, self._width)
 
     def _planes(self, values: npt.NDArray[np.float64]) -> Planes:
-        made: Planes = np.zeros(self._shape)
-        made.ravel()[self._at] = values
-        return made
+        planes: Planes = np.zeros(self._shape)
+        planes.ravel()[self._at] = values
+        return planes

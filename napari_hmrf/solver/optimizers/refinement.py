@@ -1,8 +1,8 @@
 """Solution of a linear system to a tolerance, by cycles, or by factors where cycles are unreliable.
 
-Where tissue is not mild, the iteration is first *rehearsed* (`doubt`) on a known solution. If its
-estimate is right there, it is trusted with the problem; if not, or if the iteration stalls, the
-system is factorised.
+If tissue is not mild, the iteration is first *rehearsed* (`doubt`) on a known solution. If its
+error estimate is right there, the iteration solves the problem. If not, or if the iteration stalls,
+the system is factorised.
 """
 
 from __future__ import annotations
@@ -29,20 +29,23 @@ from napari_hmrf.solver.volume_memory import IN_DOUBLE, ORDINARY, fits
 
 #: Message for a system that has no factors in double precision.
 HELD_BY_NOTHING = (
-    "a part of the tissue is barely held, beyond the reach of double precision. Hold more "
-    "of it, or bring the softest and the stiffest closer together"
+    "a part of the tissue is barely held, beyond the reach of double precision. Hold more of it, "
+    "or reduce the ratio of the stiffest to the softest tissue"
 )
 # Tolerance of a rehearsal in double precision, which must reach the softest motions.
 _REHEARSED_DOUBLE = 1e-5
-# Factor on the number of cycles in double precision, as there are no factors to turn to.
+# Factor on the largest number of cycles in double precision, where factors are not available.
 _IN_DOUBLE = 8
-# Safety factor on the underestimate that a rehearsal has measured, and for any volume.
+# Safety factor on the ratio of true to estimated error that a rehearsal has measured, and on the
+# estimate for any volume.
 _MARGIN = 4.0
 # Further factor for a volume that is not mild.
 _VOLUME_MARGIN = 1.5
-# Eigenvalues below those that cycles meet in images of mild tissue, compressible or not: cycles
-# that meet smaller ones may miss others.
-_MILD_LEAST, _MILD_LEAST_INCOMPRESSIBLE = 0.1, 0.05
+# Lower bound of the eigenvalues that cycles meet in images of mild compressible tissue. Cycles that
+# meet a smaller one may miss others.
+_MILD_LEAST = 0.1
+# The same bound for mild, nearly incompressible tissue.
+_MILD_LEAST_INCOMPRESSIBLE = 0.05
 # Least safety factor of any estimate: estimates are of single components, and of the eigenvalues
 # met so far.
 _LEAST_MARGIN = 1.5
@@ -57,12 +60,14 @@ _FEW = 1024
 _MOST_HINGES = 40
 # Largest ratio of a correction by factors to the one before.
 _FALL = 0.25
-# Size of a correction, in pixels where tissue moves by one, from which any decrease is enough; and
-# size up to which a correction that does not decrease is final.
-_ROUNDING, _STALLED = 1e-15, 1e-7
+# Size of a correction, in pixels where tissue moves by one, up to which any decrease is enough.
+_ROUNDING = 1e-15
+# Size of a correction, in pixels where tissue moves by one, up to which it may be the last one
+# although it does not decrease.
+_STALLED = 1e-7
 
 
-class _TurnedOutSlow(Exception):
+class _SlowMotionError(Exception):
     """Cycles have met a motion that they do not meet in mild tissue."""
 
 
@@ -72,14 +77,14 @@ class Refinement:
     Parameters
     ----------
     max_iterations : int
-        Cycles after which a run fails.
+        Number of cycles after which a run fails.
     model : LinearModel
     smoothing : Smoothing
     report : callable
     firm : bool
-        Whether the held sites stop all motions about equally well.
+        True if the held sites stop all motions about equally well.
     met : Met, optional
-        Knowledge from the solves of a warm start; None for a cold start.
+        Least eigenvalue and error of the solves of a warm start; None for a cold start.
 
     Attributes
     ----------
@@ -125,20 +130,28 @@ class Refinement:
         return self._model.pull(d, self._low).copy()
 
     def doubt_again(self) -> None:
-        """Require a new rehearsal after a change of held sites: weaker constraints may differ."""
+        """Require a new rehearsal after a change of held sites, as the spectrum may change."""
         if self._doubt is not None and self._doubt <= BELIEVABLE:
             self._doubt = None
 
     def run(
         self, d: Planes, load: Planes | None, tolerance: float, known: Quality | None = None
     ) -> None:
-        """Move `d` in place to where tissue and load balance, within `tolerance` pixels.
+        """Move `d` in place to balance with a load, within `tolerance` pixels.
 
-        If `d` is known to be that good, it is kept after a check of its residual.
+        Parameters
+        ----------
+        d : ndarray, planes
+        load : ndarray, planes, or None
+            Force on each component.
+        tolerance : float
+        known : Quality, optional
+            Quality of `d`. If it suffices, `d` is kept after a check of its residual.
 
         Raises
         ------
         ConvergenceError
+            If neither cycles nor factors reach the tolerance.
         """
         balance = self._model.balance(d, load)
         self.residual, self._low = balance.norm, None
@@ -172,7 +185,7 @@ class Refinement:
         """Reduce the error to the tolerance by cycles; return whether they certainly did."""
         found, before = self._model.found, math.inf
         self._mild = self._mild and not found.slow
-        # The watch ends only a first run, before the image is changed.
+        # Slow motions end only the first run, before `d` has changed.
         watch = self._mild and len(self._model.shape) == 2
         if not self._mild and self._factors_first and factors_fit(self._model):
             self._factors_tried = True
@@ -219,14 +232,14 @@ class Refinement:
                 step = latest
                 self._gains.append(unit**2 * latest.gain)
                 error = doubt * unit * latest.error
-                self._say(error, tolerance)
+                self._report_cycle(error, tolerance)
                 if watch and self._is_slow:
-                    raise _TurnedOutSlow
+                    raise _SlowMotionError
                 return error <= tolerance or self._too_long
 
             try:
                 self._iteration.run(balance, d, enough)
-            except _TurnedOutSlow:
+            except _SlowMotionError:
                 return self._begin_again(d, load, tolerance)
             except FloatingPointError:
                 if not self._take_care():
@@ -267,7 +280,7 @@ class Refinement:
         return self._iterate(d, load, tolerance, self._model.balance(d, load))
 
     def _least_error(self) -> float:
-        """Return a lower limit for the reported error, whatever residuals say."""
+        """Return a lower limit for the reported error, regardless of residuals."""
         reported = _REPORTED * self.estimate
         if self._met is None or self._met.least == 1:
             return reported
@@ -283,7 +296,7 @@ class Refinement:
         return more
 
     def _entrain(self) -> bool:
-        """Compute the motions that bodies induce; return False if they are uncertain."""
+        """Compute the motions that rigid bodies induce; return False if they are uncertain."""
         model = self._model
         if model.bodies is None or not model.iterates:
             return True
@@ -295,7 +308,7 @@ class Refinement:
 
     @property
     def _factors_first(self) -> bool:
-        """True if cycles would be in vain, or slower than factors."""
+        """True if cycles would fail, or would be slower than factors."""
         few, laced = math.prod(self._model.shape) <= _FEW, self._model.material.laced
         # Slipping observations give a sequence of similar systems: the work of cycles decreases
         # from one to the next, that of factors does not.
@@ -303,7 +316,7 @@ class Refinement:
 
     @property
     def _too_long(self) -> bool:
-        """True if factors are the faster way from here."""
+        """True if factors are faster from here on."""
         return len(self._gains) >= self._patience and factors_fit(self._model)
 
     @property
@@ -330,11 +343,11 @@ class Refinement:
 
     def _solve(self, d: Planes, load: Planes | None, tolerance: float) -> None:
         """Reduce the error to the tolerance by factors."""
-        known = f": all that they tell is that it is within {self.estimate:.2g} px"
+        known = f". The field is only known to be within {self.estimate:.2g} px of converged"
         factors = factorise(self._model, self._report, known if self.estimate < math.inf else "")
         before = math.inf
         rest, self._low = self._left(d, load), np.zeros_like(d)
-        ways = None if self._model.bodies is None else _Ways(self._model)
+        directions = None if self._model.bodies is None else _Directions(self._model)
         while rest.any():
             correction = factors.solve(rest)
             self._project(correction)
@@ -344,14 +357,14 @@ class Refinement:
             self._report(Monitor(f"solution {self.cycles} by factors, {far:.2g} px to go", 1.0))
             scale = max(1.0, float(np.abs(d).max()))
             stays = not far < (1.0 if far <= _ROUNDING * scale else _FALL) * before
-            if ways is not None:
-                stays = stays and ways.exhausted
-                correction = ways.next(correction, rest)
+            if directions is not None:
+                stays = stays and directions.exhausted
+                correction = directions.next(correction, rest)
             if stays and not max(far, before) <= _STALLED * scale:
                 raise ConvergenceError(
-                    f"the field stays {far:.2g} px from converged: double precision does not carry "
-                    "this tissue. Hold more of it, or bring the softest and the stiffest closer "
-                    "together"
+                    f"the field stays {far:.2g} px from converged: double precision is not "
+                    "accurate enough for this tissue. Hold more of it, or reduce the ratio of the "
+                    "stiffest to the softest tissue"
                 )
             add(d, self._low, correction)
             rest = self._left(d, load)
@@ -373,8 +386,8 @@ class Refinement:
         self._project(rest)
         return rest
 
-    def _say(self, estimate: float, tolerance: float) -> None:
-        """Report progress, count the cycle, and fail after too many."""
+    def _report_cycle(self, estimate: float, tolerance: float) -> None:
+        """Count and report a cycle; fail after too many."""
         self.cycles += 1
         cycles = len(self._gains)
         self._first = self._first or estimate
@@ -383,12 +396,12 @@ class Refinement:
         if cycles >= self._cycles_at_most and estimate > tolerance:
             raise ConvergenceError(
                 f"the field is still {estimate:.2g} px from converged after {cycles} cycles. "
-                "Raise max_iterations, or bring the softest and the stiffest tissue closer together"
+                "Raise max_iterations, or reduce the ratio of the stiffest to the softest tissue"
             )
 
 
-class _Ways:
-    """Conjugate directions; factors treat touching parts of a body as hinged."""
+class _Directions:
+    """Conjugate directions of corrections by factors, which treat touching parts as hinged."""
 
     def __init__(self, model: LinearModel) -> None:
         self._model = model
@@ -397,7 +410,7 @@ class _Ways:
 
     @property
     def exhausted(self) -> bool:
-        """True if the directions are as many as such hinges could need."""
+        """True if there have been as many directions as such hinges could need."""
         return self._left <= 0
 
     def next(self, correction: Planes, rest: Planes) -> Planes:
@@ -435,8 +448,8 @@ def _exactly(model: LinearModel) -> Any:
 
 def factors_fit(model: LinearModel) -> bool:
     """Return whether factors are available; volumes in the paper's model have none."""
-    there = len(model.shape) == 2 or not isinstance(model.material, SeilerMaterial)
-    return there and Factors.fit(model.shape)
+    exist = len(model.shape) == 2 or not isinstance(model.material, SeilerMaterial)
+    return exist and Factors.fit(model.shape)
 
 
 def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
@@ -447,28 +460,28 @@ def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
     Raises
     ------
     ConvergenceError
-        If memory is too small for them, or if double precision cannot tell what holds the tissue.
+        If they need too much memory, or if the system is singular in double precision.
     """
     if model.found.factors is None:
         if len(model.shape) == 3 and not factors_fit(model):
             raise ConvergenceError(
-                "cycles cannot be sure of this volume, and no factors are there for it. Raise "
-                "max_iterations, crop it, hold more of it, or bring the softest and the stiffest "
-                f"tissue closer together{known}"
+                "cycles may miss motions of this volume, and no factors are available for it. "
+                "Raise max_iterations, crop the volume, hold more of it, or reduce the ratio of "
+                f"the stiffest to the softest tissue{known}"
             )
         if not factors_fit(model):
             raise ConvergenceError(
-                "cycles cannot be sure of this tissue, and its factors need "
+                "cycles may miss motions of this tissue, and its factors need "
                 f"{Factors.needed(model.shape) / 2**30:.0f} GiB of memory. Crop the image, or "
-                "bring the softest and the stiffest tissue closer together"
+                "reduce the ratio of the stiffest to the softest tissue"
             )
 
-        def tell(part: float) -> None:
+        def report_part(part: float) -> None:
             report(Monitor(f"factorising, {part:.0%}", part))
 
-        tell(0.0)
+        report_part(0.0)
         try:
-            model.found.factors = Factors(model.material, model.moves, tell)
+            model.found.factors = Factors(model.material, model.moves, report_part)
         except Singular:
             raise ConvergenceError(HELD_BY_NOTHING) from None
     return model.found.factors

@@ -1,4 +1,4 @@
-"""The converged field where observations may slip: exchange of states down to exact agreement."""
+"""Converged field where observations may slip, by exchanging states until all are consistent."""
 
 from __future__ import annotations
 
@@ -32,28 +32,33 @@ from napari_hmrf.solver.rigid_modes import free_motion, free_motions
 
 Float64Array = npt.NDArray[np.float64]
 
-# Factor on the tolerance at which states are first exchanged, before they are confirmed.
-_ROUGHLY = 10.0
-# Accuracy of the final exchange, in pixels where tissue moves by one; factor on it from which a
-# component contradicts its state; and the same where alternative states are known.
+# Factor on the tolerance for the first exchanges, before those at the tolerance.
+_ROUGH_FACTOR = 10.0
+# Accuracy of the final exchange, in pixels where tissue moves by one.
 _EXACT = 1e-11
-_ABOVE, _PASSED = 10.0, 10.0
-# Margin below its limit with which a component is certainly held; and the margin that makes closer
-# inspection unnecessary.
-_AT_LIMIT, _NEAR_LIMIT = 1e-9, 1e-4
-# Part of its limit by which a held component may exceed it.
-_SHARE = 1e-9
-# Solutions by factors for the start of the interior-point method, the first one included.
-_REFINED = 4
-# Exchanges after which another method takes over, and after which only one state changes at a time.
-_MOST_EXCHANGES, _AT_ONCE = 100, 30
+# Factor on this accuracy from which a component contradicts its state in an exchange.
+_CONTRADICTION = 10.0
+# The same factor for the final confirmation of states.
+_CONFIRMATION = 10.0
+# Margin below its limit, as a fraction, with which a component is certainly held.
+_AT_LIMIT = 1e-9
+# Margin below its limit, as a fraction, with which it needs no closer inspection.
+_NEAR_LIMIT = 1e-4
+# Fraction of its limit by which a held component may exceed it.
+_EXCESS = 1e-9
+# Number of solutions by factors for the start of the interior-point method.
+_REFINEMENTS = 4
+# Number of exchanges after which another method takes over.
+_MOST_EXCHANGES = 100
+# Number of exchanges after which only one state changes at a time.
+_BLOCK_EXCHANGES = 30
 
 
 class Slip:
     """Search for the states of observations, and for the corresponding field.
 
-    A state that is wrong by little can change the field much, with many states or a weak grip; so
-    at the end no state may be wrong within numerical accuracy.
+    With many states or a weak grip, a state that is only slightly wrong can change the field much.
+    So at the end all states must be right within numerical accuracy.
 
     Parameters
     ----------
@@ -87,17 +92,17 @@ class Slip:
         try:
             if self._free(self._states.held) is not None:
                 self._states.hold_all()
-            for rough in (_ROUGHLY * tolerance, tolerance):
+            for rough in (_ROUGH_FACTOR * tolerance, tolerance):
                 self._exchange(d, rough, rough / 2)
             self._refinement.doubt_again()
-            self._exchange(d, exact, _ABOVE * exact)
+            self._exchange(d, exact, _CONTRADICTION * exact)
             clear = np.array_equal(self._clear(d), self._states.held)
             if not clear and factors_fit(self._model):
                 factorise(self._model, self._report)
                 self._refinement.run(d, self._states.load, exact)
             pull = self._pull(d)
-            if self._states.contradicted(d, pull, self._steepness, _ABOVE * exact, _SHARE):
-                raise ConvergenceError("what is let go of would leave tissue free")
+            if self._states.contradicted(d, pull, self._steepness, _CONTRADICTION * exact, _EXCESS):
+                raise ConvergenceError("the released observations would leave tissue free")
             if not self._resolved:
                 self._model.hold(self._states.every)
                 self._check_held()
@@ -114,8 +119,8 @@ class Slip:
 
     def _close_gap(self, d: Planes) -> None:
         """Find the states by the interior-point method, in place."""
-        # Its rounding depends on where it starts. Where it fails from the end of the exchanges,
-        # which depends on the tolerance, it starts again with all observations held.
+        # Rounding errors of the method depend on its start. If it fails from the result of the
+        # exchanges, which depends on the tolerance, it starts again with all observations held.
         try:
             interior.solve(self._model, self._states, d, self._report)
         except ConvergenceError:
@@ -124,14 +129,14 @@ class Slip:
             interior.solve(self._model, self._states, d, self._report)
 
     def _held(self, d: Planes) -> Planes:
-        """Return the field with all observations held; requires that they are held now."""
+        """Return the field with all observations held; the model must hold them already."""
         model, states = self._model, self._states
         held = np.where(self._steepness > 0, 0.0, d)
         states.place_fixed(held)
         held.ravel()[states.at] = states.y
         if model.moves.any():
             factors, low = factorise(model, self._report), np.zeros_like(d)
-            for _ in range(_REFINED):
+            for _ in range(_REFINEMENTS):
                 rest = states.with_given(model.pull(held, low)).copy()
                 rest[~model.moves] = 0
                 add(held, low, factors.solve(rest))
@@ -151,7 +156,7 @@ class Slip:
 
     @property
     def _resolved(self) -> bool:
-        """True if the last solution is certain to be the only one; elastic tissue is checked."""
+        """True if the last solution is certainly unique; elastic tissue was checked before."""
         return self._elastic or resolves(self._model)
 
     def _pull(self, d: Planes) -> Planes:
@@ -199,10 +204,12 @@ class Slip:
                     continue
             if not states.exchange(d, pull(d), self._steepness, near, self._free) and arrived:
                 return
-        raise ConvergenceError(f"which observations slip is open after {_MOST_EXCHANGES} attempts")
+        raise ConvergenceError(
+            f"the slipping observations are undetermined after {_MOST_EXCHANGES} exchanges"
+        )
 
     def _confirm(self, d: Planes, exact: float) -> None:
-        """Solve for the states that were found, and exchange those that turn out wrong."""
+        """Solve for the present states, and exchange those that turn out to be wrong."""
         states, model, refinement = self._states, self._model, self._refinement
         for number in range(_MOST_EXCHANGES):
             play = self._play(states.held)
@@ -214,19 +221,19 @@ class Slip:
             play.balance(model, refinement, d, states.load, exact)
             pull = states.with_given(refinement.pull(d))
             self._least(d, pull, play.free)
-            sure = _PASSED * max(exact, refinement.estimate)
-            if not states.correct(d, pull, sure, _SHARE, number >= _AT_ONCE):
+            sure = _CONFIRMATION * max(exact, refinement.estimate)
+            if not states.correct(d, pull, sure, _EXCESS, number >= _BLOCK_EXCHANGES):
                 break
         else:
             raise ConvergenceError(
-                "which observations slip stays open: double precision does not tell. Raise the "
+                "the slipping observations are undetermined in double precision. Raise the "
                 "penalty, or hold more of the tissue"
             )
         energy, _ = model.work(d)
         refinement.settle(energy + states.cost(d))
 
     def _settle(self, d: Planes) -> float:
-        """Choose the field of least motion among those of least energy; return its force norm."""
+        """Choose the field of least motion among those of least energy; return the force norm."""
         states, pull = self._states, self._pull(d)
         if not np.array_equal(states.certain(pull, _AT_LIMIT), states.held):
             known = self._refinement.estimate, self._refinement.residual

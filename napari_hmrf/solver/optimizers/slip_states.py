@@ -1,4 +1,4 @@
-"""The L1 data term (eq. 19), solved exactly by finding held and slipping observed components.
+"""States of observations, held or slipping, which solve the L1 data term (eq. 19) exactly.
 
 An observation pulls with a force of at most p = K c. If less is enough to keep a component at its
 observed position, the component is *held* there; otherwise it *slips* and is pulled towards it
@@ -6,7 +6,7 @@ with p. The states are found by exchanging all components that contradict their 
 again (a semismooth Newton method). Where that makes no progress, the states come from a few
 proximal gradient steps, and the field moves towards the one for these states only as far as the
 energy falls (a truncated nonsmooth Newton method: Gräser and Kornhuber, J. Comput. Math. 27, 2009).
-That is sure to end: the energy is convex, and each set of states has one least energy.
+This method certainly ends: the energy is convex, and each set of states has one least energy.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ import numpy.typing as npt
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
 from napari_hmrf.solver.optimizers.loading import work_of
 
-#: Returns a motion at no cost if only the given components are held (planes), or None.
+#: Returns a free motion of tissue that is held at the given components only (planes), or None.
 FreeMotion = Callable[[HeldPlanes], Planes | None]
 
-# Exchanges of whole blocks without a new least number of contradictions.
+#: Number of exchanges without a new least number of contradictions, after which exchanges end.
 PATIENCE = 6
-# Distance from its mark, in pixels, up to which a component counts as there.
-_ON_THE_MARK = 1e-7
-# Part of a step below which it counts as none.
-_NO_WAY = 1e-6
+# Distance from its observed position, in pixels, up to which a component counts as being there.
+_AT_POSITION = 1e-7
+# Fraction of a step below which it counts as none.
+_NO_STEP = 1e-6
 # Number of proximal steps, each on all components separately.
 _SWEEPS = 10
 
@@ -74,9 +74,9 @@ class States:
     @property
     def held(self) -> HeldPlanes:
         """Components that are held."""
-        made: HeldPlanes = self.fixed.copy()
-        made.ravel()[self.at[self._slips == 0]] = True
-        return made
+        held: HeldPlanes = self.fixed.copy()
+        held.ravel()[self.at[self._slips == 0]] = True
+        return held
 
     @property
     def any_slip(self) -> bool:
@@ -86,9 +86,9 @@ class States:
     @property
     def load(self) -> Planes:
         """Forces on the slipping components."""
-        made = np.zeros(self._grid)
-        made.ravel()[self.at] = self._slips * self.limit
-        return made
+        load = np.zeros(self._grid)
+        load.ravel()[self.at] = self._slips * self.limit
+        return load
 
     def hold_all(self) -> None:
         """Hold all observed components."""
@@ -100,8 +100,8 @@ class States:
 
     def place(self, d: Planes) -> None:
         """Move the held components to their observed position, in place."""
-        here = self._slips == 0
-        d.ravel()[self.at[here]] = self.y[here]
+        held = self._slips == 0
+        d.ravel()[self.at[held]] = self.y[held]
         self.place_fixed(d)
 
     def place_fixed(self, d: Planes) -> None:
@@ -136,8 +136,8 @@ class ActiveSet(States):
     @property
     def load(self) -> Planes:
         """Forces on the slipping components, and given forces."""
-        made = super().load
-        return made if self.given is None else made + self.given
+        load = super().load
+        return load if self.given is None else load + self.given
 
     def with_given(self, pull: Planes) -> Planes:
         """Return forces of the tissue, with the given forces added."""
@@ -145,7 +145,7 @@ class ActiveSet(States):
 
     @property
     def lost(self) -> bool:
-        """True once exchanges alone have made no progress for a while; stays True."""
+        """True once exchanges alone have stopped making progress; stays True from then on."""
         return self._patience == 0
 
     def cost(self, d: Planes) -> float:
@@ -156,13 +156,13 @@ class ActiveSet(States):
     def exchange(
         self, d: Planes, pull: Planes, steepness: Planes, tolerance: float, free: FreeMotion
     ) -> bool:
-        """Release held components whose force is above the limit, and hold those past their mark.
+        """Release held components above their limit, and hold slipping ones that have passed y.
 
         Parameters
         ----------
         d : ndarray, planes
-            Displacement for the present states. If the release would free tissue altogether, the
-            tissue slides in place to where an observation holds it again.
+            Displacement for the present states. If the release would leave tissue free, the tissue
+            slides, in place, to where an observation holds it again.
         pull : ndarray, planes
             Force of the tissue on each component, including given forces.
         steepness : ndarray, planes
@@ -170,7 +170,7 @@ class ActiveSet(States):
         tolerance : float
             Contradictions of less than this, in pixels, do not count.
         free : callable
-            Returns a motion at no cost if only the given components are held, or None.
+            Returns a free motion of tissue that is held at the given components only, or None.
 
         Returns
         -------
@@ -189,14 +189,14 @@ class ActiveSet(States):
         before, exchanged = self._slips, np.where(held, np.sign(needed), 0.0)
         while count:
             self._slips = np.where(wrong, exchanged, before)
-            let_go = np.flatnonzero(wrong & held)
-            motion = free(self.held) if len(let_go) else None
+            released = np.flatnonzero(wrong & held)
+            motion = free(self.held) if len(released) else None
             if motion is None:
                 break
-            if len(let_go) == 1:
+            if len(released) == 1:
                 return self.slide(d, motion) or int(wrong.sum()) > 1
-            # Released too many: keep only those with the largest excess.
-            wrong[let_go[np.argsort(excess[let_go])[: len(let_go) // 2]]] = False
+            # Too many components were released: keep only those with the largest excess.
+            wrong[released[np.argsort(excess[released])[: len(released) // 2]]] = False
         return count > 0
 
     def contradicted(
@@ -209,7 +209,7 @@ class ActiveSet(States):
     ) -> bool:
         """Return whether any component contradicts its state; parameters as for `exchange`.
 
-        A force above the limit by this `share` of it is also a contradiction, at any stiffness.
+        A force that exceeds the limit by this `share` of it is a contradiction at any stiffness.
         """
         more = np.abs(pull.ravel()[self.at]) - self.limit
         over = (self._slips == 0) & (more > share * self.limit)
@@ -218,14 +218,14 @@ class ActiveSet(States):
     @property
     def every(self) -> HeldPlanes:
         """Components that are observed."""
-        made: HeldPlanes = self.fixed.copy()
-        made.ravel()[self.at] = True
-        return made
+        observed: HeldPlanes = self.fixed.copy()
+        observed.ravel()[self.at] = True
+        return observed
 
     def relax(
         self, d: Planes, pull_at: Callable[[Planes], Planes], steepness: Planes, free: FreeMotion
     ) -> bool:
-        """Move each component, as if alone, to its position of least energy, in place.
+        """Move each component by itself to its position of least energy, in place.
 
         Parameters
         ----------
@@ -241,15 +241,15 @@ class ActiveSet(States):
         Returns
         -------
         bool
-            True if the components were moved; False if tissue would be freed altogether.
+            True if the components were moved; False if that would leave tissue free.
         """
         steep = steepness.ravel()[self.at]
         moved, before = d.copy(), self._slips
-        there = moved.ravel()
+        flat = moved.ravel()
         for _ in range(_SWEEPS):
-            off = there[self.at] - self.y + pull_at(moved).ravel()[self.at] / steep
+            off = flat[self.at] - self.y + pull_at(moved).ravel()[self.at] / steep
             less = np.maximum(np.abs(off) - self.limit / steep, 0)
-            there[self.at] = self.y + np.sign(off) * less
+            flat[self.at] = self.y + np.sign(off) * less
         self.follow(moved)
         if free(self.held) is not None:
             self._slips = before
@@ -272,21 +272,22 @@ class ActiveSet(States):
     def certain(self, pull: Planes, margin: float, noise: Planes | float = 0.0) -> HeldPlanes:
         """Return the components that are held with less than their limit.
 
-        The margin is a part of the limit; `noise`, the uncertainty of forces, is subtracted, too.
+        The margin is a fraction of the limit; `noise`, the uncertainty of forces, is subtracted,
+        too.
         """
-        made: HeldPlanes = self.fixed.copy()
-        some = np.broadcast_to(noise, self._grid).ravel()[self.at]
-        less = np.abs(pull.ravel()[self.at]) < (1 - margin) * self.limit - some
-        made.ravel()[self.at] = (self._slips == 0) & less
-        return made
+        held: HeldPlanes = self.fixed.copy()
+        uncertainty = np.broadcast_to(noise, self._grid).ravel()[self.at]
+        less = np.abs(pull.ravel()[self.at]) < (1 - margin) * self.limit - uncertainty
+        held.ravel()[self.at] = (self._slips == 0) & less
+        return held
 
     def correct(
         self, d: Planes, pull: Planes, tolerance: float, share: float, singly: bool
     ) -> bool:
         """Exchange components that contradict their state by `tolerance` or by `share` of a limit.
 
-        Returns whether there were any. If `singly`, only the last of them is exchanged, which is
-        sure to end (Murty's rule).
+        Returns whether any component did. If `singly`, only the last of them is exchanged; such
+        exchanges certainly end (Murty's rule).
         """
         force, held = -pull.ravel()[self.at], self._slips == 0
         passed = self._slips * (d.ravel()[self.at] - self.y)
@@ -324,19 +325,20 @@ class ActiveSet(States):
         if part < 1:
             np.copyto(d, before + part * way)
             self.follow(d)
-        self._barred = slipped & (self._slips == 0) if part < _NO_WAY else np.zeros_like(slipped)
+        self._barred = slipped & (self._slips == 0) if part < _NO_STEP else np.zeros_like(slipped)
         return part >= 1
 
     def follow(self, d: Planes) -> None:
-        """Hold components at their mark, and let the others slip."""
+        """Hold the components that are at their observed position, and let the others slip."""
         off = self.y - d.ravel()[self.at]
-        self._slips = np.where(np.abs(off) <= _ON_THE_MARK, 0.0, np.sign(off))
+        self._slips = np.where(np.abs(off) <= _AT_POSITION, 0.0, np.sign(off))
         self.place(d)
 
     def slide(self, d: Planes, motion: Planes) -> bool:
         """Move tissue along a free motion to the least energy of the observations, in place.
 
-        An observation holds it there. Without such a place, released components are held again.
+        An observation then holds the tissue. If the energy has no minimum along the motion,
+        released components are held again.
         """
         for way in (motion, -motion):
             part = self._lowest(d, way, -work_of(self.given, way), 0.0)
@@ -345,7 +347,7 @@ class ActiveSet(States):
                 self.follow(d)
                 return True
         off = self.y - d.ravel()[self.at]
-        self._slips = np.where(np.abs(off) <= _ON_THE_MARK, 0.0, self._slips)
+        self._slips = np.where(np.abs(off) <= _AT_POSITION, 0.0, self._slips)
         return False
 
     def _lowest(self, d: Planes, way: Planes, slope: float, bend: float) -> float:
@@ -358,7 +360,7 @@ class ActiveSet(States):
         slope += float((self.limit * signs * moves).sum())
         if slope >= 0:
             return 0.0
-        # The slope jumps where an observation passes its mark.
+        # The slope jumps where a component passes its observed position.
         for k in np.argsort(at):
             if at[k] <= 0:
                 continue

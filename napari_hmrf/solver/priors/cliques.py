@@ -1,4 +1,4 @@
-"""The cliques of the paper's prior (eqs. 9-11), and what its linear models know of tissue."""
+"""Cliques of the paper's prior (eqs. 9-11), and the material of its linear models."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Slices = tuple[slice, ...]
 
 @cache
 def line_steps(axes: int) -> tuple[tuple[int, ...], ...]:
-    """The directions of the lines: first the axes, then the diagonals of faces, then of space.
+    """Return the directions of the lines: axes, then diagonals of faces, then of space.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def line_steps(axes: int) -> tuple[tuple[int, ...], ...]:
     Returns
     -------
     tuple of tuple of int
-        The step from the middle of a clique to its end u; its end s lies on the other side.
+        Step from the middle t of a clique to its end u; its end s is on the opposite side.
     """
     steps = [step for step in product((1, 0, -1), repeat=axes) if 1 in step]
     upwards = [step for step in steps if -1 not in step[: step.index(1)]]
@@ -37,14 +37,14 @@ def line_steps(axes: int) -> tuple[tuple[int, ...], ...]:
 
 
 def line_weights(spacing: tuple[float, ...]) -> Float64Array:
-    """How much each line of cliques counts for each component of displacement.
+    """Return the weight of each line of cliques for each component of displacement.
 
-    The paper's pixels are square: there the vertical line carries the row component, the horizontal
-    line the col component, and the diagonals both, all with weight 1. So it is with cubes: a
-    diagonal carries the components along which it leads. For other pixels and voxels the weights
-    are those, none negative, that keep the continuum the lines stand for: in uniform tissue
-    component i obeys ``3 d_ii + 2 d_jj (+ 2 d_kk) = 0`` in physical lengths, for any spacing. In a
-    volume they are also those that make of slices which are all alike the images that they are.
+    The paper's pixels are square: the vertical line carries the row component, the horizontal line
+    the col component, and the diagonals both, all with weight 1. The same holds for cubes, where a
+    diagonal carries the components of its direction. For other pixels and voxels the weights, none
+    negative, preserve the continuum limit: in uniform tissue component i obeys
+    ``3 d_ii + 2 d_jj (+ 2 d_kk) = 0`` in physical lengths, for any spacing. With these weights a
+    volume of equal slices also has the same solution as an image of one slice.
 
     Parameters
     ----------
@@ -59,8 +59,8 @@ def line_weights(spacing: tuple[float, ...]) -> Float64Array:
     axes = len(spacing)
     sizes = np.array(spacing) / spacing[0]
     along = sizes**2 / np.prod(sizes**2) ** (1 / axes)  # in units of one pixel
-    # Each pair of slices is joined by two diagonals of faces for one within them, and so by three
-    # times as much in all.
+    # Each line within a slice of a volume is the projection of two more lines, to the slices on
+    # either side, so that the total weight is three times that of an image.
     total = 3.0 ** (axes - 2)
     longer = np.maximum.outer(along, along)
     of_space, of_faces = 1 / along.max(), total / longer - (total - 1) / along.max()
@@ -77,18 +77,19 @@ def line_weights(spacing: tuple[float, ...]) -> Float64Array:
 
 @dataclass(frozen=True, eq=False)
 class SeilerMaterial:
-    """What the kernels of multigrid need to know of a problem's tissue.
+    """Material of a problem's tissue in the paper's model, as the kernels of multigrid use it.
 
     Attributes
     ----------
     m : ndarray, shape (H, W) or (D, H, W), float32
         Stiffness; 0 is void. Only its ratios matter.
     lines : ndarray, shape (4, 2) or (13, 3)
-        What each line of cliques counts for each component: `line_weights`.
+        Weight of each line of cliques for each component: `line_weights`.
     square : bool
-        Whether the pixels are, or the voxels cubes.
+        True if the pixels are square, or the voxels are cubes.
     blanket : bool
-        Whether every clique that contains a site pulls at it, or those whose middle it is.
+        True for the blanket reading: all cliques that contain a site act on it. False for the
+        centred reading: only cliques with the site in the middle do.
     """
 
     m: npt.NDArray[np.float32]
@@ -110,40 +111,46 @@ class SeilerMaterial:
     def bounds(self) -> tuple[float, float]:
         """Upper bounds of the spectrum of D^-1 A, for usual and for any materials.
 
-        Centred, a row is 1 less a weighted mean; blanket, each term of the energy is the square
-        of a sum of three, which is at most three times the sum of their squares.
+        In the centred reading a row is 1 minus a weighted mean. In the blanket reading each term of
+        the energy is the square of a sum of three, at most three times the sum of their squares.
         """
         most = 3.0 if self.blanket else 2.0
         return most, most
 
     @cached_property
     def mild(self) -> bool:
-        """Whether a cycle sees every motion of it: not blanket, where parts three wide can bend."""
+        """True if a cycle is known to reduce every motion of such tissue."""
+        # In the blanket reading, cycles miss the bending of parts that are three sites wide.
         return contrast(self.m) <= MILD_CONTRAST and self.square and not self.blanket
 
-    #: A rehearsal may always show that cycles see every motion.
+    #: A rehearsal can succeed for any tissue.
     laced = False
-    #: No volume is kept.
+    #: The model does not resist changes of volume.
     compressible = True
-    #: Sites along a side of an element (the cliques around a site), and how far it reaches beyond.
-    patch, margin = 3, 1
+    #: Number of sites along a side of an element, which consists of the cliques around a site.
+    patch = 3
+    #: Number of sites by which elements extend beyond the image.
+    margin = 1
 
     @property
     def symmetric(self) -> bool:
-        """Whether the model is: it has an energy."""
+        """True if the matrix of the model is symmetric, so that it has an energy."""
         return self.blanket
 
     @property
     def parts(self) -> tuple[tuple[tuple[int, ...], Any], ...]:
-        """Of an image each component apart, and what gives the matrices around sites, 9 x 9."""
+        """Each component of an image by itself, with the function that returns the matrices.
+
+        The matrices of the cliques around sites have shape (h, w, 9, 9).
+        """
         padded = np.pad(self.m, 1)
         return tuple(((k,), partial(self._matrices, k, padded)) for k in range(2))
 
     def _matrices(
         self, component: int, padded: npt.NDArray[np.float32], rows: slice, cols: slice
     ) -> Float64Array:
-        """The matrices of the cliques whose middles lie between these rows and columns."""
-        # Blanket, the second derivatives of their energies; centred, the middle's d - q(d).
+        """Return the matrices of the cliques whose middles lie in these rows and columns."""
+        # Blanket: the second derivatives of the energy. Centred: d - q(d) of the middle site.
         sites = padded[rows.start : rows.stop + 2, cols.start : cols.stop + 2]
         shape = sites.shape[0] - 2, sites.shape[1] - 2
         total, curvature = np.zeros((*shape, 9, 9)), np.zeros((*shape, 1))
@@ -155,7 +162,7 @@ class SeilerMaterial:
             at = np.array([3 * (1 + k * i) + 1 + k * j for k in (-1, 0, 1)])
             r_s, r_u, exists = ratios(sites, s, t, u)
             one = np.ones_like(r_s)
-            # How the two terms of V depend on d_s, d_t and d_u.
+            # Coefficients of d_s, d_t and d_u in the two terms of V.
             for ratio, term in (
                 (r_u, np.concatenate([-r_u, 1 + r_u, -one], axis=-1)),
                 (r_s, np.concatenate([-one, 1 + r_s, -r_s], axis=-1)),
@@ -172,37 +179,39 @@ class SeilerMaterial:
         return total
 
     def pull(self, d: Float64Array, low: Float64Array) -> Float64Array:
-        """- A d of the blanket reading, for a displacement in two parts: planes.
+        """Return -A d of the blanket reading, for a displacement (planes) in two parts.
 
-        Next to nothing moves the softest tissue, and stiff tissue multiplies what differences
-        between neighbours are rounded by; so those are found with twice the digits.
+        The softest tissue resists with tiny forces, and stiff tissue amplifies the rounding of
+        differences between neighbours, so these are computed with twice the digits.
         """
         m = np.pad(self.m, 2)
-        made = np.zeros(d.shape)
+        total = np.zeros(d.shape)
         for weights, (s, t, u) in _lines(2 * self.lines, m):
-            r_s, r_u, there = ratios(m, s, t, u)
-            r_s, r_u, exists = r_s[..., 0], r_u[..., 0], there[..., 0]
-            from_s, to_u = _apart(d, low, t, s), _apart(d, low, u, t)
-            first = exists * weights * _stretched(r_u, from_s, to_u)
-            second = exists * weights * _stretched(-r_s, to_u, _turned(from_s))
+            r_s, r_u, exists = ratios(m, s, t, u)
+            r_s, r_u, exists = r_s[..., 0], r_u[..., 0], exists[..., 0]
+            from_s, to_u = _difference(d, low, t, s), _difference(d, low, u, t)
+            first = exists * weights * _scaled_difference(r_u, from_s, to_u)
+            second = exists * weights * _scaled_difference(-r_s, to_u, _negative(from_s))
             for site, force in (
                 (s, r_u * first + second),
                 (t, -((1 + r_u) * first + (1 + r_s) * second)),
                 (u, first + r_s * second),
             ):
-                made[:, *site] += force
-        return made
+                total[:, *site] += force
+        return total
 
 
 class Cliques(NamedTuple):
-    """What the cliques around sites ask for, planes, and what those in whose middle they are cost.
+    """Energy of the cliques at each site as a function of its displacement, in planes.
 
     Attributes
     ----------
     curvature : ndarray, shape (2, H + 4, W + 4) or (3, D + 4, H + 4, W + 4)
-    slope : ndarray
-        -1/2 of the derivative of the energy by the site's displacement.
+        Half of the second derivative of the energy by the site's displacement.
+    slope : ndarray, of the same shape
+        -1/2 of the first derivative.
     energy : ndarray, shape (H + 4, W + 4) or (D + 4, H + 4, W + 4)
+        Energy of the cliques with the site in the middle.
     """
 
     curvature: Float64Array
@@ -213,7 +222,7 @@ class Cliques(NamedTuple):
 def cliques(
     d: npt.NDArray[np.floating], m: npt.NDArray[np.floating], lines: Float64Array, blanket: bool
 ) -> Cliques:
-    """Look at the cliques that pull at each site: as its middle or, blanket, all (eqs. 9-11).
+    """Evaluate the cliques that act on each site (eqs. 9-11).
 
     Parameters
     ----------
@@ -222,31 +231,33 @@ def cliques(
     m : ndarray, shape (H + 4, W + 4) or (D + 4, H + 4, W + 4)
         Stiffness in the same ring; 0 is void.
     lines : ndarray, shape (4, 2) or (13, 3)
-        What each line of cliques counts for each component.
+        Weight of each line of cliques for each component: `line_weights`.
     blanket : bool
+        True if all cliques that contain a site act on it; False if only those with the site in the
+        middle do.
     """
     curvature, slope = np.zeros((2, *d.shape))
     energy = np.zeros(m.shape)
     for weights, (s, t, u) in _lines(lines, m):
-        r_s, r_u, there = (each[..., 0] for each in ratios(m, s, t, u))
-        counts = there * weights
+        r_s, r_u, exists = (each[..., 0] for each in ratios(m, s, t, u))
+        factors = exists * weights
         to_s, to_u = d[:, *s] - d[:, *t], d[:, *u] - d[:, *t]
         first, second = r_u * to_s + to_u, r_s * to_u + to_s
-        curvature[:, *t] += counts * ((1 + r_u) ** 2 + (1 + r_s) ** 2)
-        slope[:, *t] += counts * ((1 + r_u) * first + (1 + r_s) * second)
-        energy[t] += (counts * (first**2 + second**2)).sum(axis=0)
+        curvature[:, *t] += factors * ((1 + r_u) ** 2 + (1 + r_s) ** 2)
+        slope[:, *t] += factors * ((1 + r_u) * first + (1 + r_s) * second)
+        energy[t] += (factors * (first**2 + second**2)).sum(axis=0)
         if blanket:
-            curvature[:, *s] += counts * (r_u**2 + 1)
-            curvature[:, *u] += counts * (1 + r_s**2)
-            slope[:, *s] -= counts * (r_u * first + second)
-            slope[:, *u] -= counts * (first + r_s * second)
+            curvature[:, *s] += factors * (r_u**2 + 1)
+            curvature[:, *u] += factors * (1 + r_s**2)
+            slope[:, *s] -= factors * (r_u * first + second)
+            slope[:, *u] -= factors * (first + r_s * second)
     return Cliques(curvature, slope, energy)
 
 
 def _lines(
     lines: Float64Array, m: npt.NDArray[np.floating]
 ) -> Iterator[tuple[Float64Array, tuple[Slices, Slices, Slices]]]:
-    """Each line of cliques in planes: what it counts, (2, 1, 1), and its sites s, t and u."""
+    """Yield each line of cliques: its weights, (2, 1, 1), and slices of its sites s, t and u."""
     for step, weights in zip(line_steps(m.ndim), lines, strict=True):
         s, t, u = (
             tuple(slice(2 + k * a, size - 2 + k * a) for a, size in zip(step, m.shape, strict=True))
@@ -258,33 +269,32 @@ def _lines(
 _Pair = tuple[Float64Array, Float64Array]
 
 
-def _apart(d: Float64Array, low: Float64Array, here: Slices, there: Slices) -> _Pair:
-    """How far displacements differ, d[here] - d[there], in two parts."""
-    a, b = d[:, *here], d[:, *there]
-    high, rest = _sum(a, -b)
-    return high, rest + (low[:, *here] - low[:, *there])
+def _difference(d: Float64Array, low: Float64Array, one: Slices, other: Slices) -> _Pair:
+    """Return the difference of displacements, d[one] - d[other], in two parts."""
+    high, rest = _sum(d[:, *one], -d[:, *other])
+    return high, rest + (low[:, *one] - low[:, *other])
 
 
-def _turned(pair: _Pair) -> _Pair:
+def _negative(pair: _Pair) -> _Pair:
     return -pair[0], -pair[1]
 
 
-def _stretched(ratio: Float64Array, one: _Pair, other: _Pair) -> Float64Array:
-    """Ratio * one - other, rounded at the end."""
+def _scaled_difference(ratio: Float64Array, one: _Pair, other: _Pair) -> Float64Array:
+    """Return ratio * one - other, rounded only at the end."""
     product, rest = _product(ratio, one[0])
     high, lost = _sum(product, -other[0])
     return high + (lost + rest + ratio * one[1] - other[1])
 
 
 def _sum(a: Float64Array, b: Float64Array) -> _Pair:
-    """A sum, and what it is rounded by (Knuth)."""
+    """Return a sum and its rounding error (Knuth)."""
     total = a + b
     part = total - a
     return total, (a - (total - part)) + (b - part)
 
 
 def _product(a: Float64Array, b: Float64Array) -> _Pair:
-    """A product, and what it is rounded by (Dekker)."""
+    """Return a product and its rounding error (Dekker)."""
     product = a * b
     (a_high, a_low), (b_high, b_low) = _halves(a), _halves(b)
     rest = (a_high * b_high - product) + a_high * b_low + a_low * b_high + a_low * b_low
@@ -292,7 +302,7 @@ def _product(a: Float64Array, b: Float64Array) -> _Pair:
 
 
 def _halves(a: Float64Array) -> _Pair:
-    """The first and the last 26 digits of numbers."""
+    """Split numbers into a leading and a trailing part of 26 bits each (Veltkamp)."""
     wide = 134217729.0 * a  # 2^27 + 1
     high = wide - (wide - a)
     return high, a - high

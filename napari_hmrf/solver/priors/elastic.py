@@ -84,9 +84,9 @@ class ElasticPrior:
         refuse_unless(known, "plane", self.plane, '"stress" or "strain"')
         if self.penalty is not None:
             penalty, (low, high) = real(self.penalty), PENALTY_RANGE
-            right = low <= penalty <= high or penalty == math.inf
-            what = f"a number from {low:g} to {high:g}, inf or None"
-            refuse_unless(right, "penalty", self.penalty, what)
+            in_range = low <= penalty <= high or penalty == math.inf
+            expected = f"a number from {low:g} to {high:g}, inf or None"
+            refuse_unless(in_range, "penalty", self.penalty, expected)
             object.__setattr__(self, "penalty", penalty)
 
     @property
@@ -129,7 +129,7 @@ class ElasticPrior:
         return ElasticPrior(poisson, plane=self.plane, penalty=1.0 if slips else math.inf)
 
     def resolved(self, problem: Problem) -> ElasticPrior:
-        """Check that the problem has one answer, and return the prior in force.
+        """Check that the problem has a unique solution, and return the prior for this problem.
 
         The penalty becomes ``inf`` if none was given and no observation of this problem may slip.
 
@@ -144,8 +144,8 @@ class ElasticPrior:
         if self.penalty is not None and self.penalty < math.inf and problem.rigid.any():
             raise ProblemError(
                 "stiffness",
-                "is infinite (rigid) somewhere, where nothing that is observed may slip. Leave the "
-                "prior's penalty out, or give that tissue a number.",
+                "is infinite (rigid) somewhere, but beside rigid tissue no observation may slip. "
+                "Leave the prior's penalty out, or give that tissue a finite stiffness.",
             )
         check_held(problem)
         return self.in_force(problem)
@@ -180,13 +180,13 @@ class ElasticPrior:
         return ElasticMaterial(problem.stiffness, self.poisson, self._strain(problem), shape)
 
     def _strain(self, problem: Problem) -> bool:
-        """Return whether tissue can bulge in no direction."""
+        """Return whether tissue cannot bulge out of the grid: plane strain, or a volume."""
         return self.plane == "strain" or problem.stiffness.ndim == 3
 
     def lame(self, problem: Problem, sites: slice = slice(None)) -> Lame:
         """Return Lame's parameters of elements, from the means of sites; 0 if void or rigid.
 
-        For all elements, or for those between the sites in a range of the first axis.
+        The elements are all, or those between the sites in a range of the first axis.
         """
         m = problem.stiffness[sites] / np.float64(stiffest(problem.stiffness))
         nu = self.poisson if isinstance(self.poisson, float) else self.poisson[sites]
@@ -206,7 +206,7 @@ class ElasticPrior:
         )
 
     def force_unit(self, problem: Problem) -> float:
-        """Return a force of 1, in the unit of `Loads`: it strains a pixel of the stiffest by 1."""
+        """Return the force, in units of `Loads`, that strains a pixel of the stiffest by 1."""
         return stiffest(problem.stiffness) * problem.unit ** (len(problem.shape) - 1)
 
     def load(self, problem: Problem) -> Load | None:
@@ -253,7 +253,7 @@ class ElasticPrior:
     def forces(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
         """Return the derivative of the energy by each site's displacement (H, W, 2), in pixels.
 
-        These are the forces with which tissue resists, less those of loads.
+        These are the internal forces of the tissue, less the forces of loads.
         """
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
         shape, load, forces = self.shape(problem.spacing), self.load(problem), np.zeros(d.shape)
@@ -267,8 +267,8 @@ def _checked_poisson(value: Any) -> float | npt.NDArray[np.float32]:
     low, high = POISSON_RANGE
     given = as_numbers("poisson", value)
     if given.ndim == 0:
-        right = low <= float(given) <= high
-        refuse_unless(right, "poisson", value, f"from {low:g} to {high:g}")
+        in_range = low <= float(given) <= high
+        refuse_unless(in_range, "poisson", value, f"from {low:g} to {high:g}")
         return float(given)
     with np.errstate(over="ignore"):  # values that overflow are refused as out of range
         made = np.array(given, dtype=np.float32, order="C")

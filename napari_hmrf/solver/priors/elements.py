@@ -7,7 +7,7 @@ compute forces from differences of displacement, never from an assembled stencil
     along columns  D_c = (d01 - d00) + (d11 - d10)
     the twist      D_x = (d11 - d01) - (d10 - d00)
 
-The mean strains follow from D_r and D_c; the energy of the twist separates from theirs.
+The mean strains follow from D_r and D_c. Their energy and that of the twist add up.
 """
 
 from __future__ import annotations
@@ -24,18 +24,25 @@ from napari_hmrf.solver.neighbours import in_elements, of_corners
 
 Float64Array = npt.NDArray[np.float64]
 
-#: Stiffness used for rigid tissue, in units of the stiffest other tissue: in cycles that hold all
-#: bodies, in cycles that move them, whose coarse levels must stay accurate, and in factors.
-HELD_STAND_IN, CYCLE_STAND_IN, FACTOR_STAND_IN = 1.0, 40.0, 1e6
-#: Largest ratio of stiffnesses, and of the sides of a pixel and of a voxel, for which a cycle of
-#: multigrid is known to reduce every motion of tissue. Estimates for volumes have a larger margin.
+#: Stiffness used for rigid tissue in cycles that hold all bodies, in units of the stiffest other
+#: tissue.
+HELD_STAND_IN = 1.0
+#: The same in cycles that move bodies, whose coarse levels must stay accurate.
+CYCLE_STAND_IN = 40.0
+#: The same in factors.
+FACTOR_STAND_IN = 1e6
+#: Largest ratio of stiffnesses for which a cycle of multigrid is known to reduce every motion.
 MILD_CONTRAST = 5.0
-MILD_ASPECT, MILD_VOXEL_ASPECT = 1.5, 2.0
-#: Largest Poisson's ratio in plane strain for which it certainly does.
+#: The same for the ratio of the sides of a pixel.
+MILD_ASPECT = 1.5
+#: The same for the ratio of the sides of a voxel; estimates for volumes have a larger margin.
+MILD_VOXEL_ASPECT = 2.0
+#: The same for Poisson's ratio in plane strain.
 MILD_POISSON = 0.4
-#: Least number of elements for each site: thin strips bend in ways that coarse levels do not.
+#: Least number of elements per site for which a cycle reduces every motion: thin strips bend in
+#: ways that coarse levels cannot represent.
 MILD_COMPACTNESS = 0.85
-#: Contrast from which cycles do not see all motions of such strips.
+#: Ratio of stiffnesses from which cycles miss some motions of thin strips.
 LACED_CONTRAST = 300.0
 
 
@@ -48,8 +55,9 @@ class ElasticMaterial:
     m : ndarray, shape (H, W) or (D, H, W), float32
         Stiffness; 0 is void. Only its ratios matter.
     poisson : float or ndarray of the same shape, float32
+        Poisson's ratio of all tissue, or of each site.
     strain : bool
-        Plane strain instead of plane stress; a volume is strained in all directions.
+        True for plane strain and for volumes, False for plane stress.
     shape : ElementShape or BrickShape
     """
 
@@ -100,12 +108,12 @@ class ElasticMaterial:
 
     @cached_property
     def _compactness(self) -> float:
-        """Number of elements per site of tissue: 1 but for borders, 1/2 for strips of two sites."""
-        # Borders take the same part of each axis; the power makes volumes comparable to images.
+        """Number of elements per site of tissue: 1/2 for strips of two sites, near 1 if wide."""
+        # Borders take up the same part of each axis; the power makes volumes comparable to images.
         share = np.count_nonzero(in_elements(self.m)) / np.count_nonzero(self.m > 0)
         return float(share ** (2 / self.m.ndim))
 
-    #: Sites along a side of an element.
+    #: Number of sites along a side of an element.
     patch = 2
     #: Number of sites by which elements extend beyond the image.
     margin = 0
@@ -113,9 +121,9 @@ class ElasticMaterial:
 
     @property
     def parts(self) -> tuple[tuple[tuple[int, ...], Any], ...]:
-        """All components together, with the function that returns the matrices of elements.
+        """All components together, with the function that returns the matrices.
 
-        The matrices have shape (h, w, 8, 8), or (d, h, w, 24, 24).
+        The matrices of elements have shape (h, w, 8, 8), or (d, h, w, 24, 24).
         """
         return ((tuple(range(self.m.ndim)), self._matrices),)
 
@@ -229,8 +237,9 @@ def lame_parameters(m: Float64Array, poisson: Any, strain: bool) -> Lame:
     m : ndarray, shape (H, W) or (D, H, W)
         Stiffness.
     poisson : float or ndarray of the same shape
+        Poisson's ratio of all tissue, or of each site.
     strain : bool
-        Plane strain, or a volume, instead of plane stress.
+        True for plane strain and for volumes, False for plane stress.
     """
     whole = in_elements(m)
     young = np.where(whole, of_elements(m), 0.0)

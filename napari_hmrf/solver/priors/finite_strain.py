@@ -1,30 +1,32 @@
-"""Elements of tissue that may stretch and turn as far as it likes, in NumPy and float64.
+"""Elements for large motion: finite strain and rotation, in NumPy and float64.
 
-What an element's two sides and its twist have become, per side of a pixel, are six numbers
+Six numbers describe a deformed element, per side of a pixel: its two mean sides and its twist,
 
     z = (a, b, x):  a = e_r + D_r / 2 h_r,  b = e_c + D_c / 2 h_c,  x = D_x
 
-of which a and b are the columns of the mean deformation gradient F. As an element is bilinear, its
-Jacobian is linear within it: four positive corners prove that a pixel is nowhere folded. The mean
-and each corner's are quadratic in z,
+Here a and b are the columns of the mean deformation gradient F. An element is bilinear, so that its
+Jacobian is linear within it: if it is positive at the four corners, the pixel is folded nowhere.
+The mean Jacobian and the Jacobian at each corner are quadratic in z,
 
     J = z . Q z / 2.
 
-The energy of an element is that of a neo-Hookean solid, with what resists its twist, and with a
-barrier that stands before a corner that is about to fold:
+The energy of an element is that of a neo-Hookean solid, plus the energy of the twist, plus a
+barrier that rises as a corner comes close to folding:
 
     U = mu/2 (|F|^2 - 2) + g(J) + t/2 |x|^2 + mu kappa/4 sum over corners of b(J_k)
     plane strain:  g = lambda/4 (J^2 - 1) - (mu + lambda/2) ln J
     plane stress:  g = (mu + lambda/2) (ln((mu + lambda J^2/2) / (mu + lambda/2)) / 2 - ln J)
     below J_0:     b = -(J - J_0)^2 ln(J / J_0)
 
-For small motion this is linear elasticity. Tissue that would grow by the strain e_g if it were free
-has the energy of what is left of its deformation once its growth is undone, of so much more tissue:
+For small motion this is linear elasticity. Let e_g be the growth strain, which tissue would have if
+it were free. The energy is then that of the deformation from the grown shape, for the grown amount
+of tissue:
 
     (a, b) -> (a, b) (1 + e_g)^-1,    J, J_k -> J / det(1 + e_g),    U -> det(1 + e_g) U
 
-Growth across the image makes more tissue in plane stress; in plane strain, where it is not free, J
-is divided by it in g, too. Forces from outside are no business of an element's.
+Growth across the image multiplies the amount of tissue by one plus its strain. In plane strain,
+where the slice cannot thicken, J is also divided by this factor in g. External forces are not part
+of the energy of an element.
 """
 
 from __future__ import annotations
@@ -48,18 +50,25 @@ from napari_hmrf.solver.priors.elements import (
 from napari_hmrf.solver.priors.growth import element_strains
 from napari_hmrf.solver.real_arrays import FloatArray
 
-#: How strong the barrier is, in units of mu, and below which Jacobian it stands.
-BARRIER, BARRIER_BEGIN = 10.0, 0.5
+#: Strength of the barrier, kappa, in units of mu.
+BARRIER = 10.0
+#: Jacobian below which the barrier acts, J_0.
+BARRIER_BEGIN = 0.5
+# The numbers z of an element at rest.
 _AT_REST = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0])
 
 
 def grown_areas(growth: FloatArray) -> Float64Array:
-    """How many times its area each site's tissue has when it is free, in the plane.
+    """Return the factor by which growth changes the area of free tissue at each site.
 
     Parameters
     ----------
     growth : ndarray, shape (H, W), (H, W, 2, 2) or (H, W, 3, 3)
-        As `Loads` has it.
+        Growth strain, as in `Loads`.
+
+    Returns
+    -------
+    ndarray, shape (H, W), float64
     """
     if growth.ndim == 2:
         return np.asarray((1.0 + growth.astype(np.float64)) ** 2)
@@ -67,18 +76,18 @@ def grown_areas(growth: FloatArray) -> Float64Array:
 
 
 class Moduli(NamedTuple):
-    """What the elements resist with, relative to the stiffest.
+    """Moduli of the elements, relative to the stiffest tissue.
 
     Attributes
     ----------
     numbers : tuple of ndarray, shape (H - 1, W - 1), or float
-        Seven of each element: Lame's parameters mu, 0 in void, and lambda, the latter as of a
-        volume; what resists a change of volume at rest, mu + lambda/2; what resists half the square
-        of the twist; and what undoes growth, (1 + e_g)^-1: along rows, mixed, along columns.
+        Seven numbers for each element: mu, 0 in void; lambda, as for a volume; mu + lambda/2, the
+        modulus of a change of volume at rest; t, the modulus of the twist; and the inverse of
+        growth, (1 + e_g)^-1: along rows, mixed, and along columns.
     bulges : bool
-        Whether tissue is free to become thicker: plane stress.
+        True if tissue is free to become thicker: plane stress.
     stored : float
-        Energy that no motion changes.
+        Energy that does not depend on the motion.
     """
 
     numbers: tuple[Float64Array | float, ...]
@@ -88,12 +97,12 @@ class Moduli(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FiniteMaterial(ElasticMaterial):
-    """What the kernels need to know of tissue that moves far.
+    """Material of a problem's tissue in large motion, as the kernels use it.
 
     Attributes
     ----------
     growth : ndarray or None
-        As `Loads` has it.
+        Growth strain, as in `Loads`.
     """
 
     growth: FloatArray | None = None
@@ -108,26 +117,27 @@ class FiniteMaterial(ElasticMaterial):
     __hash__ = None
 
     def is_tissue_of(self, other: FiniteMaterial) -> bool:
-        """Whether the other is the same tissue, whatever has grown."""
+        """Return whether the other is the same tissue; growth may differ."""
         return ElasticMaterial.__eq__(self, other)
 
     def grown(self, part: float) -> FiniteMaterial:
-        """Return tissue that grows by a part of its growth."""
+        """Return the tissue with a fraction of its growth."""
         return self if self.growth is None else replace(self, growth=self.growth * np.float32(part))
 
     @property
     def most_growth(self) -> float:
-        """How many times its area any tissue has, or had, when it is free."""
+        """Largest factor by which growth enlarges or reduces the area of any free tissue."""
         areas = np.ones(1) if self.growth is None else grown_areas(self.growth)[self.m > 0]
         return float(max(areas.max(), 1 / areas.min()))
 
     def moduli(self, stand_in: float = 0.0) -> Moduli:
-        """The moduli of the elements.
+        """Return the moduli of the elements.
 
         Parameters
         ----------
         stand_in : float
-            How stiff rigid tissue is instead; its elements are none if that is 0.
+            Stiffness used for rigid tissue, in units of the stiffest other tissue; 0 leaves its
+            elements out.
         """
         m = self.relative(stand_in)
         lame = lame_parameters(m, self.poisson, self.strain)
@@ -144,21 +154,21 @@ def moduli_of(
     growth: Float64Array | None = None,
     across: Float64Array | float = 0.0,
 ) -> Moduli:
-    """The moduli of elements that resist small motion as Lame's parameters in the plane say.
+    """Return the moduli of elements from their Lame's parameters for small motion in the plane.
 
     Parameters
     ----------
     lame : Lame
     shape : ElementShape
     growth : ndarray, shape (2, 2, H - 1, W - 1), optional
-        The strain that each element would have if it were free.
+        Growth strain of each element.
     across : ndarray or float
-        The same, across the image.
+        Growth strain across the image.
     """
     bulges = shape.twist_volume > 0
     first, shear = lame
-    # What a twist costs must not depend on how far its element has turned: of oblong pixels the
-    # mean of both directions counts.
+    # The energy of a twist must not depend on the rotation of its element, so the mean over both
+    # directions is used for oblong pixels.
     of_twist = shear + (shape.twist_volume * first + shear) / 2
     if bulges:
         stretches = shear > 0
@@ -172,19 +182,19 @@ def moduli_of(
     area = row * col - mixed**2
     row, mixed, col = col / area, -mixed / area, row / area
     sides = shape.twist_rows * (row**2 + mixed**2) + shape.twist_cols * (mixed**2 + col**2)
-    more, stored = area * (1 + across), 0.0
+    amount, stored = area * (1 + across), 0.0
     if not bulges:
-        # A slice that cannot thicken is pressed by so much.
-        left = 1 / (1 + across)
-        none = shear * (left**2 - 1) / 2 + first * (left**2 - 1) / 4 - whole * np.log(left)
-        stored = float((more * none).sum())
-        first = first * left**2
-    resists = more * shear, more * first, more * whole, more * sides * of_twist
-    return Moduli((*resists, row, mixed, col), bulges, stored)
+        # Thickness of a slice that cannot thicken, relative to its grown thickness.
+        thin = 1 / (1 + across)
+        at_rest = shear * (thin**2 - 1) / 2 + first * (thin**2 - 1) / 4 - whole * np.log(thin)
+        stored = float((amount * at_rest).sum())
+        first = first * thin**2
+    moduli = amount * shear, amount * first, amount * whole, amount * sides * of_twist
+    return Moduli((*moduli, row, mixed, col), bulges, stored)
 
 
 class FiniteElements:
-    """All elements of a grid.
+    """Energy of all elements of a grid, and its derivatives.
 
     Parameters
     ----------
@@ -197,18 +207,18 @@ class FiniteElements:
         self._shear, self._first, self._whole, self._twist, *growth = np.broadcast_arrays(
             *moduli.numbers
         )
-        self._there = self._shear > 0
+        self._is_tissue = self._shear > 0
         row, mixed, col = growth
-        # What growth leaves of a Jacobian, and of z.
+        # Factor of growth on a Jacobian, and matrix of growth on the sides in z.
         self._area = row * col - mixed**2
         undone = np.moveaxis(np.array([[row, mixed], [mixed, col]]), (0, 1), (-2, -1))
         self._sides = np.einsum("ijkl,pq->ijkplq", undone, np.eye(2)).reshape(*row.shape, 4, 4)
 
     def energy(self, d: Float64Array) -> float:
-        """The energy of a displacement (H, W, 2) in pixels; infinite if anything is folded."""
+        """Return the energy of a displacement (H, W, 2) in pixels; infinite if tissue is folded."""
         z = self._deformed(d)
         mean, corners = self._jacobians(z)
-        if (corners[:, self._there] <= 0).any():
+        if (corners[:, self._is_tissue] <= 0).any():
             return np.inf
         mean, corners = self._area * mean, self._area * corners
         shear, first, whole = self._shear, self._first, self._whole
@@ -223,15 +233,15 @@ class FiniteElements:
             wall = -((below - BARRIER_BEGIN) ** 2) * np.log(below / BARRIER_BEGIN)
         each = shear / 2 * stretch + volume + self._twist / 2 * (z[..., 4:] ** 2).sum(axis=-1)
         each += shear * BARRIER / 4 * wall.sum(axis=0)
-        return float(each[self._there].sum()) + self._moduli.stored
+        return float(each[self._is_tissue].sum()) + self._moduli.stored
 
     def forces(self, d: Float64Array) -> Float64Array:
-        """The derivative of the energy by each site's displacement, (H, W, 2)."""
+        """Return the derivative of the energy by the displacement of each site, (H, W, 2)."""
         z = self._deformed(d)
         slopes, _ = self._slopes(z)
         pull = np.einsum("ijab,ijb->ija", self._own(), z)
         pull += np.einsum("kij,kab,ijb->ija", slopes, _quadratic(self._shape), z)
-        pull = np.where(self._there[..., None], pull * self._scale(), 0.0)
+        pull = np.where(self._is_tissue[..., None], pull * self._scale(), 0.0)
         total: Float64Array = np.zeros(d.shape)
         for sign_row, sign_col, sites in _CORNERS:
             signs = np.repeat([sign_row, sign_col, sign_row * sign_col], 2)
@@ -239,34 +249,34 @@ class FiniteElements:
         return total
 
     def tangents(self, d: Float64Array) -> Float64Array:
-        """The second derivatives by (D_r, D_c, D_x) of each element, (H - 1, W - 1, 6, 6)."""
+        """Return second derivatives by (D_r, D_c, D_x) of each element, (H - 1, W - 1, 6, 6)."""
         z = self._deformed(d)
         slopes, bends = self._slopes(z)
         quadratic = _quadratic(self._shape)
-        way = np.einsum("kab,ijb->kija", quadratic, z)
-        made = np.einsum("kij,kab->ijab", slopes, quadratic)
-        made += np.einsum("kij,kija,kijb->ijab", bends, way, way)
-        made += self._own()
+        gradients = np.einsum("kab,ijb->kija", quadratic, z)
+        tangents = np.einsum("kij,kab->ijab", slopes, quadratic)
+        tangents += np.einsum("kij,kija,kijb->ijab", bends, gradients, gradients)
+        tangents += self._own()
         scale = self._scale()
-        made = made * scale * scale[:, None]
-        return np.where(self._there[..., None, None], made, 0.0)
+        tangents = tangents * scale * scale[:, None]
+        return np.where(self._is_tissue[..., None, None], tangents, 0.0)
 
     def corner_jacobians(self, d: Float64Array) -> Float64Array:
-        """The Jacobian at the corners of each element, (4, H - 1, W - 1); 1 where there is none."""
+        """Return the Jacobian at the corners of each element, (4, H - 1, W - 1); 1 in void."""
         _, corners = self._jacobians(self._deformed(d))
-        return np.where(self._there, corners, 1.0)
+        return np.where(self._is_tissue, corners, 1.0)
 
     def _deformed(self, d: Float64Array) -> Float64Array:
         changes = np.concatenate(list(differences(d))) * self._scale()[:, None, None]
         return np.asarray(_AT_REST + np.moveaxis(changes, 0, -1))
 
     def _scale(self) -> Float64Array:
-        """What the differences are in z."""
+        """Return the factors from the differences of an element to z."""
         rows, cols = np.sqrt(self._shape.rows), np.sqrt(self._shape.cols)
         return np.array([rows, rows, cols, cols, 1.0, 1.0])
 
     def _own(self) -> Float64Array:
-        """What resists stretch and twist, (H - 1, W - 1, 6, 6)."""
+        """Return the second derivatives of the energy of stretch and twist by z."""
         made = np.zeros((*self._shear.shape, 6, 6))
         square = np.einsum("ijab,ijbc->ijac", self._sides, self._sides)
         made[..., :4, :4] = self._shear[..., None, None] * square
@@ -274,11 +284,11 @@ class FiniteElements:
         return made
 
     def _jacobians(self, z: Float64Array) -> tuple[Float64Array, Float64Array]:
-        all_of_them = np.einsum("ija,kab,ijb->kij", z, _quadratic(self._shape), z) / 2
-        return all_of_them[0], all_of_them[1:]
+        jacobians = np.einsum("ija,kab,ijb->kij", z, _quadratic(self._shape), z) / 2
+        return jacobians[0], jacobians[1:]
 
     def _slopes(self, z: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """The energy's derivatives by the Jacobians, two of (5, H - 1, W - 1)."""
+        """Return first and second derivatives of the energy by the Jacobians, (5, H - 1, W - 1)."""
         mean, corners = self._jacobians(z)
         mean, corners = self._area * mean, self._area * corners
         shear, first, whole = self._shear, self._first, self._whole
@@ -300,7 +310,7 @@ class FiniteElements:
         return slopes, bends
 
 
-# The sign of a corner along rows and columns, and the sites that are such corners of elements.
+# Signs of each corner along rows and columns, and the sites at this corner of the elements.
 _CORNERS = (
     (-1, -1, np.s_[:-1, :-1]),
     (-1, 1, np.s_[:-1, 1:]),
@@ -311,12 +321,12 @@ _CORNERS = (
 
 @lru_cache(maxsize=16)
 def _quadratic(shape: ElementShape) -> Float64Array:
-    """Q of the mean Jacobian and of each corner's, (5, 6, 6)."""
+    """Return Q of the mean Jacobian and of the Jacobian at each corner, (5, 6, 6)."""
     a, b, x = slice(0, 2), slice(2, 4), slice(4, 6)
     cross = np.array([[0.0, 1.0], [-1.0, 0.0]])
     mean, down, right = np.zeros((3, 6, 6))
     mean[a, b] = cross
     down[a, x] = np.sqrt(shape.cols) * cross
     right[x, b] = np.sqrt(shape.rows) * cross
-    made = [mean] + [mean + row * down + col * right for row, col, _ in _CORNERS]
-    return np.array([each + each.T for each in made])
+    matrices = [mean] + [mean + row * down + col * right for row, col, _ in _CORNERS]
+    return np.array([matrix + matrix.T for matrix in matrices])

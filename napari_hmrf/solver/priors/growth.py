@@ -1,10 +1,11 @@
-"""What growth pulls with at each site, in NumPy and float64, in images and in volumes.
+"""Forces of growth at each site, in NumPy and float64, for images and volumes.
 
-An element that grows by the strain e_g has the energy of the strain e - e_g. With s_g = C : e_g
+An element with the growth strain e_g has the energy of the strain e - e_g. With s_g = C : e_g
 
     U = 1/2 integral of e : C : e  -  integral of e : s_g  +  1/2 integral of e_g : s_g
 
-and as e_g is the mean of the element's sites, only its mean strain e counts in the second part.
+As e_g is the mean over the sites of the element, only the mean of the strain e counts in the second
+integral.
 """
 
 from __future__ import annotations
@@ -20,19 +21,20 @@ from napari_hmrf.solver.neighbours import pairs
 from napari_hmrf.solver.priors.elements import Float64Array, Lame, of_elements
 from napari_hmrf.solver.real_arrays import FloatArray
 
-# Elements that are looked at at once: all of a volume's would take more memory than its solve.
-_AT_ONCE = 1 << 17
+# Number of elements that are processed at once: all elements of a volume would need more memory
+# than its solve.
+_BLOCK_SIZE = 1 << 17
 
 
 class Load(NamedTuple):
-    """What loads add to the energy, which is linear in displacement.
+    """Contribution of loads to the energy, linear in displacement.
 
     Attributes
     ----------
     forces : ndarray, shape (H, W, 2) or (D, H, W, 3)
-        What pulls at each site, in pixels.
+        Force on each site, in pixels.
     energy : float
-        Of the tissue where it does not move, in pixels squared.
+        Energy of undisplaced tissue, in pixels squared.
     """
 
     forces: Float64Array
@@ -46,56 +48,62 @@ def growth_load(
     lame_of: Callable[[slice], Lame],
     across: bool,
 ) -> Load:
-    """The load of growth.
+    """Return the load of growth.
 
     Parameters
     ----------
     growth : ndarray
-        One number a site, or a tensor, as `Loads` has it.
+        Growth strain, as in `Loads`: a number or a tensor for each site.
     grid : tuple of int
+        Shape of the grid of sites.
     sides : tuple of float
-        Of an element, whose product is 1.
+        Lengths of the sides of an element, scaled to a product of 1.
     lame_of : callable
-        Gives the parameters of the elements between the sites in a range of the first axis.
+        Returns Lame's parameters of the elements between the sites in a range of the first axis.
     across : bool
-        Whether growth across an image pushes.
+        True if growth across an image exerts forces: plane strain.
     """
     axes = len(grid)
     forces, energy = np.zeros((*grid, axes)), 0.0
     for sites in slabs(grid):
         lame = lame_of(sites)
         strains, beyond = element_strains(growth[sites], axes)
-        change = sum(strains[along, along] for along in range(axes))
+        trace = sum(strains[along, along] for along in range(axes))
         if across:
-            change = change + beyond
+            trace = trace + beyond
         stresses = 2 * lame.shear * strains
         for along in range(axes):
-            stresses[along, along] += lame.first * change
+            stresses[along, along] += lame.first * trace
         energy += float((stresses * strains).sum()) / 2
         if across:
-            energy += float(((lame.first * change + 2 * lame.shear * beyond) * beyond).sum()) / 2
+            energy += float(((lame.first * trace + 2 * lame.shear * beyond) * beyond).sum()) / 2
         forces[sites] += _pulls(stresses, sides)
     return Load(forces, energy)
 
 
 def slabs(grid: tuple[int, ...]) -> Iterator[slice]:
-    """Ranges of sites along the first axis, between which lie all elements, each once."""
+    """Yield ranges of sites along the first axis; each element lies within exactly one of them."""
     length, *others = grid
-    step = max(1, _AT_ONCE // math.prod(others))
+    step = max(1, _BLOCK_SIZE // math.prod(others))
     for begin in range(0, length - 1, step):
         compute_thread.look()
         yield slice(begin, min(begin + step, length - 1) + 1)
 
 
 def element_strains(growth: FloatArray, axes: int) -> tuple[Float64Array, Float64Array]:
-    """The strain of each element, its two axes first, and that across an image.
+    """Return the growth strain of each element within the grid, and across an image.
 
     Parameters
     ----------
     growth : ndarray
-        As `Loads` has it.
+        Growth strain, as in `Loads`.
     axes : int
-        Of the grid.
+        Number of axes of the grid, n.
+
+    Returns
+    -------
+    strains : ndarray, shape (n, n, H - 1, W - 1) or (n, n, D - 1, H - 1, W - 1)
+    across : ndarray, shape (H - 1, W - 1) or ()
     """
     if growth.ndim == axes:
         mean = of_elements(growth.astype(np.float64))
@@ -113,12 +121,12 @@ def element_strains(growth: FloatArray, axes: int) -> tuple[Float64Array, Float6
 
 
 def _pulls(stresses: Float64Array, sides: tuple[float, ...]) -> Float64Array:
-    """What a stress, (n, n) of each element, pulls with at their sites."""
+    """Return the forces on the sites from the stress, (n, n), of each element."""
     axes = len(sides)
     total = np.zeros((*(size + 1 for size in stresses.shape[2:]), axes))
     for component in range(axes):
         for along, side in enumerate(sides):
-            if not stresses[component, along].any():  # most growth is the same in all directions
+            if not stresses[component, along].any():  # isotropic growth has no shear
                 continue
             values = np.pad(stresses[component, along], 1)
             for axis, (first, last) in enumerate(pairs(axes)):

@@ -1,7 +1,7 @@
 """Large motion without folding: finite strain on the pixel grid, in a reference implementation.
 
-Every 2 x 2 block of tissue sites is an element, as in `ElasticPrior`, but one that may turn and
-stretch without limit: `finite_strain` has its energy.
+Every 2 x 2 block of tissue sites is an element, as in `ElasticPrior`, but it may turn and stretch
+without limit. Its energy is defined in `finite_strain`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from napari_hmrf.solver.real_arrays import first_index
 class NeoHookeanPrior:
     """Neo-Hookean tissue of an image: it may move far, turns without strain, and never folds.
 
-    For small motion it equals `ElasticPrior`, which takes a tenth of the time. Take that prior if
+    For small motion it equals `ElasticPrior`, which takes a tenth of the time. Use that prior if
     displacements are less than a tenth of the distances over which they vary.
 
     Parameters
@@ -58,7 +58,7 @@ class NeoHookeanPrior:
 
     @property
     def at_rest(self) -> ElasticPrior:
-        """The prior for small motion."""
+        """Prior for small motion, with the same parameters."""
         return ElasticPrior(self.poisson, plane=self.plane, penalty=self.penalty)
 
     @property
@@ -82,7 +82,7 @@ class NeoHookeanPrior:
         return NeoHookeanPrior(0.3, plane=self.plane)
 
     def resolved(self, problem: Problem) -> NeoHookeanPrior:
-        """Check that the problem has one answer, and return the prior in force.
+        """Check that the problem has a unique solution, and return the prior for this problem.
 
         Raises
         ------
@@ -92,7 +92,7 @@ class NeoHookeanPrior:
         if problem.is_volume:
             raise ProblemError(
                 "stiffness",
-                "is a volume, but large motion is for 2-D. Take the elastic model for volumes, or "
+                "is a volume, but large motion is for 2-D. Use the elastic model for volumes, or "
                 "deform a slice.",
             )
         _check_growth(problem)
@@ -175,7 +175,7 @@ def _check_growth(problem: Problem) -> None:
     if wrong.any():
         raise ProblemError(
             "growth",
-            f"leaves nothing of tissue in some direction, first at {first_index(wrong)}. Give "
+            f"shrinks tissue to nothing in some direction, first at {first_index(wrong)}. Give "
             "tensors whose strain is above -1 in all directions.",
         )
 

@@ -39,8 +39,8 @@ from napari_hmrf.solver.quadtree import levels, sampled
 Float64Array = npt.NDArray[np.float64]
 Conditional = Literal["centred", "blanket"]
 
-# K in uniform tissue, by the number of axes: one pixel of deviation then weighs as much as 200
-# pixels of difference from the neighbours.
+# K in uniform tissue, by the number of axes: one pixel of deviation from the observation then has
+# the energy of a difference of 200 pixels from the neighbours.
 _UNIFORM_PENALTY = {2: 1e4, 3: 3e4}
 # Range of penalties: float32 energies overflow beyond it.
 _SMALLEST_PENALTY, _LARGEST_PENALTY = 1e-30, 1e30
@@ -61,15 +61,15 @@ class SeilerPrior:
     ----------
     penalty : float, optional
         K of eq. 19: the largest force with which a site of confidence 1 is held at its observed
-        position; where tissue needs more, it slips. In the unit of the energy: the cost of a pixel
-        of deviation. By default 10^4 in uniform tissue (3 x 10^4 in volumes, where three times as
-        many cliques pull), times the ratio by which the energy at the steepest observed site is
-        steeper than in uniform tissue, so that boundaries hold between any tissues.
+        position; where tissue pulls harder, the site slips. Its unit is that of the energy: it is
+        the cost of one pixel of deviation. By default 10^4 in uniform tissue (3 x 10^4 in volumes,
+        where three times as many cliques pull), times the ratio by which the energy at the steepest
+        observed site is steeper than in uniform tissue, so that boundaries hold between any
+        tissues.
     conditional : {"centred", "blanket"}
-        Cliques that count when a site chooses its displacement (line 8 of the algorithm):
-        ``"centred"``, those with the site in the middle; ``"blanket"``, all that contain the site,
-        which is the textbook reading of eq. 7, for images only. docs/method.md compares their
-        accuracy.
+        Cliques that determine the displacement of a site (line 8 of the algorithm): ``"centred"``,
+        those with the site in the middle; ``"blanket"``, all that contain the site, which is the
+        textbook reading of eq. 7, for images only. docs/method.md compares their accuracy.
     damping : float, optional
         Fraction of the step to its best displacement that a site takes, as all sites move at once.
         By default 1 for centred; 0.6 for blanket, which diverges undamped (below 2/3 is safe for
@@ -82,9 +82,9 @@ class SeilerPrior:
 
     def __post_init__(self) -> None:
         low, high = _SMALLEST_PENALTY, _LARGEST_PENALTY
-        firm = self.penalty is None or low <= real(self.penalty) <= high
-        what = f"a number from {low:g} to {high:g}, or None"
-        refuse_unless(firm, "penalty", self.penalty, what)
+        in_range = self.penalty is None or low <= real(self.penalty) <= high
+        expected = f"a number from {low:g} to {high:g}, or None"
+        refuse_unless(in_range, "penalty", self.penalty, expected)
         known = is_one_of(self.conditional, get_args(Conditional))
         refuse_unless(known, "conditional", self.conditional, '"centred" or "blanket"')
         damped = self.damping is None or 0 < real(self.damping) <= 1
@@ -106,7 +106,7 @@ class SeilerPrior:
 
     @property
     def relaxation(self) -> float:
-        """Damping in force."""
+        """Damping that is used: the given value, or the default of the reading."""
         if self.damping is not None:
             return self.damping
         return 1.0 if self.conditional == "centred" else 0.6
@@ -127,7 +127,7 @@ class SeilerPrior:
         return min(penalty, _LARGEST_PENALTY)
 
     def resolved(self, problem: Problem) -> SeilerPrior:
-        """Return this prior with the penalty in force for a problem.
+        """Return this prior with the penalty for a problem, after a check of the problem.
 
         Raises
         ------
@@ -137,20 +137,20 @@ class SeilerPrior:
         if problem.loads is not None:
             raise ProblemError(
                 "loads",
-                "are there, but the paper's prior uses only ratios of stiffness and has no forces. "
-                "Take ElasticPrior, or leave them out.",
+                "are given, but the paper's prior uses only ratios of stiffness and has no forces. "
+                "Use ElasticPrior, or leave them out.",
             )
         if problem.is_volume and self.conditional == "blanket":
             raise ProblemError(
                 "stiffness",
-                "is a volume, but the blanket reading is there for images only. Take SeilerPrior() "
-                "or ElasticPrior().",
+                "is a volume, but the blanket reading is for images only. Use SeilerPrior() or "
+                "ElasticPrior().",
             )
         if problem.rigid.any():
             raise ProblemError(
                 "stiffness",
-                "is infinite (rigid) somewhere, but the paper's prior compares tissue by ratios of "
-                "stiffness, which have no meaning there. Take ElasticPrior, or give a number.",
+                "is infinite (rigid) somewhere, but the paper's prior uses ratios of stiffness, "
+                "which are undefined there. Use ElasticPrior, or give a finite stiffness.",
             )
         return replace(self, penalty=self.penalty_for(problem))
 
@@ -172,12 +172,12 @@ class SeilerPrior:
         ----------
         problem : Problem
         displacement : array_like, shape (H, W, 2) or (D, H, W, 3)
-            In the unit of ``problem.spacing``.
+            Displacement, in the unit of ``problem.spacing``.
 
         Returns
         -------
         ndarray, shape (H, W) or (D, H, W)
-            In pixels squared; the sum over all sites is U_total.
+            Energies, in pixels squared; their sum over all sites is U_total.
         """
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
         y = problem.observed / np.float64(problem.unit)
@@ -209,8 +209,8 @@ class SeilerPrior:
             np.moveaxis(each[:, *_inside(problem)], 0, -1)
             for each in (found.curvature, found.slope)
         )
-        way = np.divide(slope, curvature, out=np.zeros_like(d), where=curvature > 0)
-        return SiteParabola(curvature, (d + way) * problem.unit)
+        step = np.divide(slope, curvature, out=np.zeros_like(d), where=curvature > 0)
+        return SiteParabola(curvature, (d + step) * problem.unit)
 
     def _cliques_of(self, problem: Problem, d: Float64Array) -> Cliques:
         """Evaluate the cliques of a problem for a displacement (H, W, 2) in pixels."""

@@ -309,7 +309,7 @@ def test_a_solution_says_how_it_was_reached():
 
 def test_priors_and_optimizers_that_do_not_go_together_are_refused():
     problem = phantom("bar", 32).problem
-    with pytest.raises(ValueError, match="ElasticPrior takes Multigrid"):
+    with pytest.raises(ValueError, match="Use Multigrid for ElasticPrior"):
         solve(problem, ElasticPrior(), optimizer=ICM())
 
 
