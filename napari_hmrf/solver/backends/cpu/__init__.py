@@ -85,7 +85,6 @@ class CpuBackend:
 
     def __init__(self, checkpoint: Checkpoint) -> None:
         loader.before_numba()
-        # Import numba and the kernels only when a solve uses them, because they load slowly.
         import numba  # heavy: numba
 
         from napari_hmrf.solver.backends.cpu import kernels, transfer  # heavy: numba
