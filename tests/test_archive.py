@@ -438,7 +438,7 @@ def test_the_same_member_twice_is_refused(path, tmp_path):
     bad.write_bytes(path.read_bytes())
     with zipfile.ZipFile(bad, "a") as archive, pytest.warns(UserWarning, match="Duplicate"):
         archive.writestr("tissue.npy", npy(np.ones((7, 11), dtype=bool)))
-    assert refusal(bad) == "it holds one thing twice"
+    assert refusal(bad) == "two of its members have the same name"
 
 
 def test_whatever_happens_to_a_file_it_is_what_was_saved_or_refused_for_little_memory(tmp_path):

@@ -322,7 +322,7 @@ def test_where_nothing_can_be_saved_it_is_said_plainly(result, asked, wait_for, 
     dock, _ = result(**MM)
     (tmp_path / "folder.mha").mkdir()
     for name, why in (
-        ("gone/a.mha", "its folder is not there. Make that first, or choose another."),
+        ("gone/a.mha", "its folder does not exist. Create the folder first, or choose another."),
         ("folder.mha", "it is a folder. Give the name of a file."),
     ):
         asked(tmp_path / name)
