@@ -186,7 +186,7 @@ def test_an_image_on_another_grid_moves_as_its_tissue(result, moved):
 def test_a_layer_that_lies_on_other_axes_is_refused_by_its_name(result):
     dock, viewer = result(**MM)
     in_pixels = viewer.add_labels(np.ones((20, 24), int), name="cells")
-    with pytest.raises(HmrfError, match="'cells' is measured in other units than the result"):
+    with pytest.raises(HmrfError, match="'cells' has other units than the result"):
         dock.more.move_along(in_pixels)
 
 

@@ -1,1 +1,1 @@
-"""What a displacement does: moved pictures, strain, and where a point was."""
+"""Results of a displacement: warped images, strain, folds and inverses."""

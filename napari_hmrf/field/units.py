@@ -1,7 +1,7 @@
-"""Units of length by their names, as layers and files spell them; lengths as people see them.
+"""Units of length by their names in layers and files, and rounding of displayed lengths.
 
-Whoever needs no units does not wait for pint, which takes a third of the time that importing the
-package does.
+The functions import pint on first use, because importing it takes a third of the time of importing
+the package.
 """
 
 from __future__ import annotations
@@ -10,14 +10,25 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-#: Names of units, as layers spell them. What pint reads can be a sum that takes for ever.
+#: Pattern of the names of units in layers. Pint also parses expressions, which can take forever.
 _UNIT = re.compile(r"[^\W\d]+( / [^\W\d]+)*")
-#: What is less than this part of a pixel, or of a per cent, is rounding, and nobody sees it.
+#: Fraction of a pixel, or of a per cent, below which a value is displayed as 0.
 UNSEEN = 1e-3
 
 
 def unit_factor(unit: str, to: str) -> float:
-    """How many `to` make one `unit`; NaN if they measure different things."""
+    """Return the factor that converts a unit to another; NaN if they are incompatible.
+
+    Parameters
+    ----------
+    unit, to : str
+        Names of the units.
+
+    Returns
+    -------
+    float
+        Number of `to` in one `unit`.
+    """
     if unit == to:
         return 1.0
     import pint
@@ -29,18 +40,18 @@ def unit_factor(unit: str, to: str) -> float:
 
 
 def is_unit(unit: str) -> bool:
-    """Whether layers know a unit of that name."""
+    """Return whether layers accept a unit of this name."""
     if not _UNIT.fullmatch(unit):
         return False
     try:
         _units().Unit(unit)
-    except Exception:  # noqa: BLE001 - parsing text of others raises what it likes
+    except Exception:  # noqa: BLE001 - pint raises errors of many types for invalid names
         return False
     return True
 
 
 def unit_symbol(unit: str) -> str:
-    """A unit of length as tables show it: "px", "mm"."""
+    """Return the symbol of a unit of length, such as "px" or "mm"; the name if there is none."""
     if unit == "pixel":
         return "px"
     import pint
@@ -52,12 +63,23 @@ def unit_symbol(unit: str) -> str:
 
 
 def as_seen(length: float, spacing: Iterable[float]) -> float:
-    """A length for people to read: 0 if it is too small a part of a pixel to be seen."""
+    """Return a length for display, 0 if it is a negligible fraction of a pixel.
+
+    Parameters
+    ----------
+    length : float
+    spacing : iterable of float
+        Size of a pixel along each axis, in the unit of the length.
+
+    Returns
+    -------
+    float
+    """
     return 0.0 if abs(length) < UNSEEN * min(spacing) else length
 
 
 def _units() -> Any:
-    """The units that layers know; asked for anew, as an application may set others."""
+    """Return the registry of units of layers; an application may replace it at any time."""
     import pint
 
     return pint.get_application_registry()  # type: ignore[no-untyped-call]
