@@ -231,7 +231,7 @@ def test_a_painted_label_that_the_rules_do_not_name_is_refused(files, capsys):
 def test_a_model_is_called_alike_in_python_and_in_the_shell(files, capsys):
     assert chosen("large-motion") == chosen("large motion")
     assert Study(Grid(SHAPE, (1.0, 1.0)), model="large-motion").model_name == "large motion"
-    with pytest.raises(HmrfError, match=r"there is no model 'soft'\. Take one of .elastic"):
+    with pytest.raises(HmrfError, match=r"there is no model 'soft'\. Use one of .elastic"):
         chosen("soft")
     code, out, _ = run(f"{SOLVE} -o out --model large_motion", capsys)
     assert code == 0

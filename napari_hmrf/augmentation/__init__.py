@@ -1,1 +1,1 @@
-"""Random deformations of one case, exact and endless: to learn from, and to validate with."""
+"""Random deformations of a case, for data augmentation and for the validation of registrations."""

@@ -1,4 +1,4 @@
-"""Demonstration: a sample is solved, measured against finite elements, and drawn."""
+"""Demonstration: solution of a sample, comparison with finite elements, and pictures."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 
 #: Size of the phantoms and finite-element fields in `sample_data`, in pixels.
 SAMPLE_SIZE = 300
-#: Material of these fields.
+#: Material of the finite-element fields.
 FEM = ElasticPrior(poisson=0.3, plane="stress")
 
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """A phantom with its solution and measurements.
+    """Phantom with its solution and measurements.
 
     Attributes
     ----------
@@ -39,12 +39,12 @@ class Demonstration:
     solution : Solution
     rmsd : float or None
         Root mean square deviation from the finite-element displacement over the tissue, in pixels
-        (eq. 20); None if there is no such field to compare with.
+        (eq. 20); None if there is no finite-element field of this size.
     rmsd_of_fem : float or None
-        The same for elastic tissue with the material of the finite elements, if the solution has
-        another material.
+        Deviation of the solution with the material of the finite elements, if the solution has
+        another elastic material; otherwise None.
     folds : int
-        Number of sites where the tissue folds: the determinant of its motion is 0 or less.
+        Number of sites where the tissue folds, from `count_folds`.
     """
 
     phantom: Phantom
@@ -88,7 +88,7 @@ def _in_pixels(rmsd: float) -> str:
 
 
 def table(*shown: Demonstration | VolumeDemonstration) -> str:
-    """Format the measurements, one per line; several demonstrations are side by side."""
+    """Format the measurements, one per line, with a column for each demonstration."""
     rows = [demonstration.rows() for demonstration in shown]
     columns = [[name for name, _ in rows[0]], *([value for _, value in each] for each in rows)]
     widths = [max(map(len, column)) for column in columns]
@@ -115,36 +115,40 @@ def demonstrate(
     name : str
         One of `PHANTOM_NAMES`.
     size : int
-        Pixels along each side.
+        Number of pixels along each side.
     backend : str
-        One of `BACKEND_NAMES`; "auto" selects napari's backend, after all loops are compiled,
-        those of elastic volumes included.
+        One of `BACKEND_NAMES`. With "auto", all loops are compiled first, including those for
+        elastic volumes.
     progress : callable
-        Called with a `Monitor` now and then.
+        Called repeatedly with a `Monitor`.
     prior, optimizer : optional
         As for `solve`.
+
+    Returns
+    -------
+    Demonstration
 
     Raises
     ------
     ArgumentError
-        If there is no such phantom, or not of that size.
+        If there is no such phantom, or the size is invalid.
     BackendError
         If the requested backend cannot run.
     """
     subject = sample(name) if size == SAMPLE_SIZE else phantom(name, size)
     if backend == "auto":
-        # Compile all loops now, so that napari finds them ready.
+        # All loops are compiled now, so that napari does not wait for them.
         provide_loops(EVERYTHING, progress)
-        # Loops for volumes are a job of their own.
+        # Loops for volumes are a separate set.
         provide_loops(VOLUMES, progress)
-    how: dict[str, Any] = {"optimizer": optimizer, "backend": backend, "progress": progress}
-    solution = solve(subject.problem, prior, **how)
+    options: dict[str, Any] = {"optimizer": optimizer, "backend": backend, "progress": progress}
+    solution = solve(subject.problem, prior, **options)
     rmsd = rmsd_of_fem = None
     if size == SAMPLE_SIZE:
         reference = reference_displacement(name)
         rmsd = _rmsd(solution, reference)
         if isinstance(prior, ElasticPrior) and prior != FEM:
-            rmsd_of_fem = _rmsd(solve(subject.problem, FEM, **how), reference)
+            rmsd_of_fem = _rmsd(solve(subject.problem, FEM, **options), reference)
     return Demonstration(
         phantom=subject,
         solution=solution,

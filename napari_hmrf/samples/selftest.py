@@ -1,6 +1,6 @@
-"""A report on this installation: what it runs on, and whether it computes what it should.
+"""Self-test: a report on the system and on the results of each backend.
 
-Plain text without the user's name or folders, to be pasted into a bug report.
+The report is plain text without the names of the user or of folders, for use in a bug report.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from napari_hmrf.solver.priors import ElasticPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solve import solve
 
-#: Largest error of a backend, in pixels, from the affine field that it has to find.
+#: Largest allowed error of a backend, in pixels, for an affine field.
 CLOSED_FORM_BOUND = 0.001
 CANDIDATES_BOUND = 0.02
 ELASTIC_BOUND = 0.001
 
-# Wider than a work group of shaders, with some levels.
+# Shape of the test volume: wider than a work group of the shaders, with several levels.
 _VOLUME = (9, 12, 37)
 _BACKENDS = ("cpu", "opengl:fragment", "opengl:compute")
 _PACKAGES = (
@@ -48,17 +48,17 @@ _SETTINGS = (
 
 
 def selftest(write: Callable[[str], None] = print) -> bool:
-    """Report on this installation.
+    """Check this installation and write a report.
 
     Parameters
     ----------
     write : callable
-        Is given the report line by line.
+        Called with each line of the report.
 
     Returns
     -------
     bool
-        Whether every backend that is there computed what it should, and one is there.
+        True if there is a backend, and the results of all backends are right.
     """
 
     def say(line: str) -> None:
@@ -77,21 +77,21 @@ def selftest(write: Callable[[str], None] = print) -> bool:
 
 
 def affine_example(shape: tuple[int, ...] = (16, 23)) -> tuple[Problem, np.ndarray[Any, Any]]:
-    """Return uniform tissue whose whole border moves by an affine field, and that field.
+    """Return a problem of uniform tissue whose border moves by an affine field, and the field.
 
-    Tissue that stretches, shears and shifts evenly at its border does so inside: no clique
-    resists, so the affine field is the exact answer of any mechanical prior.
+    The affine field satisfies equilibrium inside the tissue for each mechanical prior, so that it
+    is the exact solution.
 
     Parameters
     ----------
     shape : tuple of int
-        Grid of an image or of a volume.
+        Shape of the image or volume.
 
     Returns
     -------
-    Problem
-    ndarray, shape (H, W, 2) or (D, H, W, 3)
-        The displacement of every site, in pixels.
+    problem : Problem
+    field : ndarray, shape (H, W, 2) or (D, H, W, 3)
+        Exact displacement of each site, in pixels.
     """
     axes = len(shape)
     sites = np.moveaxis(np.indices(shape), 0, -1) - (np.array(shape) - 1) / 2
@@ -142,7 +142,7 @@ def _report_opengl(say: Callable[[str], None]) -> None:
 
 
 def _check_backend(name: str, say: Callable[[str], None]) -> bool | None:
-    """Solve on one backend; whether that was right, or None if it is not there."""
+    """Check the results of a backend; return whether they are right, None without the backend."""
     say(f"  {name}")
     image, volume = affine_example(), affine_example(_VOLUME)
     refusal = _refusal(name, image[0])
@@ -157,7 +157,7 @@ def _check_backend(name: str, say: Callable[[str], None]) -> bool | None:
     ]
     if name != "cpu" and (refusal := _refusal(name, volume[0])) is not None:
         say(f"    no volumes: {refusal}")
-    elif name != "cpu" or loops.ready_for_volumes():  # no report waits for them
+    elif name != "cpu" or loops.ready_for_volumes():  # the report does not wait for the compiler
         checks.append(("elastic volume", volume, *elastic))
     passed = True
     try:
@@ -179,7 +179,7 @@ def _check_backend(name: str, say: Callable[[str], None]) -> bool | None:
 
 
 def _refusal(name: str, problem: Problem) -> BackendError | None:
-    """Return why a backend is missing or does not support a problem; None if it does."""
+    """Return the error of a backend that is missing or does not support a problem, or None."""
     try:
         job = SolveJob.of(problem, ElasticPrior().resolved(problem), Multigrid())
         opened = partial(open_backend, job, name, lambda: None)
@@ -208,7 +208,7 @@ def _timings(name: str) -> Iterator[str]:
 
 
 def _list(say: Callable[[str], None], entries: Mapping[str, Any], indent: str = "  ") -> None:
-    """Write names and values in two columns, nested mappings indented below their name."""
+    """Write names and values in two columns; nested mappings are indented below their name."""
     width = max((len(str(name)) for name in entries), default=0)
     for name, value in entries.items():
         if isinstance(value, Mapping):
@@ -221,11 +221,11 @@ def _list(say: Callable[[str], None], entries: Mapping[str, Any], indent: str = 
 
 
 def _anonymous(text: str) -> str:
-    """The text without the user's home folder and name."""
+    """Remove the home folder and the name of the user from a text."""
     text = text.replace(str(Path.home()), "~")
     try:
         user = getpass.getuser()
     except (OSError, KeyError, ImportError):
         return text
-    # A short name might be part of any word; as part of a path it has gone with the home folder.
+    # Only names between slashes are replaced, because a short name may be a part of other words.
     return text.replace(f"/{user}/", "/~/").replace(f"\\{user}\\", "\\~\\")

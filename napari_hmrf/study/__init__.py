@@ -1,1 +1,1 @@
-"""Study of a deformation: its inputs, its choices with undo, and its interactive solution."""
+"""Study of a deformation: its inputs, the choices in the window with undo, and the live solve."""
