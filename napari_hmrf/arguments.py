@@ -65,7 +65,7 @@ def refuse_unless(right: bool, name: str, value: object, what: str) -> None:
     Raises
     ------
     ArgumentError
-        With a one-sentence message.
+        If `right` is False; the message is one sentence.
     """
     if not right:
         raise ArgumentError(f"{name} must be {what}, not {shown(value)}")
@@ -86,7 +86,7 @@ def require_kind(kind: type | UnionType, name: str, value: object, example: str)
     Raises
     ------
     ArgumentError
-        With a one-sentence message.
+        If the value is of another type; the message is one sentence.
     """
     words = _kinds(kind)
     article = "an" if words[0] in "AEIOU" else "a"
@@ -101,11 +101,12 @@ def tuple_of(kind: type | UnionType, name: str, values: Any, example: str) -> tu
     kind, name, example
         As for `require_kind`.
     values : object
+        Value of the argument.
 
     Raises
     ------
     ArgumentError
-        With a one-sentence message.
+        If the value is not such a tuple or list; the message is one sentence.
     """
     right = isinstance(values, Sequence) and all(isinstance(value, kind) for value in values)
     refuse_unless(right, name, values, f"a tuple of {_kinds(kind)}, such as {example}")

@@ -240,7 +240,10 @@ def claims_to_be(path: str | os.PathLike[str], form: Format[Any]) -> bool:
 
 
 def is_foreign(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file is no archive by its first bytes; False if empty or unreadable."""
+    """Return whether the first bytes of a file are not those of an archive.
+
+    The result is False for a file that is empty or cannot be read.
+    """
     path = checked_path(path)
     try:
         refuse_irregular(path)
@@ -252,7 +255,7 @@ def is_foreign(path: str | os.PathLike[str]) -> bool:
 
 
 def header_of(path: str | os.PathLike[str]) -> Header:
-    """Return the header of a file of any format, or an empty one if it cannot be read."""
+    """Return the header of a file of any format, or an empty header if it cannot be read."""
     path = checked_path(path)
     try:
         refuse_irregular(path)

@@ -179,7 +179,7 @@ def _play(options: argparse.Namespace) -> int:
     refuse_overwriting([options.out], overwrite=options.force)
     number, shape = options.slice, solution.tissue.shape
     if len(shape) == 2 and number is not None:
-        raise HmrfError("--slice is for volumes, and this result is of one slice. Leave it out.")
+        raise HmrfError("--slice is for volumes, but this result is a slice. Leave out --slice.")
     if len(shape) == 3:
         if number is None:
             number = shape[0] // 2

@@ -205,7 +205,7 @@ def _units_of_images(n: int) -> tuple[str, ...]:
 
 
 def _field(path: str) -> LayerData:
-    """Return a layer with a displacement field in the direction in which it is stored."""
+    """Return a layer with the displacement field of a file, in pixels, forward or backward."""
     from pathlib import Path
 
     from napari_hmrf.io.apply import read_field_file
@@ -216,7 +216,7 @@ def _field(path: str) -> LayerData:
 
 
 def _listed(path: PathOrPaths) -> list[str]:
-    """Return the one or several files of a call of napari as a list."""
+    """Return one or several paths, as passed by napari, as a list."""
     return [path] if isinstance(path, str) else path
 
 

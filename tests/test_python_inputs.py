@@ -71,7 +71,7 @@ def test_a_grid_takes_points_of_the_patient_to_its_pixels():
         plane.to_pixels(points)
     with pytest.raises(ProblemError, match=r"Give \(N, 3\) numbers"):
         grid.to_pixels([[1, 2]])
-    with pytest.raises(ProblemError, match=r"has no place. Take Grid\.from_image"):
+    with pytest.raises(ProblemError, match=r"has no place. Use Grid\.from_image"):
         Grid(SHAPE, (1.0, 1.0)).to_pixels([[1, 2]])
 
 

@@ -449,8 +449,8 @@ class RandomDeformation:
         _log.warning(
             "the smallest amplitude is %.3g, but a sample has only %.3g: a larger pull would "
             "compress tissue to less than %.3g of its size (`least_jacobian`). Give a smaller "
-            "amplitude or fewer patches (`amplitude, patches; or a larger smoothness`). This warning "
-            "is logged once.",
+            "amplitude or fewer patches (`amplitude, patches; or a larger smoothness`). This "
+            "warning is logged once.",
             least,
             sample.amplitude,
             self._case.least_jacobian,

@@ -49,7 +49,7 @@ class Comparison(NamedTuple):
         str
         """
         if not self.part:
-            return f"'{self.reference}' reaches none of this tissue."
+            return f"'{self.reference}' covers none of this tissue."
         where = "" if self.part > 0.995 else f" over {self.part:.0%} of the tissue"
         rmsd = as_seen(self.rmsd, solution.spacing)
         return f"RMSD from '{self.reference}'{where}: {rmsd:.3g} {unit}."

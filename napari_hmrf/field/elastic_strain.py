@@ -198,7 +198,7 @@ def _of_model(
 def _growth_at(
     elasticity: Elasticity, sites: slice, mask: BoolArray, fraction: float
 ) -> tuple[Float64Array | None, npt.ArrayLike]:
-    """Return the growth strain at tissue sites, (N, n, n) or None, and that across an image."""
+    """Return the growth strain at tissue sites, (N, n, n) or None, and its part across an image."""
     if elasticity.growth is None or not (grown := elasticity.growth[sites])[mask].any():
         return None, 0.0
     n = mask.ndim

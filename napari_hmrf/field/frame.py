@@ -438,7 +438,7 @@ class Frame:
         }.items():
             found = np.shape(getattr(self, name))
             if found != size:
-                raise ValueError(f"its {name} has shape {found} and needs {size}")
+                raise ValueError(f"its {name} has shape {found}, not {size}")
         if 0 in self.scale:
             raise ValueError(f"its scale is {self.scale}")
         for name in ("rotate", "affine", "matrix"):

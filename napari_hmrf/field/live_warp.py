@@ -208,7 +208,9 @@ class Warper:
         sites = tuple(-(-size // step) for size, step in zip(self.shape, steps, strict=True))
         d, mask = self._checked(displacement, tissue, sites)
         if not (len(self.shape) == 3 and is_whole(number) and 0 <= number < self.shape[0]):
-            raise ProblemError("number", f"is {shown(number)}. Give a slice of {self.shape}.")
+            raise ProblemError(
+                "number", f"is {shown(number)}. Give the index of a slice of {self.shape} voxels."
+            )
         found = slice_origins(d, number, self._spacing, mask, every=steps, fraction=fraction)
         return [look.slice(found) for look in self._looks]
 

@@ -100,7 +100,7 @@ class PixelField(NamedTuple):
         known = ((at > -_REACH) & (at < np.array(own) - 1 + _REACH)).all(axis=1)
         if not known.any():
             raise ProblemError(
-                "observed", "lies elsewhere than the image. Give both their places in one world."
+                "observed", "lies elsewhere than the image. Give both the same place."
             )
         steps = np.zeros((len(at), frame.ndim))
         steps[known] = self.field.at(at[known]) @ back[:, :-1].T

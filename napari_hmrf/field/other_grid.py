@@ -75,7 +75,7 @@ class OtherGrid:
         more = own.ndim - frame.ndim
         plane = [axis + more for axis in frame.plane]
         if min(plane) < 0:
-            raise ProblemError("observed", f"has {own.ndim} axes, which lack axes of the result.")
+            raise ProblemError("observed", f"has {own.ndim} axes and lacks an axis of the result.")
         across = [axis for axis in frame.others if axis + more >= 0 and _is_space(frame, axis)]
         counted = [*frame.plane, *across]
         transform = frame.from_pixels_of(own, counted)

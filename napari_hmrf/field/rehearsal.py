@@ -1,7 +1,7 @@
 """Compilation of the loops and shaders of a drag before the first drag.
 
-Compiled code is cached on disk, so that this takes time only once per machine. Without it, the
-first drag would wait for the compiler.
+Compiled code is cached on disk, so that this takes time only once per machine. Without this module,
+the first drag would wait for the compiler.
 """
 
 from __future__ import annotations

@@ -210,8 +210,8 @@ def _draw_alike(moved, source, state, first, past, plane, row, col, least, most)
                 if shifted:
                     _mark(source, state, 2, z, y, x, z - least[0], y - least[1], x - least[2])
                     continue
-                # True if the coordinate of the origin in the cell along the first axis of the name
-                # may be at least that along the second.
+                # `zy` is True if the origin may be as far along z as along y in the cell; the other
+                # names have the same meaning for their axes.
                 deep, down, along = z - plane, y - row, x - col
                 zy = deep - least[0] > down - most[1] - 2 * _SIDE
                 yz = down - least[1] > deep - most[0] - 2 * _SIDE

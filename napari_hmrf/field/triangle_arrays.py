@@ -70,7 +70,7 @@ def _areas(places: Float64Array, corners: Index) -> Float64Array:
 def _covered(
     moved: Float64Array, corners: Index, shape: tuple[int, ...]
 ) -> Iterator[tuple[Index, Float64Array]]:
-    """Yield the pixels that triangles cover, in the order of these, and the origins of the pixels.
+    """Yield the pixels that triangles cover, and their origins, in the order of the triangles.
 
     Pixels are indices of the flattened image, (N,); origins are positions in pixels, (N, 2).
     """
@@ -121,7 +121,7 @@ def _claim(
 
 
 def _sites(moved: Float64Array, tissue: Mask) -> tuple[Index, Float64Array]:
-    """Return the pixels that sites have moved onto, and the sites."""
+    """Return the pixels onto which sites have moved, and their origins, the sites."""
     return _on_pixels(moved[tissue], np.argwhere(tissue).astype(float), tissue.shape)
 
 

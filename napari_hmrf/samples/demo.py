@@ -72,14 +72,14 @@ class Demonstration:
 
     def _distances(self) -> tuple[tuple[str, str], ...]:
         """Return the rows of deviations from finite elements, for both materials."""
-        name, other = f"RMSD to FEM of nu {FEM.poisson}", "as another material"
+        name, other = f"RMSD from FEM, nu {FEM.poisson}", "with another material"
         if self.rmsd is None:
             return (name, "-"), (other, "-")
         if self.rmsd_of_fem is None:
             return (name, _in_pixels(self.rmsd)), (other, "-")
         prior = self.solution.provenance.parameters["prior"]
-        own = f"of nu {prior['poisson']}, plane {prior['plane']}"
-        same = f"{_in_pixels(self.rmsd_of_fem)}, if of nu {FEM.poisson}, too"
+        own = f"nu {prior['poisson']}, plane {prior['plane']}"
+        same = f"{_in_pixels(self.rmsd_of_fem)}, solved with nu {FEM.poisson}"
         return (name, same), (other, f"{_in_pixels(self.rmsd)}, {own}")
 
 

@@ -71,7 +71,7 @@ class Engine:
         self._overlay = overlay
         self._live = LiveSolver(self._deliver, progress=self.report, doing=doing)
         self._reached = Monitor("starting", 0.0)
-        #: Set once the engine is closed.
+        #: Event that is set when the engine is closed.
         self.closed = threading.Event()
         # Generations of the last study, and of the last study that was dropped.
         self._generation = self._dropped = 0
@@ -85,7 +85,7 @@ class Engine:
         self._over: Pictures = ()
         self._pictures = MovedPictures()
 
-    # From any thread
+    # Methods for any thread
 
     @property
     def busy(self) -> bool:
@@ -130,7 +130,7 @@ class Engine:
         """
         if settle:
             self.forget()
-            self._reached = Monitor("reading what is painted", 0.0)
+            self._reached = Monitor("reading the layers", 0.0)
         self._live.optimizer, self._live.backend = study.optimizer, backend
         state = partial(self._state, study, settle, glance)
         patience = None if settle else patience_for(study, glance)
@@ -168,7 +168,7 @@ class Engine:
         """Record the progress of the solve."""
         self._reached = monitor
 
-    # On the compute thread
+    # Methods for the compute thread
 
     def _state(self, study: Study, settle: bool, glance: Glance | None) -> tuple[Problem, Prior]:
         """Build the problem of a study; recompute only parts that have changed."""
@@ -211,7 +211,7 @@ class Engine:
             except Cancelled:
                 raise
             except Exception as failure:  # noqa: BLE001 - the caller always gets an answer
-                _log.exception("the image could not be moved")
+                _log.exception("the image could not be deformed")
                 error = failure
         known = latest is not None and latest.ground is asked.ground and asked.ground is not None
         over = self._moved(asked, latest.solution if known and latest else None)[1]

@@ -48,9 +48,9 @@ _STEP_NAMES = {
     "name": "chose another model",
     "plane": "chose another plane",
     "poisson": "changed Poisson's ratio",
-    "tissue": "chose what says how stiff tissue is",
+    "tissue": "chose another source of stiffness",
     "boundary": "chose another boundary",
-    "confidence": "chose what says how sure the boundary is",
+    "confidence": "chose another confidence",
     "without_border": "changed whether the dark border is tissue",
     "hold_edge": "changed whether the edge is held",
     "weight": "changed the weight",
@@ -350,7 +350,7 @@ class StudyModel(EditHistory):
             If no drag of this drawing has begun.
         """
         if not self.drawing_in_progress:
-            raise RuntimeError("no edit was begun; call begin_drawing() first, or draw()")
+            raise RuntimeError("no edit has begun; call begin_drawing() first, or draw()")
         self.update(drawing)
 
     def end_drawing(self) -> str:

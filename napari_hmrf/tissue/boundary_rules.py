@@ -166,7 +166,7 @@ def default_rule(label: int) -> BoundaryRule:
 
 
 def is_growth(strain: Any) -> bool:
-    """Return whether a strain is a valid growth: above -1, and not so large as if in per cent."""
+    """Return whether a strain is a valid growth: above -1, and too small to be in per cent."""
     return -1 < real(strain) <= _LARGEST_GROWTH
 
 
@@ -317,7 +317,7 @@ def _read(
         )
     table: dict[int, Any] = {}
     for row in rows if isinstance(rows, Iterable) else [rows]:
-        refuse_unless(isinstance(row, kind), name, row, f"a list, each a {kind.__name__}")
+        refuse_unless(isinstance(row, kind), name, row, f"a list of {kind.__name__}")
         if not is_whole(row.label):
             raise ProblemError(
                 field, f"has {name} for label {shown(row.label)}. Give labels as whole numbers."

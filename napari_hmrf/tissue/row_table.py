@@ -29,7 +29,7 @@ class RowTable(NamedTuple):
     whose: str = ""
 
     def edited(self, rows: Iterable[Any]) -> RowTable:
-        """Return the table with rows that the user has edited, and a remark on it in the source."""
+        """Return the table with rows edited by the user, and mark its source as changed."""
         changed = self.whose and not self.whose.startswith(_CHANGED)
         return self._replace(rows=tuple(rows), whose=(_CHANGED if changed else "") + self.whose)
 

@@ -17,7 +17,7 @@ from napari_hmrf.tissue.boundary_rules import Material
 
 #: Name of the material of pixels without a likely tissue.
 NONE = "none"
-#: Allowed scales of maps: the value of certainty.
+#: Allowed scales of probability maps: values that mean certainty.
 SCALES = 1, 100, 255
 #: Tolerance of the largest value, relative to the scale, for interpolated maps.
 _BEYOND = 1.001
@@ -125,8 +125,8 @@ def most_likely(
     Parameters
     ----------
     maps : mapping of str to array_like, all of one shape
-        Probability maps of the tissues by name, with one scale. The probability of "none" is the
-        remainder to certainty.
+        Probability maps of the tissues by name, with one scale. "none" has the remaining
+        probability.
     scale : {1, 100, 255}, optional
         As for `scale_of`.
 
