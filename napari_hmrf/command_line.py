@@ -319,10 +319,10 @@ def _add_force(command: argparse.ArgumentParser) -> None:
 
 def _add_backend(
     command: argparse.ArgumentParser,
-    what: str = "renderer (default: %(default)s)",
+    text: str = "renderer (default: %(default)s)",
     usual: str = "auto",
 ) -> None:
-    command.add_argument("--backend", choices=BACKEND_NAMES, default=usual, help=what)
+    command.add_argument("--backend", choices=BACKEND_NAMES, default=usual, help=text)
 
 
 def _add_material(command: argparse.ArgumentParser) -> None:

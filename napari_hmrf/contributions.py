@@ -115,12 +115,12 @@ def _read(path: PathOrPaths) -> list[LayerData]:
     layers: list[LayerData] = []
     for each in _listed(path):
         try:
-            made = result_layers(Solution.read(each)).layers["arrows"]
+            arrows = result_layers(Solution.read(each)).layers["arrows"]
         except ValueError as error:
             if isinstance(error, FileFormatError):
                 raise
             raise FileFormatError(f"{Path(each).name}: not a valid result: {error}") from error
-        layers.append(made._replace(attributes={**made.attributes, "name": Path(each).stem}))
+        layers.append(arrows._replace(attributes={**arrows.attributes, "name": Path(each).stem}))
     return layers
 
 

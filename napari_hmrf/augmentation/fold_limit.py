@@ -124,7 +124,7 @@ def _corners(
         after = np.where(is_after, d[ahead] - here, 0.0) / size
         before = np.where(is_before, here - d[behind], 0.0) / size
         sides.append((after.T, before.T))
-    found = []
+    corners = []
     exist, places = elements(tissue), np.unravel_index(sites, tissue.shape)
     ways = product((1, 0), repeat=n)
     for g, way in zip(product(*sides), ways, strict=True):
@@ -137,9 +137,10 @@ def _corners(
             first = g[0][1] * (g[1][2] * g[2][0] - g[1][0] * g[2][2])
             second = g[0][2] * (g[1][0] * g[2][1] - g[1][1] * g[2][0])
             powers.append(g[0][0] * minors[1, 2] + first + second)
-        made = np.stack(powers)
-        found.append(made[:, is_corner & (np.abs(made).sum(axis=0) > 1 - least)])
-    return np.concatenate(found, axis=1)
+        coefficients = np.stack(powers)
+        reaches = np.abs(coefficients).sum(axis=0) > 1 - least
+        corners.append(coefficients[:, is_corner & reaches])
+    return np.concatenate(corners, axis=1)
 
 
 def _march(coefficients: Float64Array, least: float) -> float:

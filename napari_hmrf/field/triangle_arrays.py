@@ -85,17 +85,17 @@ def _covered(
     while begin < len(counts):
         before = int(ends[begin - 1]) if begin else 0
         end = max(int(np.searchsorted(ends, before + _AT_ONCE, side="right")), begin + 1)
-        some = np.repeat(np.arange(begin, end), counts[begin:end])
-        within = np.arange(len(some)) - (ends[some] - counts[some] - before)
-        rows, cols = np.divmod(within, np.maximum(sizes[some, 1], 1))
-        pixel = low[some] + np.stack([rows, cols], axis=1)
-        origin = at[some, 0]
-        (by, bx), (cy, cx) = (at[some, 1] - origin).T, (at[some, 2] - origin).T
+        owner = np.repeat(np.arange(begin, end), counts[begin:end])
+        within = np.arange(len(owner)) - (ends[owner] - counts[owner] - before)
+        rows, cols = np.divmod(within, np.maximum(sizes[owner, 1], 1))
+        pixel = low[owner] + np.stack([rows, cols], axis=1)
+        origin = at[owner, 0]
+        (by, bx), (cy, cx) = (at[owner, 1] - origin).T, (at[owner, 2] - origin).T
         y, x = (pixel - origin).T
         area = by * cx - bx * cy
         to_b, to_c = (y * cx - x * cy) / area, (by * x - bx * y) / area
         inside = (to_b >= -_EDGE) & (to_c >= -_EDGE) & (to_b + to_c <= 1 + _EDGE)
-        a, b, c = (corners[some[inside], k].astype(float) for k in range(3))
+        a, b, c = (corners[owner[inside], k].astype(float) for k in range(3))
         place = a + to_b[inside, None] * (b - a) + to_c[inside, None] * (c - a)
         row, col = pixel[inside].astype(np.intp).T
         yield row * shape[1] + col, place
@@ -148,10 +148,10 @@ def _strokes(moved: Float64Array, tissue: Mask) -> tuple[Index, Float64Array]:
     b = moved[ends[:, 0], ends[:, 1]] - a
     longest = np.minimum(np.abs(b).max(axis=1, initial=0.0), float(height + width))
     steps = np.ceil(2.0 * longest).astype(np.intp)
-    some = np.repeat(np.arange(len(starts)), steps + 1)
-    step = np.arange(len(some)) - np.repeat(np.cumsum(steps + 1) - (steps + 1), steps + 1)
-    part = (step / np.maximum(steps[some], 1))[:, None]
-    return _on_pixels(a[some] + part * b[some], starts[some] + part * ways[some], tissue.shape)
+    owner = np.repeat(np.arange(len(starts)), steps + 1)
+    step = np.arange(len(owner)) - np.repeat(np.cumsum(steps + 1) - (steps + 1), steps + 1)
+    part = (step / np.maximum(steps[owner], 1))[:, None]
+    return _on_pixels(a[owner] + part * b[owner], starts[owner] + part * ways[owner], tissue.shape)
 
 
 def _on_pixels(

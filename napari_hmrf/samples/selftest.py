@@ -61,18 +61,18 @@ def selftest(write: Callable[[str], None] = print) -> bool:
         True if there is a backend, and the results of all backends are right.
     """
 
-    def say(line: str) -> None:
+    def write_line(line: str) -> None:
         write(_anonymous(line))
 
-    say("napari-hmrf self-test")
-    say("")
-    _report_versions(say)
-    _report_opengl(say)
-    say("solves")
-    outcomes = [_check_backend(name, say) for name in _BACKENDS]
+    write_line("napari-hmrf self-test")
+    write_line("")
+    _report_versions(write_line)
+    _report_opengl(write_line)
+    write_line("solves")
+    outcomes = [_check_backend(name, write_line) for name in _BACKENDS]
     passed = False not in outcomes and True in outcomes
-    say("")
-    say("PASS" if passed else "FAIL")
+    write_line("")
+    write_line("PASS" if passed else "FAIL")
     return passed
 
 
@@ -102,52 +102,52 @@ def affine_example(shape: tuple[int, ...] = (16, 23)) -> tuple[Problem, np.ndarr
     return Problem(field * border, border, np.ones(shape)), field
 
 
-def _report_versions(say: Callable[[str], None]) -> None:
-    say("system")
+def _report_versions(write_line: Callable[[str], None]) -> None:
+    write_line("system")
     _list(
-        say,
+        write_line,
         {
             "Python": f"{platform.python_version()} ({platform.python_implementation()})",
             "system": f"{platform.system()} {platform.release()}",
             "processor": f"{platform.machine()}, {os.cpu_count()} threads",
         },
     )
-    say("")
-    say("packages")
+    write_line("")
+    write_line("packages")
     found = {}
     for package in _PACKAGES:
         try:
             found[package] = version(package)
         except PackageNotFoundError:
             continue
-    _list(say, found)
-    say("")
+    _list(write_line, found)
+    write_line("")
     settings = {name: os.environ[name] for name in _SETTINGS if name in os.environ}
     if settings:
-        say("environment variables")
-        _list(say, settings)
-        say("")
+        write_line("environment variables")
+        _list(write_line, settings)
+        write_line("")
 
 
-def _report_opengl(say: Callable[[str], None]) -> None:
-    say("OpenGL")
+def _report_opengl(write_line: Callable[[str], None]) -> None:
+    write_line("OpenGL")
 
     from napari_hmrf.solver.backends import opengl
 
     try:
-        _list(say, compute_thread.submit(opengl.describe).result())
+        _list(write_line, compute_thread.submit(opengl.describe).result())
     except BackendError as error:
-        say(f"  not usable: {error}")
-    say("")
+        write_line(f"  not usable: {error}")
+    write_line("")
 
 
-def _check_backend(name: str, say: Callable[[str], None]) -> bool | None:
+def _check_backend(name: str, write_line: Callable[[str], None]) -> bool | None:
     """Check the results of a backend; return whether they are right, None without the backend."""
-    say(f"  {name}")
+    write_line(f"  {name}")
     image, volume = affine_example(), affine_example(_VOLUME)
     refusal = _refusal(name, image[0])
     if refusal is not None:
-        say(f"    not there: {refusal}")
+        write_line(f"    not available: {refusal}")
         return None
     elastic = (ElasticPrior(), Multigrid(tolerance=1e-4), ELASTIC_BOUND)
     checks: list[tuple[Any, ...]] = [
@@ -156,7 +156,7 @@ def _check_backend(name: str, say: Callable[[str], None]) -> bool | None:
         ("elastic", image, *elastic),
     ]
     if name != "cpu" and (refusal := _refusal(name, volume[0])) is not None:
-        say(f"    no volumes: {refusal}")
+        write_line(f"    no volumes: {refusal}")
     elif name != "cpu" or loops.ready_for_volumes():  # the report does not wait for the compiler
         checks.append(("elastic volume", volume, *elastic))
     passed = True
@@ -166,14 +166,14 @@ def _check_backend(name: str, say: Callable[[str], None]) -> bool | None:
             off = float(np.abs(solution.displacement - field).max())
             right = off <= bound
             passed = passed and right
-            say(
+            write_line(
                 f"    {'PASS' if right else 'FAIL'} affine motion, {title}: "
                 f"max error {off:.1e} px (at most {bound:g})"
             )
         for timing in _timings(name):
-            say(f"    {timing}")
+            write_line(f"    {timing}")
     except HmrfError as failure:
-        say(f"    FAIL {failure}")
+        write_line(f"    FAIL {failure}")
         return False
     return passed
 
@@ -207,17 +207,19 @@ def _timings(name: str) -> Iterator[str]:
     yield f"300 x 300, elastic, once warm: {seconds:.3f} s, {solution.iterations} cycles"
 
 
-def _list(say: Callable[[str], None], entries: Mapping[str, Any], indent: str = "  ") -> None:
+def _list(
+    write_line: Callable[[str], None], entries: Mapping[str, Any], indent: str = "  "
+) -> None:
     """Write names and values in two columns; nested mappings are indented below their name."""
     width = max((len(str(name)) for name in entries), default=0)
     for name, value in entries.items():
         if isinstance(value, Mapping):
-            say(f"{indent}{name}")
-            _list(say, value, indent + "  ")
+            write_line(f"{indent}{name}")
+            _list(write_line, value, indent + "  ")
             continue
         if isinstance(value, (list, tuple)):
             value = ", ".join(str(item) for item in value) or "none"
-        say(f"{indent}{name!s:<{width}}  {value}")
+        write_line(f"{indent}{name!s:<{width}}  {value}")
 
 
 def _anonymous(text: str) -> str:

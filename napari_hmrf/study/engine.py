@@ -67,7 +67,7 @@ class Engine:
         doing: str,
         overlay: Overlay | None = None,
     ) -> None:
-        self._tell = deliver
+        self._forward = deliver
         self._overlay = overlay
         self._live = LiveSolver(self._deliver, progress=self.report, doing=doing)
         self._reached = Monitor("starting", 0.0)
@@ -78,7 +78,7 @@ class Engine:
         self._newest: Deformation | None = None
         #: Latest answer with a result. Only the compute thread uses this and the attributes below.
         self.latest: Deformation | None = None
-        self._asked: Deformation | None = None
+        self._request: Deformation | None = None
         # Ground on each grid, with the study that it was computed from.
         self._grounds: dict[CoarseGrid, tuple[Study, Ground]] = {}
         self._rendering: Rendering | None = None
@@ -172,11 +172,11 @@ class Engine:
 
     def _state(self, study: Study, settle: bool, glance: Glance | None) -> tuple[Problem, Prior]:
         """Build the problem of a study; recompute only parts that have changed."""
-        self._asked = Deformation(study, settled=settle, glance=glance)
-        grid = self._asked.grid
+        self._request = Deformation(study, settled=settle, glance=glance)
+        grid = self._request.grid
         fine = self._ground_of(study, CoarseGrid())
         ground = fine if grid.step == 1 else self._ground_of(study, grid)
-        self._asked = replace(self._asked, ground=fine)
+        self._request = replace(self._request, ground=fine)
         if self._rendering is None or self._rendering.base is not ground.base:
             self._rendering, self._over = Rendering(ground.base), ()
         drawing, canvas = grid.drawing(study.motion.drawing), self._rendering.canvas
@@ -187,7 +187,7 @@ class Engine:
         if not (settle or moves):
             raise _StillError
         stated = replace(ground.statement(canvas), optimizer=study.optimizer)
-        self._asked = replace(self._asked, stated=stated)
+        self._request = replace(self._request, stated=stated)
         return stated.problem, stated.prior
 
     def _ground_of(self, study: Study, grid: CoarseGrid) -> Ground:
@@ -198,13 +198,13 @@ class Engine:
         return known[1]
 
     def _deliver(self, update: Update) -> None:
-        assert self._asked is not None
-        asked = replace(self._asked, generation=update.number)
+        assert self._request is not None
+        request = replace(self._request, generation=update.number)
         error, latest = update.error, self.latest
         if update.solution is not None or isinstance(error, _StillError):
             try:
-                image, over = self._moved(asked, update.solution)
-                answer = replace(asked, solution=update.solution, image=image, overlay=over)
+                image, over = self._moved(request, update.solution)
+                answer = replace(request, solution=update.solution, image=image, overlay=over)
                 self.latest = answer
                 self._answer(answer)
                 return
@@ -213,30 +213,31 @@ class Engine:
             except Exception as failure:  # noqa: BLE001 - the caller always gets an answer
                 _log.exception("the image could not be deformed")
                 error = failure
-        known = latest is not None and latest.ground is asked.ground and asked.ground is not None
-        over = self._moved(asked, latest.solution if known and latest else None)[1]
-        error = asked.study.in_words(error or RuntimeError("there is no solution"))
-        self._answer(replace(asked, error=error, overlay=over))
+        ground = request.ground
+        known = latest is not None and latest.ground is ground and ground is not None
+        over = self._moved(request, latest.solution if known and latest else None)[1]
+        error = request.study.in_words(error or RuntimeError("there is no solution"))
+        self._answer(replace(request, error=error, overlay=over))
 
     def _answer(self, answer: Deformation) -> None:
         self._newest = answer
-        self._tell(answer)
+        self._forward(answer)
 
     def _moved(
-        self, asked: Deformation, solution: Solution | None
+        self, request: Deformation, solution: Solution | None
     ) -> tuple[Array | None, tuple[Array, ...]]:
         """Return the image and its overlays, deformed by a solution."""
-        image, glance = asked.study.pictures.image, asked.glance
+        image, glance = request.study.pictures.image, request.glance
         if glance is None or glance.axis is None:
-            if solution is not None and asked.ground is not None and asked.grid.step > 1:
-                solution = on_finer_grid(solution, asked.ground.stiffness > 0, asked.grid.step)
+            if solution is not None and request.ground is not None and request.grid.step > 1:
+                solution = on_finer_grid(solution, request.ground.stiffness > 0, request.grid.step)
             return self._pictures.whole(image, self._over, solution)
         if image is None:
             return None, ()
-        if solution is None or asked.ground is None:
+        if solution is None or request.ground is None:
             return np.asarray(image.take(glance.number, glance.axis)), ()
-        where = glance.axis, glance.number, solution.displacement, asked.ground.stiffness > 0
-        spacing, every = asked.study.grid.spacing, glance.grid.step
+        where = glance.axis, glance.number, solution.displacement, request.ground.stiffness > 0
+        spacing, every = request.study.grid.spacing, glance.grid.step
         return self._pictures.plane(image, *where, spacing, every), ()
 
 

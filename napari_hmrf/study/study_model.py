@@ -125,8 +125,10 @@ class ImageChoice:
 
     def without(self, layer: Hashable) -> ImageChoice:
         """Return the choices with a layer replaced by None."""
-        gone: dict[str, Any] = {name: None for name in _LAYER_NAMES if getattr(self, name) is layer}
-        return replace(self, **gone)
+        cleared: dict[str, Any] = {
+            name: None for name in _LAYER_NAMES if getattr(self, name) is layer
+        }
+        return replace(self, **cleared)
 
 
 @dataclass(frozen=True)
