@@ -1,9 +1,9 @@
-"""Soft tissue that moves, computed on the pixels of an image.
+"""Motion of soft tissue, computed on the pixels of an image.
 
-A `Study` states what tissue is where and what moves it; `solve_study` finds how all tissue moves.
-Images are arrays ([D,] H, W), and displacements ([D,] H, W, 2 or 3) are in the unit of `spacing`,
-the size of a pixel: the tissue at X moves to X + d(X). In this volume a ball of tissue grows by a
-fifth in all directions, and an image moves with it:
+A `Study` states the tissue of each pixel and the constraints and loads that move it; `solve_study`
+computes the displacement of all tissue. Images are arrays ([D,] H, W), and displacements ([D,] H,
+W, 2 or 3) are in the unit of `spacing`, the size of a pixel: the tissue at X moves to X + d(X). In
+this volume a ball of tissue grows by a fifth in all directions, and an image moves with it:
 
 >>> import numpy as np
 >>> from napari_hmrf import Grid, Material, Motion, Study, Tissue, solve_study
@@ -18,14 +18,14 @@ fifth in all directions, and an image moves with it:
 
 `solve` takes a `Problem` of arrays instead, and `LiveSolver` solves while a problem is edited.
 A `Solution` has methods for everything that needs its spacing, tissue or place: `warp`, `at`,
-`jacobian`, `strain`, `measure`, `export`. Names of functions that read files begin with ``read_``,
-and of those that write files with ``write_``.
+`jacobian`, `strain`, `measure`, `export`. Functions that read files have names that begin with
+``read_``; functions that write files, with ``write_``.
 
 ===================== ==========================================================================
 package               contents
 ===================== ==========================================================================
 napari_hmrf           problems, studies, models, solvers, results, errors
-napari_hmrf.fields    what a displacement does to images and tissue; files of fields; movies
+napari_hmrf.fields    warped images, strain, folds and inverses; files of fields; movies
 napari_hmrf.tissue    materials with published stiffness; stiffness from labels and intensities
 napari_hmrf.loads     growth, weight, pressure, traction; reactions
 napari_hmrf.landmarks files of points
@@ -34,11 +34,11 @@ napari_hmrf.random    random deformations, to augment data and to validate regis
 napari_hmrf.data      phantoms and reference solutions
 ===================== ==========================================================================
 
-Go on with ``help(napari_hmrf.solve_study)``, ``help(napari_hmrf.Study)`` and
+Continue with ``help(napari_hmrf.solve_study)``, ``help(napari_hmrf.Study)`` and
 ``help(napari_hmrf.fields)``, with the folders ``examples`` and ``docs`` of the repository, or with
 the window: ``napari``, then *Plugins > Soft tissue*.
 
-Importing this package imports neither napari nor Qt, OpenGL or numba, nor any part of SciPy.
+Importing this package does not import napari, Qt, OpenGL, numba or SciPy.
 """
 
 from importlib import import_module

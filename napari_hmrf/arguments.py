@@ -23,7 +23,7 @@ def shown(value: object) -> str:
 
 
 def real(value: Any) -> float:
-    """Convert a real number to float; NaN for anything else or if too large for a float."""
+    """Convert a real number to float; return NaN for any other value or a too large number."""
     if not isinstance(value, Real):
         return math.nan
     try:
@@ -33,7 +33,7 @@ def real(value: Any) -> float:
 
 
 def reals(values: Any, count: int) -> tuple[float, ...]:
-    """Convert `count` real numbers to floats; all NaN if there are not exactly `count` values."""
+    """Convert `count` real numbers to floats; return `count` NaNs for another number of values."""
     given = tuple(values) if isinstance(values, Iterable) and isinstance(values, Sized) else ()
     return tuple(map(real, given)) if len(given) == count else (math.nan,) * count
 
@@ -51,10 +51,21 @@ def is_one_of(value: object, choices: Iterable[str]) -> bool:
 def refuse_unless(right: bool, name: str, value: object, what: str) -> None:
     """Refuse an argument that does not meet its requirement.
 
+    Parameters
+    ----------
+    right : bool
+        True if the argument meets the requirement.
+    name : str
+        Name of the argument.
+    value : object
+        Value of the argument, which the message quotes.
+    what : str
+        Requirement, as the sentence continues after "must be".
+
     Raises
     ------
     ArgumentError
-        With a one-sentence message.
+        If `right` is False; the message is one sentence.
     """
     if not right:
         raise ArgumentError(f"{name} must be {what}, not {shown(value)}")
@@ -70,12 +81,12 @@ def require_kind(kind: type | UnionType, name: str, value: object, example: str)
         Name of the argument.
     value : object
     example : str
-        A correct argument, as in Python, or a remedy.
+        A valid argument in Python syntax, or a remedy.
 
     Raises
     ------
     ArgumentError
-        With a one-sentence message.
+        If the value is of another type; the message is one sentence.
     """
     words = _kinds(kind)
     article = "an" if words[0] in "AEIOU" else "a"
@@ -90,11 +101,12 @@ def tuple_of(kind: type | UnionType, name: str, values: Any, example: str) -> tu
     kind, name, example
         As for `require_kind`.
     values : object
+        Value of the argument.
 
     Raises
     ------
     ArgumentError
-        With a one-sentence message.
+        If the value is not such a tuple or list; the message is one sentence.
     """
     right = isinstance(values, Sequence) and all(isinstance(value, kind) for value in values)
     refuse_unless(right, name, values, f"a tuple of {_kinds(kind)}, such as {example}")
@@ -116,7 +128,7 @@ def checked_path(path: Any) -> str:
 def nearest_word(
     word: str, known: Iterable[str], synonyms: Mapping[str, str] | None = None
 ) -> str | None:
-    """Return the known word that a misspelt or foreign word most likely stands for.
+    """Return the known word that a misspelt word or a synonym most likely stands for.
 
     Parameters
     ----------
@@ -132,11 +144,11 @@ def nearest_word(
     """
     words = [*known]
     plain = " ".join(word.casefold().replace("_", " ").replace("-", " ").split())
-    meant = (synonyms or {}).get(plain)
-    if meant in words:
-        return meant
-    found = difflib.get_close_matches(word.casefold(), words, n=1, cutoff=0.6)
-    return found[0] if found else None
+    synonym = (synonyms or {}).get(plain)
+    if synonym in words:
+        return synonym
+    matches = difflib.get_close_matches(word.casefold(), words, n=1, cutoff=0.6)
+    return matches[0] if matches else None
 
 
 def did_you_mean(word: str, known: Iterable[str], synonyms: Mapping[str, str] | None = None) -> str:

@@ -1,9 +1,9 @@
-"""File of plain arrays and one text, written atomically and read without trust.
+"""Archive of plain arrays and a header, written atomically and validated when it is read.
 
-The file is a NumPy archive (.npz) with a header in JSON. Nothing in it can run code. Before any
-array is expanded, the archive's table, the header and the claimed types and shapes of all arrays
-are checked against the format, so that a damaged, foreign or hostile file costs one clear error
-and no memory.
+The file is a NumPy archive (.npz) with a header in JSON. Reading it runs no code from the file.
+Before any array is expanded, the archive's table, the header and the claimed types and shapes of
+all arrays are checked against the format. A damaged, foreign or malicious file therefore raises one
+clear error and allocates no memory.
 """
 
 from __future__ import annotations
@@ -36,13 +36,14 @@ Arrays = Mapping[str, npt.NDArray[Any]]
 
 #: Largest size of an array, in bytes: two components on 16384 x 16384 sites.
 MAX_BYTES = 2 * 16384**2 * 4
-#: A constant field compresses 1000 to 1. That is harmless up to this size, in bytes; a larger
-#: array with a ratio above `_MAX_RATIO` is taken for a decompression bomb.
+#: Arrays up to this size, in bytes, may have any compression ratio: that of a constant field is
+#: 1000. A larger array with a ratio above `_MAX_RATIO` is refused as a decompression bomb.
 _HARMLESS_BYTES = 256 * 2**20
+#: Largest compression ratio of an array larger than `_HARMLESS_BYTES`.
 _MAX_RATIO = 100
 #: Number of bytes expanded at a time.
 _PIECE = 2**20
-#: Upper bound of deflate's compression ratio; only arrays of few bytes come near it.
+#: Upper bound of the compression ratio of deflate, whose limit is 1032, with a margin.
 _MOST_PACKED = 1100
 #: Largest total size of all arrays of a file, in bytes.
 _MAX_TOTAL = 4 * MAX_BYTES
@@ -66,7 +67,7 @@ class Kind(NamedTuple):
     axes : tuple of int
         Allowed numbers of axes.
     optional : bool
-        Whether the array may be missing.
+        True if the array may be missing.
     """
 
     dtypes: tuple[str, ...]
@@ -75,14 +76,16 @@ class Kind(NamedTuple):
 
 
 _HEADER = "header"
-#: The header is a single text of at most `_HEADER_BYTES` bytes, one mebibyte.
+#: The header is a single text.
 _TEXT = Kind(("U",), (0,))
+#: Largest size of the header, in bytes.
 _HEADER_BYTES = 2**20
+#: Largest number of nested lists and dictionaries in the header.
 _DEEPEST = 32
 
-# The beginning of an archive.
+# First bytes of an archive.
 _ZIP = b"PK"
-# The beginning of an array in NumPy's format: https://numpy.org/neps/nep-0001-npy-format.html
+# First bytes of an array in NumPy's format: https://numpy.org/neps/nep-0001-npy-format.html
 _NPY = b"\x93NUMPY"
 _NPY_HEADER = re.compile(
     rb"\{'descr': '([<>|][biufcmMOSUV]\d{0,9})', 'fortran_order': (True|False), "
@@ -109,7 +112,7 @@ _DAMAGE = (
 
 
 class Invalid(ValueError):
-    """The reason why a file does not match its format, in words for the user."""
+    """Error that states, in words for the user, why a file does not match its format."""
 
 
 @dataclass(frozen=True)
@@ -130,10 +133,11 @@ class Format(Generic[T]):
     describe : callable
         Converts the object to a header of JSON types and arrays.
     parse : callable
-        Makes the object from header and arrays; raises `Invalid` if they are inconsistent.
+        Creates the object from header and arrays; raises `Invalid` if they are inconsistent.
     foresee : callable, optional
         Called before any array is expanded, with the header and arrays of zeros that have the
-        claimed types and shapes and take no memory; raises like `parse`, and may be `parse`.
+        claimed types and shapes and take no memory; raises the same errors as `parse`, and may be
+        the same function.
     """
 
     name: str
@@ -148,7 +152,7 @@ class Format(Generic[T]):
 def write(path: str | os.PathLike[str], form: Format[T], value: T) -> Path:
     """Write a file atomically.
 
-    Like `write_whole`: an existing file survives until the new one is complete.
+    An existing file survives until the new one is complete; see `write_whole`.
 
     Parameters
     ----------
@@ -183,7 +187,17 @@ def write(path: str | os.PathLike[str], form: Format[T], value: T) -> Path:
 
 
 def read(path: str | os.PathLike[str], form: Format[T]) -> T:
-    """Read a file back.
+    """Read a file of a format.
+
+    Parameters
+    ----------
+    path : str or path-like
+    form : Format
+
+    Returns
+    -------
+    object
+        Object of the type that the format holds.
 
     Raises
     ------
@@ -219,14 +233,17 @@ def read(path: str | os.PathLike[str], form: Format[T]) -> T:
 def claims_to_be(path: str | os.PathLike[str], form: Format[Any]) -> bool:
     """Return whether the header of a file names a format, reading only the header.
 
-    Also True for a file that is damaged elsewhere or was written by a later version: `read` then
-    reports the error.
+    The result is also True for a file that is damaged after its header or was written by a later
+    version; `read` then raises the error.
     """
     return header_of(path).get("format") == form.name
 
 
 def is_foreign(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file begins as no archive does; False if it is empty or unreadable."""
+    """Return whether the first bytes of a file are not those of an archive.
+
+    The result is False for a file that is empty or cannot be read.
+    """
     path = checked_path(path)
     try:
         refuse_irregular(path)
@@ -238,7 +255,7 @@ def is_foreign(path: str | os.PathLike[str]) -> bool:
 
 
 def header_of(path: str | os.PathLike[str]) -> Header:
-    """Return the header of a file of any format, or an empty one if it cannot be read."""
+    """Return the header of a file of any format, or an empty header if it cannot be read."""
     path = checked_path(path)
     try:
         refuse_irregular(path)
@@ -283,14 +300,14 @@ def _unpacked(file: BinaryIO, form: Format[T]) -> T:
                 f"{form.schema}); update napari-hmrf"
             )
         _check_members(archive, form)
-        there = archive.namelist()
+        members = archive.namelist()
         claims = {
             name: _claim(archive, name, kind)
             for name, kind in form.arrays.items()
-            if f"{name}.npy" in there
+            if f"{name}.npy" in members
         }
         if sum(claim.info.file_size for claim in claims.values()) > _MAX_TOTAL:
-            raise Invalid("its arrays claim more than such a file may hold")
+            raise Invalid("its arrays claim more bytes than such a file may hold")
         if form.foresee is not None:
             form.foresee(header, {name: claim.zeros() for name, claim in claims.items()})
         arrays = {name: claim.read(archive) for name, claim in claims.items()}
@@ -298,7 +315,7 @@ def _unpacked(file: BinaryIO, form: Format[T]) -> T:
 
 
 def _header(archive: zipfile.ZipFile) -> Header:
-    """Read the header, the only member that distinguishes a foreign file from a damaged one."""
+    """Read the header, which distinguishes a file of another kind from a damaged one."""
     if f"{_HEADER}.npy" not in archive.namelist():
         raise Invalid("it is another kind of file")
     header = json.loads(_claim(archive, _HEADER, _TEXT).read(archive).item())
@@ -321,9 +338,9 @@ def _check_members(archive: zipfile.ZipFile, form: Format[Any]) -> None:
     needed = {f"{_HEADER}.npy", *(name for name, optional in known.items() if not optional)}
     missing, odd = needed - set(names), set(names) - {f"{_HEADER}.npy", *known}
     if missing or odd or len(names) != len(set(names)):
-        what = [f"lacks {name!r}" for name in sorted(missing)]
-        what += [f"holds {name!r}, which no {form.what} does" for name in sorted(odd)]
-        raise Invalid(f"it {what[0]}" if what else "it holds one thing twice")
+        faults = [f"lacks {name!r}" for name in sorted(missing)]
+        faults += [f"holds {name!r}, which no {form.what} does" for name in sorted(odd)]
+        raise Invalid(f"it {faults[0]}" if faults else "two of its members have the same name")
 
 
 class _Claim(NamedTuple):
@@ -369,33 +386,33 @@ def _claim(archive: zipfile.ZipFile, member: str, kind: Kind) -> _Claim:
         raise Invalid("it is damaged or incomplete")  # its claimed size would be allocated
     if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         # Other methods allocate memory in proportion to the claimed size before reading a byte.
-        raise Invalid(f"its {member} is packed in a way that only other programs do")
+        raise Invalid(f"its {member} is compressed by a method that napari-hmrf never uses")
     if info.file_size > max(1, info.compress_size) * _MOST_PACKED:
         raise Invalid("it is damaged or incomplete")
     with archive.open(info) as stream:
-        found, order, shape, offset = _peek(stream)
-    right = found.kind == "U" if kind is _TEXT else found in map(np.dtype, kind.dtypes)
-    if not right or found.hasobject or len(shape) not in kind.axes:
+        dtype, order, shape, offset = _peek(stream)
+    is_allowed = dtype.kind == "U" if kind is _TEXT else dtype in map(np.dtype, kind.dtypes)
+    if not is_allowed or dtype.hasobject or len(shape) not in kind.axes:
         axes = " or ".join(map(str, kind.axes))
-        wanted = "text" if kind is _TEXT else f"{' or '.join(kind.dtypes)} on {axes} axes"
-        raise Invalid(f"its {member} is {found} of shape {shape}, not {wanted}"[:200])
-    if found.itemsize * math.prod(shape) + offset != info.file_size:
-        raise Invalid(f"its {member} claims a shape of {shape}, which is not what it holds")
-    return _Claim(info, found, shape, order, offset)
+        expected = "text" if kind is _TEXT else f"{' or '.join(kind.dtypes)} on {axes} axes"
+        raise Invalid(f"its {member} is {dtype} of shape {shape}, not {expected}"[:200])
+    if dtype.itemsize * math.prod(shape) + offset != info.file_size:
+        raise Invalid(f"its {member} claims a shape of {shape}, which does not match its size")
+    return _Claim(info, dtype, shape, order, offset)
 
 
 def _peek(stream: IO[bytes]) -> tuple[np.dtype[Any], Literal["C", "F"], tuple[int, ...], int]:
     """Return the claimed dtype, order and shape of an array, and the offset of its values."""
-    # NumPy's own reader lets Python parse the header, which warns and can fail in undocumented
-    # ways. NumPy always writes the headers of plain arrays in the same form.
+    # NumPy's own reader parses the header as Python code, which warns and can raise undocumented
+    # errors. NumPy always writes the headers of plain arrays in the same form.
     start = stream.read(len(_NPY) + 4)
     version = tuple(start[len(_NPY) : -2])
     if start.startswith(_NPY) and version != (1, 0):
         raise Invalid(f"its arrays are of format {version}")
     length = int.from_bytes(start[-2:], "little")
-    told = _NPY_HEADER.fullmatch(stream.read(length))
-    if not start.startswith(_NPY) or told is None:
+    header = _NPY_HEADER.fullmatch(stream.read(length))
+    if not start.startswith(_NPY) or header is None:
         raise Invalid("it is damaged or incomplete")
-    kind, by_columns, sizes = (each.decode() for each in told.groups())
+    kind, by_columns, sizes = (each.decode() for each in header.groups())
     shape = tuple(int(size) for size in sizes.split(",") if size)
     return np.dtype(kind), "F" if by_columns == "True" else "C", shape, len(start) + length

@@ -14,7 +14,9 @@ from pathlib import Path
 
 from napari_hmrf.errors import CANNOT_SAVE
 
+#: Prefix of the names of temporary files.
 _TEMPORARY = ".napari-hmrf-"
+#: Age in seconds after which a temporary file counts as left behind by a killed process.
 _ABANDONED_AFTER = 3600.0
 
 
@@ -45,7 +47,7 @@ def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
 
 @contextmanager
 def temporary_beside(path: str | os.PathLike[str], suffix: str) -> Iterator[Path]:
-    """Yield the path of a temporary file in the folder of a target, for libraries to write to.
+    """Yield the path of a temporary file, for a library to write to, in the folder of a target.
 
     The system's folder for temporary files may be on another disk, which may be full. The file is
     removed at the end if it still exists.
@@ -76,14 +78,21 @@ def temporary_beside(path: str | os.PathLike[str], suffix: str) -> Iterator[Path
 
 
 def raise_for_space(path: str | os.PathLike[str], size: int) -> None:
-    """Raise the system's error if `size` bytes cannot be written beside a target.
+    """Raise the system's error if `size` bytes cannot be written to the folder of a target.
 
     Libraries that write files often do not report why they failed.
+
+    Parameters
+    ----------
+    path : str or path-like
+        Target, which is not modified.
+    size : int
+        Number of bytes.
 
     Raises
     ------
     OSError
-        Naming the target.
+        If they cannot be written; the message names the target.
     """
     with temporary_beside(path, "") as file, _naming(Path(path)), open(file, "wb") as stream:
         piece = bytes(2**20)
@@ -105,7 +114,7 @@ def _naming(target: Path) -> Iterator[None]:
 
 
 def is_stream(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path leads to a FIFO, device or the like, which must not be replaced."""
+    """Return whether a path leads to a FIFO, socket or device, which must not be replaced."""
     try:
         mode = os.stat(path).st_mode
     except OSError:
@@ -116,19 +125,19 @@ def is_stream(path: str | os.PathLike[str]) -> bool:
 def _replace(target: Path, content: bytes) -> None:
     if target.is_dir():
         raise IsADirectoryError(errno.EISDIR, "it is a folder")
-    there = target.exists()
-    if there and not os.access(target, os.W_OK):  # a writable folder would allow replacing it
+    exists = target.exists()
+    if exists and not os.access(target, os.W_OK):  # a writable folder would allow replacing it
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     temporary = target.with_name(f"{_TEMPORARY}{secrets.token_hex(8)}.tmp")
     try:
         _remove_abandoned(target.parent)
-        with open(temporary, "xb", opener=_private if there else None) as file:
+        with open(temporary, "xb", opener=_private if exists else None) as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
         if temporary.read_bytes() != content:
-            raise OSError(f"cannot save {target.name!r}: the disk did not keep what was written")
-        if there:
+            raise OSError(f"cannot save {target.name!r}: the disk returns other content on reading")
+        if exists:
             shutil.copymode(target, temporary)
         _rename(temporary, target)
         _sync_folder(target.parent)
@@ -143,7 +152,7 @@ def _private(path: str, flags: int) -> int:
 
 
 def _rename(temporary: Path, target: Path) -> None:
-    """Replace a file in one step; on Windows this fails while another process has it open."""
+    """Replace a file in one step; retry on Windows, where other processes may have it open."""
     for attempt in range(6):
         try:
             os.replace(temporary, target)

@@ -1,4 +1,4 @@
-"""Many cases: tables of images or studies with swept values, solved by several processes.
+"""Batches: tables of images or studies with swept values, solved by several processes.
 
 ::
 

@@ -73,17 +73,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return _COMMANDS[options.command](options)
     except KeyboardInterrupt:
-        _tell("interrupted")
+        _report("interrupted")
         return 130
     except (HmrfError, OSError) as error:
-        _tell(f"napari-hmrf: {in_words_of('shell', in_words(error))}")
+        _report(f"napari-hmrf: {in_words_of('shell', in_words(error))}")
         return 1
     finally:
         log.removeFilter(reworded)
 
 
 class _InShellWords(logging.Filter):
-    """Filter that puts the package's warnings into the words of the shell."""
+    """Filter that rewrites the package's warnings with the names of shell options."""
 
     def filter(self, record: logging.LogRecord) -> bool:
         record.msg, record.args = in_words_of("shell", record.getMessage()), None
@@ -109,25 +109,25 @@ def _export(options: argparse.Namespace) -> int:
 
 def _apply(options: argparse.Namespace) -> int:
     names = [file.name for file in options.files]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
+    duplicate = next((name for name in names if names.count(name) > 1), None)
+    if duplicate is not None:
         raise HmrfError(
-            f"{twice} is the name of two files, so that one result would overwrite the other. "
-            "Move them one after the other, with another --out for each"
+            f"{duplicate} is the name of two files, so that one result would overwrite the other. "
+            "Use one command for each file, with different --out folders"
         )
     if options.out.is_dir():
         moved = [options.out / name for name in names]
         # `apply_field` refuses to write a file over itself, with a more specific message.
         same = [
-            each.samefile(at)
-            for each, at in zip(options.files, moved, strict=True)
-            if each.exists() and at.exists()
+            source.samefile(target)
+            for source, target in zip(options.files, moved, strict=True)
+            if source.exists() and target.exists()
         ]
         if not any(same):
             refuse_overwriting(moved, overwrite=options.force)
     field = read_field_file(options.field)
     if len(field.shape) == 3 and not has_volume_loops():
-        _tell("compiling loops that move volumes, once on a machine ...")
+        _report("compiling the loops that warp volumes, once per machine ...")
     options.out.mkdir(parents=True, exist_ok=True)
     failed = 0
     for file in options.files:
@@ -138,7 +138,7 @@ def _apply(options: argparse.Namespace) -> int:
                 _note(written.note)
         except (HmrfError, OSError) as error:
             failed += 1
-            _tell(f"napari-hmrf: {in_words_of('shell', in_words(error))}")
+            _report(f"napari-hmrf: {in_words_of('shell', in_words(error))}")
     return int(failed > 0)
 
 
@@ -147,34 +147,35 @@ def _materials(options: argparse.Namespace) -> int:
     if options.out is not None:
         refuse_overwriting([options.out], overwrite=options.force)
     if options.labels is not None:
-        there = labels_in(options.labels)
-        names = {label: names.get(label, "not in the table") for label in there}
-    found = materials_by_name(names)
-    print(named_materials_in_words(found))
+        labels = labels_in(options.labels)
+        names = {label: names.get(label, "not in the table") for label in labels}
+    materials = materials_by_name(names)
+    print(named_materials_in_words(materials))
     if options.out is not None:
-        print(f"written: {write_named_materials(options.out, found)}")
+        print(f"written: {write_named_materials(options.out, materials)}")
     return 0
 
 
 def _measure(options: argparse.Namespace) -> int:
     from pandas import DataFrame  # heavy: pandas
 
-    found = measured(options.result, options.labels)
+    measurement = measured(options.result, options.labels)
     if options.out is not None:
         refuse_overwriting([options.out], overwrite=options.force)
-    titles, cells = measurement_table(found.rows, volume=found.of_volume)
-    printed = DataFrame(cells, columns=titles)
-    print(printed.to_string(index=False, float_format=_short))
-    if found.note:
-        print(f"note: {found.note}")
+    rows, is_volume = measurement.rows, measurement.of_volume
+    titles, cells = measurement_table(rows, volume=is_volume)
+    table = DataFrame(cells, columns=titles)
+    print(table.to_string(index=False, float_format=_format_number))
+    if measurement.note:
+        print(f"note: {measurement.note}")
     if options.out is not None:
-        path = write_measurements(options.out, found.rows, found.unit, volume=found.of_volume)
+        path = write_measurements(options.out, rows, measurement.unit, volume=is_volume)
         print(f"written: {path}")
     return 0
 
 
-def _short(value: float) -> str:
-    """Format a number with four digits, or more if it has more before the point."""
+def _format_number(value: float) -> str:
+    """Format a number with four digits; large numbers keep all digits before the point."""
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
 
 
@@ -183,11 +184,11 @@ def _play(options: argparse.Namespace) -> int:
     refuse_overwriting([options.out], overwrite=options.force)
     number, shape = options.slice, solution.tissue.shape
     if len(shape) == 2 and number is not None:
-        raise HmrfError("--slice is for volumes, and this result is of one slice. Leave it out.")
+        raise HmrfError("--slice is for volumes, but this result is a slice. Leave out --slice.")
     if len(shape) == 3:
         if number is None:
             number = shape[0] // 2
-            _note(f"slice {number} of 0 to {shape[0] - 1}, in the middle; --slice takes another")
+            _note(f"slice {number} of 0 to {shape[0] - 1}, in the middle; --slice selects another")
         elif not 0 <= number < shape[0]:
             raise HmrfError(f"the volume has slices 0 to {shape[0] - 1}, and --slice is {number}")
     print(f"written: {write_movie(options.out, solution, image, number=number)}")
@@ -195,7 +196,8 @@ def _play(options: argparse.Namespace) -> int:
 
 
 def _solve(options: argparse.Namespace) -> int:
-    sure = options.confidence
+
+    confidence = options.confidence
     case = Case(
         image=options.image,
         labels=options.labels,
@@ -203,7 +205,7 @@ def _solve(options: argparse.Namespace) -> int:
         maps=options.maps,
         boundary=options.boundary,
         rules=options.rules,
-        confidence=sure if sure in (None, "edges") else Path(sure),
+        confidence=confidence if confidence in (None, "edges") else Path(confidence),
         slice=options.slice,
         hold_edge=options.hold_edge,
         model=options.model and MODELS[options.model],
@@ -229,8 +231,8 @@ def _solve(options: argparse.Namespace) -> int:
 def _batch(options: argparse.Namespace) -> int:
     line = _ProgressLine()
     cases = read_cases(options.cases)
-    some = "1 case" if len(cases) == 1 else f"{len(cases)} cases"
-    line.write(some)  # the first case may take long: it may wait for loops to be compiled
+    count = "1 case" if len(cases) == 1 else f"{len(cases)} cases"
+    line.write(count)  # the first case may take long, while loops are compiled
     outcomes = solve_cases(
         cases,
         options.out,
@@ -243,10 +245,10 @@ def _batch(options: argparse.Namespace) -> int:
     )
     line.end()
     failed = [each for each in outcomes if each.state != "done"]
-    for each in failed[:_MOST]:
-        _tell(f"{each.case}: {each.error}")
-    if len(failed) > _MOST:
-        _tell(f"and {len(failed) - _MOST} more")
+    for each in failed[:_MAX_PRINTED]:
+        _report(f"{each.case}: {each.error}")
+    if len(failed) > _MAX_PRINTED:
+        _report(f"and {len(failed) - _MAX_PRINTED} more")
     are = "case is" if len(outcomes) == 1 else "cases are"
     done = f"{len(outcomes) - len(failed)} of {len(outcomes)} {are} solved"
     print(f"{done}; all of them are listed in {options.out / SUMMARY}")
@@ -259,7 +261,7 @@ def _replay(options: argparse.Namespace) -> int:
     image = None if options.image is None else read_image(options.image).pixels
     study, before = read_study(options.study, image=image)
     if image is not None and study.pictures.image is not image:
-        raise HmrfError(f"{options.study.name} holds its own image. Leave out --image.")
+        raise HmrfError(f"{options.study.name} contains its own image. Leave out --image.")
     with _shown_progress() as progress:
         now = replay(options.study, image=image, progress=progress)
     print(f"solved: {_in_shell(now)}")
@@ -268,26 +270,26 @@ def _replay(options: argparse.Namespace) -> int:
         return 0
     # The file stores float32, and a field only where the study has tissue.
     again = now.displacement.astype(before.displacement.dtype)
-    far = abs(again - before.displacement)[before.tissue] / before.spacing
-    apart, allowed = float(far.max(initial=0)), 0.0
+    differences = abs(again - before.displacement)[before.tissue] / before.spacing
+    difference, allowed = float(differences.max(initial=0)), 0.0
     for each in (now, before):
         allowed += 0.0 if each.convergence is None else each.convergence.error
-    if apart == 0:
-        said = "bit by bit the same field"
-    elif apart <= allowed:
-        said = (
-            f"the same field within its tolerance: at most {apart:.2g} px apart, where "
-            f"{allowed:.2g} px is allowed (the last digits differ if a field was updated live, "
-            "or was solved while loops were still being compiled)"
+    if difference == 0:
+        result = "bit by bit the same field"
+    elif difference <= allowed:
+        result = (
+            f"the same field within its tolerance: the fields differ by at most {difference:.2g} "
+            f"px, and {allowed:.2g} px is allowed (the last digits differ if a field was updated "
+            "live, or was solved while loops were still being compiled)"
         )
     else:
-        said = f"fields differ by at most {apart:.3g} px"
-    print(f"{said}; saved from {before.provenance.backend}")
-    return int(apart > allowed and now.provenance.backend == before.provenance.backend)
+        result = f"fields differ by at most {difference:.3g} px"
+    print(f"{result}; the saved field was solved on {before.provenance.backend}")
+    return int(difference > allowed and now.provenance.backend == before.provenance.backend)
 
 
 def _in_shell(solution: Solution) -> str:
-    """Return a solution on one line, with the model's name as typed in the shell."""
+    """Describe a solution in one line, with the model's name in the shell."""
     model = solution.provenance.model
     return repr(solution).replace(f", {model}, ", f", {as_word(model)}, ", 1)
 
@@ -318,7 +320,7 @@ def _truth(options: argparse.Namespace) -> int:
         **{name: value for name, value in given.items() if value is not None},
     )
     worst = max(each.inexact for each in written)
-    print(f"field.mha inverts the motion to {worst:.2g} px")
+    print(f"field.mha inverts the motion with an error of at most {worst:.2g} px")
     return 0
 
 
@@ -346,8 +348,8 @@ def _demo(options: argparse.Namespace) -> int:
     progress.end()
     print(table(*demonstrations), flush=True)
     demonstration = demonstrations[0]
-    _tell("drawing ...")
-    _tell_written(options, write_results(demonstration, options.out))
+    _report("drawing ...")
+    _report_written(options, write_results(demonstration, options.out))
     layers = phantom_layers(demonstration.phantom)
     if not _show_in_napari(options, layers, demonstration.solution, models[0][0]):
         _compile_loops(options, demonstration, *models[0])
@@ -365,7 +367,7 @@ def _compile_loops(
     jobs = [job for job in (EVERYTHING, VOLUMES) if not loops_are_compiled(job)]
     if options.backend != "auto" or not jobs:
         return
-    _tell(
+    _report(
         "compiling the loops for this processor, once on a machine. All results are written: "
         "Ctrl-C stops without loss"
     )
@@ -391,16 +393,16 @@ def _suggest_next_steps() -> None:
 
 
 def _make_demo_folder(options: argparse.Namespace) -> None:
-    """Make the folder of a demonstration before the work; overwrite only the default folder."""
-    usual = options.out is None
-    options.out = Path("demo-output") if usual else options.out
-    there = options.out.is_dir() and any(options.out.iterdir())
-    if there and usual:
-        _note(f"an earlier demo in {options.out} is written over")
-    elif there and not options.force:
+    """Create the folder of a demonstration; without --force overwrite only the default folder."""
+    is_default = options.out is None
+    options.out = Path("demo-output") if is_default else options.out
+    has_files = options.out.is_dir() and any(options.out.iterdir())
+    if has_files and is_default:
+        _note(f"an earlier demo in {options.out} is overwritten")
+    elif has_files and not options.force:
         raise HmrfError(
-            f"{options.out} is there already, and is not empty. Give another folder, or --force to "
-            "write over its files."
+            f"{options.out} already exists and is not empty. Give another folder, or --force to "
+            "overwrite its files."
         )
     options.out.mkdir(parents=True, exist_ok=True)
 
@@ -423,14 +425,14 @@ def _demo_volume(options: argparse.Namespace) -> int:
     print(table(demonstration), flush=True)
     if demonstration.note:
         print(f"note: {demonstration.note}", flush=True)
-    _tell("drawing ...")
-    _tell_written(options, write_volume_results(demonstration, options.out))
+    _report("drawing ...")
+    _report_written(options, write_volume_results(demonstration, options.out))
     layers = volume_layers(demonstration.head)
     _show_in_napari(options, layers, demonstration.solution, prior)
     return 0
 
 
-def _tell_written(options: argparse.Namespace, written: Sequence[Path]) -> None:
+def _report_written(options: argparse.Namespace, written: Sequence[Path]) -> None:
     print(f"\nwritten to {options.out}: {', '.join(path.name for path in written)}", flush=True)
 
 
@@ -441,9 +443,9 @@ def _show_in_napari(
     if options.no_window:
         return False
     if not _has_display():
-        _tell("napari is not opened, as there is no display (or CI is set)")
+        _report("napari is not opened, as there is no display (or CI is set)")
         return False
-    _tell("opening napari ...")
+    _report("opening napari ...")
     _open_napari(layers, solution, prior)
     return True
 
@@ -462,25 +464,25 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "truth": _truth,
 }
 
-# Seconds between two lines of progress if stderr is no terminal.
-_SELDOM = 10.0
+# Seconds between two lines of progress if stderr is not a terminal.
+_INTERVAL = 10.0
 # Largest number of failed cases that are printed; the summary lists all.
-_MOST = 10
+_MAX_PRINTED = 10
 
 
 class _ProgressLine:
-    """Progress on stderr: one line that is rewritten on a terminal, occasional lines elsewhere.
+    """Progress on stderr: one line rewritten on a terminal; elsewhere a new line at intervals.
 
     Parameters
     ----------
     stages : sequence of str
-        First words of the messages that are shown where there is no terminal.
+        First words of the messages that are printed if stderr is not a terminal.
     """
 
     def __init__(self, stages: Sequence[str] = ("compiling", "preparing")) -> None:
         self._live, self._stages = sys.stderr.isatty(), stages
         self._shown = 0
-        self._stage, self._told = "", 0.0
+        self._stage, self._last_time = "", 0.0
 
     def show(self, monitor: Monitor) -> None:
         line = f"{monitor.fraction:4.0%}  {monitor.message}"
@@ -495,9 +497,9 @@ class _ProgressLine:
             self._shown = len(line)
             return
         now = time.monotonic()
-        if stage != self._stage or now > self._told + _SELDOM:
-            _tell(line.strip())
-            self._stage, self._told = stage, now
+        if stage != self._stage or now > self._last_time + _INTERVAL:
+            _report(line.strip())
+            self._stage, self._last_time = stage, now
 
     def end(self) -> None:
         if self._live and self._shown:
@@ -507,7 +509,7 @@ class _ProgressLine:
 
 @contextmanager
 def _shown_progress() -> Iterator[Callable[[Monitor], None]]:
-    """Show the progress of a solve; without a terminal only that of compiling loops."""
+    """Yield a callback that shows the progress of a solve; without a terminal, of compiling."""
     line = _ProgressLine(stages=("starting", "compiling"))
     try:
         yield line.show
@@ -516,16 +518,16 @@ def _shown_progress() -> Iterator[Callable[[Monitor], None]]:
 
 
 def _note(clause: str) -> None:
-    """Print a note on a result, in the words of the shell."""
+    """Print a note on a result, with the names of shell options."""
     print(f"note: {in_words_of('shell', clause)}", flush=True)
 
 
-def _tell(message: str) -> None:
+def _report(message: str) -> None:
     print(message, file=sys.stderr, flush=True)
 
 
 def _has_display() -> bool:
-    """Return whether a window could be seen."""
+    """Return whether there is a display to open a window on."""
     if os.environ.get("CI"):
         return False
     if not sys.platform.startswith("linux"):
@@ -534,7 +536,7 @@ def _has_display() -> bool:
 
 
 def _open_napari(layers: Sequence[LayerData], solution: Solution, prior: Prior) -> None:
-    """Show a demonstration in napari, with the widget beside it, until the window is closed."""
+    """Show a demonstration in napari, with the dock widget, until the window is closed."""
     import napari  # heavy: napari
     from napari.layers import Layer  # heavy: napari
 
@@ -546,6 +548,6 @@ def _open_napari(layers: Sequence[LayerData], solution: Solution, prior: Prior) 
     if isinstance(prior, Elastic):
         widget.plane = prior.plane
         widget.materials = tuple(replace(row, poisson=prior.poisson) for row in widget.materials)
-    # Solve again, so that the result layers belong to the widget, which updates them.
+    # The widget solves again, because it updates only the result layers that it created.
     widget.deform()
     napari.run()

@@ -24,7 +24,7 @@ from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
 
 class Commands:
-    """Commands of a parser, each with a one-sentence description and an example."""
+    """Subcommands of a parser, each with a one-sentence description and an example."""
 
     def __init__(self, parser: argparse.ArgumentParser) -> None:
         self._commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -43,6 +43,11 @@ class Commands:
             A complete command line.
         more : str
             Sentences that only the help of the command shows.
+
+        Returns
+        -------
+        argparse.ArgumentParser
+            Parser of the command, for its options.
         """
         command: argparse.ArgumentParser = self._commands.add_parser(
             name,
@@ -55,7 +60,7 @@ class Commands:
 
 
 class _Formatter(argparse.HelpFormatter):
-    """Help formatter that keeps the example on one line, to be copied."""
+    """Help formatter that keeps the example on one line, so that the user can copy it."""
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         return text if text.startswith("example: ") else super()._fill_text(text, width, indent)
@@ -86,7 +91,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
         help="sample to deform (default: %(default)s)",
     )
     which.add_argument(
-        "--volume", action="store_true", help="a head, in which a tumour grows, as a volume"
+        "--volume", action="store_true", help="deform a volume: a head in which a tumour grows"
     )
     demo.add_argument(
         "--model",
@@ -111,20 +116,20 @@ def parser_of_commands() -> argparse.ArgumentParser:
         type=Path,
         metavar="DIR",
         help="folder for the pictures and the result (default: demo-output, where an earlier demo "
-        "is written over)",
+        "is overwritten)",
     )
     _add_force(demo)
     _add_backend(
         demo,
-        "renderer: the shaders on a GPU, else the loops for the processor, which are compiled "
-        "first, once on a machine (default: %(default)s)",
+        "renderer: the shaders on a GPU, or else the loops on the CPU, which are compiled first, "
+        "once per machine (default: %(default)s)",
     )
     demo.add_argument("--no-window", action="store_true", help="do not open napari")
     commands.add(
         "selftest",
         "Report the machine and the renderers, and check their results.",
         "napari-hmrf selftest",
-        "Its output belongs into a bug report, and names no folder and no user.",
+        "Add its output to a bug report: it contains no names of folders or users.",
     )
     _add_solve(commands)
     _add_result_commands(commands)
@@ -150,8 +155,8 @@ def _add_result_commands(commands: Commands) -> None:
     export.add_argument(
         "--forward",
         action="store_true",
-        help="write where tissue goes, which moves points; by default the field leads to where the "
-        "pixels came from, which moves images",
+        help="write the forward field, which maps points to their new places (default: the "
+        "backward field, which maps pixels to their origins and so moves images)",
     )
     _add_force(export)
     apply = commands.add(
@@ -170,10 +175,10 @@ def _add_result_commands(commands: Commands) -> None:
         type=Path,
         nargs="+",
         metavar="FILE",
-        help="image of the pixels of the field, or landmarks (.csv, .mrk.json, .fcsv)",
+        help="image on the pixel grid of the field, or landmarks (.csv, .mrk.json, .fcsv)",
     )
     apply.add_argument(
-        "--labels", action="store_true", help="the images are labels, not to be interpolated"
+        "--labels", action="store_true", help="treat the images as labels: do not interpolate"
     )
     apply.add_argument(
         "-o",
@@ -181,7 +186,7 @@ def _add_result_commands(commands: Commands) -> None:
         type=Path,
         default=Path("moved"),
         metavar="DIR",
-        help="folder for files of the same names (default: %(default)s)",
+        help="folder for the moved files, which keep their names (default: %(default)s)",
     )
     _add_force(apply)
     measure = commands.add(
@@ -193,11 +198,13 @@ def _add_result_commands(commands: Commands) -> None:
     measure.add_argument(
         "--labels", type=Path, metavar="IMAGE", help="image of labels (default: the study's own)"
     )
-    measure.add_argument("-o", "--out", type=Path, metavar="TABLE", help=".csv to write as well")
+    measure.add_argument(
+        "-o", "--out", type=Path, metavar="TABLE", help="also write the table, as .csv"
+    )
     _add_force(measure)
     play = commands.add(
         "play",
-        "Write the image as it moves, there and back, as a .gif or .mp4.",
+        "Write a movie of the image as it moves there and back, as .gif or .mp4.",
         "napari-hmrf play out/scan.study scan.gif",
     )
     _add_result(play)
@@ -229,8 +236,8 @@ def _add_solve(commands: Commands) -> None:
         "solve",
         "Solve a study, or an image with its tables.",
         "napari-hmrf solve scan.png --boundary rim.png --rules rules.csv -o out",
-        "The folder gets the study with its field, and the deformed image. A study needs no other "
-        "option.",
+        "It writes the study with its field, and the deformed image. A saved study needs no option "
+        "but --out.",
     )
     solve.add_argument(
         "image", type=Path, metavar="STUDY|IMAGE", help="saved study, or the image to deform"
@@ -244,21 +251,22 @@ def _add_solve(commands: Commands) -> None:
         "--boundary",
         type=Path,
         metavar="FILE",
-        help="how tissue moves: an image of labels with --rules, pairs of landmarks (.csv of "
-        "BigWarp), or a field",
+        help="boundary conditions: an image of labels with --rules, pairs of landmarks (.csv of "
+        "BigWarp), or a displacement field",
     )
     solve.add_argument(
         "--rules",
         type=Path,
         metavar="TABLE",
-        help=".csv with the columns label,action,row,col,amount,confidence: a line for each label "
-        "of --boundary; an action is fixed, move, expand, press or pull; the last two are forces",
+        help=".csv with the columns label,action,row,col,amount,confidence and a line for each "
+        "label of --boundary; the actions are fixed, move and expand, and press and pull, which "
+        "are forces",
     )
     solve.add_argument(
         "--forward",
         action="store_true",
-        help="a field of --boundary leads to where tissue goes, though its file does not say so "
-        "(default: to where the pixels came from, as registrations write it)",
+        help="read the field of --boundary as a forward field, from each point to its new place, "
+        "even if its file does not say so (default: a backward field, as registrations write it)",
     )
     solve.add_argument(
         "--confidence",
@@ -285,15 +293,15 @@ def _add_solve(commands: Commands) -> None:
         "--penalty",
         type=energy_option("penalty"),
         metavar="K",
-        help="holding force beyond which boundaries slip (default: they are held exactly; in the "
-        "paper's models large enough to hold)",
+        help="holding force beyond which boundaries slip (default: boundaries are held exactly, or "
+        "in the paper's models by a force that is large enough)",
     )
     solve.add_argument(
         "--weight",
         type=energy_option("weight"),
         metavar="ROW/COL",
-        help="force at each part of elastic tissue along each axis, in the unit of stiffness per "
-        "length, such as 0.00981/0 for water in kPa and mm; before a minus write an equals sign: "
+        help="body force on elastic tissue along each axis, in the unit of stiffness per length, "
+        "such as 0.00981/0 for water in kPa and mm; write an equals sign before a minus sign: "
         "--weight=-0.01/0",
     )
     _add_backend(solve)
@@ -306,17 +314,15 @@ def _add_result(command: argparse.ArgumentParser) -> None:
 
 
 def _add_force(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--force", action="store_true", help="write over files that are there already"
-    )
+    command.add_argument("--force", action="store_true", help="overwrite existing files")
 
 
 def _add_backend(
     command: argparse.ArgumentParser,
-    what: str = "renderer (default: %(default)s)",
+    text: str = "renderer (default: %(default)s)",
     usual: str = "auto",
 ) -> None:
-    command.add_argument("--backend", choices=BACKEND_NAMES, default=usual, help=what)
+    command.add_argument("--backend", choices=BACKEND_NAMES, default=usual, help=text)
 
 
 def _add_material(command: argparse.ArgumentParser) -> None:
@@ -332,13 +338,13 @@ def _add_material(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--plane",
         choices=get_args(Plane),
-        help="slice of elastic tissue: thin and free to bulge (stress, the default), or held "
-        "between its neighbours (strain)",
+        help="elastic tissue across the slice: thin and free to bulge (plane stress, the default), "
+        "or held between its neighbours (plane strain)",
     )
 
 
 def _add_tissue(command: argparse.ArgumentParser) -> None:
-    """Add the options that say where each tissue is."""
+    """Add the options that define the tissue of each pixel."""
     command.add_argument("--labels", type=Path, metavar="IMAGE", help="image of tissue labels")
     command.add_argument(
         "--maps",
@@ -346,15 +352,15 @@ def _add_tissue(command: argparse.ArgumentParser) -> None:
         nargs="+",
         default=(),
         metavar="MAP",
-        help="instead of --labels: an image of the likelihood of each tissue 1, 2 ...",
+        help="instead of --labels: one image of the probability of each tissue 1, 2 ...",
     )
     command.add_argument(
         "--materials",
         type=Path,
         metavar="TABLE",
         help="table with the columns label,name,stiffness,poisson,growth, where a growth of 0.2 or "
-        "20%% is a fifth longer; or the names that a segmentation gives its labels, as for the "
-        "command materials",
+        "20%% makes lengths a fifth larger; or a table of the names of a segmentation's labels, as "
+        "for the command materials",
     )
 
 
@@ -370,7 +376,7 @@ def _add_slice(command: argparse.ArgumentParser) -> None:
 def _add_truth(commands: Commands) -> None:
     truth = commands.add(
         "truth",
-        "Deform an image by random fields that are known, to validate a registration.",
+        "Deform an image by known random fields, to validate a registration.",
         "napari-hmrf truth scan.nii.gz --labels labels.nii.gz --materials tissue.csv -o truth "
         "--count 10",
     )
@@ -388,7 +394,7 @@ def _add_truth(commands: Commands) -> None:
         type=Path,
         required=True,
         metavar="DIR",
-        help="folder for the image, its labels, and a folder 001, 002 ... of each pair",
+        help="folder for the image, its labels, and a folder 001, 002 ... for each pair",
     )
     _add_force(truth)
     truth.add_argument(
@@ -399,7 +405,8 @@ def _add_truth(commands: Commands) -> None:
         type=int,
         default=0,
         metavar="S",
-        help="number that repeats the same pairs (default: %(default)s)",
+        help="seed of the random numbers; a seed always gives the same pairs (default: "
+        "%(default)s)",
     )
     truth.add_argument(
         "--amplitude",
@@ -433,7 +440,7 @@ def _add_truth(commands: Commands) -> None:
 def _add_many_commands(commands: Commands) -> None:
     materials = commands.add(
         "materials",
-        "Find published stiffness by the names that a segmentation gives its labels.",
+        "Find the published stiffness of a segmentation's labels by their names.",
         "napari-hmrf materials FreeSurferColorLUT.txt --labels aseg.nii.gz -o materials.csv",
     )
     materials.add_argument(
@@ -452,15 +459,15 @@ def _add_many_commands(commands: Commands) -> None:
         "--out",
         type=Path,
         metavar="TABLE",
-        help=".csv to write as well, to be corrected and given to --materials",
+        help="also write the table, as a .csv to correct and pass to --materials",
     )
     _add_force(materials)
     batch = commands.add(
         "batch",
         "Solve many cases from a table, by several processes or machines.",
         "napari-hmrf batch cases.csv out --jobs 4 --resume",
-        "Each case gets a folder in OUT, and summary.csv a line. One batch at a time writes into a "
-        "folder.",
+        "Each case gets a folder in OUT and a line in summary.csv. Only one batch at a time may "
+        "write to a folder.",
     )
     batch.add_argument(
         "cases",
@@ -468,18 +475,18 @@ def _add_many_commands(commands: Commands) -> None:
         metavar="CASES",
         help=".csv with a line for each case and the columns name, image or study, and the options "
         "of solve; growth:TISSUE, stiffness:TISSUE, poisson:TISSUE, amount:BOUNDARY and poisson "
-        "replace numbers of its files. Several values in a cell, with semicolons between them, are "
-        "one case each; a slice may be 3-7, or all",
+        "replace numbers in the files of the case. Several values in a cell, separated by "
+        "semicolons, make one case each; a slice may be 3-7, or all",
     )
     batch.add_argument(
-        "out", type=Path, metavar="OUT", help="folder for summary.csv and a folder of each case"
+        "out", type=Path, metavar="OUT", help="folder for summary.csv and the folders of the cases"
     )
     where = batch.add_mutually_exclusive_group()
     where.add_argument(
         "--jobs",
         type=count_option,
         metavar="N",
-        help="number of processes, of one thread each (default: one for each core)",
+        help="number of single-threaded processes (default: one for each core)",
     )
     where.add_argument(
         "--scheduler",
@@ -489,6 +496,6 @@ def _add_many_commands(commands: Commands) -> None:
     batch.add_argument(
         "--resume",
         action="store_true",
-        help="keep finished cases whose line and files are the same, and solve the others",
+        help="keep finished cases whose line and files are unchanged, and solve the others",
     )
     _add_backend(batch, usual="cpu")

@@ -2,7 +2,7 @@
 
 Numba compiles only the loops that are called, so the program solves a small problem with each
 solver. The loops that a solve is waiting for are compiled next; rarely used loops
-(`sets.ON_REQUEST`) are compiled only when a solve waits for them. Prints its progress.
+(`sets.ON_REQUEST`) are compiled only when a solve waits for them. The program prints its progress.
 """
 
 from __future__ import annotations
@@ -30,11 +30,12 @@ from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solve import solve
 
+#: Sites along each axis of the small problems, of a slice and of a volume.
 _SIZE, _SLICES = 40, 12
 
 
-class _Overtaken(Exception):
-    """Raised when a solve waits for other loops; the loops compiled so far stay cached."""
+class _Preempted(Exception):
+    """Interruption because a solve waits for other loops; loops compiled so far stay cached."""
 
 
 class Job(NamedTuple):
@@ -43,8 +44,9 @@ class Job(NamedTuple):
     Attributes
     ----------
     name : str
-        Name that `SolveJob.loops` gives the set.
+        Name of the set, as in `SolveJob.loops`.
     run : callable
+        Computation without arguments.
     """
 
     name: str
@@ -110,8 +112,8 @@ def _pictures() -> None:
         Warper(Picture(image, order=0 if image.dtype.kind == "u" else 1), spacing=(1, 1))(still)
 
 
-def _kept() -> bool:
-    """Return whether numba could cache the compiled loops on disk."""
+def _is_cached() -> bool:
+    """Return whether numba has cached compiled loops on disk."""
     from napari_hmrf.solver.backends.cpu import exact  # heavy: numba
 
     if loader.is_unwritable():
@@ -121,35 +123,35 @@ def _kept() -> bool:
 
 
 def run(job: Job, tell: Callable[[Stage], object]) -> None:
-    """Run a job on the compute thread, reporting its progress."""
+    """Run a job on the compute thread and report its progress."""
     with watched(job.name, tell):
         job.run()
 
 
-def _wanted(todo: list[Job]) -> list[Job]:
+def _due_jobs(todo: list[Job]) -> list[Job]:
     """Return the jobs to run: all except rarely used ones that no solve waits for."""
-    wanted = compiler.wanted()
-    return [job for job in todo if job.name not in sets.ON_REQUEST or job.name == wanted]
+    requested = compiler.wanted()
+    return [job for job in todo if job.name not in sets.ON_REQUEST or job.name == requested]
 
 
-def _next(todo: list[Job]) -> None:
+def _run_next(todo: list[Job]) -> None:
     """Run the requested job, or else the first, and remove it from the list."""
     while True:
-        wanted = compiler.wanted()
-        job = next((each for each in todo if each.name == wanted), todo[0])
-        if job.name != wanted:
+        requested = compiler.wanted()
+        job = next((each for each in todo if each.name == requested), todo[0])
+        if job.name != requested:
             compiler.give_way()
 
         def tell(stage: Stage, job: Job = job) -> None:
             compiler.tell(stage)
             newer = compiler.wanted()
             if newer != job.name and any(each.name == newer for each in todo):
-                raise _Overtaken
+                raise _Preempted
 
-        with suppress(_Overtaken):
+        with suppress(_Preempted):
             compute_thread.submit(partial(run, job, tell)).result()
             todo.remove(job)
-            if _kept():
+            if _is_cached():
                 kept.mark(job.name).touch()
             return
 
@@ -163,9 +165,9 @@ def main() -> int:
     try:
         todo = [job for job in jobs() if job.name in sets.ON_REQUEST or not kept.mark().exists()]
         number = 0
-        while rest := _wanted(todo):
-            _next(todo)
-            if not _kept():
+        while rest := _due_jobs(todo):
+            _run_next(todo)
+            if not _is_cached():
                 break
             number += 1
             print(f"{number} of {number + len(rest) - 1}", flush=True)

@@ -33,32 +33,32 @@ PathOrPaths = str | list[str]
 
 
 def sample_expansion() -> list[LayerData]:
-    """Open the brain that expands outward."""
+    """Open the sample of a brain that expands outward."""
     return _sample("expansion")
 
 
 def sample_growth() -> list[LayerData]:
-    """Open the brain with a growing tumour."""
+    """Open the sample of a brain with a growing tumour."""
     return phantom_layers(sample("mass-effect").growing())
 
 
 def sample_mass_effect() -> list[LayerData]:
-    """Open the brain with a tumour whose rim is pushed, as in the paper."""
+    """Open the sample of a brain with a tumour whose rim is pushed outward, as in the paper."""
     return _sample("mass-effect")
 
 
 def sample_bar() -> list[LayerData]:
-    """Open the bar of two tissues."""
+    """Open the sample of a bar of two tissues."""
     return _sample("bar")
 
 
 def sample_head() -> list[LayerData]:
-    """Open the head with a growing tumour, to be deformed as a volume."""
+    """Open the sample of a head with a growing tumour, which is deformed as a volume."""
     return volume_layers(head_phantom(SAMPLE_SIZE))
 
 
 def volume_layers(head: HeadPhantom) -> list[LayerData]:
-    """Return the layers of a head, placed in the patient, to be deformed as a volume."""
+    """Return the layers of a head in patient coordinates, marked as a volume to deform."""
     place = head.frame.placement()
     layers = [
         (data, {**attributes, **place}, kind) for data, attributes, kind in phantom_layers(head)
@@ -71,31 +71,31 @@ def _sample(name: str) -> list[LayerData]:
     return phantom_layers(sample(name))
 
 
-def phantom_layers(found: Phantom | HeadPhantom) -> list[LayerData]:
-    """Return an image and its two painted layers, with the tables that the widget opens with."""
-    # The stored arrays are read-only; layers are there to be painted on.
+def phantom_layers(phantom: Phantom | HeadPhantom) -> list[LayerData]:
+    """Return the image layer of a phantom and its two label layers, with the widget's tables."""
+    # The stored arrays are read-only, but the user paints on layers.
     return [
         (
-            found.image.copy(),
-            {"name": found.title.split(maxsplit=1)[0], "metadata": described(IMAGE)},
+            phantom.image.copy(),
+            {"name": phantom.title.split(maxsplit=1)[0], "metadata": described(IMAGE)},
             "image",
         ),
         (
-            found.tissue_labels.copy(),
+            phantom.tissue_labels.copy(),
             {
                 "name": "Tissue",
                 "opacity": 0.3,
-                "metadata": described(TISSUE, found.materials),
+                "metadata": described(TISSUE, phantom.materials),
             },
             "labels",
         ),
         (
-            found.boundary_labels.copy(),
+            phantom.boundary_labels.copy(),
             {
                 "name": "Boundary",
                 "opacity": 0.9,
                 "colormap": boundary_colours(),
-                "metadata": described(BOUNDARY, found.boundary),
+                "metadata": described(BOUNDARY, phantom.boundary),
             },
             "labels",
         ),
@@ -103,7 +103,7 @@ def phantom_layers(found: Phantom | HeadPhantom) -> list[LayerData]:
 
 
 def open_solution(path: PathOrPaths) -> Callable[[PathOrPaths], Sequence[Any]] | None:
-    """Offer to read a saved result, or a study that was saved so; None for any other file."""
+    """Return a reader for saved results or studies in .npz files; None for other files."""
     paths = _listed(path)
     if paths and all(is_solution_file(each) for each in paths):
         return _read
@@ -114,20 +114,20 @@ def _read(path: PathOrPaths) -> list[LayerData]:
     layers: list[LayerData] = []
     for each in _listed(path):
         try:
-            made = result_layers(Solution.read(each)).layers["arrows"]
+            arrows = result_layers(Solution.read(each)).layers["arrows"]
         except ValueError as error:
             if isinstance(error, FileFormatError):
                 raise
             raise FileFormatError(f"{Path(each).name}: not a valid result: {error}") from error
-        layers.append(made._replace(attributes={**made.attributes, "name": Path(each).stem}))
+        layers.append(arrows._replace(attributes={**arrows.attributes, "name": Path(each).stem}))
     return layers
 
 
 def open_scan(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]] | None:
-    """Offer to read a scan or a field where it lies in the patient; None for anything else."""
+    """Return a reader for scans and fields in patient coordinates; None for other files."""
     paths = _listed(path)
-    ours = paths and all(is_scan(each) or is_field_file(each) for each in paths)
-    return _read_scans if ours else None
+    readable = paths and all(is_scan(each) or is_field_file(each) for each in paths)
+    return _read_scans if readable else None
 
 
 def _read_scans(path: PathOrPaths) -> list[LayerData]:
@@ -149,17 +149,17 @@ def _read_scans(path: PathOrPaths) -> list[LayerData]:
 
 
 def open_study(path: PathOrPaths) -> Callable[[PathOrPaths], list[tuple[None]]] | None:
-    """Offer to open a saved study in the dock; None for any other file, or for several."""
+    """Return a reader that opens one saved study in the dock; None for other or several files."""
     return _open_study if isinstance(path, str) and is_study_file(path) else None
 
 
 def _open_study(path: PathOrPaths) -> list[tuple[None]]:
     dock().open_study(str(path))
-    return [(None,)]  # the layers are there already
+    return [(None,)]  # the dock has added the layers
 
 
 def open_landmarks(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]] | None:
-    """Offer to read landmarks of BigWarp or Slicer; None for any other file."""
+    """Return a reader for landmarks of BigWarp or 3D Slicer; None for other files."""
     paths = _listed(path)
     return _read_landmarks if paths and all(map(is_landmark_file, paths)) else None
 
@@ -177,7 +177,7 @@ def _read_landmarks(path: PathOrPaths) -> list[LayerData]:
 
 
 def _units_of_images(n: int) -> tuple[str, ...]:
-    """The units of n axes of the newest image that is open: BigWarp's numbers are in those."""
+    """Return the units of the last n axes of the newest open image, in which BigWarp measures."""
     viewer = napari.current_viewer()
     images = [] if viewer is None else [each for each in viewer.layers if each.ndim >= n]
     known = [each.units for each in images if isinstance(each, napari.layers.Image)]
@@ -185,32 +185,32 @@ def _units_of_images(n: int) -> tuple[str, ...]:
 
 
 def _field(path: str) -> LayerData:
-    """A displacement field as a layer that holds it as it is stored, in pixels."""
+    """Return a layer with the displacement field of a file, in pixels, forward or backward."""
     field, frame = read_field_file(path).in_pixels
     return field_layer(field, frame.placement(), Path(path).name.partition(".")[0])
 
 
 def _listed(path: PathOrPaths) -> list[str]:
-    """The files that napari speaks of: one, or several."""
+    """Return one or several paths, as passed by napari, as a list."""
     return [path] if isinstance(path, str) else path
 
 
 def write_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
-    """Save the result that a layer of arrows belongs to: whole, or its field for other tools.
+    """Save the result of a layer of arrows: completely, or only its field for other tools.
 
     Parameters
     ----------
     path : str
-        Ends in .npz, or as `write_field` takes it.
+        File that ends in .npz, for the whole result, or in a suffix of `write_field`.
     data : ndarray, shape (N, 2, D)
-        The arrows; only some of what is saved.
+        The arrows, which are only a part of the result.
     attributes : dict
-        Of the layer; its metadata hold the solution.
+        Attributes of the layer; the metadata contain the solution.
 
     Returns
     -------
     list of str
-        The file written.
+        The written file.
 
     Raises
     ------
@@ -223,7 +223,7 @@ def write_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str
         raise ValueError(
             f"the Vectors layer '{attributes.get('name', '')}' is not a result of "
             "'Soft tissue', so there is no solution to save. Save the layer of displacement arrows "
-            "that it made."
+            "of a result."
         )
     if path.lower().endswith(FIELD_SUFFIXES):
         show_info(write_field_file(path, FieldFile.of(solution)))
@@ -231,7 +231,7 @@ def write_solution(path: str, data: Any, attributes: dict[str, Any]) -> list[str
     return [str(solution.write(path))]
 
 
-#: As napari's menu names it, so that it finds it open.
+#: Name of the dock in napari's menu, by which napari recognises the open dock.
 _TITLE = "Soft tissue (napari-hmrf)"
 
 
@@ -241,12 +241,16 @@ def dock(viewer: Any = None) -> SoftTissue:
     Parameters
     ----------
     viewer : napari.Viewer, optional
-        The one that is used now, if not given.
+        By default the current viewer.
+
+    Returns
+    -------
+    SoftTissue
 
     Raises
     ------
     HmrfError
-        If there is no window.
+        If no viewer is open.
     """
     from napari_hmrf.ui.soft_tissue import SoftTissue  # heavy: ui
 
@@ -254,35 +258,35 @@ def dock(viewer: Any = None) -> SoftTissue:
     if viewer is None:
         raise HmrfError("There is no napari window open: start napari first.")
     widgets = viewer.window.dock_widgets.values()
-    found = next((each for each in widgets if isinstance(each, SoftTissue)), None)
-    if found is None:
-        found = SoftTissue(viewer)
-        viewer.window.add_dock_widget(found, name=_TITLE)
-    frame = found.native.parent()
+    widget = next((each for each in widgets if isinstance(each, SoftTissue)), None)
+    if widget is None:
+        widget = SoftTissue(viewer)
+        viewer.window.add_dock_widget(widget, name=_TITLE)
+    frame = widget.native.parent()
     frame.show()
     frame.raise_()
-    return found
+    return widget
 
 
 def deform_now() -> None:
-    """Press Deform."""
+    """Solve, like the button Deform."""
     dock().deform()
 
 
 def live() -> None:
-    """Switch live mode on or off, in which the result follows every edit."""
-    found = dock()
-    found.live = not found.live
+    """Turn live mode, in which the result follows every edit, on or off."""
+    widget = dock()
+    widget.live = not widget.live
 
 
 def pull() -> None:
     """Start or stop pulling tissue with the mouse."""
-    found = dock()
-    if found.active:
-        found.stop()
+    widget = dock()
+    if widget.active:
+        widget.stop()
     else:
-        found.tool = "pull"
-        found.start()
+        widget.tool = "pull"
+        widget.start()
 
 
 def undo() -> None:
@@ -291,14 +295,14 @@ def undo() -> None:
 
 
 def redo() -> None:
-    """Redo the edit that was undone last."""
+    """Redo the last undone edit."""
     dock().redo()
 
 
 def play() -> None:
-    """Play the deformation back and forth, or stop."""
-    found = dock()
-    if found.playing:
-        found.pause()
+    """Play the deformation there and back, or pause it."""
+    widget = dock()
+    if widget.playing:
+        widget.pause()
     else:
-        found.play()
+        widget.play()

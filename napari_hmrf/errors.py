@@ -1,6 +1,6 @@
-"""All errors that this package raises on purpose.
+"""Errors that this package raises on purpose.
 
-Each message states the problem, its place and a remedy. No error is raised after the start of work
+Each message states the problem, its place and a remedy. Errors are raised before any work begins
 that would have to be undone.
 """
 
@@ -17,18 +17,18 @@ _OPENING = {
     errno.EISDIR: "it is a folder. Name a file in it.",
     errno.ENOTDIR: "a part of its path is a file, not a folder. Check its name.",
     errno.EEXIST: "it is a file, not a folder. Name a folder.",
-    errno.EACCES: "you have no permission for it. Change its permissions, or take another.",
-    errno.EPERM: "you have no permission for it. Change its permissions, or take another.",
-    errno.EROFS: "its disk can only be read. Take a folder on another.",
-    errno.ENOSPC: "the disk is full. Make room, or take another.",
-    errno.EDQUOT: "your share of the disk is full. Make room, or take another.",
-    errno.EFBIG: "the system does not let a file grow so large. Take another disk or limit.",
-    errno.ENAMETOOLONG: "its name is too long. Take a shorter one.",
+    errno.EACCES: "you have no permission for it. Change its permissions, or use another file.",
+    errno.EPERM: "you have no permission for it. Change its permissions, or use another file.",
+    errno.EROFS: "its disk is read-only. Use a folder on another disk.",
+    errno.ENOSPC: "the disk is full. Free some space, or use another disk.",
+    errno.EDQUOT: "your quota on the disk is full. Free some space, or use another disk.",
+    errno.EFBIG: "the file is larger than the system allows. Use another disk, or raise the limit.",
+    errno.ENAMETOOLONG: "its name is too long. Use a shorter name.",
 }
-#: The same for a file that cannot be saved.
+#: Reason and remedy by error number, for a file that cannot be saved.
 _SAVING = {
     **_OPENING,
-    errno.ENOENT: "its folder is not there. Make that first, or choose another.",
+    errno.ENOENT: "its folder does not exist. Create the folder first, or choose another.",
     errno.EISDIR: "it is a folder. Give the name of a file.",
     errno.EACCES: "you have no permission to write there. Choose another folder or name.",
 }
@@ -41,7 +41,7 @@ class HmrfError(Exception):
 
 
 class ProblemError(HmrfError, ValueError):
-    """The input images do not make a solvable problem.
+    """Input images that do not make a solvable problem.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class ProblemError(HmrfError, ValueError):
 
 
 class LayerError(ProblemError):
-    """A layer is invalid; the message is a sentence for the user.
+    """An invalid layer; the message is a sentence for the user.
 
     Parameters
     ----------
@@ -77,23 +77,23 @@ class LayerError(ProblemError):
 
 
 class ArgumentError(HmrfError, ValueError, TypeError):
-    """An argument has an invalid type or value."""
+    """An argument of an invalid type or value."""
 
 
 class BackendError(HmrfError, RuntimeError):
-    """A backend is missing, cannot start, or gave an invalid result."""
+    """A backend that is missing, cannot start, or returned an invalid result."""
 
 
 class ConvergenceError(HmrfError, ArithmeticError):
-    """An iteration ended without reliable convergence; there is no result."""
+    """An iteration that ended without reliable convergence; there is no result."""
 
 
 class FileFormatError(HmrfError, ValueError):
-    """A file, such as a saved solution or a table of materials, is not of its format."""
+    """A file, such as a saved solution or a table of materials, that violates its format."""
 
 
 class Cancelled(HmrfError):
-    """The solve was cancelled; there is no result and nothing was changed."""
+    """Cancellation of a solve; there is no result and nothing was changed."""
 
     def __init__(self) -> None:
         super().__init__("the solve was cancelled")
@@ -101,7 +101,18 @@ class Cancelled(HmrfError):
 
 @contextmanager
 def naming(**layers: Any) -> Iterator[None]:
-    """Make errors about an input of the problem name the layer that the input came from."""
+    """Make errors about an input of the problem name the layer that the input came from.
+
+    Parameters
+    ----------
+    **layers : napari.layers.Layer or str
+        Layer, or its name, by the `field` of `ProblemError`.
+
+    Raises
+    ------
+    LayerError
+        In place of a `ProblemError` whose `field` has a layer.
+    """
     try:
         yield
     except LayerError:
@@ -118,6 +129,6 @@ def in_words(error: Exception) -> str:
     if not isinstance(error, OSError) or error.filename is None:
         return str(error) or type(error).__name__
     whole = error.strerror or ""
-    saving, said = whole.startswith(CANNOT_SAVE), whole.removeprefix(CANNOT_SAVE)
-    why = (_SAVING if saving else _OPENING).get(error.errno or 0, f"{said}.")
-    return f"{error.filename}: {CANNOT_SAVE if saving else ''}{why}"
+    saving, reason = whole.startswith(CANNOT_SAVE), whole.removeprefix(CANNOT_SAVE)
+    sentences = (_SAVING if saving else _OPENING).get(error.errno or 0, f"{reason}.")
+    return f"{error.filename}: {CANNOT_SAVE if saving else ''}{sentences}"

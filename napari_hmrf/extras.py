@@ -8,14 +8,14 @@ Extra = Literal["cluster", "film", "medical", "monai", "report", "rivals", "view
 
 
 def how_to_install(extra: Extra) -> str:
-    """Return a clause that says how to install an extra.
+    """Return a clause with the command that installs an extra.
 
-    The package is installed from a copy of its repository, as `README.md` says, so that its name
-    alone would not find it.
+    The package is installed from a copy of its repository, as described in `README.md`, because
+    pip does not find it by its name.
 
     Parameters
     ----------
     extra : str
-        An extra of `pyproject.toml`.
+        Name of an extra in `pyproject.toml`.
     """
     return f'in a copy of the repository, run: pip install ".[{extra}]"'

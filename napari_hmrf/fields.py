@@ -1,8 +1,8 @@
 """Displacement fields: moved images, strain, folds, inverses and files.
 
-The functions take the displacement of any method, such as that of a registration, with the
-`spacing` of its pixels. A `Solution` has its spacing, tissue and place; use its methods `warp`,
-`jacobian`, `strain`, `at`, `measure` and `export` where you have one::
+The functions take a displacement from any method, such as a registration, with the `spacing` of
+its pixels. A `Solution` holds its own spacing, tissue and place: for a solution, use its methods
+`warp`, `jacobian`, `strain`, `at`, `measure` and `export`::
 
     from napari_hmrf.fields import jacobian_determinant, read_field
 

@@ -1,13 +1,13 @@
 """Loads on tissue: growth, weight, pressure and traction, and the reactions to them.
 
-They are the `loads` of a `Problem`, and add up with ``+``::
+Loads are the argument `loads` of a `Problem`; ``+`` adds two loads::
 
     from napari_hmrf import Problem, solve
     from napari_hmrf.loads import growth
 
     solution = solve(Problem(observed, confidence, stiffness, loads=growth(0.2 * tumour)))
 
-A `Study` makes its loads itself, from `Material`, `BoundaryRule` and `Motion`.
+A `Study` derives its loads from its `Material`, `BoundaryRule` and `Motion`.
 """
 
 from napari_hmrf.solver.body_forces import pressure, traction, weight

@@ -8,7 +8,7 @@
     sample = deformation.sample(seed=0)
     moved = sample.image(image)
 
-`RandPhysicalDeformationd` is the same as a transform of MONAI; importing it needs MONAI.
+`RandPhysicalDeformationd` wraps `RandomDeformation` as a MONAI transform and requires MONAI.
 """
 
 from typing import Any

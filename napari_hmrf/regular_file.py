@@ -1,4 +1,4 @@
-"""Refusal of pipes and devices, which have no end, where a file is read."""
+"""Reading of regular files only: pipes and devices may never end."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ def refuse_irregular(path: str | os.PathLike[str]) -> None:
     Raises
     ------
     FileFormatError
-        If it does.
+        If the path leads to such a file.
     OSError
-        If nothing is there.
+        If the path does not exist.
     """
     mode = os.stat(path).st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
@@ -27,12 +27,23 @@ def refuse_irregular(path: str | os.PathLike[str]) -> None:
 
 
 def read_at_most(path: str | os.PathLike[str], largest: int) -> bytes | None:
-    """Read a file that may be a pipe; None if it has more bytes than the largest allowed.
+    """Read a file, which may be a pipe, up to a size limit.
+
+    Parameters
+    ----------
+    path : str or path-like
+    largest : int
+        Largest allowed number of bytes.
+
+    Returns
+    -------
+    bytes or None
+        Content of the file; None if it has more than `largest` bytes.
 
     Raises
     ------
     OSError
-        If it cannot be opened.
+        If the file cannot be opened.
     """
     with open(path, "rb") as file:
         content = file.read(largest + 1)

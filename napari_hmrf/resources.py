@@ -1,4 +1,4 @@
-"""Where the shaders and the sample data are, installed from a wheel or run from a checkout."""
+"""Folders of the shaders and the sample data, in an installed wheel or in a checkout."""
 
 from __future__ import annotations
 
@@ -16,6 +16,10 @@ def resource_folder(name: str) -> Path:
     ----------
     name : str
         ``"shaders"`` or ``"sample_data"``.
+
+    Returns
+    -------
+    Path
 
     Raises
     ------

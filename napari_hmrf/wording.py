@@ -1,9 +1,8 @@
-"""Words of the interface that a message appears in.
+"""Translation of setting names in messages for Python, the shell and the window.
 
-A message states what is wrong in words that every interface shares, and names the setting to
-change as Python has it, in parentheses and backticks: ``hold its edge (`hold_edge=True`)``. Python
-shows it so. The shell and the window replace the setting by their own words for it as they show the
-message.
+A message describes the problem in words that suit every interface, followed by the Python name of
+the setting to change, in parentheses and backticks: ``hold its edge (`hold_edge=True`)``. Python
+shows the message unchanged. The shell and the window replace the name of the setting by their own.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ Interface = Literal["shell", "window"]
 
 
 class Term(NamedTuple):
-    """Words for one setting; "" where the message needs none.
+    """Name of one setting in the shell and the window; "" if the name is to be left out.
 
     Attributes
     ----------
@@ -26,7 +25,7 @@ class Term(NamedTuple):
     window: str
 
 
-#: By the setting in Python.
+#: Names of the settings in the shell and the window, by the name in Python.
 TERMS: dict[str, Term] = {
     "hold_edge=True": Term("--hold-edge", ""),
     "model='elastic'": Term("--model elastic", ""),
@@ -56,20 +55,20 @@ _SETTING = re.compile(r" \(`([^`]+)`\)")
 
 
 def in_words_of(interface: Interface, message: str) -> str:
-    """Return a message in the words of an interface.
+    """Return a message with the names of settings in an interface.
 
     Parameters
     ----------
     interface : {"shell", "window"}
     message : str
-        With settings as Python has them.
+        Message with the Python names of settings.
     """
 
-    def words(found: re.Match[str]) -> str:
-        term = TERMS.get(found[1])
+    def words(match: re.Match[str]) -> str:
+        term = TERMS.get(match[1])
         if term is None:
-            return found[0]
-        said: str = getattr(term, interface)
-        return said and f" ({said})"
+            return match[0]
+        name: str = getattr(term, interface)
+        return name and f" ({name})"
 
     return _SETTING.sub(words, message)

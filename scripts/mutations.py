@@ -273,8 +273,8 @@ MUTATIONS = (
     ),
     Mutation(
         "field/landmark_pairs.py",
-        "(away / 2)[which.reshape(-1)]",
-        "away[which.reshape(-1)]",
+        "(away / 2)[patches.reshape(-1)]",
+        "away[patches.reshape(-1)]",
         "layers/test_landmark_boundary.py",
     ),
     Mutation(

@@ -25,7 +25,7 @@ posix = pytest.mark.skipif(os.name != "posix", reason="permissions and FIFOs are
 @pytest.mark.parametrize(
     ("number", "said"),
     [
-        (errno.EACCES, "a.png: you have no permission for it. Change its permissions, or take"),
+        (errno.EACCES, "a.png: you have no permission for it. Change its permissions, or use"),
         (errno.ENOENT, "a.png: there is no such file or folder. Check its name."),
         (errno.EISDIR, "a.png: it is a folder. Name a file in it."),
         (errno.ENOTDIR, "a.png: a part of its path is a file, not a folder. Check its name."),

@@ -20,7 +20,7 @@ from napari_hmrf.solver.optimizers import Monitor
 from tests.support.timeouts import LONG_MS
 
 #: The finite elements that there are for the samples.
-FEM, OTHER = "RMSD to FEM of nu 0.3", "as another material"
+FEM, OTHER = "RMSD from FEM, nu 0.3", "with another material"
 
 
 @pytest.fixture(autouse=True)
@@ -71,8 +71,8 @@ def test_the_demo_is_elastic_and_has_the_papers_beside_it(tmp_path, capsys):
     assert elastic["model"] == "elastic (Poisson's ratio 0.45, plane stress), converged"
     assert papers["model"] == "the paper's prior (centred), 70 sweeps per level"
     assert (elastic["levels"], papers["levels"]) == ("1", "10")
-    assert elastic[FEM].endswith(" px, if of nu 0.3, too")
-    assert elastic[OTHER] == "0.11 px, of nu 0.45, plane stress"
+    assert elastic[FEM].endswith(" px, solved with nu 0.3")
+    assert elastic[OTHER] == "0.11 px, nu 0.45, plane stress"
     assert papers[OTHER] == "-"
     far = [each[FEM].partition(" px")[0] for each in (elastic, papers)]
     assert 0 < float(far[0]) < float(far[1])
@@ -105,7 +105,7 @@ def test_elastic_tissue_of_the_same_material_is_the_finite_element_field(tmp_pat
     assert 0 < float(measured[FEM].removesuffix(" px")) < 0.001
     assert demo(tmp_path, "--model", "elastic", "--plane", "strain", "--force") == 0
     measured = table(capsys.readouterr().out)
-    assert measured[OTHER].endswith(" px, of nu 0.45, plane strain")
+    assert measured[OTHER].endswith(" px, nu 0.45, plane strain")
 
 
 def test_the_demo_goes_on_to_convergence_when_asked(tmp_path, capsys):

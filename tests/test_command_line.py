@@ -231,7 +231,7 @@ def test_a_painted_label_that_the_rules_do_not_name_is_refused(files, capsys):
 def test_a_model_is_called_alike_in_python_and_in_the_shell(files, capsys):
     assert chosen("large-motion") == chosen("large motion")
     assert Study(Grid(SHAPE, (1.0, 1.0)), model="large-motion").model_name == "large motion"
-    with pytest.raises(HmrfError, match=r"there is no model 'soft'\. Take one of .elastic"):
+    with pytest.raises(HmrfError, match=r"there is no model 'soft'\. Use one of .elastic"):
         chosen("soft")
     code, out, _ = run(f"{SOLVE} -o out --model large_motion", capsys)
     assert code == 0
@@ -274,7 +274,7 @@ def test_of_a_volume_the_middle_slice_is_played_and_said(tmp_path, capsys):
     path = write_study(tmp_path / "v.study", study, solve_study(study, backend="cpu"))
     code, out, _ = run(f"play {path} {tmp_path / 'a.gif'}", capsys)
     assert code == 0
-    assert "note: slice 3 of 0 to 5, in the middle; --slice takes another\n" in out
+    assert "note: slice 3 of 0 to 5, in the middle; --slice selects another\n" in out
     with Image.open(tmp_path / "a.gif") as film:
         assert film.size == (10, 8)
         assert film.n_frames > 10
@@ -295,8 +295,8 @@ def test_a_demo_writes_over_its_own_folder_alone_and_says_so(tmp_path, capsys, m
     assert run(line, capsys)[0] == 0
     code, out, _ = run(line, capsys)
     assert code == 0
-    assert "note: an earlier demo in demo-output is written over\n" in out
+    assert "note: an earlier demo in demo-output is overwritten\n" in out
     code, _, err = run(f"{line} --out demo-output", capsys)
     assert code == 1
-    assert "demo-output is there already, and is not empty" in err
+    assert "demo-output already exists and is not empty" in err
     assert run(f"{line} --out demo-output --force", capsys)[0] == 0

@@ -334,7 +334,7 @@ def test_whatever_is_given_by_mistake_is_refused_by_an_error_of_ours_in_short(
         (lambda: ElasticPrior(0.6), "poisson must be from 0 to 0.499, not 0.6"),
         (lambda: Problem("a", 1, 2), r"stiffness: has shape \(\), but a 2-D image"),
         (lambda: Problem("a", HELD, IMAGE), "observed: is 'a', of type str. Give real numbers"),
-        (lambda: stiffness_image(LABELS, {1: 5.0}), "materials must be a list, each a Material"),
+        (lambda: stiffness_image(LABELS, {1: 5.0}), "materials must be a list of Material"),
         (lambda: napari_hmrf.data.phantom("liver"), "no phantom 'liver'; choose from expansion"),
     ],
 )

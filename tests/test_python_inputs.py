@@ -48,7 +48,7 @@ def test_landmarks_move_tissue_from_source_to_target():
         ([[1, np.nan]], [[1, 2]], "a source that is NaN"),
         ([[1, 2], [1.2, 2.3]], [[1, 2], [3, 4]], r"two sources in the pixel \(1, 2\)"),
         ([[1, 2], [3, 24]], [[1, 2], [3, 4]], r"1 of 2 sources outside .* number 1 at \(3.0, 24"),
-        ([[1, 2, 3]], [[1, 2, 4]], "3 coordinates each, but the image 2 axes"),
+        ([[1, 2, 3]], [[1, 2, 4]], "3 coordinates each, but the image has 2 axes"),
     ],
 )
 def test_landmarks_that_are_none_are_refused(source, target, said):
@@ -71,7 +71,7 @@ def test_a_grid_takes_points_of_the_patient_to_its_pixels():
         plane.to_pixels(points)
     with pytest.raises(ProblemError, match=r"Give \(N, 3\) numbers"):
         grid.to_pixels([[1, 2]])
-    with pytest.raises(ProblemError, match=r"has no place. Take Grid\.from_image"):
+    with pytest.raises(ProblemError, match=r"has no place. Use Grid\.from_image"):
         Grid(SHAPE, (1.0, 1.0)).to_pixels([[1, 2]])
 
 
@@ -146,7 +146,7 @@ def test_published_values_are_taken_by_name_and_unknown_names_refused():
         ),
         ({"a": np.full((2, 3), 300.0)}, {"a": 1}, r"up to 300 in map 1 \(a\)"),
         ({"a": np.full((2, 3), np.nan)}, {"a": 1}, r"NaN or infinite values in map 1 \(a\)"),
-        ({"a": np.full((2, 3), 60, np.uint8)}, {"a": 1}, "may be per cent or of 255"),
+        ({"a": np.full((2, 3), 60, np.uint8)}, {"a": 1}, "scale may be 100 or 255"),
     ],
 )
 def test_maps_and_materials_that_do_not_go_together_are_refused(given, materials, said):

@@ -1,4 +1,4 @@
-"""The file of a case's unit solutions, from which any process draws without solving."""
+"""File of the unit solutions of a case, from which samples are drawn without a solve."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def _describe(solutions: UnitSolutions) -> tuple[Header, Arrays]:
 
 
 def _check_shapes(_: Header, arrays: Arrays) -> None:
-    """Refuse arrays whose shapes disagree."""
+    """Refuse arrays whose shapes do not match."""
     labels, displacements = arrays["labels"], arrays["displacements"]
     for name in ("patches", "tissue"):
         if arrays[name].shape != labels.shape:
-            raise Invalid(f"its labels {labels.shape} and {name} {arrays[name].shape} disagree")
+            raise Invalid(f"its labels {labels.shape} and {name} {arrays[name].shape} do not match")
     if displacements.shape[1] > labels.size or displacements.shape[2] != labels.ndim:
-        raise Invalid(f"its labels {labels.shape} and solutions {displacements.shape} disagree")
+        raise Invalid(f"its labels {labels.shape} and solutions {displacements.shape} do not match")
 
 
 def _parse(header: Header, arrays: Arrays) -> UnitSolutions:
@@ -52,11 +52,11 @@ def _parse(header: Header, arrays: Arrays) -> UnitSolutions:
     smoothness, weight, least = (float(header[name]) for name in _NUMBERS)
     numbers = (*spacing, low, high, smoothness, weight, least)
     if not (all(map(math.isfinite, numbers)) and min(*spacing, high, smoothness) > 0):
-        raise Invalid("it holds lengths that are none")
+        raise Invalid("it has invalid lengths")
     if not (0 <= low <= high and weight >= 0 and 0 < least < 1):
-        raise Invalid("it holds an amplitude, a weight or a Jacobian that is none")
+        raise Invalid("it has an invalid amplitude, weight or smallest Jacobian")
     if len(spacing) != n or centres.shape[1] != n or not np.isfinite(centres).all():
-        raise Invalid("its labels, spacing and patches disagree")
+        raise Invalid("its labels, spacing and patches do not match")
     _check_shapes(header, arrays)
     case = MovableTissue(
         Grid(labels.shape, spacing, str(header["unit"])),
@@ -72,13 +72,13 @@ def _parse(header: Header, arrays: Arrays) -> UnitSolutions:
     )
     needed = (len(case.units), int(tissue.sum()), n)
     if displacements.shape != needed or not len(centres):
-        raise Invalid(f"its solutions are {displacements.shape}, not {needed}")
+        raise Invalid(f"its solutions have shape {displacements.shape}, not {needed}")
     if not array_file.is_finite(displacements):
-        raise Invalid("its solutions hold values that are not numbers")
+        raise Invalid("its solutions have NaN or infinite values")
     return UnitSolutions(case, displacements, tissue)
 
 
-#: The file that `RandomDeformation.write` writes.
+#: Format of the files of `RandomDeformation.write`.
 DEFORMATION_FORMAT: array_file.Format[UnitSolutions] = array_file.Format(
     name="napari-hmrf random deformation",
     schema=1,

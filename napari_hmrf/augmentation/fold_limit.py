@@ -28,19 +28,20 @@ _SITES = 1 << 17
 def largest_scale(
     displacement: FloatArray, spacing: Sequence[float], tissue: BoolArray, least: float
 ) -> float:
-    """Find the largest scale, at most 1, at which a displacement does not over-compress tissue.
+    """Find the largest scale, at most 1, at which a displacement compresses no tissue too much.
 
-    The measure is that of `smallest_determinant`, at each corner of each element. No corner falls
-    below the limit at any smaller scale either.
+    The determinant at each corner of each element, as for `smallest_determinant`, must stay at or
+    above a limit, at the returned scale and at all smaller scales.
 
     Parameters
     ----------
     displacement : ndarray, shape ([D,] H, W, n)
-        In the unit of `spacing`.
+        Material displacement, in the unit of `spacing`.
     spacing : sequence of float, shape (n,)
+        Size of a pixel along each axis.
     tissue : ndarray of bool, shape ([D,] H, W)
     least : float
-        The smallest allowed determinant, above 0 and below 1.
+        Smallest allowed determinant, above 0 and below 1.
 
     Returns
     -------
@@ -49,11 +50,11 @@ def largest_scale(
     """
     least = least + _MARGIN
     planes = max(1, _SITES // math.prod(tissue.shape[1:]))
-    found = [
+    corners = [
         _corners_of(displacement, spacing, tissue, least, slice(begin, begin + planes))
         for begin in range(0, len(tissue), planes)
     ]
-    return _march(np.concatenate(found, axis=1), least)
+    return _march(np.concatenate(corners, axis=1), least)
 
 
 def _corners_of(
@@ -66,14 +67,14 @@ def _corners_of(
     """Return the `_corners` of the sites of a slab that may be compressed too much."""
     n = tissue.ndim
     wide, inner = with_neighbours(slab, len(tissue))
-    d, there = displacement[wide].reshape(-1, n), tissue[wide]
+    d, mask = displacement[wide].reshape(-1, n), tissue[wide]
     weights = (1 / np.square(spacing)).astype(d.dtype)
-    # A gradient of norm g < 1 leaves a determinant of at least (1 - g)^n: where that is enough,
-    # corners are skipped. g^2 is at most the sum over the axes of the longer of the two steps,
-    # squared.
+    # For a gradient of norm g < 1 the determinant is at least (1 - g)^n. Corners for which this is
+    # above the limit are skipped. g^2 is bounded by the sum, over the axes, of the squares of the
+    # longer of both steps.
     squares, steps = np.zeros(len(d), dtype=d.dtype), []
     for axis in range(n):
-        step = _steps(there, axis)
+        step = _steps(mask, axis)
         change = d[step.stride :] - d[: -step.stride]
         length = np.square(change, out=change) @ weights
         length *= step.exists[: -step.stride]
@@ -82,13 +83,13 @@ def _corners_of(
         np.maximum(longer[step.stride :], length, out=longer[step.stride :])
         squares += longer
         steps.append(step)
-    doubtful = there & (squares > (1 - least ** (1 / n)) ** 2).reshape(there.shape)
-    doubtful[: inner.start] = doubtful[inner.stop :] = False
-    return _corners(d, spacing, steps, there, np.flatnonzero(doubtful), least)
+    candidates = mask & (squares > (1 - least ** (1 / n)) ** 2).reshape(mask.shape)
+    candidates[: inner.start] = candidates[inner.stop :] = False
+    return _corners(d, spacing, steps, mask, np.flatnonzero(candidates), least)
 
 
 class _Steps(NamedTuple):
-    """Steps from each site to the next along an axis, for flattened sites."""
+    """Steps from each site to the next site along an axis, for flattened arrays."""
 
     # Distance to the next site in the flattened array.
     stride: int
@@ -98,8 +99,8 @@ class _Steps(NamedTuple):
 
 def _steps(tissue: BoolArray, axis: int) -> _Steps:
     exists = np.zeros(tissue.shape, dtype=bool)
-    there = tissue.swapaxes(0, axis)
-    np.logical_and(there[1:], there[:-1], out=exists.swapaxes(0, axis)[:-1])
+    along = tissue.swapaxes(0, axis)
+    np.logical_and(along[1:], along[:-1], out=exists.swapaxes(0, axis)[:-1])
     return _Steps(math.prod(tissue.shape[axis + 1 :]), exists.ravel())
 
 
@@ -111,8 +112,8 @@ def _corners(
     sites: npt.NDArray[np.intp],
     least: float,
 ) -> Float64Array:
-    """Return the polynomial coefficients in s, (n, corners), of the corners' determinants."""
-    # det(1 + s G) = 1 + s a + s^2 b + s^3 c. Corners that cannot reach the limit are left out.
+    """Return the coefficients, (n, corners), of the corners' determinants as polynomials in s."""
+    # det(I + s G) = 1 + s a + s^2 b + s^3 c. Corners that cannot reach the limit are omitted.
     n, sides = len(steps), []
     size = np.asarray(spacing, dtype=np.float64)
     for stride, exists in steps:
@@ -123,7 +124,7 @@ def _corners(
         after = np.where(is_after, d[ahead] - here, 0.0) / size
         before = np.where(is_before, here - d[behind], 0.0) / size
         sides.append((after.T, before.T))
-    found = []
+    corners = []
     exist, places = elements(tissue), np.unravel_index(sites, tissue.shape)
     ways = product((1, 0), repeat=n)
     for g, way in zip(product(*sides), ways, strict=True):
@@ -136,14 +137,16 @@ def _corners(
             first = g[0][1] * (g[1][2] * g[2][0] - g[1][0] * g[2][2])
             second = g[0][2] * (g[1][0] * g[2][1] - g[1][1] * g[2][0])
             powers.append(g[0][0] * minors[1, 2] + first + second)
-        made = np.stack(powers)
-        found.append(made[:, is_corner & (np.abs(made).sum(axis=0) > 1 - least)])
-    return np.concatenate(found, axis=1)
+        coefficients = np.stack(powers)
+        reaches = np.abs(coefficients).sum(axis=0) > 1 - least
+        corners.append(coefficients[:, is_corner & reaches])
+    return np.concatenate(corners, axis=1)
 
 
 def _march(coefficients: Float64Array, least: float) -> float:
-    """March from 0 towards 1, up to the first scale at which a determinant reaches the limit."""
-    # Up to 1 no determinant falls faster than `fall`, so that slack / fall never oversteps.
+    """Return the first scale, from 0 to 1, at which a determinant reaches the limit."""
+    # Up to scale 1 no determinant decreases faster than `fall`, so that a step of slack / fall is
+    # never too long.
     powers, scale = np.arange(1, len(coefficients) + 1), 0.0
     fall = powers @ np.abs(coefficients)
     while scale < 1:

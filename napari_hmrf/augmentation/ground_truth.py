@@ -36,13 +36,14 @@ class Truth:
     Attributes
     ----------
     folder : Path
+        Folder of the pair.
     farthest : float
         Largest displacement of the tissue, in the unit of the study.
     scale : float
-        Factor by which the drawn deformation was scaled down so that no tissue is compressed too
-        much.
+        Factor, at most 1, by which the drawn deformation was scaled down so that no tissue is
+        compressed too much.
     inexact : float
-        Largest deviation of the written field from the inverse of the motion, in pixels.
+        Largest error of the written field as the inverse of the motion, in pixels.
     """
 
     folder: Path
@@ -52,7 +53,7 @@ class Truth:
 
 
 def truth_files(folder: Path, count: int) -> list[Path]:
-    """Return the files that `write_truth` writes for `count` pairs."""
+    """Return the paths of the files that `write_truth` writes for `count` pairs."""
     within = [folder / f"{number + 1:03}" for number in range(count)]
     return [
         *(folder / name for name in ("image.mha", "labels.mha")),
@@ -76,43 +77,45 @@ def write_truth(
     ... with:
 
     - ``deformed.mha`` and ``deformed_labels.mha``;
-    - ``field.mha``, which moves the image to the deformed one in the convention of registrations
-      (from each deformed pixel to its source, mm, LPS);
-    - ``landmarks.csv``, pairs of points in the image and in the deformed one (BigWarp's columns);
-    - ``truth.study``, which can be solved in full and opened in napari.
+    - ``field.mha``, the displacement that warps the image to the deformed image, in the convention
+      of registrations (backward, from each deformed pixel to its origin, in mm, LPS);
+    - ``landmarks.csv``, pairs of points in the image and in the deformed image, in the columns of
+      BigWarp;
+    - ``truth.study``, which can be solved and opened in napari.
 
     Parameters
     ----------
     case : Case
-        An image with its labels and materials; or a study that has them.
+        Image with labels and materials, or a study that has them.
     folder : Path
+        Folder of the results, which is created.
     count : int
         Number of pairs.
     seed : int
-        Seed of all pairs; each pair adds its number.
+        Seed of the random numbers. The seed of each pair is (seed, index of the pair).
     progress : callable, optional
         As for `RandomDeformation`.
     tell : callable, optional
-        Called with each written pair.
+        Called with the `Truth` of each pair after it is written.
     **options
         Options of `RandomDeformation`, such as `amplitude`.
 
     Returns
     -------
     list of Truth
-        One for each pair.
+        Summary of each pair.
 
     Raises
     ------
     HmrfError, OSError
-        As for `read_case` and `RandomDeformation`; or if the case has no image or no labels.
+        As for `read_case` and `RandomDeformation`, or if the case has no image or no labels.
     """
     refuse_unless(is_whole(count) and count >= 1, "count", count, "a whole number of at least 1")
     study = read_case(case)
     image, labels = study.pictures.image, study.tissue.labels
     if image is None or labels is None:
-        what = "an image" if image is None else "labels: give --labels, or --maps"
-        raise HmrfError(f"{case.image.name} comes without {what}")
+        missing = "image" if image is None else "labels. Give --labels, or --maps"
+        raise HmrfError(f"{case.image.name} has no {missing}")
     folder.mkdir(parents=True, exist_ok=True)  # before the work, to fail early
     colours = image.ndim > len(study.grid.shape)
     random = RandomDeformation(
@@ -156,19 +159,19 @@ def _write_motion(within: Path, sample: RandomSample, solution: Solution, place:
     points = landmarks(sample.tissue)
     ends = []
     for each in (points, sample.points(points)):
-        # The place of a slice has an extra axis, on which the slice has index 0.
+        # The place of a slice has one more axis, along which the index of the slice is 0.
         ends.append(place.to_space(np.pad(each, ((0, 0), (len(place.spacing) - n, 0)))))
     write_points(within / "landmarks.csv", *ends)
     return inexact
 
 
 def landmarks(tissue: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
-    """Pick about two hundred pixels, (N, n), spread evenly over tissue."""
+    """Pick about two hundred pixels that are spread evenly over tissue; return indices, (N, n)."""
     apart = max(1.0, (float(tissue.sum()) / _LANDMARKS) ** (1 / tissue.ndim))
     return spread(tissue, apart)
 
 
 def _whole(study: Study, sample: RandomSample) -> Study:
-    """Return the study of a sample, with the image, grid and names of the original study."""
+    """Return the study of a sample with the image, grid and names of the original study."""
     picture = Pictures(study.pictures.image, study.tissue.labels, study.pictures.name)
     return replace(sample.study, grid=study.grid, pictures=picture, names=study.names)

@@ -1,4 +1,4 @@
-"""Random deformations as a transform for MONAI, which the extra ``monai`` installs.
+"""MONAI transform of random deformations; the extra ``monai`` installs MONAI.
 
 No other module imports MONAI or this module.
 """
@@ -37,25 +37,25 @@ _ORDERS = {"bilinear": 1, "nearest": 0}
 
 
 class RandPhysicalDeformationd(RandomizableTransform, MapTransform):
-    """Transform that moves the arrays of a dictionary by one random deformation.
+    """Transform that warps the arrays of a dictionary by one random deformation.
 
-    It is used like `Rand2DElasticd` and `Rand3DElasticd`, but the deformation is physical: bone
-    stays rigid, air stays empty, and nothing folds. Arrays are channel first; NumPy arrays, torch
-    tensors and `MetaTensor` keep their type.
+    It has the interface of `Rand2DElasticd` and `Rand3DElasticd`, but the deformation is physical:
+    bone stays rigid, air has no tissue, and tissue does not fold. Arrays are channel first. NumPy
+    arrays, torch tensors and `MetaTensor` keep their type.
 
     Parameters
     ----------
     keys : hashable or sequence of hashable
         Keys of arrays, (channels, H, W) or (channels, D, H, W), on the grid of the deformation.
     deformation : RandomDeformation or callable
-        Deformation of the case that all dictionaries belong to; or a callable that returns the
+        Deformation of the case to which all dictionaries belong; or a callable that returns the
         deformation for a dictionary, for example by its subject.
     prob : float
         Probability that a dictionary is deformed.
     mode : {"bilinear", "nearest"} or sequence of these
         Interpolation of each key: "bilinear" for images, "nearest" for labels.
     allow_missing_keys : bool
-        Whether a key may be missing.
+        If True, ignore keys that a dictionary does not have.
 
     Raises
     ------
@@ -78,7 +78,7 @@ class RandPhysicalDeformationd(RandomizableTransform, MapTransform):
         RandomizableTransform.__init__(self, prob)
         self.mode = ensure_tuple_rep(mode, len(self.keys))
         if not set(self.mode) <= set(_ORDERS):
-            raise ArgumentError(f"mode must be of {', '.join(_ORDERS)}, not {self.mode}")
+            raise ArgumentError(f"mode must be one of {', '.join(_ORDERS)}, not {self.mode}")
         if not (isinstance(deformation, RandomDeformation) or callable(deformation)):
             raise ArgumentError("deformation must be a RandomDeformation, or a callable")
         self.deformation = deformation
@@ -90,28 +90,37 @@ class RandPhysicalDeformationd(RandomizableTransform, MapTransform):
         self._seed = int(self.R.randint(2**31 - 1))
 
     def __call__(self, data: Mapping[Hashable, Any]) -> dict[Hashable, Any]:
-        """Deform a dictionary.
+        """Return a dictionary with the deformed arrays.
+
+        Parameters
+        ----------
+        data : mapping
+            Dictionary, which is not modified.
+
+        Returns
+        -------
+        dict
 
         Raises
         ------
         ProblemError
             If an array is not on the grid of the deformation.
         """
-        found = dict(data)
-        self.randomize(found)
+        result = dict(data)
+        self.randomize(result)
         if not self._do_transform:
-            return found
+            return result
         deformation = self.deformation
         if not isinstance(deformation, RandomDeformation):
-            deformation = deformation(found)
+            deformation = deformation(result)
         sample = deformation.sample(self._seed)
-        there = list(self.key_iterator(found, self.mode))
+        keys = list(self.key_iterator(result, self.mode))
         pictures = []
-        for key, mode in there:
-            last = np.moveaxis(convert_to_numpy(found[key]), 0, -1)
-            dark = emptiness(last, last.ndim) if mode == "bilinear" else 0
-            pictures.append(Picture(last, order=_ORDERS[mode], fill=dark))
-        for (key, _), moved in zip(there, sample.pictures(*pictures), strict=True):
-            first = np.ascontiguousarray(np.moveaxis(moved, -1, 0))
-            found[key] = convert_to_dst_type(first, found[key])[0]
-        return found
+        for key, mode in keys:
+            channels_last = np.moveaxis(convert_to_numpy(result[key]), 0, -1)
+            fill = emptiness(channels_last, channels_last.ndim) if mode == "bilinear" else 0
+            pictures.append(Picture(channels_last, order=_ORDERS[mode], fill=fill))
+        for (key, _), moved in zip(keys, sample.pictures(*pictures), strict=True):
+            channels_first = np.ascontiguousarray(np.moveaxis(moved, -1, 0))
+            result[key] = convert_to_dst_type(channels_first, result[key])[0]
+        return result

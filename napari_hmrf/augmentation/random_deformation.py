@@ -1,8 +1,9 @@
-"""Unlimited random deformations of one case, each as exact as a full solve, at the cost of a sum.
+"""Random deformations of a case, each as exact as a solve, computed as sums of unit solutions.
 
-Elasticity is linear: the displacement from two pulls is the sum of the displacements from each. So
-one unit solution for each cause of motion is solved once, and a random field is a random sum of
-them. The sum is scaled down where it would compress tissue too much, so that nothing folds.
+Linear elasticity allows superposition: the displacement by two pulls is the sum of the
+displacements by each pull. One unit solution for each cause of motion is therefore solved once, and
+each random field is a random linear combination of them. A combination that would compress tissue
+too much is scaled down, so that no tissue folds.
 """
 
 from __future__ import annotations
@@ -50,8 +51,8 @@ from napari_hmrf.tissue.usual_lengths import usual_radius
 #: Argument of `numpy.random.default_rng`: a seed, or a generator, which is advanced.
 Seed = int | Sequence[int] | np.random.Generator | None
 
-# Default number of control patches in an image and in a volume, where each patch takes three unit
-# solutions.
+# Default number of control patches in an image, with two unit solutions per patch, and in a volume,
+# with three.
 _PATCHES = {2: 12, 3: 8}
 # Default largest pull, as a fraction of the mean distance between neighbouring patches.
 _REACH = {2: 1 / 4, 3: 1 / 8}
@@ -66,11 +67,12 @@ class RandomSample:
     Attributes
     ----------
     displacement : ndarray, shape (H, W, 2) or (D, H, W, 3), float32
-        In the order of the axes, in the unit of `spacing`. Material: the tissue at X moves to
-        X + d(X). Zero where there is no tissue.
+        Material displacement in the order of the axes, in the unit of `spacing`: the tissue at X
+        moves to X + d(X). 0 outside tissue.
     tissue : ndarray of bool, shape ([D,] H, W)
-        Sites that move.
+        Mask of the tissue that moves.
     spacing : tuple of float
+        Size of a pixel along each axis.
     causes : Causes
         Pulls, growth and weight that cause the motion, already multiplied by `scale`.
     scale : float
@@ -98,12 +100,12 @@ class RandomSample:
 
     @cached_property
     def study(self) -> Study:
-        """Study whose full solution is this field, for `solve_study` and `write_study`."""
+        """Study whose solution is this displacement, for `solve_study` and `write_study`."""
         return self.case.study(self.causes)
 
     @cached_property
     def solution(self) -> Solution:
-        """The field as a Solution, for its methods and for `write_study`."""
+        """Displacement as a `Solution`, for its methods and for `write_study`."""
         study, labels = self.study, self.case.labels
         rows, grown = study.tissue.materials, growth_loads(labels, study.tissue.materials)
         elasticity = Elasticity(
@@ -131,7 +133,7 @@ class RandomSample:
         )
 
     def pictures(self, *pictures: Picture) -> list[npt.NDArray[Any]]:
-        """Move several pictures at once, which is faster than one after the other.
+        """Warp several pictures together, which is faster than one after the other.
 
         Parameters
         ----------
@@ -140,7 +142,7 @@ class RandomSample:
         Returns
         -------
         list of ndarray
-            Moved images, each with the shape and dtype of its picture.
+            Warped images, each with the shape and dtype of its picture.
 
         Raises
         ------
@@ -148,7 +150,7 @@ class RandomSample:
             If a picture is not on the grid of the labels.
         """
         images = [as_image(each.image, self.tissue.shape) for each in pictures]
-        # Pixels outside the box do not move; splines of higher order need the whole image.
+        # Pixels outside the box do not move. Splines of order 2 or more need the whole image.
         smooth = any(each.order > 1 for each in pictures)
         box = (slice(None),) * self.tissue.ndim if smooth else self._box
         parts = [
@@ -166,30 +168,39 @@ class RandomSample:
 
     @cached_property
     def _box(self) -> tuple[slice, ...]:
-        """Bounding box of all tissue before and after the motion, with a margin of one pixel."""
+        """Bounding box of the tissue before and after the motion, with a margin of one pixel."""
         sides, n = [], self.tissue.ndim
         for axis in range(n):
             others = tuple({*range(n)} - {axis})
-            there = np.flatnonzero(self.tissue.any(axis=others))
+            rows = np.flatnonzero(self.tissue.any(axis=others))
             along = self.displacement[..., axis] / self.spacing[axis]
-            first = min(0.0, float((there + along.min(axis=others)[there]).min()) - there[0])
-            last = max(0.0, float((there + along.max(axis=others)[there]).max()) - there[-1])
-            begin = int(there[0]) + math.floor(first) - 1
-            sides.append(slice(max(0, begin), int(there[-1]) + math.ceil(last) + 2))
+            first = min(0.0, float((rows + along.min(axis=others)[rows]).min()) - rows[0])
+            last = max(0.0, float((rows + along.max(axis=others)[rows]).max()) - rows[-1])
+            begin = int(rows[0]) + math.floor(first) - 1
+            sides.append(slice(max(0, begin), int(rows[-1]) + math.ceil(last) + 2))
         return tuple(sides)
 
     def image(self, image: npt.ArrayLike, *, order: int = 1) -> npt.NDArray[Any]:
-        """Move an image, ([D,] H, W) or with channels last, as `warp` does.
+        """Warp an image with the tissue.
 
-        Uncovered pixels are black in colour images and have the lowest value of other images (air
-        in CT).
+        Parameters
+        ----------
+        image : array_like, shape ([D,] H, W) or ([D,] H, W, channels)
+        order : int
+            Order of interpolation, as for `warp`.
+
+        Returns
+        -------
+        ndarray, shape and dtype of the image
+            Uncovered pixels are black in colour images; in other images they have the lowest value
+            of the image, which is air in CT.
         """
         pixels = as_numbers("image", image)
         fill = emptiness(pixels, self.tissue.ndim)
         return self.pictures(Picture(pixels, order=order, fill=fill))[0]
 
     def labels(self, labels: npt.ArrayLike, *, fill: int = 0) -> npt.NDArray[Any]:
-        """Move labels, ([D,] H, W): each pixel gets the label of the tissue that moved there."""
+        """Warp labels, ([D,] H, W): each pixel gets the label of the tissue that moves there."""
         return self.pictures(Picture(labels, order=0, fill=fill))[0]
 
     def points(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
@@ -200,16 +211,17 @@ class RandomSample:
 class RandomDeformation:
     """Source of random deformations of the tissue in a label image.
 
-    The constructor solves all unit solutions: two for each patch, or three in a volume, one for
-    each tissue that grows, and one along each axis for the weight. After that a sample takes only
-    a sum.
+    The constructor solves all unit solutions: two for each patch (three in a volume), one for each
+    tissue that grows, and one for the weight along each axis. After that, each sample is only a
+    sum.
 
     Parameters
     ----------
     labels : array_like of int, shape (H, W) or (D, H, W)
+        Label of the tissue at each pixel.
     materials : iterable of Material
-        One for each value in `labels`, 0 included. Tissue of stiffness 0 is empty and stays so;
-        rigid tissue moves as a rigid body; tissue with a growth grows by a random fraction of it.
+        A material for each value in `labels`, 0 included. A stiffness of 0 is void; rigid tissue
+        moves as a rigid body; tissue with a growth grows by a random fraction of it.
     spacing : float or sequence of float, shape (n,)
         Size of a pixel along each axis; a single number applies to all axes.
     unit : str
@@ -218,11 +230,11 @@ class RandomDeformation:
         Largest pull of a control patch, in the unit of `spacing`: one length for all samples, or
         bounds between which it is drawn uniformly. By default from 0 to a quarter of the distance
         between neighbouring patches, in a volume an eighth. A sample that would compress tissue
-        too much is scaled down: its own `amplitude` is then the actual pull, and a warning is
-        logged if that is below the lower bound.
+        too much is scaled down; its attribute `amplitude` is the actual largest pull, and a
+        warning is logged if that is below the lower bound.
     patches : int, optional
-        Largest number of control patches; narrow tissue has room for fewer. By default 12, in a
-        volume 8.
+        Largest number of control patches; there are fewer if the tissue has no room for more. By
+        default 12, in a volume 8.
     radius : float, optional
         Radius of a control patch, in the unit of `spacing`; by default a 32nd of the shortest
         side, in a volume a 16th.
@@ -230,15 +242,15 @@ class RandomDeformation:
         Correlation length of the pulls of patches, in the unit of `spacing`; by default the mean
         distance between neighbouring patches.
     weight : float
-        Largest body force, in a random direction, in the unit of stiffness per length: the
-        tissue's own weight as its posture changes. 0 is none.
+        Largest body force, in a random direction, in the unit of stiffness per length. It models
+        the weight of the tissue in other postures. 0 is no body force.
     hold_edge : bool
-        Whether the outer edge of the tissue stays where it is.
+        If True, hold the outer edge of the tissue in place.
     least_jacobian : float
         Smallest allowed ratio of the deformed to the original area, or volume, at any corner of any
-        pixel; above 0, so that nothing folds.
+        pixel; above 0, so that no tissue folds.
     memory : float, optional
-        Bytes that the unit solutions may take; by default half of the free memory.
+        Largest memory of the unit solutions, in bytes; by default half of the free memory.
     backend : str
         As for `solve`.
     progress : callable, optional
@@ -249,8 +261,8 @@ class RandomDeformation:
     ArgumentError
         If an argument has the wrong type or is out of range.
     ProblemError
-        If labels and materials make no problem, if no patch has room, or if the unit solutions
-        exceed `memory`.
+        If labels and materials do not make a valid problem, if there is no room for a patch, or if
+        the unit solutions need more than `memory`.
     ConvergenceError, BackendError
         As for `solve`.
 
@@ -287,15 +299,16 @@ class RandomDeformation:
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
         image, rows = as_numbers("labels", labels).copy(), tuple(materials)
-        stiffness_image(image, rows)  # only to validate the labels and materials
+        stiffness_image(image, rows)  # validates the labels and materials
         n = image.ndim
         sizes = checked_spacing(spacing, n)
-        for name, value, low, what in (
+        for name, value, low, requirement in (
             ("radius", radius, 0, "a length above 0"),
             ("smoothness", smoothness, 0, "a length above 0"),
             ("memory", memory, 0, "a number of bytes"),
         ):
-            refuse_unless(value is None or low < real(value) < math.inf, name, value, what)
+            right = value is None or low < real(value) < math.inf
+            refuse_unless(right, name, value, requirement)
         refuse_unless(0 <= real(weight) < math.inf, "weight", weight, "a number of at least 0")
         count = _PATCHES[n] if patches is None else patches
         refuse_unless(
@@ -304,7 +317,8 @@ class RandomDeformation:
         above = 0 < real(least_jacobian) < 1
         refuse_unless(above, "least_jacobian", least_jacobian, "a number above 0 and below 1")
         usual = usual_radius(image.shape, sizes)
-        # A pulled ball compresses its neighbourhood more than a disc, the more the smaller it is.
+        # A pulled ball compresses the tissue around it more than a disc of the same radius, and the
+        # compression is larger for a smaller radius.
         size = usual * (n - 1) / 2 if radius is None else float(radius)
         where, centres = control_patches(
             image, rows, sizes, count=int(count), radius=size, hold_edge=hold_edge
@@ -325,8 +339,8 @@ class RandomDeformation:
         self._take(solve_units(case, backend=backend, memory=memory, progress=progress))
 
     def _take(self, solutions: UnitSolutions) -> None:
-        """Use these unit solutions for all further samples."""
-        self._solutions, self._case, self._said = solutions, solutions.case, False
+        """Set the unit solutions of all samples."""
+        self._solutions, self._case, self._has_warned = solutions, solutions.case, False
         self._factor = _factor(self._case.centres, self._case.smoothness)
 
     @property
@@ -345,7 +359,7 @@ class RandomDeformation:
         return self._case.amplitude
 
     def write(self, path: str | os.PathLike[str]) -> Path:
-        """Write the unit solutions and their case to one .npz file, atomically.
+        """Write the unit solutions and their case to an .npz file, atomically.
 
         Parameters
         ----------
@@ -360,13 +374,23 @@ class RandomDeformation:
         Raises
         ------
         OSError
-            If the file cannot be written; the message names it.
+            If the file cannot be written; the message names the file.
         """
         return array_file.write(path, DEFORMATION_FORMAT, self._solutions)
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> RandomDeformation:
-        """Read a file of `write` without solving; the same seeds give bit-identical samples.
+        """Read a file of `write`, without solving.
+
+        The same seeds give bit-identical samples before and after.
+
+        Parameters
+        ----------
+        path : str or path-like
+
+        Returns
+        -------
+        RandomDeformation
 
         Raises
         ------
@@ -375,9 +399,9 @@ class RandomDeformation:
         OSError
             If the file cannot be opened.
         """
-        made = cls.__new__(cls)
-        made._take(array_file.read(path, DEFORMATION_FORMAT))
-        return made
+        deformation = cls.__new__(cls)
+        deformation._take(array_file.read(path, DEFORMATION_FORMAT))
+        return deformation
 
     def __repr__(self) -> str:
         case, (low, high) = self._case, self.amplitude
@@ -393,8 +417,8 @@ class RandomDeformation:
         Parameters
         ----------
         seed : int, sequence of int or numpy.random.Generator, optional
-            The same seed gives a bit-identical field for the same unit solutions; a generator is
-            advanced. By default the seed is unpredictable.
+            Seed of the random numbers: the same seed gives a bit-identical displacement for the
+            same unit solutions. A generator is advanced. By default the seed is unpredictable.
 
         Returns
         -------
@@ -413,20 +437,20 @@ class RandomDeformation:
         sample = RandomSample(
             displacement, self.tissue, case.grid.spacing, drawn * scale, scale, case
         )
-        self._say_if_short(sample)
+        self._warn_if_small(sample)
         return sample
 
-    def _say_if_short(self, sample: RandomSample) -> None:
-        """Log a warning, only once, if a sample is pulled by less than the smallest amplitude."""
+    def _warn_if_small(self, sample: RandomSample) -> None:
+        """Log a warning, only once, if the amplitude of a sample is below the lower bound."""
         least = self.amplitude[0]
-        if self._said or sample.amplitude >= least * (1 - 1e-6):
+        if self._has_warned or sample.amplitude >= least * (1 - 1e-6):
             return
-        self._said = True
+        self._has_warned = True
         _log.warning(
-            "the smallest amplitude is %.3g, but a sample has only %.3g: more would compress "
-            "tissue to less than %.3g of its size (`least_jacobian`). Give a smaller amplitude or "
-            "fewer patches (`amplitude, patches; or a larger smoothness`). This warning is logged "
-            "once.",
+            "the smallest amplitude is %.3g, but a sample has only %.3g: a larger pull would "
+            "compress tissue to less than %.3g of its size (`least_jacobian`). Give a smaller "
+            "amplitude or fewer patches (`amplitude, patches; or a larger smoothness`). This "
+            "warning is logged once.",
             least,
             sample.amplitude,
             self._case.least_jacobian,
@@ -464,7 +488,7 @@ def _range(amplitude: Any, usual: float) -> tuple[float, float]:
 
 
 def _distance_to_next(centres: Array, alone: float) -> float:
-    """Return the mean distance between nearest patches, or `alone` for a single patch."""
+    """Return the mean distance of patches from the nearest patch; `alone` for a single patch."""
     if len(centres) == 1:
         return alone
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
@@ -473,9 +497,12 @@ def _distance_to_next(centres: Array, alone: float) -> float:
 
 
 def _factor(centres: Array, smoothness: float) -> Array:
-    """Return the matrix that makes independent numbers similar for patches near each other."""
-    apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
-    alike = np.exp(-0.5 * (apart / smoothness) ** 2)
-    # A small diagonal term: fully correlated patches would make the matrix singular.
-    factor: Array = np.linalg.cholesky(alike + 1e-6 * np.eye(len(centres)))
+    """Return the Cholesky factor of the covariance of the pulls of patches.
+
+    Its product with independent normal numbers is correlated over the length `smoothness`.
+    """
+    distances = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
+    covariance = np.exp(-0.5 * (distances / smoothness) ** 2)
+    # Without the diagonal term, fully correlated patches would make the matrix singular.
+    factor: Array = np.linalg.cholesky(covariance + 1e-6 * np.eye(len(centres)))
     return factor

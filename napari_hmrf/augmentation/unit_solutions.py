@@ -1,4 +1,4 @@
-"""The solutions of one case from which all others are sums: one of each thing that moves it."""
+"""Unit solutions of a case, one for each cause of motion, and their linear combinations."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ from napari_hmrf.tissue.normals import outer_rim
 Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
-#: Largest error of a sum, in pixels, from the errors of its parts.
+#: Largest error of a linear combination, in pixels.
 WRONG = 5e-3
-# Values that are summed at once: they stay in the cache.
+# Number of values that are summed together, which fit the CPU cache.
 _BLOCK = 1 << 16
 _GIB = 2.0**30
 
 
 @dataclass(frozen=True, eq=False)
 class Causes:
-    """Causes of motion, each in its own measure, as a sample draws them.
+    """Causes of the motion of a sample.
 
     Attributes
     ----------
     pulls : ndarray, shape (patches, n)
-        How far each control patch is pulled along each axis, in the unit of the spacing.
+        Displacement of each control patch along each axis, in the unit of the spacing.
     growth : ndarray, shape (tissues,)
-        Which part of its material's growth each tissue grows by that may grow.
+        Growth of each tissue that may grow, as a fraction of its material's growth.
     weight : ndarray, shape (n,)
-        What pulls at each part of all tissue along each axis, in the unit of stiffness per length.
+        Body force on all tissue along each axis, in the unit of stiffness per length.
     """
 
     pulls: Array
@@ -48,38 +48,40 @@ class Causes:
     weight: Array
 
     def __mul__(self, scale: float) -> Causes:
-        """The same, so many times."""
+        """Return all causes multiplied by a scale."""
         return Causes(scale * self.pulls, scale * self.growth, scale * self.weight)
 
     @property
     def values(self) -> Array:
-        """All of them in a row."""
+        """Array of the values of all causes: pulls, growth and weight."""
         return np.concatenate([self.pulls.ravel(), self.growth, self.weight])
 
 
 @dataclass(frozen=True, eq=False)
 class MovableTissue:
-    """Labels with their materials, and what may move this tissue.
+    """Tissue of a case, with the possible causes of its motion.
 
     Attributes
     ----------
     grid : Grid
     labels : ndarray of int, shape ([D,] H, W)
+        Label of the tissue at each pixel.
     materials : tuple of Material
+        Materials of the labels.
     hold_edge : bool
-        Whether the outer edge of the tissue stays where it is.
+        If True, the outer edge of the tissue is held in place.
     patches : ndarray of int, shape ([D,] H, W)
-        Which patch is where, from 1 on.
+        Number of the control patch at each pixel, counted from 1; 0 outside patches.
     centres : ndarray, shape (patches, n)
-        Of each, in the unit of the spacing.
+        Centre of each patch, in the unit of the spacing.
     amplitude : (float, float)
-        How far that patch is pulled that is pulled farthest, at least and at most.
+        Bounds of the largest pull of a sample, in the unit of the spacing.
     smoothness : float
-        Length over which the pulls of patches are alike.
+        Correlation length of the pulls of patches, in the unit of the spacing.
     weight : float
-        Largest weight of a sample.
+        Largest body force of a sample, in the unit of stiffness per length.
     least_jacobian : float
-        Smallest part of its area, or its volume, that tissue is squeezed to.
+        Smallest allowed ratio of the deformed to the original area, or volume.
     """
 
     grid: Grid
@@ -95,13 +97,13 @@ class MovableTissue:
 
     @cached_property
     def growing(self) -> tuple[Material, ...]:
-        """The tissues here that may grow."""
+        """Materials of tissues in the labels that may grow."""
         present = set(np.unique(self.labels).tolist())
         return tuple(row for row in self.materials if row.grows and row.label in present)
 
     @property
     def units(self) -> list[Causes]:
-        """Each cause alone, as much of it as a sample may have: what a unit solution is of."""
+        """Causes of each unit solution: one cause alone, with the largest value of a sample."""
         n, tissues = len(self.grid.shape), len(self.growing)
         none = Causes(np.zeros_like(self.centres), np.zeros(tissues), np.zeros(n))
         pulls = [self.amplitude[1] * each for each in np.eye(self.centres.size)]
@@ -112,7 +114,18 @@ class MovableTissue:
         return alone
 
     def study(self, causes: Causes, tolerance: float = 1e-3) -> Study:
-        """Return the study of this tissue with these causes, to be solved in full."""
+        """Return the study of this tissue with some causes.
+
+        Parameters
+        ----------
+        causes : Causes
+        tolerance : float
+            Tolerance of the optimizer, in pixels.
+
+        Returns
+        -------
+        Study
+        """
         shares = {row.label: share for row, share in zip(self.growing, causes.growth, strict=True)}
         rules = tuple(
             BoundaryRule(number, "move", vector=tuple(pull), name=f"patch {number}")
@@ -146,26 +159,29 @@ def control_patches(
     radius: float,
     hold_edge: bool,
 ) -> tuple[npt.NDArray[np.int32], Array]:
-    """Spread patches over soft tissue, far from each other, from its edge and from what is rigid.
+    """Spread patches over soft tissue, far from each other, from its edge and from rigid tissue.
 
     Parameters
     ----------
     labels : ndarray of int, shape ([D,] H, W)
+        Label of the tissue at each pixel.
     materials : sequence of Material
+        Materials of the labels.
     spacing : sequence of float, shape (n,)
+        Size of a pixel along each axis.
     count : int
-        At most so many: where there is no room left, there are fewer.
+        Largest number of patches; there are fewer if the tissue has no room for more.
     radius : float
-        Of a patch, in the unit of the spacing.
+        Radius of a patch, in the unit of the spacing.
     hold_edge : bool
-        Whether tissue ends where it is held.
+        If True, patches also keep their distance from the outermost pixels, which are held.
 
     Returns
     -------
     patches : ndarray, shape ([D,] H, W), int32
-        0 where there is none, else its number from 1 on.
+        Number of the patch at each pixel, counted from 1; 0 outside patches.
     centres : ndarray, shape (patches, n)
-        In the unit of the spacing.
+        Centre of each patch, in the unit of the spacing.
 
     Raises
     ------
@@ -176,21 +192,21 @@ def control_patches(
     soft = (m > 0) & np.isfinite(m)
     if hold_edge:
         soft &= ~outer_rim(m > 0)
-    # Tissue at the edge of the image ends there.
+    # The padding makes the edge of the image an edge of the tissue.
     inner = tuple(slice(1, -1) for _ in m.shape)
     depth = scipy.ndimage.distance_transform_edt(np.pad(soft, 1), sampling=spacing)[inner]
     sites = np.argwhere(depth > radius)
     if not len(sites):
         raise ProblemError(
             "labels",
-            f"have no soft tissue in which a control patch of radius {radius:g} has room. Give "
-            "a smaller radius.",
+            f"have no soft tissue with room for a control patch of radius {radius:g}. Give a "
+            "smaller radius.",
         )
     at = sites * np.asarray(spacing)
-    room = depth[tuple(sites.T)].astype(np.float64)  # as far as that from all that holds
+    room = depth[tuple(sites.T)].astype(np.float64)  # distance from held and rigid tissue
     patches, centres = np.zeros(m.shape, dtype=np.int32), np.empty((0, m.ndim))
     axes = np.ogrid[tuple(map(slice, m.shape))]
-    # The next is where most room is: half of what lies between two patches is for each.
+    # Each patch is placed at the site with most room; two patches share the distance between them.
     while len(centres) < count and room.max() > radius:
         centre = at[room.argmax()]
         centres = np.concatenate([centres, centre[None]])
@@ -205,15 +221,15 @@ def control_patches(
 
 @dataclass(frozen=True, eq=False)
 class UnitSolutions:
-    """Motion of tissue by one unit of each cause, and so by any combination.
+    """Displacements of tissue by one unit of each cause.
 
     Attributes
     ----------
     case : MovableTissue
     displacements : ndarray, shape (causes, sites, n), float32
-        Of each of its units, of all sites of tissue.
+        Material displacement of all sites of tissue by each of the units of the case.
     tissue : ndarray of bool, shape ([D,] H, W)
-        What moves.
+        Mask of the tissue that moves.
     """
 
     case: MovableTissue
@@ -226,15 +242,16 @@ class UnitSolutions:
 
     @cached_property
     def _places(self) -> npt.NDArray[np.intp]:
-        """Index of each component of tissue, in a flat field."""
+        """Indices of the displacement components of tissue sites in a flattened field."""
         return np.flatnonzero(np.repeat(self.tissue.ravel(), self.tissue.ndim))
 
     def field(self, causes: Causes) -> npt.NDArray[np.float32]:
-        """Return the displacement by all causes together, ([D,] H, W, n).
+        """Return the material displacement by all causes together, ([D,] H, W, n).
 
-        Its bits are the same on every machine: each product is rounded before it is added.
+        The result is equal bit by bit on all machines, because each product is rounded before it
+        is added.
         """
-        # Without a weight there are no unit solutions of it.
+        # If the weight of the case is 0, there are no unit solutions for it.
         shares = (causes.values[: len(self._most)] / self._most).astype(np.float32)
         units = self.displacements.reshape(len(shares), -1)
         total = np.zeros(units.shape[1], dtype=np.float32)
@@ -244,9 +261,9 @@ class UnitSolutions:
             for unit, share in zip(block, shares, strict=True):
                 sums += np.multiply(unit, share, out=part[: sums.size])
         n = self.tissue.ndim
-        made = np.zeros(self.tissue.size * n, dtype=np.float32)
-        made[self._places] = total
-        return made.reshape(*self.tissue.shape, n)
+        field = np.zeros(self.tissue.size * n, dtype=np.float32)
+        field[self._places] = total
+        return field.reshape(*self.tissue.shape, n)
 
 
 def solve_units(
@@ -264,36 +281,40 @@ def solve_units(
     backend : str
         As for `solve`.
     memory : float, optional
-        What they may take, in bytes; by default half of what is free.
+        Largest memory of the solutions, in bytes; by default half of the free memory.
     progress : callable, optional
-        Called with how many are solved, and of how many.
+        Called after each solve with the number of finished solves and the total.
+
+    Returns
+    -------
+    UnitSolutions
 
     Raises
     ------
     ProblemError
-        If they take more memory, or if the case makes no problem.
+        If the solutions need more memory, or if the case is not a valid problem.
     ConvergenceError, BackendError
-        As of `solve`.
+        As for `solve`.
     """
     units, n = case.units, len(case.grid.shape)
-    there = stiffness_image(case.labels, case.materials) > 0
-    needed = 4 * len(units) * n * int(there.sum())
+    tissue = stiffness_image(case.labels, case.materials) > 0
+    needed = 4 * len(units) * n * int(tissue.sum())
     allowed = psutil.virtual_memory().available / 2 if memory is None else memory
     if needed > allowed:
         raise ProblemError(
             "labels",
-            f"are {grid_in_words(case.grid.shape)}, of which {len(units)} unit solutions take "
-            f"{needed / _GIB:.2g} GiB of memory, and {allowed / _GIB:.2g} GiB are allowed: "
-            f"{int(allowed / needed * len(units))} of them. Crop the labels, take fewer patches, "
+            f"are {grid_in_words(case.grid.shape)}; their {len(units)} unit solutions need "
+            f"{needed / _GIB:.2g} GiB of memory, but only {allowed / _GIB:.2g} GiB are allowed, "
+            f"enough for {int(allowed / needed * len(units))}. Crop the labels, use fewer patches, "
             "or allow more memory.",
         )
-    # Each unit is as much of its cause as a sample has: a sum is wrong by no more than all.
+    # No cause of a sample exceeds its unit, so the error of a sum is at most the sum of the errors.
     tolerance = WRONG / len(units)
     displacements = np.empty((0, 0, n), dtype=np.float32)
     for number, unit in enumerate(units):
         solution = solve_study(case.study(unit, tolerance), backend=backend)
         tissue = solution.tissue
-        if not number:  # tissue that nothing holds is left out
+        if not number:  # the solution excludes unconstrained tissue
             displacements = np.empty((len(units), int(tissue.sum()), n), dtype=np.float32)
         displacements[number] = solution.displacement[tissue]
         if progress is not None:

@@ -17,18 +17,18 @@ from napari_hmrf.field.strain import fold_mask
 from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.solver.solution import Solution
 
-#: Kinds of problem sites that can be marked.
+#: Kinds of faulty sites that can be marked.
 Mark = Literal["folds", "overlaps"]
 MARKS: tuple[Mark, ...] = get_args(Mark)
 #: Lines of the grid across the longer side.
 _LINES = 30
-#: Size of the cache of moments, in bytes; a second pass then costs nothing.
+#: Size of the cache of moments, in bytes. Moments in the cache are not computed again.
 _KEPT = 256 * 2**20
 
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """Images at one fraction of the motion; those not requested are None.
+    """Images at one fraction of the motion; images that were not requested are None.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Moment:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A deformation from rest (0) to the solution (1): at f, the tissue from X is at X + f d(X).
+    """Deformation from rest (0) to the solution (1): at f, the tissue from X is at X + f d(X).
 
     Attributes
     ----------
@@ -59,13 +59,13 @@ class Motion:
     image : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4), optional
         Image before the motion.
     overlay : ndarray, shape ([D,] H, W), optional
-        Overlay before the motion: labels, or a quantity of the tissue, NaN outside tissue. If it
-        is of bool, its sites are moved one by one, because a warped picture would lose them where
-        tissue folds.
+        Overlay before the motion: labels, or a quantity of the tissue, NaN outside tissue. The
+        sites of a boolean overlay are moved one by one, because a warped picture would lose them
+        where tissue folds.
     grid : bool
-        Whether to move the deformation grid, too; for a slice only.
+        If True, move the deformation grid of a slice, too.
     quantity : Quantity, optional
-        Quantity whose values at fraction 1 are in `overlay`; at other fractions its values are
+        Quantity whose values at fraction 1 are in `overlay`; the values at other fractions are
         recomputed.
     """
 
@@ -76,17 +76,17 @@ class Motion:
     quantity: Quantity | None = None
 
     def at(self, fraction: float) -> Moment:
-        """Move everything by a fraction of the displacement; on the compute thread only.
+        """Move the images by a fraction of the displacement; call on the compute thread only.
 
         Parameters
         ----------
         fraction : float
-            From 0, no motion, to 1, the full displacement.
+            Between 0, for no motion, and 1, for the full displacement.
 
         Returns
         -------
         Moment
-            At 1 identical to the layers of the result.
+            At fraction 1 the images are identical to the layers of the result.
         """
         solution = self.solution
         parts: dict[str, npt.NDArray[Any]] = {}
@@ -105,12 +105,12 @@ class Motion:
         return moment
 
     def known(self, fraction: float) -> Moment | None:
-        """Return a moment cached by `at`, or None; from any thread."""
+        """Return a moment cached by `at`, or None; any thread may call this."""
         return self._kept.get(fraction)
 
     @property
     def finest(self) -> float:
-        """Smallest step of the fraction at which all moments fit the cache; 0 before the first."""
+        """Smallest step of the fraction at which the cache holds all moments; 0 if it is empty."""
         sizes = [moment.nbytes for moment in [*self._kept.values()]]
         return max(sizes, default=0) / _KEPT
 
@@ -146,7 +146,21 @@ def _overlaid(values: npt.NDArray[Any]) -> Picture:
 def moved_marks(
     solution: Solution, marks: npt.NDArray[np.bool_], fraction: float = 1.0
 ) -> npt.NDArray[np.uint8]:
-    """Mark the pixels nearest to some sites after a fraction of the deformation."""
+    """Mark the pixels nearest to the marked sites after a fraction of the deformation.
+
+    Parameters
+    ----------
+    solution : Solution
+    marks : ndarray of bool, shape ([D,] H, W)
+        Marked sites before the motion.
+    fraction : float
+        Part of the displacement, from 0 to 1.
+
+    Returns
+    -------
+    ndarray of uint8, shape ([D,] H, W)
+        1 at the marked pixels.
+    """
     _, places = _moved_sites(solution, marks, fraction)
     moved = np.zeros(marks.shape, np.uint8)
     moved[tuple(places.T)] = 1
@@ -154,7 +168,18 @@ def moved_marks(
 
 
 def marked_sites(solution: Solution, mark: Mark) -> npt.NDArray[np.bool_]:
-    """Find the sites where tissue folds, or all sites whose tissue overlaps other tissue."""
+    """Return a mask of the sites where tissue folds, or where it overlaps other tissue.
+
+    Parameters
+    ----------
+    solution : Solution
+    mark : {"folds", "overlaps"}
+
+    Returns
+    -------
+    ndarray of bool, shape ([D,] H, W)
+        Marked sites before the motion.
+    """
     tissue = solution.tissue
     if mark == "folds":
         return fold_mask(solution.displacement, spacing=solution.spacing, tissue=tissue)
@@ -166,7 +191,7 @@ def marked_sites(solution: Solution, mark: Mark) -> npt.NDArray[np.bool_]:
 
 
 def fullest_planes(marks: npt.NDArray[Any]) -> tuple[int, ...]:
-    """Return, for each axis, the index of the plane with most marked pixels."""
+    """Return for each axis the index of the plane with the most marked pixels."""
     axes = range(marks.ndim)
     planes = (marks.sum(axis=tuple(set(axes) - {axis})) for axis in axes)
     return tuple(int(each.argmax()) for each in planes)
@@ -175,7 +200,7 @@ def fullest_planes(marks: npt.NDArray[Any]) -> tuple[int, ...]:
 def _moved_sites(
     solution: Solution, marks: npt.NDArray[np.bool_], fraction: float = 1.0
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Return the marked sites, (N, n), that stay inside, and their nearest pixels after moving."""
+    """Return the marked sites, (N, n), that stay in the image, and the pixels they move to."""
     sites = np.argwhere(marks)
     step = fraction * solution.displacement[marks] / solution.spacing
     places = np.rint(sites + step).astype(np.intp)
@@ -187,7 +212,7 @@ def moved_grid(solution: Solution, fraction: float = 1.0) -> npt.NDArray[np.floa
     """Draw the `deformation_grid` after a fraction of the deformation."""
     tissue, spacing = solution.tissue, solution.spacing
     every = pixels_between(_LINES, tissue.shape, spacing)
-    # While it moves, a coarser grid is enough, and is drawn twice as fast.
+    # During the motion, lines of fewer pieces are sufficient and are drawn twice as fast.
     pieces = 5 if fraction == 1 else 2
     displacement = solution.displacement * np.float32(fraction)
     return deformation_grid(

@@ -1,4 +1,4 @@
-"""Brightness of images, and confidence at their edges."""
+"""Brightness of colour images, and confidence at the edges of images."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy.typing as npt
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.problem import as_numbers
 
-# Brightness of red, green and blue (ITU-R BT.709).
+# Weights of red, green and blue in the brightness (ITU-R BT.709).
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
-# Pixels whose slope is steeper than that of this share of all are edges.
+# Quantile of the slope above which a pixel belongs to an edge.
 _SHARE = 0.9
 
 
@@ -31,7 +31,7 @@ def luminance(colours: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
     Raises
     ------
     ProblemError
-        If these are no colours.
+        If the last axis does not have 3 or 4 entries, or the array is not numeric.
     """
     colours = as_numbers("colours", colours)
     if colours.ndim == 0 or colours.shape[-1] not in (3, 4):
@@ -43,13 +43,13 @@ def luminance(colours: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
 
 
 def edge_confidence(image: npt.NDArray[Any], *, axes: int = 2) -> npt.NDArray[np.float32]:
-    """Return confidence 1 where an image has its steepest edges, and 0 elsewhere.
+    """Return a confidence of 1 at the steepest edges of an image, and 0 elsewhere.
 
     Parameters
     ----------
     image : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
     axes : int
-        Number of axes without that of the colours: 3 for a volume.
+        Number of axes without the axis of colours: 2 for a slice, 3 for a volume.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The colours of what a displacement does, the same in the viewer and in saved pictures."""
+"""Colour maps and scales of strain and displacement, for the viewer and for saved pictures."""
 
 from __future__ import annotations
 
@@ -8,51 +8,63 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-#: From less over no change to more: purple and orange, which no colour blindness confuses.
+#: Colour map of signed values: purple and orange differ for every kind of colour blindness.
 DIVERGING = "PuOr_r"
-#: From nothing upwards: ever lighter, whatever the colour vision.
+#: Colour map of values from 0 upwards: its lightness rises monotonically.
 RISING = "magma"
-#: Of folds among those: bright on dark purple, the colour of what is nearly folded.
+#: Colour of folds: bright on the dark purple of tissue that is nearly folded.
 FOLDED = "#ffee00"
-#: How much of the image such colours hide where they hide the most.
+#: Largest opacity of the colours over the image.
 OPACITY = 0.8
-# From this part of their range on colours hide the image under them.
+# Fraction of the range of values from which on colours are fully opaque.
 _OPAQUE = 0.4
-# So many of a hundred pixels lie within the limits of a scale; the others are a few at corners.
+# Percentile of the absolute values at which a scale ends; larger values are a few at corners.
 _WITHIN = 99.0
-# Values do not go beyond a scale if it is by less than this part of it.
+# Values beyond a scale by less than this fraction of its length are not reported.
 _NEARLY = 0.01
-#: The shortest scale; of what is in per cent a hundred times that.
+#: Smallest end of a scale; a hundred times this for values in per cent.
 SMALLEST = 1e-3
-# Where a scale with 0 in its middle may end, but for powers of ten: between its ends napari then
-# writes at least two numbers beside it, where for 0.45 or 0.8 it has room for the 0 alone.
+# Ends of a scale with 0 in its middle, up to a power of ten. For these ends napari writes at least
+# two numbers beside the scale; for ends such as 0.45 or 0.8 it writes only the 0.
 _ENDS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 10.0)
 
 
 def opacity(part: npt.ArrayLike, signed: bool) -> npt.NDArray[np.float64]:
-    """How opaque a colour is: where hardly anything happens the image is seen.
+    """Return the opacity of colours; it is low near no change, so that the image stays visible.
 
     Parameters
     ----------
     part : array_like
-        Where in the range it is, 0 to 1.
+        Position in the range of the colour map, from 0 to 1.
     signed : bool
-        Whether no change is in the middle, and not at the lower end.
+        True if no change is in the middle of the range; False if it is at the lower end.
 
     Returns
     -------
     ndarray
-        0 (clear) to 1.
+        From 0, transparent, to 1, opaque.
     """
-    place = np.asarray(part, dtype=np.float64)
-    much = np.abs(2 * place - 1) if signed else place
-    return np.minimum(1, much / _OPAQUE)
+    position = np.asarray(part, dtype=np.float64)
+    amount = np.abs(2 * position - 1) if signed else position
+    return np.minimum(1, amount / _OPAQUE)
 
 
 def reach_of(values: npt.NDArray[Any], signed: bool = False, least: float = SMALLEST) -> float:
-    """How far from 0 a scale should go to show nearly all values.
+    """Return the end of a scale from 0 that covers nearly all values.
 
-    Rounded up to two digits, or, if it goes to both sides, so that numbers can stand beside it.
+    Parameters
+    ----------
+    values : ndarray
+        Values that are not finite are ignored.
+    signed : bool
+        True for a scale from the negative end to the positive end: the end is then rounded up to a
+        number for which napari labels the scale. Otherwise it is rounded up to two digits.
+    least : float
+        Smallest end.
+
+    Returns
+    -------
+    float
     """
     sizes = np.abs(values[np.isfinite(values)])
     reach = float(np.percentile(sizes, _WITHIN)) if sizes.size else 0.0
@@ -67,13 +79,17 @@ def reach_of(values: npt.NDArray[Any], signed: bool = False, least: float = SMAL
 
 
 def beyond(values: npt.NDArray[Any], limits: tuple[float, float]) -> str:
-    """Say how far values go beyond a scale, which ends where nearly all do; "" if none does.
+    """Describe, in a clause, the values beyond the ends of a scale; "" if there are none.
 
     Parameters
     ----------
     values : ndarray
     limits : (float, float)
-        Where the scale begins and ends.
+        Ends of the scale.
+
+    Returns
+    -------
+    str
     """
     low, high = limits
     known = values[np.isfinite(values)]
@@ -86,6 +102,6 @@ def beyond(values: npt.NDArray[Any], limits: tuple[float, float]) -> str:
 
 
 def area_limits(jacobian: npt.NDArray[Any], folded: bool) -> tuple[float, float]:
-    """The limits of a scale of area ratios, 1 in its middle; from 0 on where tissue folds."""
+    """Return the ends of a scale of area ratios, with 1 in its middle; (0, 2) for folded tissue."""
     reach = 1.0 if folded else min(1.0, reach_of(jacobian - 1, True))
     return 1 - reach, 1 + reach

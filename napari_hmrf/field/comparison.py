@@ -1,4 +1,4 @@
-"""How far a result is from a reference: a field of another tool, or another result."""
+"""Comparison of a result with a reference: another result, or a field of another tool."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from napari_hmrf.solver.solution import Solution
 
 
 class Comparison(NamedTuple):
-    """How far a result is from a reference, over the tissue that the reference knows.
+    """Difference between a result and a reference, over the tissue that the reference covers.
 
     Attributes
     ----------
     reference : str
-        Its name.
+        Name of the reference.
     difference : ndarray, shape ([D,] H, W), float32
-        The distance between where both have tissue go, in the unit of the result; NaN elsewhere.
+        Length of the difference of both displacements at each site, in the unit of the result;
+        NaN outside the tissue that the reference covers.
     rmsd : float
-        The root of its mean square; NaN if the reference knows none of the tissue.
+        Root mean square of `difference`; NaN if the reference covers none of the tissue.
     part : float
-        How much of the tissue that is, from 0 to 1.
+        Fraction of the tissue that the reference covers, from 0 to 1.
     """
 
     reference: str
@@ -34,25 +35,52 @@ class Comparison(NamedTuple):
     part: float
 
     def in_words(self, solution: Solution, unit: str) -> str:
-        """How far a result is from the reference, in a sentence; of rounding nothing is said."""
+        """Describe the comparison in a sentence; rounding errors count as 0.
+
+        Parameters
+        ----------
+        solution : Solution
+            The result.
+        unit : str
+            Symbol of the unit of the result.
+
+        Returns
+        -------
+        str
+        """
         if not self.part:
-            return f"'{self.reference}' reaches none of this tissue."
+            return f"'{self.reference}' covers none of this tissue."
         where = "" if self.part > 0.995 else f" over {self.part:.0%} of the tissue"
         rmsd = as_seen(self.rmsd, solution.spacing)
         return f"RMSD from '{self.reference}'{where}: {rmsd:.3g} {unit}."
 
 
 def compare(solution: Solution, frame: Frame, field: PixelField, reference: str) -> Comparison:
-    """Compare a result, of a slice or volume, with a field of that name, wherever it lies.
+    """Compare a result with a reference field, which is resampled on the pixels of the result.
+
+    Parameters
+    ----------
+    solution : Solution
+        Result of a slice or a volume.
+    frame : Frame
+        Place of the result.
+    field : PixelField
+        Reference, which may lie elsewhere or have other pixels.
+    reference : str
+        Name of the reference.
+
+    Returns
+    -------
+    Comparison
 
     Raises
     ------
     ProblemError
-        As of `PixelField.on`.
+        As for `PixelField.on`.
     """
-    found = field.on(frame, solution.tissue.shape)
-    known = found.known & solution.tissue
-    apart = np.linalg.norm(solution.displacement - found.displacement, axis=-1)
-    rmsd = float(np.sqrt((apart[known] ** 2).mean())) if known.any() else np.nan
-    difference = np.where(known, apart, np.nan).astype(np.float32)
+    observation = field.on(frame, solution.tissue.shape)
+    known = observation.known & solution.tissue
+    distance = np.linalg.norm(solution.displacement - observation.displacement, axis=-1)
+    rmsd = float(np.sqrt((distance[known] ** 2).mean())) if known.any() else np.nan
+    difference = np.where(known, distance, np.nan).astype(np.float32)
     return Comparison(reference, difference, rmsd, float(known.sum() / solution.tissue.sum()))

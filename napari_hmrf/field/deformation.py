@@ -34,7 +34,7 @@ _STRIP, _SLAB = 64, 8
 # Reductions of the determinants around a site; the loop for volumes takes their index.
 _Kind = Literal["smallest", "mean", "mean or fold"]
 _KINDS: tuple[_Kind, ...] = get_args(_Kind)
-# Upper bound of the distance between lines, in pixels: larger than any image.
+# Largest distance between lines, in pixels: larger than any image.
 _FAR = 2**31
 # Arrows shorter than this fraction of the longest are left out: they would look like dots.
 _LEAST = 0.1
@@ -68,11 +68,11 @@ def jacobian_determinant(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
-    """Return the factor of area, or volume, change around each site: det d(X + d(X)) / dX.
+    """Return the Jacobian determinant det(I + dd/dX), the ratio of areas or volumes at each site.
 
-    1 is no change, below 1 shrinks, above 1 grows, 0 or below is folded. Differences are central,
-    and one-sided where a neighbour is missing; along an axis on which a site has no neighbour it
-    counts as unstrained.
+    Tissue keeps its size at 1, shrinks below 1, grows above 1, and is folded at 0 or below.
+    Differences are central, or one-sided where a neighbour is missing; a site without neighbours
+    along an axis counts as unstrained along that axis.
 
     Parameters
     ----------
@@ -81,17 +81,17 @@ def jacobian_determinant(
     spacing : float or sequence of float, shape (n,)
         Size of a pixel along each axis, or along all of them.
     tissue : array_like of bool, shape ([D,] H, W), optional
-        By default everything. Differences are never taken across its border.
+        Mask of the tissue; by default all sites. Differences are never taken across its border.
 
     Returns
     -------
     ndarray, shape ([D,] H, W), float32
-        NaN where there is no tissue.
+        NaN outside tissue.
 
     Raises
     ------
     ProblemError
-        Naming the input at fault.
+        If an input has an invalid shape or value; the error names the input.
     """
     moved, mask = moved_sites(displacement, spacing, tissue)
     # The mean over the quadrants around a site equals the determinant of its central differences.
@@ -106,9 +106,9 @@ def count_folds(
 ) -> int:
     """Count the sites at which tissue folds over itself or collapses.
 
-    A site counts if its determinant is 0 or below in any element that has it as a corner: in any
-    block of 2 x 2 pixels, or of 2 x 2 x 2 voxels, that is entirely tissue. Central differences
-    alone would miss a site that jumps over its neighbour and back.
+    A site counts if its determinant is 0 or below in any of its elements: the blocks of 2 x 2
+    pixels, or 2 x 2 x 2 voxels, that contain the site and only tissue. Central differences alone
+    would miss a single site that has moved past its neighbour.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def count_folds(
     Raises
     ------
     ProblemError
-        Naming the input at fault.
+        As for `jacobian_determinant`.
     """
     moved, mask = moved_sites(displacement, spacing, tissue)
     if mask.ndim == 2 and _is_little_strained(moved):
@@ -146,12 +146,12 @@ def smallest_determinant(
     -------
     ndarray, shape ([D,] H, W), float32
         0 or below where the tissue folds; 1 at tissue that belongs to no element (see
-        `count_folds`); NaN where there is no tissue.
+        `count_folds`); NaN outside tissue.
 
     Raises
     ------
     ProblemError
-        Naming the input at fault.
+        As for `jacobian_determinant`.
     """
     moved, mask = moved_sites(displacement, spacing, tissue)
     return _over_quadrants("smallest", moved, mask)
@@ -162,7 +162,7 @@ def determinant_or_fold(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
-    """Return the `jacobian_determinant`, or at folds the `smallest_determinant`, at most 0."""
+    """Return the `jacobian_determinant`, but at folds the `smallest_determinant`, at most 0."""
     return _over_quadrants("mean or fold", *moved_sites(displacement, spacing, tissue))
 
 
@@ -174,18 +174,19 @@ def deformation_grid(
     tissue: npt.ArrayLike | None = None,
     pieces: int = 5,
 ) -> FloatArray:
-    """Draw a square grid that has moved with the tissue (figure 4).
+    """Draw a square grid that moves with the tissue, as in figure 4 of the paper.
 
     Parameters
     ----------
     displacement, spacing, tissue
         As in `jacobian_determinant`, for a slice; lines are drawn in tissue only.
     every : int
-        Pixels between two lines. If pixels are not square, this counts along the axis with the
-        smaller pixel size, and the other distance is rounded to make the cells square.
+        Distance of two lines, in pixels. If pixels are not square, this is the distance along the
+        axis with the smaller pixel size; the other distance is chosen to make the cells nearly
+        square.
     pieces : int
-        Largest number of straight pieces of a line between two crossings: fewer are faster to
-        draw.
+        Largest number of straight segments of a line between two crossings. Fewer segments are
+        drawn faster.
 
     Returns
     -------
@@ -195,7 +196,7 @@ def deformation_grid(
     Raises
     ------
     ProblemError
-        Naming the input at fault.
+        As for `jacobian_determinant`, or if the displacement is that of a volume.
     """
     every = _checked_count("every", every, "pixels")
     pieces = _checked_count("pieces", pieces, "pieces")
@@ -216,7 +217,7 @@ def _checked_count(name: str, count: int, of: str) -> int:
 
 
 def pixels_between(lines: int, shape: Sequence[int], spacing: Sequence[float]) -> int:
-    """Return the spacing, in pixels, of `lines` grid lines across the longer side of an image."""
+    """Return the distance, in pixels, of `lines` grid lines along the longer side of an image."""
     longer = max(count * size for count, size in zip(shape, spacing, strict=True))
     return max(1, round(longer / min(spacing) / lines))
 
@@ -240,16 +241,15 @@ def arrows(
     Returns
     -------
     ndarray, shape (N, 2, n), float32
-        Arrows as (start, direction), each in pixels along the axes, at their true length. Always a
-        list, never a dense grid of arrows.
+        Arrows as (start, step), each in pixels along the axes, at their true length.
 
     Raises
     ------
     ProblemError
-        Naming the input at fault.
+        As for `jacobian_determinant`, or if `about` is less than 1.
     """
     if not real(about) >= 1:
-        raise ProblemError("about", f"is {shown(about)}. Ask for at least one arrow.")
+        raise ProblemError("about", f"is {shown(about)}. Give a number of at least 1.")
     moved, mask = moved_sites(displacement, spacing, tissue)
     steps = _lattice(mask.sum() / about, checked_sizes(spacing, mask.ndim))
     chosen = np.zeros_like(mask)
@@ -259,7 +259,7 @@ def arrows(
     )
     chosen[lines] = mask[lines]
     starts = np.argwhere(chosen)
-    if not len(starts):  # all tissue is thinner than a step
+    if not len(starts):  # no tissue lies on the lattice
         sites = np.argwhere(mask)
         starts = sites[:: max(1, round(len(sites) / about))]
     ends = moved[tuple(starts.T)]
@@ -273,7 +273,7 @@ def arrows_apart(
     tissue: npt.ArrayLike | None = None,
     about: int = 1000,
 ) -> FloatArray:
-    """Pick `arrows` that do not overlap, leaving out very short ones.
+    """Pick `arrows` that do not overlap, and omit very short arrows.
 
     Parameters, return value and errors are those of `arrows`.
     """
@@ -295,21 +295,21 @@ def arrows_in_slices(
     tissue: npt.ArrayLike | None = None,
     about: int = 1000,
 ) -> FloatArray:
-    """Pick arrows of a volume, about `about` of them in the fullest slice across any axis.
+    """Pick arrows of a volume for display in slices, about `about` in the fullest slice.
 
     The arrows lie on a lattice without rows along any slice: x + s y + s^2 z = 0 modulo the number
-    of voxels per arrow, with s near the golden section of that number. Very short arrows are left
-    out. Parameters, return value and errors are those of `arrows`.
+    of voxels per arrow, with s near the golden section of that number. Very short arrows are
+    omitted. Parameters, return value and errors are those of `arrows`.
     """
     moved, mask = moved_sites(displacement, spacing, tissue)
     sites = max(1, round(int(mask.sum(axis=(1, 2)).max()) / about))
-    share = round(sites * 0.618)
-    share = next((s for s in range(share, 2 * sites) if math.gcd(s, sites) == 1), 1)
+    shift = round(sites * 0.618)
+    shift = next((s for s in range(shift, 2 * sites) if math.gcd(s, sites) == 1), 1)
     row, col = np.ogrid[tuple(map(slice, mask.shape[1:]))]
     chosen = np.empty_like(mask)
-    for deep in range(len(mask)):
+    for plane in range(len(mask)):
         compute_thread.look()
-        chosen[deep] = mask[deep] & ((col + share * row + share**2 * deep) % sites == 0)
+        chosen[plane] = mask[plane] & ((col + shift * row + shift**2 * plane) % sites == 0)
     starts = np.argwhere(chosen)
     steps = moved[tuple(starts.T)] - starts
     lengths = np.linalg.norm(steps * checked_sizes(spacing, 3), axis=1)
@@ -324,12 +324,14 @@ def spread(where: BoolArray, apart: npt.ArrayLike) -> npt.NDArray[np.intp]:
     Parameters
     ----------
     where : ndarray of bool, shape ([D,] H, W)
+        Mask of the region.
     apart : float or array_like, shape (n,)
-        The sides of a cell, in pixels.
+        Side of a cell along each axis, in pixels.
 
     Returns
     -------
     ndarray of int, shape (N, n)
+        Indices of the pixels.
     """
     pixels = np.argwhere(where)
     if not len(pixels):
@@ -343,10 +345,13 @@ def spread(where: BoolArray, apart: npt.ArrayLike) -> npt.NDArray[np.intp]:
 
 
 def _apart(arrows: FloatArray, gap: float, spacing: Float64Array) -> npt.NDArray[np.intp]:
-    """Choose arrows with at least a gap, in the unit of `spacing`, between them, longest first."""
+    """Return the indices of arrows at least `gap` apart, in the unit of `spacing`.
+
+    Longer arrows are preferred.
+    """
     if not len(arrows):
         return np.zeros(0, dtype=np.intp)
-    # The cells are as wide as the gap: a chosen arrow claims its cells and their neighbours.
+    # The cells are as wide as the gap: a chosen arrow occupies its cells and their neighbours.
     starts, steps = arrows[:, 0] * spacing / gap, arrows[:, 1] * spacing / gap
     lowest = np.minimum(starts, starts + steps).min(axis=0) - 1
     starts = starts - lowest
@@ -379,9 +384,9 @@ def _lattice(sites: float, spacing: Float64Array) -> tuple[int, ...]:
 
 
 def _is_little_strained(moved: Float64Array) -> bool:
-    """Return whether all neighbours stay so near to one pixel apart that no tissue can fold."""
-    # If each step is off by less than half a pixel along both axes, the matrix of steps is
-    # diagonally dominant, and its determinant is positive.
+    """Return whether the strain is so small everywhere that no tissue can fold."""
+    # If each step between neighbours differs by less than half a pixel along both axes from the
+    # step at rest, the matrix of steps is diagonally dominant and its determinant is positive.
     return all(
         bool(np.abs(np.diff(moved, axis=axis) - step).max(initial=0) < 0.5)
         for axis, step in enumerate(np.eye(2))
@@ -389,27 +394,27 @@ def _is_little_strained(moved: Float64Array) -> bool:
 
 
 def _over_quadrants(kind: _Kind, moved: Float64Array, mask: BoolArray) -> FloatArray:
-    """Reduce the determinants of the quadrants around each site to one value; NaN in void."""
+    """Reduce the determinants of the quadrants around each site to one; NaN outside tissue."""
     if mask.ndim == 3 and loops.ready_for_volumes():
         loader.before_numba()
         from napari_hmrf.field.volume_loops import determinants  # heavy: numba
 
-        found, which = np.empty(mask.shape, dtype=np.float32), _KINDS.index(kind)
+        values, number = np.empty(mask.shape, dtype=np.float32), _KINDS.index(kind)
         for slab in slabs(mask.shape):
             wide, inner = with_neighbours(slab, len(mask))
-            there = loops.only_read(mask[wide])
-            found[slab] = determinants(moved[wide], there, elements(mask[wide]), which)[inner]
-        return found
-    # Work strip by strip, with a row of each neighbour, so that temporary arrays stay in the cache.
-    made = np.full(mask.shape, np.nan, dtype=np.float32)
+            part = loops.only_read(mask[wide])
+            values[slab] = determinants(moved[wide], part, elements(mask[wide]), number)[inner]
+        return values
+    # Process strips with one more row on each side, so that temporary arrays stay in the CPU cache.
+    result = np.full(mask.shape, np.nan, dtype=np.float32)
     strip = _STRIP if mask.ndim == 2 else _SLAB
     for begin in range(0, len(mask), strip):
         first, last = max(begin - 1, 0), begin + strip + 1
-        there = mask[first:last]
-        values = _reduced(kind, _quadrants(moved[first:last], there), there)
-        inner = slice(begin, begin + strip)
-        np.copyto(made[inner], values[begin - first :][:strip], where=mask[inner])
-    return made
+        part = mask[first:last]
+        reduced = _reduced(kind, _quadrants(moved[first:last], part), part)
+        rows = slice(begin, begin + strip)
+        np.copyto(result[rows], reduced[begin - first :][:strip], where=mask[rows])
+    return result
 
 
 def _reduced(kind: _Kind, each: list[Float64Array], mask: BoolArray) -> Float64Array:
@@ -427,10 +432,10 @@ def _reduced(kind: _Kind, each: list[Float64Array], mask: BoolArray) -> Float64A
 
 
 def elements(mask: BoolArray) -> BoolArray:
-    """Return a mask of the existing elements, with one more entry per axis than there are sites.
+    """Return a mask of the elements whose corners are all tissue.
 
-    The element before a site along all axes has the index of the site; it exists if all its
-    corners are tissue.
+    The element before a site along all axes has the index of that site, so the mask has one more
+    entry along each axis than there are sites.
     """
     exist = mask
     for axis in range(mask.ndim):
@@ -440,8 +445,8 @@ def elements(mask: BoolArray) -> BoolArray:
 
 
 def _quadrants(moved: Float64Array, mask: BoolArray) -> list[Float64Array]:
-    """Return the determinant from one-sided differences in each quadrant around a site."""
-    # Pixel units do not change the determinant: the pixel sizes cancel.
+    """Return, for each quadrant around a site, the determinant of its one-sided differences."""
+    # The pixel sizes cancel in the determinant, so pixels can be the unit.
     return [determinant(steps) for steps in product(*differences_along_axes(moved, mask))]
 
 
@@ -459,11 +464,11 @@ def determinant(steps: Sequence[Float64Array]) -> Float64Array:
 
 def differences_along_axes(moved: Float64Array, mask: BoolArray) -> list[list[Float64Array]]:
     """Return the `one_sided_differences` of all sites along each axis, in the order of the axes."""
-    found = []
+    differences = []
     for axis, step in enumerate(np.eye(mask.ndim)):
         both = one_sided_differences(moved.swapaxes(0, axis), mask.swapaxes(0, axis), step)
-        found.append([each.swapaxes(0, axis) for each in both])
-    return found
+        differences.append([each.swapaxes(0, axis) for each in both])
+    return differences
 
 
 def one_sided_differences(
@@ -471,22 +476,22 @@ def one_sided_differences(
 ) -> list[Float64Array]:
     """Return the differences to the next and to the previous site along the first axis.
 
-    Each replaces the other where that is missing; `unstrained` replaces both where both are
-    missing.
+    If one neighbour is missing, both differences are those to the other neighbour; if both
+    neighbours are missing, both differences are `unstrained`.
 
     Parameters
     ----------
     moved : ndarray, shape ([D,] H, W, n)
         Moved positions of all sites, from `moved_sites`.
     mask : ndarray of bool, shape ([D,] H, W)
-        The tissue; differences are never taken across its border.
+        Mask of the tissue; differences are never taken across its border.
     unstrained : ndarray, shape (n,)
-        The step along the axis without any motion.
+        Step along the axis without any motion.
 
     Returns
     -------
     list of two ndarrays, shape ([D,] H, W, n)
-        To the next site, and from the previous one.
+        Differences to the next site, and from the previous site.
     """
     height = len(mask)
     # For site i: entry i + 1 is True if there is a next site, entry i if there is a previous one.
@@ -504,12 +509,12 @@ def one_sided_differences(
 def _lines(moved: Float64Array, mask: BoolArray, every: int, step: int) -> Float64Array:
     """Return the segments, within tissue, of every `every`-th line along the second axis."""
     lines = slice((len(moved) - 1) % every // 2, None, every)
-    # Segments span a few sites, still far less than a mesh width: fewer are faster to draw.
-    place, there = moved[lines], mask[lines]
+    # Segments span several sites, because fewer segments are drawn faster.
+    place, tissue = moved[lines], mask[lines]
     size = place.shape[1]
     stops = np.unique(np.append(np.arange(0, size, step), size - 1))
     starts, ends = stops[:-1], stops[1:]
-    missing = np.concatenate([np.zeros((len(there), 1), int), np.cumsum(~there, axis=1)], axis=1)
+    missing = np.concatenate([np.zeros((len(tissue), 1), int), np.cumsum(~tissue, axis=1)], axis=1)
     drawn = missing[:, ends + 1] == missing[:, starts]
     start, end = place[:, starts][drawn], place[:, ends][drawn]
     return np.stack([start, end - start], axis=1)

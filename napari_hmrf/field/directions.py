@@ -1,7 +1,7 @@
-"""Which way the rows and columns of a slice run: on the screen, or in the patient where known.
+"""Directions of the rows and columns of a slice, in the patient or on the screen.
 
-Scans say how they lie in the patient. Layers carry it in the names of their axes, and so do studies
-and results.
+Directions in the patient are known if the axes of the layer, study or result are named after them,
+as the axes of scans are.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import numpy as np
 from napari_hmrf.field.drawn_slice import nearest_axes, rotation_of
 from napari_hmrf.field.frame import PATIENT_AXES, Frame, as_tuples
 
-#: Pixels that step less than this along the way they would have the name of have none.
+#: Smallest component of a unit pixel step along its named direction; sheared axes have less.
 _ASIDE = 0.5
-#: Ways that are opposite.
+#: Pairs of opposite directions.
 _PAIRS = (
     ("up", "down"),
     ("left", "right"),
@@ -26,31 +26,33 @@ _PAIRS = (
     ("deeper", "shallower"),
 )
 _OPPOSITE = {way: other for pair in _PAIRS for way, other in (pair, pair[::-1])} | {"": ""}
-#: Which side of the patient a letter stands for.
+#: Side of the patient by its letter.
 _SIDES = {"S": "head", "I": "feet", "A": "front", "P": "back", "R": "right", "L": "left"}
 
 
 class Directions(NamedTuple):
-    """Where a step of one pixel goes: the nearest way of the patient, or of the screen.
+    """Nearest named direction, in the patient or on the screen, of a step of one pixel.
 
-    Of an image that knows how it lies in the patient ways are letters, as at the edges of the
-    canvas: its left is not that of the screen. They are "" if the pixels are sheared.
+    The directions of an image in patient coordinates are letters, as at the edges of the canvas,
+    because the left of the patient is not the left of the screen. The directions of sheared pixels
+    are "".
 
-    Components of a displacement keep the order and the sign of the pixels: a medical image that is
-    stored mirrored is seen mirrored back, and its columns then run to the left. Of a layer that is
-    turned by an angle, within its slices or out of them, people read and type the components along
-    the ways of the screen, or of the patient, themselves.
+    Components of a displacement keep the order and the sign of the pixel axes. A medical image
+    that is stored mirrored is displayed unmirrored, so that its columns run to the left. For a
+    layer that is rotated by an angle, within its slices or out of them, displayed components are
+    along the directions of the screen, or of the patient.
 
     Attributes
     ----------
     rows, cols : {"down", "up", "right", "left", "S", "I", "A", "P", "R", "L", ""}
+        Direction of increasing row and column numbers.
     deep : str
-        Likewise across the slices of a volume; "" of a slice.
+        Direction of increasing slice numbers in a volume; "" for a slice.
     order : tuple of int
-        The axes of the displacements, in the order ([deep,] rows, columns).
+        Axes of the displacement, in the order ([deep,] rows, columns).
     turn : n x n numbers
-        The rotation of the axes, in this order, from the ways they have the names of; nothing
-        where they are not turned.
+        Matrix from components along the axes, in this order, to components along the named
+        directions; empty if the axes are not rotated.
     """
 
     rows: str = "down"
@@ -66,21 +68,25 @@ class Directions(NamedTuple):
         drawn: Sequence[int] | None = None,
         canvas: tuple[str, str] = ("down", "right"),
     ) -> Directions:
-        """Those of a slice, or of a volume that is seen in slices.
+        """Return the directions of a slice, or of a volume that is displayed in slices.
 
         Parameters
         ----------
         frame : Frame
         drawn : sequence of int, shape (2,), optional
-            Which of the frame's axes are seen as rows and columns; by default its last two.
+            Axes of the frame that are displayed as rows and columns; by default its last two.
         canvas : (str, str)
-            Which ways rows and columns run on the screen where no patient is known.
+            Directions of rows and columns on the screen, for axes outside patient coordinates.
+
+        Returns
+        -------
+        Directions
         """
         axes = list(frame.plane[-2:] if drawn is None else drawn)
         across = [axis for axis in frame.plane if axis not in axes]
         axes = [*across, *axes]
         order = tuple(frame.plane.index(axis) for axis in axes)
-        # Where the world's axes run in the patient, or on the canvas.
+        # Names of both directions of each world axis, in the patient or on the canvas.
         pairs = [PATIENT_AXES.get(frame.axis_labels[axis], ()) for axis in axes]
         if not all(pairs[-2:]):
             pairs[-2:] = [(way, _OPPOSITE[way]) for way in canvas]
@@ -95,16 +101,27 @@ class Directions(NamedTuple):
         return cls(rows, cols, turn, deep, order)
 
     def seen(self, by: tuple[float, ...]) -> tuple[float, ...]:
-        """A displacement by its components along the ways named, ([deep,] rows, columns).
+        """Return the components of a displacement along the named directions.
 
-        One of fewer axes says nothing across the slices.
+        Parameters
+        ----------
+        by : tuple of float
+            Displacement in the order of the axes; missing leading components count as 0.
+
+        Returns
+        -------
+        tuple of float
+            Components along ([deep,] rows, columns).
         """
-        known = (*(0.0,) * (len(self.order) - len(by)), *by)[-len(self.order) :]
-        seen = tuple(known[axis] for axis in self.order)
+        padded = (*(0.0,) * (len(self.order) - len(by)), *by)[-len(self.order) :]
+        seen = tuple(padded[axis] for axis in self.order)
         return as_tuples(np.array(self.turn) @ seen) if self.turn else seen
 
     def along(self, seen: tuple[float, ...]) -> tuple[float, ...]:
-        """The inverse of `seen`; of two components there is none across the slices."""
+        """Return a displacement, in the order of the axes, from its components along directions.
+
+        This is the inverse of `seen`. A missing component across the slices counts as 0.
+        """
         back = (*(0.0,) * (len(self.order) - len(seen)), *seen)
         if self.turn:
             back = as_tuples(np.array(self.turn).T @ back)
@@ -112,7 +129,7 @@ class Directions(NamedTuple):
 
     @property
     def steps(self) -> list[tuple[str, tuple[float, ...]]]:
-        """Each way in words, with a step of 1 along it in the order of the axes."""
+        """Label of each named direction, with a step of 1 along it in the order of the axes."""
         size, found = len(self.order), []
         for number, way in enumerate((self.deep, self.rows, self.cols)[-size:]):
             for sign, word in ((1.0, way), (-1.0, _OPPOSITE[way])):
@@ -122,46 +139,49 @@ class Directions(NamedTuple):
         return found
 
     def nearest(self, step: tuple[float, ...]) -> tuple[float, ...]:
-        """The step of `steps` that this one is, to a rounding; itself, if it is none of them."""
+        """Return the equal step of `steps`, up to rounding, or else the given step."""
         same = (each for _, each in self.steps if np.shape(each) == np.shape(step))
         return next((each for each in same if np.allclose(each, step, atol=1e-6)), step)
 
     def steps_with(self, step: tuple[float, ...]) -> list[tuple[str, tuple[float, ...]]]:
-        """The ways of `steps`, and that of another step if it is none of them, nor ()."""
+        """Return `steps`, followed by the given step if it is neither among them nor empty."""
         steps = self.steps
         if step and step not in [each for _, each in steps]:
             steps.append((self.step(tuple(round(part, 2) for part in self.seen(step))), step))
         return steps
 
     def about(self, axis: int) -> str:
-        """What a number along an axis says: "How far down, along the rows; below 0: up"."""
+        """Return the tooltip of a number along rows (0) or columns (1).
+
+        An example is "Distance down, along the rows; below 0: up".
+        """
         along, way = ("the rows", "the columns")[axis], self[:2][axis]
         if not way:
-            return f"How far along {along}, in the order of the pixels"
+            return f"Distance along {along}, in the order of the pixels"
         along = (
             "as it is seen, whichever way the layer is turned" if self.turn else f"along {along}"
         )
-        return f"How far {_to(way)}, {along}; below 0: {_to(_OPPOSITE[way])}"
+        return f"Distance {_to(way)}, {along}; below 0: {_to(_OPPOSITE[way])}"
 
     def label(self, axis: int) -> str:
-        """Of numbers along the rows (0) or the columns (1): "down", "right", "to R"."""
+        """Return the label of a number along rows (0) or columns (1): "down", "right", "to R"."""
         way = self[:2][axis] or ("along rows", "along columns")[axis]
         return f"to {way}" if way in _SIDES else way
 
     def only(self, axis: int) -> str:
-        """Speaking of one axis alone, which is the image's: "A-P only (rows)"."""
+        """Return the label of a choice of one axis of the image alone: "A-P only (rows)"."""
         name, both = ("rows", "columns")[axis], self.both(axis)
         return f"{both} only ({name})" if both else f"across the image's {name} only"
 
     def both(self, axis: int) -> str:
-        """An axis without a sense: "up and down", "A-P"; "" at an angle."""
+        """Return the name of both directions of an axis: "up and down", "A-P"; "" if rotated."""
         way = self[:2][axis]
         if not way or self.turn:
             return ""
         return ("-" if way in _SIDES else " and ").join(next(p for p in _PAIRS if way in p))
 
     def step(self, seen: tuple[float, ...]) -> str:
-        """A step along the ways named in words: "5 down, 10 right", "5 P, 10 R"."""
+        """Describe a step by its components along directions: "5 down, 10 right", "5 P, 10 R"."""
         if not self.rows:
             return f"({', '.join(f'{length:g}' for length in seen)})"
         ways = (self.deep, self.rows, self.cols)[-len(seen) :]

@@ -1,4 +1,4 @@
-"""A displacement field as it is stored, whichever way it leads, and the motion that it means."""
+"""Displacement field as it is stored, forward or backward, and its motion."""
 
 from __future__ import annotations
 
@@ -16,17 +16,18 @@ from napari_hmrf.field.moved_points import looked_up
 
 @dataclass(frozen=True, eq=False)
 class DisplacementField:
-    """A displacement field as it is stored, whichever way it leads.
+    """Displacement field as it is stored, forward or backward.
 
     Attributes
     ----------
-    vectors : ndarray, shape (..., n)
-        In the unit of `spacing`, components in the order of the axes.
+    vectors : ndarray, shape ([D,] H, W, n)
+        Vectors in the unit of `spacing`, components in the order of the axes.
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
     back : bool
-        Whether they lead from what is seen to where it came from, as those that move images do. By
-        default they are material: they lead to where tissue goes.
+        True for a backward field, which leads from each moved position to its origin and serves to
+        warp images. False for a forward, or material, field, which leads from each point of tissue
+        to its moved position.
     """
 
     vectors: npt.NDArray[Any]
@@ -35,11 +36,11 @@ class DisplacementField:
 
     @classmethod
     def in_pixels(cls, vectors: npt.NDArray[Any], back: bool = False) -> DisplacementField:
-        """A field whose vectors are in pixels."""
+        """Return a field whose vectors are in pixels."""
         return cls(vectors, (1.0,) * vectors.shape[-1], back)
 
     def to_pixels(self) -> DisplacementField:
-        """The same field in pixels."""
+        """Return the same field in pixels."""
         if all(size == 1 for size in self.spacing):
             return self
         steps = self.vectors / np.asarray(self.spacing, self.vectors.dtype)
@@ -47,13 +48,23 @@ class DisplacementField:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The pixels of its grid along each axis."""
+        """Number of sites of the grid along each axis."""
         return self.vectors.shape[:-1]
 
     def at(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.floating]:
-        """By how much tissue moves that is at points, (N, n) in pixels.
+        """Return the forward displacement of the tissue at some points.
 
-        Of a volume that leads back only these points are inverted.
+        A backward field of a volume is inverted at these points only.
+
+        Parameters
+        ----------
+        points : ndarray, shape (N, n)
+            Positions before the motion, in pixels.
+
+        Returns
+        -------
+        ndarray, shape (N, n)
+            In the unit of `spacing`.
         """
         if not self.back or self.vectors.shape[-1] != 3:
             return looked_up(self.displacement, points)
@@ -61,14 +72,19 @@ class DisplacementField:
         return (origins - points) * self.spacing
 
     def arrows(self, about: int) -> tuple[npt.NDArray[np.float32], int]:
-        """Some of its arrows, evenly: about so many of each slice along its last two axes.
+        """Return evenly spread arrows of the forward displacement.
+
+        Parameters
+        ----------
+        about : int
+            Approximate number of arrows in each slice along the last two axes.
 
         Returns
         -------
         arrows : ndarray, shape (N, 2, n)
-            (start, step) of each; the start in pixels.
+            Arrows as (start, step); starts in pixels, steps in the unit of `spacing`.
         apart : int
-            Pixels from one to the next.
+            Distance of neighbouring arrows, in pixels.
         """
         shape = self.shape
         apart = max(1, round((shape[-2] * shape[-1] / about) ** 0.5))
@@ -80,20 +96,17 @@ class DisplacementField:
 
     @property
     def displacement(self) -> npt.NDArray[Any]:
-        """Material, at every site: of a field that leads back, all of it is inverted."""
+        """Forward displacement of each site; a backward field is inverted on its whole grid."""
         return self._inverse.displacement if self.back else self.vectors
 
     @property
     def backward(self) -> npt.NDArray[Any]:
-        """From what is seen at every site to where it came from: `displacement` the other way."""
+        """Backward displacement from each site, after the motion, to its origin."""
         return self.vectors if self.back else self._inverse.displacement
 
     @property
     def residual(self) -> float:
-        """How far, in pixels, `displacement` is from the inverse of the vectors at the worst site.
-
-        0 if they are material.
-        """
+        """Largest error of the inversion of a backward field, in pixels; 0 for a forward field."""
         return self._inverse.residual if self.back else 0.0
 
     @cached_property

@@ -1,7 +1,7 @@
-"""Which pixels napari draws where, of a layer whose transform may tilt it out of its slices.
+"""Positions of the pixels that napari draws of a layer whose transform tilts its slices.
 
-It draws no turn out of a slice: rows and columns lie where the transform restricted to the axes
-that are drawn has them, and its inverse restricted to the others, rounded, says which slice.
+napari ignores rotations out of a slice. The transform restricted to the displayed axes places rows
+and columns; the inverse transform restricted to the other axes, rounded, selects the slice.
 """
 
 from __future__ import annotations
@@ -16,31 +16,50 @@ Array = npt.NDArray[np.float64]
 
 
 def pixel_drawn(matrix: Array, drawn: list[int], world: Array) -> Array:
-    """Which pixel is drawn at a place of the world.
+    """Return the pixel that napari draws at a world position.
 
     Parameters
     ----------
     matrix : ndarray, shape (D + 1, D + 1)
-        From pixels to the world.
+        Homogeneous transform from pixels to the world.
     drawn : list of int
-        Axes that are drawn.
+        Displayed axes.
     world : ndarray, shape (D,)
+        World position.
+
+    Returns
+    -------
+    ndarray, shape (D,)
+        Position in pixels; a whole number on the axes that are not displayed.
     """
     inverse, others = np.linalg.inv(matrix), _others(matrix, drawn)
-    found = np.empty(len(world))
-    # Of a volume that is seen edge-on there is no one pixel.
+    pixel = np.empty(len(world))
+    # The matrix is singular for a volume that is displayed edge-on.
     seen = np.linalg.pinv(matrix[np.ix_(drawn, drawn)])
-    found[drawn] = seen @ (world - matrix[:-1, -1])[drawn]
+    pixel[drawn] = seen @ (world - matrix[:-1, -1])[drawn]
     across = inverse[np.ix_(others, others)] @ world[others] + inverse[others, -1]
-    found[others] = np.round(across)
-    return found
+    pixel[others] = np.round(across)
+    return pixel
 
 
 def sliders_at(matrix: Array, drawn: list[int], pixel: npt.ArrayLike) -> dict[int, float]:
-    """Where in the world the sliders of the other axes have a pixel's slice drawn."""
+    """Return the slider positions at which napari draws the slice of a pixel.
+
+    Parameters
+    ----------
+    matrix, drawn
+        As for `pixel_drawn`.
+    pixel : array_like, shape (D,)
+        Position in pixels.
+
+    Returns
+    -------
+    dict of int to float
+        World position of the slider of each axis that is not displayed.
+    """
     inverse, others = np.linalg.inv(matrix), _others(matrix, drawn)
-    ahead = np.asarray(pixel)[others] - inverse[others, -1]
-    world = np.linalg.pinv(inverse[np.ix_(others, others)]) @ ahead
+    offset = np.asarray(pixel)[others] - inverse[others, -1]
+    world = np.linalg.pinv(inverse[np.ix_(others, others)]) @ offset
     return dict(zip(others, world.tolist(), strict=True))
 
 
@@ -49,12 +68,19 @@ def _others(matrix: Array, drawn: list[int]) -> list[int]:
 
 
 def nearest_axes(linear: Array) -> tuple[tuple[int, ...], Array]:
-    """To which axis of the world each axis of pixels is nearest, and its steps along these.
+    """Assign to each pixel axis the nearest world axis.
 
     Parameters
     ----------
     linear : ndarray, shape (n, n)
-        Steps of a pixel, as columns.
+        World steps of one pixel along each axis, as columns.
+
+    Returns
+    -------
+    main : tuple of int
+        World axis of each pixel axis.
+    steps : ndarray, shape (n, n)
+        Unit steps of the pixel axes, as columns; rows in the order of `main`.
     """
     linear = linear / np.linalg.norm(linear, axis=0)
 
@@ -66,7 +92,7 @@ def nearest_axes(linear: Array) -> tuple[tuple[int, ...], Array]:
 
 
 def rotation_of(linear: Array) -> Array:
-    """The rotation nearest to a matrix; nothing, shape (0, 0), where it does not turn."""
+    """Return the rotation nearest to a matrix; an array of shape (0, 0) for the identity."""
     left, _, right = np.linalg.svd(linear)
     turn = np.round(left @ right, 9) + 0.0
     return np.empty((0, 0)) if np.array_equal(turn, np.eye(len(turn))) else turn

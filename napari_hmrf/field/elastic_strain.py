@@ -1,6 +1,6 @@
-"""Elastic strain of a solution: the strain that its model stores energy in.
+"""Elastic strain of a solution: the strain that stores energy in its model.
 
-Growth is taken out of it, and it has a third direction, as the model has it. With H = dd/dX, the
+Elastic strain excludes growth and includes the direction across an image. With H = dd/dX, the
 growth strain g and its component g_z across an image,
 
     linear elasticity   e = (H + H^T) / 2 - g
@@ -12,12 +12,12 @@ and across an image
     linear elasticity   e_z = -nu / (1 - nu) (e_rr + e_cc)        e_z = -g_z
     large motion        e_z = nu (1 - J^2) / 2 (1 - 2 nu + nu J^2)   e_z = ((1 + g_z)^-2 - 1) / 2
 
-The last column but one is where the stress across a slice that is free to bulge is 0. Shears across
-the image count as 0. Differences are those of `green_lagrange_strain`; growth and Poisson's ratio
-at a site are the means over the elements around it, as the model has them.
+In plane stress, e_z follows from zero stress across a slice that is free to bulge. Shear strains
+across the image are taken as 0. Differences are those of `green_lagrange_strain`; growth and
+Poisson's ratio at a site are means over the elements around the site, as in the model.
 
-The paper's model has neither Poisson's ratio nor a third direction, and a displacement alone says
-nothing of growth: their strain is the total one, Green-Lagrange's, within the image.
+The paper's model has neither Poisson's ratio nor a third direction, and growth is unknown for a
+displacement without a model. In both cases the total Green-Lagrange strain is used.
 """
 
 from __future__ import annotations
@@ -43,23 +43,24 @@ from napari_hmrf.solver.neighbours import around_sites, in_elements, of_corners
 from napari_hmrf.solver.real_arrays import FloatArray
 from napari_hmrf.solver.solution import Solution
 
-#: Kinds of strain that are measured: elastic strain; total strain within an image; total strain.
+#: Kinds of strain: elastic strain; total strain within an image; total strain of a volume.
 StrainKind = Literal["elastic", "in-plane", "total"]
-#: Makes numbers, shape (N,), of strains (N, n, n) and the strain across an image, (N,) or 0.
+#: Function from strains, (N, n, n), and strains across an image, (N,) or 0, to values, (N,).
 StrainValue = Callable[[Float64Array, npt.ArrayLike], npt.NDArray[np.floating]]
 
+#: Names of the models with elastic strain.
 _BY_MODEL = ("ElasticPrior", "NeoHookeanPrior")
 
 
 def strain_kind(solution: Solution) -> StrainKind:
-    """Return which strain `measure` and colours show of a solution."""
+    """Return the kind of strain of a solution that `measure` and the colours show."""
     if solution.elasticity is not None:
         return "elastic"
     return "in-plane" if solution.tissue.ndim == 2 else "total"
 
 
 def strain_note(solution: Solution) -> str:
-    """Say, as a clause, why the elastic strain of a solution is unknown; "" if it is known."""
+    """Explain in a clause why the elastic strain of a solution is unknown; "" if it is known."""
     if solution.elasticity is not None:
         return ""
     total = "its strain is the total one"
@@ -77,29 +78,29 @@ def strain_note(solution: Solution) -> str:
 
 
 def elastic_strain(solution: Solution) -> FloatArray:
-    """Return the elastic strain of a solution, in all three directions.
+    """Return the elastic strain tensor of a solution, in all three directions.
 
     Parameters
     ----------
     solution : Solution
-        Of elastic tissue.
+        Solution of a model of elastic tissue.
 
     Returns
     -------
     ndarray, shape ([D,] H, W, 3, 3), float32
-        Symmetric, in the order of the axes before the motion; of an image the first one is across
-        it. Small strain of `ElasticPrior`, Green-Lagrange's of `NeoHookeanPrior`. NaN where there
-        is no tissue.
+        Symmetric tensors before the motion, in the order of the axes; the first axis of an image's
+        tensors is across the image. Small strain for `ElasticPrior`, Green-Lagrange strain for
+        `NeoHookeanPrior`. NaN outside tissue.
 
     Raises
     ------
     ProblemError
-        If the model has no elastic strain, or the file of the solution did not keep it.
+        If the model has no elastic strain, or the file of the solution lacks its parameters.
     """
     if solution.elasticity is None:
         raise ProblemError(
             "solution",
-            f"has no elastic strain: {strain_note(solution)}. Take another kind of strain.",
+            f"has no elastic strain: {strain_note(solution)}. Use another kind of strain.",
         )
     strain, across, mask = _elastic(solution, slice(None), 1.0)
     if mask.ndim == 2:
@@ -110,20 +111,20 @@ def elastic_strain(solution: Solution) -> FloatArray:
 
 
 def values_of_strain(solution: Solution, value: StrainValue, fraction: float = 1.0) -> FloatArray:
-    """Compute one number of the strain of each site, of the kind that `strain_kind` says.
+    """Compute a scalar of the strain at each site; `strain_kind` gives the kind of strain.
 
     Parameters
     ----------
     solution : Solution
     value : callable
-        Such as `equivalent_strain`.
+        Function from strains to scalars, such as `equivalent_strain`.
     fraction : float
-        Part of the deformation, growth included, that has happened.
+        Part of the deformation and of the growth, from 0 to 1.
 
     Returns
     -------
     ndarray, shape ([D,] H, W), float32
-        NaN where there is no tissue.
+        NaN outside tissue.
     """
     known = solution.elasticity is not None
 
@@ -136,7 +137,10 @@ def values_of_strain(solution: Solution, value: StrainValue, fraction: float = 1
 def _total(
     solution: Solution, sites: slice, fraction: float
 ) -> tuple[Float64Array, npt.ArrayLike, BoolArray]:
-    """Compute Green-Lagrange strain of tissue in a range of the first axis; sites come third."""
+    """Compute total Green-Lagrange strain in a range of the first axis.
+
+    Return the strain, (N, n, n), the strain across the image, 0, and the mask of the N sites.
+    """
     d = solution.displacement[sites] * np.float32(fraction)
     gradient, mask = displacement_gradient(d, solution.spacing, solution.tissue[sites])
     return green_lagrange(gradient), 0.0, mask
@@ -145,12 +149,15 @@ def _total(
 def _elastic(
     solution: Solution, sites: slice, fraction: float
 ) -> tuple[Float64Array, npt.ArrayLike, BoolArray]:
-    """Compute elastic strain in a range of the first axis, within and across an image; sites."""
+    """Compute elastic strain in a range of the first axis; 0 in rigid tissue.
+
+    Return the strain, (N, n, n), the strain across the image, and the mask of the N sites.
+    """
     elasticity = solution.elasticity
     assert elasticity is not None
     strain, across, mask = _of_model(solution, elasticity, sites, fraction)
     if elasticity.rigid is not None:
-        # Differences at its rim see the tissue beside it, but what is rigid has no strain.
+        # Differences at the rim of rigid tissue include its neighbours, but its strain is 0.
         rigid = elasticity.rigid[sites][mask]
         strain[rigid], across = 0, np.where(rigid, 0.0, across)
     return strain, across, mask
@@ -159,7 +166,7 @@ def _elastic(
 def _of_model(
     solution: Solution, elasticity: Elasticity, sites: slice, fraction: float
 ) -> tuple[Float64Array, npt.ArrayLike, BoolArray]:
-    """Compute strain as of `_elastic`, of tissue that is not rigid."""
+    """Compute strain as in `_elastic`, without regard to rigid tissue."""
     d = solution.displacement[sites] * np.float32(fraction)
     gradient, mask = displacement_gradient(d, solution.spacing, solution.tissue[sites])
     growth, growth_across = _growth_at(elasticity, sites, mask, fraction)
@@ -191,7 +198,7 @@ def _of_model(
 def _growth_at(
     elasticity: Elasticity, sites: slice, mask: BoolArray, fraction: float
 ) -> tuple[Float64Array | None, npt.ArrayLike]:
-    """Growth strain of the sites of tissue, (N, n, n), and across an image; None if none grows."""
+    """Return the growth strain at tissue sites, (N, n, n) or None, and its part across an image."""
     if elasticity.growth is None or not (grown := elasticity.growth[sites])[mask].any():
         return None, 0.0
     n = mask.ndim
@@ -209,8 +216,11 @@ def _axes(tensors: npt.NDArray[Any]) -> range:
 
 
 def _of_elements(values: npt.NDArray[Any], mask: BoolArray) -> Float64Array:
-    """Return the mean of the elements around each site of tissue, each the mean of its corners."""
-    elements = in_elements(mask)  # tissue too thin for them has its own values
+    """Return, for each site of tissue, the mean over the elements around it.
+
+    The value of an element is the mean of its corners; a site without elements keeps its value.
+    """
+    elements = in_elements(mask)
     own = np.where(mask, values, 0).astype(np.float64)
     means = np.where(elements, of_corners(own, add) / 2**mask.ndim, 0.0)
     total, count = around_sites(means, add)[mask], around_sites(elements.astype(int), add)[mask]

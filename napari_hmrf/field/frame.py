@@ -1,4 +1,4 @@
-"""Place of a slice or a volume of a layer in the world, as a value that outlives the layer."""
+"""Place of a slice or a volume in the world, as a value that is independent of the layer."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from napari_hmrf.solver.solution import Solution
 
 Matrix = tuple[tuple[float, ...], ...]
 
-#: Names of the world axes of a volume in layers: the side of the patient that each axis leads to,
-#: with the letters of that side and of the opposite one.
+#: Names of the world axes of a layer in patient coordinates: the side of the patient to which each
+#: axis leads, with the letters of that side and of the opposite side.
 PATIENT_AXES = {"superior": ("S", "I"), "posterior": ("P", "A"), "left": ("L", "R")}
-#: Attributes of a layer, and keyword arguments of a new one, that give its place.
+#: Attributes of a layer, and keyword arguments of a new layer, that define its place.
 PLACE = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
-#: Attributes of a `Frame` that a file holds.
+#: Attributes of a `Frame` that are stored in files.
 _STORED = ("plane", "index", *PLACE, "matrix")
-#: Two layers lie in the same place if their corners agree to this fraction of a pixel.
+#: Largest distance of corresponding corners of layers at the same place, in pixels.
 _TOLERANCE = 1e-3
-#: Largest index of a slice that a file may hold.
+#: Upper bound of the index of a slice in a file.
 _FARTHEST = 2**31
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Place of a slice or a volume in the world: its axes of a layer, and the transform.
+    """Place of a slice or a volume in the world: its axes in a layer, and the layer's transform.
 
-    A volume has a third axis before rows and columns. "Slice" below stands for both.
+    A volume has a third axis before rows and columns. Below, "slice" includes volumes.
 
     Attributes
     ----------
@@ -45,9 +45,9 @@ class Frame:
     index : tuple of int
         Position of the slice on each axis of the layer; 0 on the axes of the plane.
     scale, translate, rotate, shear, affine, units, axis_labels
-        Of the layer, as napari takes them.
+        Attributes of the layer, as in napari.
     matrix : (D + 1) x (D + 1) numbers
-        Transform from pixels of the layer to the world, homogeneous.
+        Homogeneous transform from pixels of the layer to the world.
     sliders : tuple of (float, float)
         Start and step of the viewer's slider of each axis, in the world; empty without a viewer.
         Used only for the displayed number of the slice.
@@ -65,7 +65,7 @@ class Frame:
     matrix: Matrix
     sliders: tuple[tuple[float, float], ...] = field(default=(), compare=False)
 
-    # For `TypeAdapter`, which validates the content of a file.
+    # `TypeAdapter` reads this configuration when it validates a file.
     __pydantic_config__ = ConfigDict(allow_inf_nan=False)
 
     @classmethod
@@ -86,11 +86,15 @@ class Frame:
         scale : sequence of float
             Size of a pixel along each axis.
         units, index, axis_labels
-            As the attributes; by default the first slice, and axes without names.
-        affine : array_like, optional
-            Transform to the world.
+            See the attributes; by default the first slice, and axes without names.
+        affine : array_like, shape (D + 1, D + 1), optional
+            Homogeneous transform to the world, applied after the scale.
         volume : bool
-            Whether to return the place of a volume, along the last three axes.
+            If True, return the place of a volume along the last three axes.
+
+        Returns
+        -------
+        Frame
         """
         n = len(scale)
         turn = np.eye(n + 1) if affine is None else np.asarray(affine)
@@ -141,28 +145,29 @@ class Frame:
         return float(np.degrees(np.arcsin(min(cosine, 1))))
 
     def _steps(self) -> npt.NDArray[np.float64]:
-        """World steps of one pixel along the axes of the plane, as columns, all in `unit`."""
+        """Return the world steps of one pixel along the axes of the plane, as columns in `unit`."""
         linear = np.array(self.matrix)[:-1, list(self.plane)]
         factors = np.array([unit_factor(unit, self.unit) for unit in self.units])
-        # World axes whose unit is no length, such as time, are left out.
+        # World axes whose unit is not a length, such as time, are ignored.
         steps: npt.NDArray[np.float64] = linear * np.nan_to_num(factors)[:, None]
         return steps
 
     @property
     def slice_name(self) -> str:
-        """Name of the slice by its index, such as "z = 12"; empty if it is a whole layer.
+        """Name of the slice by its index, such as "z = 12"; "" for a whole layer.
 
-        The only axis across a slice, if it has no name, is called "slice".
+        If the only axis across the slice has no name, the name is such as "slice 12".
         """
         return self._named(self.index)
 
     @property
     def slice_seen(self) -> str:
-        """Displayed name of the slice: in a patient its place, such as "S 22 mm".
+        """Displayed name of the slice; in patient coordinates its position, such as "S 22 mm".
 
-        Elsewhere it has the number that the viewer's slider shows. A slider counts from the lowest
-        world coordinate, which is the last slice of an axis that runs backwards; and a study that
-        is opened again has one slice, the first.
+        In other layers the name has the number that the viewer's slider shows. This number can
+        differ from the index: a slider counts from the lowest world coordinate, which is that of
+        the last slice if an axis runs backwards, and a study that is opened again has only one
+        slice, with index 0.
         """
         world = np.array(self.matrix) @ np.array([*self.index, 1.0])
         seen = list(self.index)
@@ -176,14 +181,14 @@ class Frame:
         letters, unit = PATIENT_AXES.get(self.axis_labels[axis]), self.units[axis]
         if letters is None or unit == "pixel":
             return ""
-        # Along the normal, so that all points of an oblique slice have one place.
+        # Measured along the normal, so that all points of an oblique slice have the same position.
         matrix = np.array(self.matrix)
         normal = np.linalg.inv(matrix)[axis, :-1]
         towards = math.copysign(float(np.linalg.norm(normal)), normal[axis])
         far = float(normal @ (matrix @ [*self.index, 1.0])[:-1]) / towards
-        # To a hundredth of the way to the next slice, or finer.
+        # Round to a hundredth of the distance to the next slice, or finer.
         digits = max(2 + math.ceil(math.log10(abs(towards))), 0)
-        # Hides rounding errors of files and inverses.
+        # The first rounding hides rounding errors of files and of the inverse matrix.
         far = round(round(far, digits + 4), digits)
         return f"{letters[int(far < 0)]} {abs(far):.12g} {unit_symbol(unit)}"
 
@@ -201,7 +206,7 @@ class Frame:
         return ", ".join(names)
 
     def plane_at(self, across: int, number: int) -> Frame:
-        """Return the place of one plane of this volume, by its number across an axis."""
+        """Return the place of one plane of this volume, by its number along the axis `across`."""
         index = list(self.index)
         index[self.plane[across]] = number
         plane = (*self.plane[:across], *self.plane[across + 1 :])
@@ -213,31 +218,40 @@ class Frame:
         return tuple(slice(None) if n in self.plane else at for n, at in enumerate(self.index))
 
     def take(self, data: Any) -> npt.NDArray[Any]:
-        """Copy the slice out of a layer's data, in the order of the plane; colours stay last."""
+        """Copy the slice from the data of a layer, with axes in the order of the plane.
+
+        An axis of colours stays last.
+        """
         part = data[self.pixels]
-        if hasattr(part, "compute"):  # dask: its own conversion would lose a mask
+        if hasattr(part, "compute"):  # converting a dask array with NumPy would lose a mask
             part = part.compute()
-        # Keep a mask, which the caller refuses by the name of the layer.
+        # The mask is kept, because the caller refuses masked layers with the layer's name.
         masked = isinstance(part, np.ma.MaskedArray)
         picture: npt.NDArray[Any] = np.ma.array(part, copy=True) if masked else np.array(part)
         return _ordered(picture, np.argsort(np.argsort(self.plane)))
 
     def put_image(self, picture: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Give a picture ([D,] H, W[, colours]) the layer's axes, of one slice beyond the plane."""
+        """Return a picture of the slice, ([D,] H, W[, colours]), with all axes of the layer.
+
+        The axes across the slice have length 1.
+        """
         picture = _ordered(picture, np.argsort(self.plane))
         return np.ascontiguousarray(np.expand_dims(picture, self.others))
 
     def put_field(self, steps: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-        """Give a field ([D,] H, W, n), in pixels, the layer's axes, and steps along all."""
+        """Return a field of the slice, ([D,] H, W, n) in pixels, with all axes of the layer.
+
+        The steps have a component along each axis of the layer, 0 across the slice.
+        """
         placed = np.zeros((*steps.shape[:-1], self.ndim))
         placed[..., list(self.plane)] = steps
         return self.put_image(placed)
 
     def put_vectors(self, arrows: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-        """Give arrows (N, 2, n) of (start, step) in pixels of the slice the layer's axes.
+        """Return arrows of the slice, (N, 2, n), as arrows of the layer, (N, 2, D).
 
-        Without arrows, a two-dimensional layer gets an invisible one of length 0, because napari
-        cannot draw an empty layer in three dimensions.
+        Arrows are (start, step) in pixels. If there are none, a two-dimensional layer gets one
+        invisible arrow of length 0, because napari cannot draw an empty layer in three dimensions.
         """
         if not len(arrows) and self.ndim == 2:
             arrows = np.zeros((1, 2, 2))
@@ -247,12 +261,16 @@ class Frame:
         return placed
 
     def placement(self, image: bool = False) -> dict[str, Any]:
-        """Return the keyword arguments that place a layer like its source.
+        """Return the keyword arguments that place a new layer at the same place as its source.
 
         Parameters
         ----------
         image : bool
-            Whether the data of the layer come from `put_image`, and so begin at the slice.
+            True if the data of the new layer come from `put_image`, and so begin at the slice.
+
+        Returns
+        -------
+        dict
         """
         translate = np.array(self.translate)
         if image:
@@ -271,7 +289,8 @@ class Frame:
     def same_place(self, other: Frame, shape: tuple[int, ...]) -> bool:
         """Return whether a slice of a shape covers the same part of the world in both frames.
 
-        Layers of fewer dimensions lie on every slice: only the axes that both have are compared.
+        Only the axes that both layers have are compared: a layer of fewer dimensions appears on
+        all slices.
         """
         to = self.from_pixels_of(other)
         if to is None or len(self.plane) != len(other.plane):
@@ -290,6 +309,10 @@ class Frame:
             Number of pixels of that layer along its axes.
         shape : tuple of int
             Shape of this slice.
+
+        Returns
+        -------
+        Frame or None
         """
         more = other.ndim - self.ndim
         plane = tuple(axis + more for axis in self.plane)
@@ -297,11 +320,11 @@ class Frame:
             return None
         index = ((0,) * more + self.index)[-other.ndim :]
         index = tuple(min(at, size - 1) for at, size in zip(index, sizes, strict=True))
-        found = replace(other, plane=plane, index=index)
-        return found if self.same_place(found, shape) else None
+        frame = replace(other, plane=plane, index=index)
+        return frame if self.same_place(frame, shape) else None
 
     def has(self, pixels: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
-        """Return a mask of the places, (N, D) in pixels of the layer, that lie on the slice."""
+        """Return a mask of the points, (N, D) in pixels of the layer, that lie on the slice."""
         others = list(self.others)
         on = np.rint(pixels[:, others]) == np.array(self.index)[others]
         return np.asarray(on.all(axis=1))
@@ -309,12 +332,19 @@ class Frame:
     def place_of(
         self, pixel: npt.NDArray[np.float64], shape: tuple[int, ...]
     ) -> tuple[float, ...] | None:
-        """Return the place of a pixel of the layer, (D,), on a slice of a shape; None outside.
+        """Return the position on the slice of a point of the layer; None outside of the slice.
+
+        Parameters
+        ----------
+        pixel : ndarray, shape (D,)
+            Position in pixels of the layer.
+        shape : tuple of int
+            Shape of the slice.
 
         Returns
         -------
         tuple of float or None
-            ([depth,] row, col), whole numbers at the middle of a pixel.
+            ([depth,] row, col), whole numbers at the centre of a pixel.
         """
         index, axes, others = np.floor(np.nan_to_num(pixel) + 0.5), list(self.plane), self.others
         on = all(index[axis] == self.index[axis] for axis in others)
@@ -329,30 +359,31 @@ class Frame:
         Parameters
         ----------
         other : Frame
-            May have more axes, or fewer.
+            Place in the other layer, which may have more axes, or fewer.
         axes : iterable of int, optional
-            Axes of this layer to transform; on the others the result lies on the slice. By default
-            all that both layers have.
+            Axes of this layer to transform; along its other axes the result lies on the slice. By
+            default all axes that both layers have.
 
         Returns
         -------
         ndarray, shape (D, n + 1), or None
-            From (n + 1) homogeneous pixels; None if the units cannot be converted.
+            Matrix for homogeneous pixels of the other layer, (n + 1,); None if the units cannot be
+            converted.
         """
         more = other.ndim - self.ndim
-        counted = [axis for axis in axes or range(self.ndim) if axis + more >= 0]
-        theirs = [axis + more for axis in counted]
-        units = [(other.units[a], self.units[b]) for a, b in zip(theirs, counted, strict=True)]
+        shared = [axis for axis in axes or range(self.ndim) if axis + more >= 0]
+        theirs = [axis + more for axis in shared]
+        units = [(other.units[a], self.units[b]) for a, b in zip(theirs, shared, strict=True)]
         factors = np.array([unit_factor(*pair) for pair in units])
         if not np.isfinite(factors).all():
             return None
         matrix = np.array(self.matrix)
         world = np.zeros((self.ndim, other.ndim + 1))
         world[:, -1] = (matrix @ [*self.index, 1.0])[:-1]
-        world[counted] = np.array(other.matrix)[theirs] * factors[:, None]
+        world[shared] = np.array(other.matrix)[theirs] * factors[:, None]
         world[:, -1] -= matrix[:-1, -1]
-        found: npt.NDArray[np.float64] = np.linalg.inv(matrix[:-1, :-1]) @ world
-        return found
+        transform: npt.NDArray[np.float64] = np.linalg.inv(matrix[:-1, :-1]) @ world
+        return transform
 
     def _corners(self, shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
         """Return the corners of a slice of a shape, in homogeneous pixels."""
@@ -362,18 +393,18 @@ class Frame:
         return corners
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the place in JSON types, for `Solution.frame`."""
-        kept = asdict(self)
-        return {name: kept[name] for name in _STORED}
+        """Return the place as a dictionary of JSON types, for `Solution.frame`."""
+        values = asdict(self)
+        return {name: values[name] for name in _STORED}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Frame:
-        """Return the place of a dictionary of `as_dict`.
+        """Return the place from a dictionary of `as_dict`.
 
         Raises
         ------
         ValueError
-            If the dictionary is not from `as_dict`, or no layer can have that place.
+            If a value is missing or invalid, or if no layer can have this place.
         """
         try:
             given = {name: values[name] for name in _STORED}
@@ -407,7 +438,7 @@ class Frame:
         }.items():
             found = np.shape(getattr(self, name))
             if found != size:
-                raise ValueError(f"its {name} is of shape {found} where {size} belongs")
+                raise ValueError(f"its {name} has shape {found}, not {size}")
         if 0 in self.scale:
             raise ValueError(f"its scale is {self.scale}")
         for name in ("rotate", "affine", "matrix"):
@@ -422,12 +453,13 @@ class Frame:
 
     @classmethod
     def of_solution(cls, solution: Solution) -> Frame:
-        """Return the place of a solution, which is the origin if it has no `frame`.
+        """Return the place of a solution, or a place at the origin if the solution has no `frame`.
 
         Raises
         ------
         ValueError
-            As for `from_dict`; or if it is the place of a slice, and the solution is a volume.
+            As for `from_dict`, or if the place is that of a slice and the solution is a volume, or
+            vice versa.
         """
         n = solution.tissue.ndim
         if not solution.frame:
@@ -457,17 +489,17 @@ class SlicePlace:
 
 
 def _ordered(picture: npt.NDArray[Any], axes: npt.NDArray[np.intp]) -> npt.NDArray[Any]:
-    """Return a picture with its axes in this order; colours, if there are any, stay last."""
+    """Return a picture with its axes in another order; an axis of colours stays last."""
     return picture.transpose(*axes, *range(len(axes), picture.ndim))
 
 
 def as_tuples(values: Any) -> Any:
-    """Return numbers or a matrix as tuples: napari has both kinds of shears."""
+    """Return an array as nested tuples of float; napari has shears of one or two axes."""
     return tuple(map(as_tuples, values)) if np.ndim(values) else float(values)
 
 
 def is_flat(linear: npt.NDArray[np.float64]) -> bool:
-    """Return whether a square matrix flattens space, however long its columns are."""
+    """Return whether a square matrix is singular, independent of the lengths of its columns."""
     lengths = np.linalg.norm(linear, axis=0)
     if not ((lengths > 0) & np.isfinite(lengths)).all():
         return True

@@ -1,4 +1,4 @@
-"""What it takes to hold tissue and to pull it, part by part."""
+"""Reaction force of each connected region of constrained tissue."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from napari_hmrf.solver.solution import Solution
 
 
 class HeldForce(NamedTuple):
-    """A connected part of tissue that is held or moved, and the force that it takes.
+    """Connected region of tissue with prescribed displacement, and its reaction force.
 
     Attributes
     ----------
     moves : bool
-        Whether any of it is to move.
+        True if the prescribed displacement is not 0.
     centre : tuple of float
-        The mean of its pixels, in the order of the axes.
+        Mean position of the pixels, in pixels, in the order of the axes.
     sites : int
-        How many pixels or voxels it has.
+        Number of pixels or voxels.
     force : tuple of float
-        Which acts on the tissue there, in the order of the axes and the unit of `reactions`.
+        Sum of the forces on the tissue, in the order of the axes and the unit of `reactions`.
     """
 
     moves: bool
@@ -36,7 +36,7 @@ class HeldForce(NamedTuple):
 
 
 def held_forces(problem: Problem, solution: Solution, prior: Prior) -> tuple[HeldForce, ...]:
-    """Sum the forces that hold and move tissue over the parts that they act on.
+    """Sum the reaction forces over each connected region with prescribed displacement.
 
     Parameters
     ----------
@@ -46,12 +46,12 @@ def held_forces(problem: Problem, solution: Solution, prior: Prior) -> tuple[Hel
     Returns
     -------
     tuple of HeldForce
-        What moves first, each by its place.
+        First the regions that move, then those that are held; each in the order of the pixels.
 
     Raises
     ------
     ArgumentError
-        As of `reactions`.
+        As for `reactions`.
     """
     forces = reactions(problem, solution, prior)
     moving = (problem.known & (problem.observed != 0)).any(axis=-1)
@@ -60,15 +60,16 @@ def held_forces(problem: Problem, solution: Solution, prior: Prior) -> tuple[Hel
 
 
 def _parts(
-    forces: npt.NDArray[np.float64], there: npt.NDArray[np.bool_], moves: bool
+    forces: npt.NDArray[np.float64], mask: npt.NDArray[np.bool_], moves: bool
 ) -> list[HeldForce]:
-    parts, count = scipy.ndimage.label(there, np.ones((3,) * there.ndim))
+    """Sum the forces over the connected regions of a mask."""
+    parts, count = scipy.ndimage.label(mask, np.ones((3,) * mask.ndim))
     numbers = range(1, count + 1)
-    centres = scipy.ndimage.center_of_mass(there, parts, numbers)
+    centres = scipy.ndimage.center_of_mass(mask, parts, numbers)
     sizes = np.bincount(parts.ravel(), minlength=count + 1)[1:]
     along = [
         np.bincount(parts.ravel(), forces[..., axis].ravel(), count + 1)[1:]
-        for axis in range(there.ndim)
+        for axis in range(mask.ndim)
     ]
     return [
         HeldForce(moves, tuple(map(float, centre)), int(size), tuple(map(float, force)))

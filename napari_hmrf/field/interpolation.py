@@ -1,6 +1,6 @@
-"""The compiled loop that looks a picture up at an inverse map: `resample`, on all cores.
+"""Compiled loop that interpolates an image at an inverse map, like `resample`, on all cores.
 
-Imports numba; `live_warp` imports this module when it is first needed, on the compute thread.
+This module imports numba; `live_warp` imports it on first use, on the compute thread.
 """
 
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -14,27 +14,28 @@ import numpy as np
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def look_up(image, smooth, gaps, source, state, tissue, nearest, whole, fill, moved):
-    """Look an image up where its tissue came from, as `resample` does, by all cores.
+    """Interpolate an image at the origins of the moved tissue, like `resample`, on all cores.
 
     Parameters
     ----------
     image : ndarray, shape (H, W, channels)
     smooth : ndarray, shape (H, W, channels)
-        The image, finite everywhere: what is interpolated.
+        Copy of the image for interpolation, with finite values everywhere.
     gaps : bool
-        Whether the two differ: a pixel that is not finite stays one such pixel.
+        True if the image has pixels that are not finite; their value is then copied to the pixels
+        whose origin is nearest to them.
     source, state
-        Of `triangle_raster.rasterise`.
+        As from `triangle_raster.rasterise`.
     tissue : ndarray, shape (H, W), bool
-        Void stays in place where no tissue came.
+        Mask of the tissue. Void to which no tissue has moved keeps its value.
     nearest : bool
-        Whether to take the nearest pixel; else the four around the place.
+        If True, copy the nearest pixel; else interpolate between the four nearest.
     whole : bool
-        Whether to round.
+        If True, round to whole numbers.
     fill
-        What is seen where tissue has left, of the type of the image.
+        Value of pixels that tissue has left, of the type of the image.
     moved : ndarray, shape (H, W, channels)
-        Overwritten by the result.
+        Output.
     """
     height, width, channels = image.shape
     for row in numba.prange(height):

@@ -1,4 +1,4 @@
-"""The motion back: a field that leads what is seen to where it came from."""
+"""Inverse of a displacement field: from moved positions back to their origins."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from napari_hmrf.solver.problem import as_numbers
 
 Float64Array = npt.NDArray[np.float64]
 
-#: A point is found when it is known to so many pixels, and given up after so many steps.
+#: Length of a Newton step, in pixels, below which the iteration ends; largest number of steps.
 _NEAR, _STEPS = 1e-6, 30
-#: No step goes further than so many pixels: beyond, the slope of a field says nothing.
+#: Largest Newton step, in pixels: the slopes of a field do not predict it further away.
 _FARTHEST = 4.0
-#: So many points are inverted at once: what that takes of memory is a few MB, whatever a field's.
+#: Number of points inverted together; this bounds the memory by a few MB.
 _AT_ONCE = 2**14
 
 
 class Inverse(NamedTuple):
-    """A field inverted, and how well.
+    """Inverse of a displacement field, and its error.
 
     Attributes
     ----------
     displacement : ndarray, shape ([D,] H, W, n), float64
-        Of the points of the grid as they are seen after the motion: what is seen at P was at
-        P + u(P). In the unit of the spacing.
+        Displacement u of each grid point P after the motion to its origin P + u(P), in the unit of
+        the spacing.
     residual : float
-        How far, in pixels, the field leads P + u(P) from P at the worst site; only of sites that
-        tissue came to, and NaN if it came to none; of a volume only of those that came from within
-        tissue, not from its outermost sites. A volume that folds has no inverse there, and it is
-        large; of what folds beside something that does not move, and of a slice, the part is taken
-        that is not turned over.
+        Largest distance, in pixels, between P and the point to which the field moves P + u(P).
+        Only sites P to which tissue has moved count; in a volume with a mask, only those whose
+        origin is inside the tissue, not at its outermost sites. NaN if there are no such sites. A
+        field on a whole volume has no inverse at folds, and its residual is large there; at folds
+        of a slice, or of a volume with a mask, the origin is in the part that is not inverted.
     """
 
     displacement: Float64Array
@@ -52,9 +52,9 @@ def inverse_displacement(
 ) -> Inverse:
     """Invert a motion at each site of its grid: u with u(P) = X - P, where X + d(X) = P.
 
-    In two dimensions by `inverse_map`, exact for motion that is linear on triangles; in three by
-    `origins_at`, some planes after the others, for motion that is linear along each axis. Where
-    something does not move `inverse_map` says first which tissue is seen.
+    Slices are inverted by `inverse_map`, which is exact for motion that is linear on triangles.
+    Volumes are inverted by `origins_at`, a few planes at a time, for trilinear motion. In a volume
+    with a mask, `inverse_map` first finds the tissue that is visible at each site.
 
     Parameters
     ----------
@@ -63,13 +63,17 @@ def inverse_displacement(
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
     tissue : array_like of bool, shape ([D,] H, W), optional
-        What moves; by default everything. Where tissue has left a gap beside what does not move,
-        the rim between both is taken to be stretched over it.
+        Mask of the tissue that moves; by default all sites. A gap between moved tissue and the
+        rest is filled as if the field were continuous across their border.
+
+    Returns
+    -------
+    Inverse
 
     Raises
     ------
     ProblemError
-        Naming the input at fault.
+        If an input has an invalid shape or value; the error names the input.
     """
     d = as_field(displacement).astype(np.float64)
     volume = d.shape[-1] == 3
@@ -83,8 +87,8 @@ def inverse_displacement(
         moved = known & (mask | (origins != sites).any(axis=-1))
         origins[moved], moved[moved] = _refined(pixels, mask, sites[moved], origins[moved])
     if not known.all() and tissue is not None:
-        sheet, there = inverse_map(d, spacing=spacing)
-        origins[~known], filled = sheet[~known], known | there
+        sheet, covered = inverse_map(d, spacing=spacing)
+        origins[~known], filled = sheet[~known], known | covered
     else:
         filled = known
     if not filled.all():
@@ -97,29 +101,30 @@ def inverse_displacement(
 def origins_at(
     pixels: npt.NDArray[np.floating], points: Float64Array, near: Float64Array | None = None
 ) -> Float64Array:
-    """Find where in a volume that which is seen at points came from: X with X + d(X) = P.
+    """Find the origins X of moved points P in a volume, with X + d(X) = P.
 
-    By Newton's method, for motion that is trilinear between sites; all are taken to have an origin.
+    The motion is trilinear between sites, and is inverted by Newton's method. Each point is assumed
+    to have an origin.
 
     Parameters
     ----------
     pixels : ndarray, shape (D, H, W, 3)
         Material displacement, in pixels.
     points : ndarray, shape (N, 3)
-        In pixels.
+        Positions after the motion, in pixels.
     near : ndarray, shape (N, 3), optional
-        Where to begin to look.
+        Initial guess of the origins, in pixels.
 
     Returns
     -------
     ndarray, shape (N, 3), float64
-        In pixels.
+        Origins, in pixels.
     """
-    found = np.empty(points.shape)
+    origins = np.empty(points.shape)
     for start in range(0, len(points), _AT_ONCE):
         part = slice(start, start + _AT_ONCE)
-        found[part] = _by_newton(pixels, points[part], None if near is None else near[part])
-    return found
+        origins[part] = _by_newton(pixels, points[part], None if near is None else near[part])
+    return origins
 
 
 def _refined(
@@ -128,17 +133,17 @@ def _refined(
     points: Float64Array,
     origins: Float64Array,
 ) -> tuple[Float64Array, npt.NDArray[np.bool_]]:
-    """Refine origins to trilinear motion; return them and whether they lie within tissue."""
-    # The field is extended beyond the tissue, so that steps that lead there come back.
-    found = origins_at(_extended(pixels, tissue), points, origins)
-    near = (np.abs(found - origins) < 1).all(axis=-1)
-    # Beside what does not move the field is no more than that of tetrahedra.
-    within = near & (looked_up(tissue[..., np.newaxis].astype(float), found)[:, 0] > 1 - _NEAR)
-    return np.where(within[:, np.newaxis], found, origins), within
+    """Refine origins for trilinear motion; return them and a mask of origins inside the tissue."""
+    # The field is extended beyond the tissue, so that Newton steps out of it lead back.
+    refined = origins_at(_extended(pixels, tissue), points, origins)
+    near = (np.abs(refined - origins) < 1).all(axis=-1)
+    # At the rim of the tissue the motion is defined on tetrahedra only, so it is not refined.
+    within = near & (looked_up(tissue[..., np.newaxis].astype(float), refined)[:, 0] > 1 - _NEAR)
+    return np.where(within[:, np.newaxis], refined, origins), within
 
 
 def _inverse_of_volume(pixels: Float64Array, spacing: Sequence[float]) -> Inverse:
-    """Invert a volume's motion at all of its sites."""
+    """Invert the motion of a whole volume at all sites, a few planes at a time."""
     back, residual = np.empty(pixels.shape), 0.0
     planes = 1 + _AT_ONCE // (1 + math.prod(pixels.shape[1:3]))
     for first in range(0, len(pixels), planes):
@@ -160,26 +165,26 @@ def _residual(pixels: Float64Array, origins: Float64Array, sites: Float64Array) 
 def _by_newton(
     pixels: npt.NDArray[np.floating], targets: Float64Array, near: Float64Array | None = None
 ) -> Float64Array:
-    """Find the origins of some points at once."""
-    found = targets - looked_up(pixels, targets) if near is None else near.copy()
-    open_ones = np.arange(len(targets))
+    """Find the origins of all points together by Newton's method."""
+    origins = targets - looked_up(pixels, targets) if near is None else near.copy()
+    active = np.arange(len(targets))
     for _ in range(_STEPS):
-        at = found[open_ones]
+        at = origins[active]
         values, slopes = looked_up_with_slopes(pixels, at)
         slope = slopes + np.eye(3)
-        # Singular slopes, as of a field that folds, are replaced by the identity.
+        # Singular slopes, which occur at folds, are replaced by the identity.
         slope[np.abs(np.linalg.det(slope)) < 1e-3] = np.eye(3)
-        step = np.linalg.solve(slope, (at + values - targets[open_ones])[..., None])[..., 0]
+        step = np.linalg.solve(slope, (at + values - targets[active])[..., None])[..., 0]
         length = np.linalg.norm(step, axis=-1, keepdims=True)
-        found[open_ones] = at - step * np.minimum(1, _FARTHEST / np.maximum(length, _NEAR))
-        open_ones = open_ones[length[:, 0] > _NEAR]
-        if not len(open_ones):
+        origins[active] = at - step * np.minimum(1, _FARTHEST / np.maximum(length, _NEAR))
+        active = active[length[:, 0] > _NEAR]
+        if not len(active):
             break
-    return found
+    return origins
 
 
 def _extended(values: Float64Array, known: npt.NDArray[np.bool_]) -> Float64Array:
-    """Give sites that are not known the value of the nearest that is; 0 if none is."""
+    """Extend known values to each other site from the nearest known site; 0 if there is none."""
     if not known.any():
         return np.zeros_like(values)
     nearest = scipy.ndimage.distance_transform_edt(

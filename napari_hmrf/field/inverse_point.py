@@ -13,16 +13,16 @@ import numpy.typing as npt
 from napari_hmrf.field.moved_points import looked_up_with_slopes
 
 Point = TypeVar("Point", bound=tuple[float, ...])
-#: Tissue that is stretched has its sites so many pixels apart at most, or there is a gap.
+#: Largest distance, in pixels, between a point and the nearest moved site; beyond it is a gap.
 _APART = 3.0
-#: Distance outside a tetrahedron, in barycentric coordinates, at which a point is still on its
-#: side; and six times the volume below which one has collapsed.
+#: Distance outside a tetrahedron, in barycentric coordinates, at which a point still counts as
+#: inside; and six times the volume below which a tetrahedron has collapsed.
 _SIDE, _COLLAPSED = 1e-9, 1e-12
-#: Residual, in pixels, below which an origin is exact; largest number of Newton steps towards it;
-#: and the determinant of a step below which it is undefined.
+#: Residual, in pixels, below which an origin is exact; largest number of Newton steps; and
+#: determinant of the slopes below which a step is undefined.
 _EXACT, _STEPS, _FLAT = 1e-7, 8, 1e-3
-#: The corners of the six tetrahedra of a cell, as `inverse_map` draws them: along edges from the
-#: first corner to the last.
+#: Corners of the six tetrahedra of a cell, as in `inverse_map`: each follows three edges from the
+#: first corner of the cell to the last.
 _TETRAHEDRA = np.array(
     [
         np.cumsum([(0, 0, 0), *np.eye(3, dtype=int)[list(way)]], axis=0)
@@ -39,29 +39,31 @@ def inverse_point(
     farthest: npt.NDArray[np.floating] | None = None,
     fraction: float = 1.0,
 ) -> Point | None:
-    """Invert the motion at one point: faster than everywhere, and good to a fraction of a pixel.
+    """Invert the motion at one point, accurate to a fraction of a pixel.
 
-    In a volume it is exact for motion that is trilinear in each cell, as of `inverse_map`.
+    This is faster than the inverse at all sites. In a volume it is exact for motion that is
+    trilinear in each cell.
 
     Parameters
     ----------
     point : tuple of float
-        ([depth,] row, col) in pixels.
+        Position after the motion, ([depth,] row, col) in pixels.
     displacement : ndarray, shape (H, W, 2) or (D, H, W, 3)
-        Material, in the unit of `spacing`.
+        Material displacement, in the unit of `spacing`.
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
     tissue : ndarray of bool, shape ([D,] H, W)
-        What moves.
+        Mask of the tissue that moves.
     farthest : ndarray, shape (n,), optional
-        `farthest_of` the displacement, where it is known: to find it takes longer than the rest.
+        Result of `farthest_of` for the displacement, if known; computing it takes longer than the
+        rest of this function.
     fraction : float
-        How much of the displacement the tissue has moved by.
+        Part of the displacement by which the tissue has moved, from 0 to 1.
 
     Returns
     -------
     tuple of float, or None
-        The X, in pixels, with X + fraction d(X) at the point; None where there is no tissue.
+        Origin X, in pixels, such that X + fraction d(X) is the point; None if there is no tissue.
     """
     size = np.asarray(spacing, dtype=np.float64)
     most = farthest_of(displacement) if farthest is None else farthest
@@ -74,18 +76,18 @@ def inverse_point(
     if any(first >= past for first, past in zip(low, high, strict=True)):
         return None
     window = tuple(slice(first, past) for first, past in zip(low, high, strict=True))
-    there = tissue[window]
+    mask = tissue[window]
     steps = fraction * displacement[window] / size
-    moved = steps + np.moveaxis(np.indices(there.shape), 0, -1) + low
-    exact = _in_cells(moved, there, point) if tissue.ndim == 3 else None
-    origin = _beside_sites(moved, there, point) if exact is None else exact
+    moved = steps + np.moveaxis(np.indices(mask.shape), 0, -1) + low
+    exact = _in_cells(moved, mask, point) if tissue.ndim == 3 else None
+    origin = _near_site(moved, mask, point) if exact is None else exact
     return None if origin is None else cast(Point, tuple((origin + low).tolist()))
 
 
-def _beside_sites(
+def _near_site(
     moved: npt.NDArray[np.float64], tissue: npt.NDArray[np.bool_], point: Sequence[float]
 ) -> npt.NDArray[np.float64] | None:
-    """From the nearest site on, the motion is as linear as its neighbours in tissue say."""
+    """Return the origin by linear motion from the nearest moved site and its neighbours."""
     away = moved - point
     squared = np.where(tissue, (away**2).sum(axis=-1), np.inf)
     site = tuple(int(at) for at in np.unravel_index(int(squared.argmin()), squared.shape))
@@ -108,25 +110,25 @@ def _beside_sites(
 def _in_cells(
     moved: npt.NDArray[np.float64], tissue: npt.NDArray[np.bool_], point: Sequence[float]
 ) -> npt.NDArray[np.float64] | None:
-    """Refine the origin in a tetrahedron to trilinear motion, where a cell lacks no site."""
-    start, is_kept = _in_tetrahedra(moved, tissue, point)
-    if start is None or not is_kept:
+    """Refine the origin in a tetrahedron for trilinear motion, in cells that are all tissue."""
+    start, is_upright = _in_tetrahedra(moved, tissue, point)
+    if start is None or not is_upright:
         return start
-    found, last = start, np.array(tissue.shape) - 1
+    origin, last = start, np.array(tissue.shape) - 1
     for _ in range(_STEPS):
-        inside = ((found >= -_SIDE) & (found <= last + _SIDE)).all()
-        low = np.clip(np.floor(found).astype(int), 0, np.maximum(last - 1, 0))
+        inside = ((origin >= -_SIDE) & (origin <= last + _SIDE)).all()
+        low = np.clip(np.floor(origin).astype(int), 0, np.maximum(last - 1, 0))
         if not (inside and tissue[tuple(slice(at, at + 2) for at in low)].all()):
             return start
-        # Slopes are those of a cell, also in its faces.
-        values, slopes = looked_up_with_slopes(moved, np.clip(found, 0, last)[np.newaxis])
+        # On a face between two cells, the slopes are those of one of them.
+        values, slopes = looked_up_with_slopes(moved, np.clip(origin, 0, last)[np.newaxis])
         away = values[0] - point
         if np.abs(away).max() < _EXACT:
-            return found
+            return origin
         if abs(np.linalg.det(slopes[0])) < _FLAT:
             return start
-        found = found - np.linalg.solve(slopes[0], away)
-        if np.abs(found - start).max() > 1:
+        origin = origin - np.linalg.solve(slopes[0], away)
+        if np.abs(origin - start).max() > 1:
             return start
     return start
 
@@ -134,9 +136,9 @@ def _in_cells(
 def _in_tetrahedra(
     moved: npt.NDArray[np.float64], tissue: npt.NDArray[np.bool_], point: Sequence[float]
 ) -> tuple[npt.NDArray[np.float64] | None, bool]:
-    """Return the origin by the moved tetrahedron around a point, and whether it kept its sides.
+    """Return the origin from the moved tetrahedron around a point, and whether it is not inverted.
 
-    A tetrahedron that is turned over counts if no other is around the point.
+    An inverted tetrahedron is used only if no other contains the point.
     """
     cells = [
         moved[tuple(slice(one, size - 1 + one) for one, size in zip(at, tissue.shape, strict=True))]
@@ -150,16 +152,16 @@ def _in_tetrahedra(
     edges = np.swapaxes(places[:, 1:] - places[:, :1], 1, 2)
     rest = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
     volumes = np.linalg.det(edges) * np.linalg.det(rest)
-    there = tissue[axes].all(axis=1) & (np.abs(volumes) >= _COLLAPSED)
-    edges, volumes, corners = edges[there], volumes[there], corners[there]
-    parts = np.linalg.solve(edges, (point - places[there, 0])[..., np.newaxis])[..., 0]
+    valid = tissue[axes].all(axis=1) & (np.abs(volumes) >= _COLLAPSED)
+    edges, volumes, corners = edges[valid], volumes[valid], corners[valid]
+    parts = np.linalg.solve(edges, (point - places[valid, 0])[..., np.newaxis])[..., 0]
     inside = (parts >= -_SIDE).all(axis=1) & (parts.sum(axis=1) <= 1 + _SIDE)
     for way in (volumes > 0, volumes < 0):
         numbers = np.flatnonzero(inside & way)
         if len(numbers):
             first = numbers[0]
             origin: npt.NDArray[np.float64] = (
-                corners[first, 0] + parts[first] @ rest[there][first].T
+                corners[first, 0] + parts[first] @ rest[valid][first].T
             )
             return origin, bool(volumes[first] > 0)
     return None, False
@@ -167,9 +169,8 @@ def _in_tetrahedra(
 
 def farthest_of(displacement: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
     """Return the largest displacement along each axis, in the unit of the displacement."""
-    rows = displacement.reshape(
-        len(displacement), -1
-    )  # row by row: all pixels at once take far longer
+    # Reducing row by row is much faster than over all pixels at once.
+    rows = displacement.reshape(len(displacement), -1)
     most = np.maximum(rows.max(axis=0), -rows.min(axis=0)).reshape(-1, displacement.shape[-1])
     farthest: npt.NDArray[np.floating] = most.max(axis=0)
     return farthest

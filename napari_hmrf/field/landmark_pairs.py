@@ -1,4 +1,4 @@
-"""Places of a slice that were found again elsewhere."""
+"""Pairs of landmarks on a slice, before and after the motion."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-#: How far, in pixels, two ways may differ and be the same.
+#: Tolerance of equal displacements, in pixels.
 _SAME = 1e-3
 
 
 class LandmarkPairs(NamedTuple):
-    """Landmarks of a slice.
+    """Landmarks on a slice, with their positions before and after the motion.
 
     Attributes
     ----------
-    numbers : ndarray of int
-        Which of their layer they are.
+    numbers : ndarray of int, shape (N,)
+        Index of each landmark in its layer.
     at, to : ndarray, shape (N, n)
-        Where things are and should be, in pixels of the slice.
+        Positions before and after the motion, in pixels of the slice.
     """
 
     numbers: npt.NDArray[np.intp]
@@ -30,31 +30,37 @@ class LandmarkPairs(NamedTuple):
 
     @property
     def contradiction(self) -> tuple[int, int] | None:
-        """The numbers of two of one pixel that should go to different places, if there are any."""
+        """Indices of two landmarks in one pixel with different displacements, or None."""
         first: dict[tuple[float, ...], int] = {}
-        ways = self.to - self.at
-        for each, pixel in enumerate(np.rint(self.at).tolist()):
-            earlier = first.setdefault(tuple(pixel), each)
-            if not np.allclose(ways[each], ways[earlier], atol=_SAME):
-                return int(self.numbers[earlier]), int(self.numbers[each])
+        steps = self.to - self.at
+        for number, pixel in enumerate(np.rint(self.at).tolist()):
+            earlier = first.setdefault(tuple(pixel), number)
+            if not np.allclose(steps[number], steps[earlier], atol=_SAME):
+                return int(self.numbers[earlier]), int(self.numbers[number])
         return None
 
     def radii(self, radius: float, spacing: Sequence[float]) -> list[float]:
-        """A radius for the patch of each, such that none lies on another.
+        """Return the radius of the patch of each landmark, such that no patch covers another.
 
-        Where places are close it is half of the way to the next one: else the later patch would
-        win, and the earlier place not go where it should. Those of one pixel are one patch.
+        The radius is at most half the distance to the next landmark: if patches overlapped, the
+        later patch would overwrite the earlier. Landmarks in one pixel share a patch.
 
         Parameters
         ----------
         radius : float
-            Of those that have room, in the unit of the spacing.
+            Largest radius, in the unit of the spacing.
         spacing : sequence of float, shape (n,)
             Size of a pixel along each axis.
+
+        Returns
+        -------
+        list of float
+            In the unit of the spacing.
         """
-        _, first, which = np.unique(
+        _, first, patches = np.unique(
             np.rint(self.at), axis=0, return_index=True, return_inverse=True
         )
         places = self.at[first] * spacing
-        away = scipy.spatial.KDTree(places).query(places, k=2)[0][:, 1]  # infinite of a single one
-        return [min(radius, half) for half in (away / 2)[which.reshape(-1)].tolist()]
+        # The distance of a single landmark is infinite.
+        away = scipy.spatial.KDTree(places).query(places, k=2)[0][:, 1]
+        return [min(radius, half) for half in (away / 2)[patches.reshape(-1)].tolist()]

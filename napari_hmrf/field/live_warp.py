@@ -1,7 +1,8 @@
 """Repeated warping of the same pictures, during editing or while a slider is moved.
 
-Results are those of `warp` in a tenth of its time: memory is reused, all cores work, and pictures
-are prepared once. A whole volume takes as long as in `warp`; a single slice of it a hundredth.
+Results for slices equal those of `warp` and take a tenth of the time: memory is reused, all cores
+are used, and pictures are prepared only once. A whole volume takes as long as in `warp`; a single
+slice of a volume takes a hundredth of that.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ from napari_hmrf.solver.backends.compile_cache import compiler, loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.problem import as_numbers
 
-# Dtypes that the compiled loops support. Other dtypes are converted to one that holds all their
-# values, so that no further loops need to be compiled. Large integers do not fit a double.
+# Dtypes that the compiled loops support. Other dtypes are converted to one of these that represents
+# all their values, so that no further loops are compiled. 64-bit integers do not fit a double.
 _KNOWN = ("uint8", "float32", "float64")
 _INTERPOLATED = {
     **{name: name for name in _KNOWN},
@@ -44,16 +45,17 @@ _COPIED = {**_INTERPOLATED, "bool": "uint8", "float16": "float32"}
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """An image to move, with its interpolation and fill value.
+    """Image to warp, with its interpolation and fill value.
 
     Parameters
     ----------
     image : array_like, shape ([D,] H, W) or ([D,] H, W, channels)
-        Grey, RGB or RGBA image, or labels (with ``order=0``). Not copied, so do not modify it.
+        Grey, RGB or RGBA image, or labels (with ``order=0``). The array is not copied and must not
+        be modified.
     order : int
-        As for `warp`. 0 and 1 are fast.
+        Order of interpolation, as for `warp`; 0 and 1 are fast.
     fill : float
-        Value of uncovered pixels, which tissue has left without replacement.
+        Value of uncovered pixels: pixels that tissue has left and no other tissue has reached.
     """
 
     image: npt.ArrayLike
@@ -78,7 +80,7 @@ class Warper:
     Raises
     ------
     ProblemError
-        Naming the input at fault.
+        If an input is invalid; the error names it.
 
     Examples
     --------
@@ -106,7 +108,7 @@ class Warper:
         self._everything = np.ones(grid, dtype=bool)
         if n == 3:
             return
-        # An uncovered pixel keeps its last source: it is not used, but must be finite.
+        # The source of an uncovered pixel keeps its last value, which is unused but must be finite.
         self._moved, self._source = np.empty((*grid, 2)), np.zeros((*grid, 2))
         self._reach, self._state = np.empty((grid[0], 2)), np.empty(grid, np.uint8)
 
@@ -116,7 +118,7 @@ class Warper:
         tissue: npt.ArrayLike | None = None,
         fraction: float = 1.0,
     ) -> list[npt.NDArray[Any]]:
-        """Move the pictures; on the compute thread only, because of numba's own threads.
+        """Warp the pictures; call on the compute thread only, because of numba's own threads.
 
         Parameters
         ----------
@@ -136,9 +138,9 @@ class Warper:
         Raises
         ------
         ProblemError
-            Naming the input at fault.
+            If an input is invalid; the error names it.
         RuntimeError
-            On another thread.
+            If called on another thread.
         """
         d, mask = self._checked(displacement, tissue, self.shape)
         if len(self.shape) == 3:
@@ -177,14 +179,14 @@ class Warper:
         *,
         every: int | Sequence[int] = 1,
     ) -> list[npt.NDArray[Any]]:
-        """Move one slice of volumes; on the compute thread only.
+        """Warp one slice of the volumes; call on the compute thread only.
 
         Parameters
         ----------
         number : int
             Index of the slice along the first axis.
         displacement : array_like, shape (D, H, W, 3)
-            As in `__call__`; or only for every `every`-th voxel, and linear in between.
+            As in `__call__`, or given at every `every`-th voxel only and interpolated linearly.
         tissue, fraction
             As in `__call__`.
         every : int, or sequence of int, shape (3,)
@@ -193,20 +195,22 @@ class Warper:
         Returns
         -------
         list of ndarray, shape (H, W) or (H, W, channels)
-            This slice of the results of `__call__`; new arrays on each call.
+            The slice of the results of `__call__`; new arrays on each call.
 
         Raises
         ------
         ProblemError
-            Naming the input at fault.
+            If an input is invalid; the error names it.
         RuntimeError
-            On another thread.
+            If called on another thread.
         """
         steps = tuple(int(step) for step in np.broadcast_to(every, len(self.shape)))
         sites = tuple(-(-size // step) for size, step in zip(self.shape, steps, strict=True))
         d, mask = self._checked(displacement, tissue, sites)
         if not (len(self.shape) == 3 and is_whole(number) and 0 <= number < self.shape[0]):
-            raise ProblemError("number", f"is {shown(number)}. Give a slice of {self.shape}.")
+            raise ProblemError(
+                "number", f"is {shown(number)}. Give the index of a slice of {self.shape} voxels."
+            )
         found = slice_origins(d, number, self._spacing, mask, every=steps, fraction=fraction)
         return [look.slice(found) for look in self._looks]
 
@@ -215,7 +219,7 @@ class Warper:
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
         """Return a checked displacement on `sites` and its tissue, in the dtypes of the loops."""
         if not compute_thread.is_current():
-            raise RuntimeError("a Warper is for jobs of the compute thread; call warp() instead")
+            raise RuntimeError("a Warper works on the compute thread only; call warp() instead")
         d = np.ascontiguousarray(as_numbers("displacement", displacement), dtype=np.float32)
         mask = self._everything
         if tissue is not None:
@@ -237,14 +241,14 @@ class Warper:
     def _without_loops(
         self, d: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], fraction: float
     ) -> list[npt.NDArray[Any]]:
-        """Move the pictures with NumPy and SciPy."""
+        """Warp the pictures with NumPy and SciPy, without compiled loops."""
         moved, _ = moved_sites(d, self._spacing, mask, fraction)
         source, state = triangle_arrays.rasterise(moved, mask)
         return [look.by_splines(source, state, mask) for look in self._looks]
 
 
 class _Look:
-    """A checked picture, prepared for interpolation."""
+    """Checked picture, prepared for interpolation."""
 
     def __init__(self, picture: Picture, grid: tuple[int, ...]) -> None:
         self._image = image = np.ascontiguousarray(as_image(picture.image, grid))
@@ -304,7 +308,7 @@ class _Look:
         state: npt.NDArray[np.uint8],
         tissue: npt.NDArray[np.bool_],
     ) -> npt.NDArray[Any]:
-        """Interpolate with SciPy, which takes any dtype and order, or the loop for volumes."""
+        """Interpolate with SciPy, which supports any dtype and order, or the loop for volumes."""
         covered = (state > 0) | ~tissue
         if tissue.ndim == 2:
             still = covered & (state == 0)
@@ -317,7 +321,7 @@ class _Look:
         source, covered = origins
         planes, first, image = source[covered, 0], 0, self._image
         if self._order < 2 and len(planes):
-            # Source planes and their neighbours, which fill in values that are not finite.
+            # Neighbouring planes are included, because they replace values that are not finite.
             first = max(0, int(planes.min()) - 2)
             image = image[first : int(planes.max()) + 4]
         moved = sampled(image, source - (first, 0, 0), self._order)

@@ -32,14 +32,13 @@ class Measurement(NamedTuple):
     pixels : int
         Number of pixels of the tissue before the motion.
     size : float
-        Area before the motion, in the squared unit of the spacing; in a volume the volume, in the
-        cubed unit.
+        Area before the motion, in the squared unit of the spacing; for a three-dimensional image
+        the volume, in the cubed unit.
     size_change : float
-        Change of area, or in a volume of volume, in per cent. It is computed from the cells
-        between pixels, each of which counts for the tissues at its corners; inverted cells count
-        as negative.
+        Change of the area or volume, in per cent. It is computed from the cells between pixels.
+        Each cell counts for the tissues at its corners; inverted cells count as negative.
     mean_displacement, largest_displacement : float
-        In the unit of the spacing.
+        Length of the displacement, in the unit of the spacing.
     mean_strain, largest_strain : float
         Equivalent strain of von Mises, in per cent, of the kind given by `strain`.
     folds : int
@@ -72,14 +71,14 @@ def measure(
     ----------
     solution : Solution
     labels : array_like of int, shape ([D,] H, W)
-        Labels before the motion. Pixels outside the solution's tissue are left out.
+        Labels before the motion. Pixels outside the solution's tissue are ignored.
     names : mapping of int to str, optional
         Names by label.
 
     Returns
     -------
     tuple of Measurement
-        In the order of the labels; labels without tissue are left out.
+        In the order of the labels; labels without tissue are omitted.
 
     Raises
     ------
@@ -90,8 +89,8 @@ def measure(
     """
     require_kind(Solution, "solution", solution, "the result of solve()")
     if names is not None:
-        what = 'a mapping of labels to names, such as {1: "bone"}'
-        refuse_unless(isinstance(names, Mapping), "names", names, what)
+        requirement = 'a mapping of labels to names, such as {1: "bone"}'
+        refuse_unless(isinstance(names, Mapping), "names", names, requirement)
     image = as_numbers("labels", labels)
     d, tissue = solution.displacement, solution.tissue
     if image.shape != tissue.shape or image.dtype.kind not in "biu":
@@ -105,29 +104,29 @@ def measure(
     change, weight = _changes(solution)
     strain, kind = values_of_strain(solution, equivalent_strain), strain_kind(solution)
     pixel = float(np.prod(spacing))
-    found = []
+    measurements = []
     for label in np.unique(image[tissue]).tolist():
-        there = tissue & (image == label)
-        found.append(
+        mask = tissue & (image == label)
+        measurements.append(
             Measurement(
                 label=int(label),
                 name=(names or {}).get(int(label), ""),
-                pixels=int(there.sum()),
-                size=float(there.sum() * pixel),
-                size_change=float(100 * (np.average(change[there], weights=weight[there]) - 1)),
-                mean_displacement=float(length[there].mean()),
-                largest_displacement=float(length[there].max()),
-                mean_strain=float(100 * np.nanmean(strain[there])),
-                largest_strain=float(100 * np.nanmax(strain[there])),
-                folds=int(folded[there].sum()),
+                pixels=int(mask.sum()),
+                size=float(mask.sum() * pixel),
+                size_change=float(100 * (np.average(change[mask], weights=weight[mask]) - 1)),
+                mean_displacement=float(length[mask].mean()),
+                largest_displacement=float(length[mask].max()),
+                mean_strain=float(100 * np.nanmean(strain[mask])),
+                largest_strain=float(100 * np.nanmax(strain[mask])),
+                folds=int(folded[mask].sum()),
                 strain=kind,
             )
         )
-    return tuple(found)
+    return tuple(measurements)
 
 
 def _changes(solution: Solution) -> tuple[Float64Array, Float64Array]:
-    """Return the factor by which the cells around each site change, and the number of cells."""
+    """Return the mean size ratio of the cells around each site, and the number of these cells."""
     d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
     moved, mask = moved_sites(d, spacing, tissue)
     total, count = np.zeros(mask.shape), np.zeros(mask.shape)
@@ -137,7 +136,7 @@ def _changes(solution: Solution) -> tuple[Float64Array, Float64Array]:
         for corner in _corners(mask.ndim):
             total[slab][corner] += np.nan_to_num(cells)
             count[slab][corner] += np.isfinite(cells)
-    # Tissue too thin to have cells gets the determinants at its sites, with full weight.
+    # Sites without cells, in thin tissue, get the determinant at the site, with full weight.
     alone = jacobian_determinant(d, spacing=spacing, tissue=tissue)
     change = np.divide(total, count, out=alone.astype(np.float64), where=count > 0)
     return change, np.where(count, count, 2**mask.ndim)
@@ -145,23 +144,24 @@ def _changes(solution: Solution) -> tuple[Float64Array, Float64Array]:
 
 def _cells(moved: Float64Array, mask: BoolArray) -> Float64Array:
     """Return the area, or volume, of the cells between sites, 1 at rest; NaN outside tissue."""
-    # Exact if tissue moves linearly along the edges of cells, and negative for inverted cells. So
-    # the areas add up to the area within the outer border, unlike determinants at the sites.
+    # The result is exact if tissue moves linearly along the edges of cells, and is negative for
+    # inverted cells. The areas therefore add up to the area within the outer border of the tissue;
+    # determinants at the sites do not.
     corners = [moved[each] for each in _corners(mask.ndim)]
     if mask.ndim == 2:
         a, b, c, d = corners
-        found = determinant([d - a, c - b]) / -2
+        size = determinant([d - a, c - b]) / -2
     else:
         a, b, c, d, e, f, g, h = corners
         # See Grandy, "Efficient computation of volume of hexahedral cells", 1997.
-        found = determinant([(h - e) + (d - a), h - c, g - a])
-        found += determinant([d - a, (h - c) + (f - a), h - b])
-        found += determinant([h - e, f - a, (h - b) + (g - a)])
-        found /= 12
+        size = determinant([(h - e) + (d - a), h - c, g - a])
+        size += determinant([d - a, (h - c) + (f - a), h - b])
+        size += determinant([h - e, f - a, (h - b) + (g - a)])
+        size /= 12
     whole = np.logical_and.reduce([mask[each] for each in _corners(mask.ndim)])
-    return np.where(whole, found, np.nan)
+    return np.where(whole, size, np.nan)
 
 
 def _corners(ndim: int) -> list[tuple[slice, ...]]:
-    """Return, for each corner of the cells, the slices that select the sites there."""
+    """Return, for each corner of a cell, the slices that select this corner of all cells."""
     return [*product((slice(None, -1), slice(1, None)), repeat=ndim)]

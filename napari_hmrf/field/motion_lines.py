@@ -1,8 +1,8 @@
-"""Lines that show motion which is given: arrows, double arrows, crosses and outlines of patches.
+"""Lines that show prescribed motion: arrows, double arrows, crosses and outlines of patches.
 
-Lines are (start, step) each, shape (N, 2, n). An arrow has two barbs at its head. A double arrow
-speaks of one direction only, and a cross lies where tissue stays. In a volume all but the shafts
-of arrows lies in a plane, that of a slice which is looked at.
+Lines are arrays of (start, step), shape (N, 2, n). An arrow, with two barbs at its head, shows a
+displacement. A double arrow shows that only one component is prescribed. A cross shows that tissue
+is held in place. In a volume all lines except the shafts of arrows lie in the plane of a slice.
 """
 
 from __future__ import annotations
@@ -16,22 +16,35 @@ import numpy.typing as npt
 
 Array = npt.NDArray[Any]
 Float64Array = npt.NDArray[np.float64]
-#: Lines, and the colour of each: red, green, blue and opacity, 0 to 1.
+#: Lines, (N, 2, n), and their colours, (N, 4): red, green, blue and opacity, from 0 to 1.
 Lines = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
 
 _ANGLES = np.linspace(0, 2 * np.pi, 21)
-#: A circle of radius 1, (row, col) around its middle.
+#: Points (row, col) on a circle of radius 1 around the origin.
 CIRCLE = np.stack([np.sin(_ANGLES), np.cos(_ANGLES)], axis=-1)
-#: Length of the barbs and of the cross where tissue is held, in radii of the patch.
+#: Length of the barbs, and of the arms of a cross where tissue is held, in radii of the patch.
 _BARB = 0.5
-#: How far a double arrow goes, in radii of the patch, and the length of its barbs in parts of that.
+#: Half the length of a double arrow, in radii of the patch; length of its barbs relative to that.
 _BEYOND, _TIP = 1.4, 0.25
-#: The arms of the crosses among marks.
+#: Directions of the arms of the crosses of `motion_marks`.
 _X = np.array([[1.0, 1.0], [1.0, -1.0]])
 
 
 def coloured(parts: Iterable[tuple[Array, Sequence[float]]], axes: int = 2) -> Lines:
-    """Lines of several colours together: (start, step) of some, and their colour."""
+    """Concatenate groups of lines, each with a colour.
+
+    Parameters
+    ----------
+    parts : iterable of (ndarray, sequence of float)
+        Lines of each group, shape (N, 2, n), and their colour: red, green, blue and opacity.
+    axes : int
+        Number n of axes.
+
+    Returns
+    -------
+    lines : ndarray, shape (M, 2, n), float32
+    colours : ndarray, shape (M, 4), float32
+    """
     lines, colours = [np.zeros((0, 2, axes))], [np.zeros((0, 4))]
     for drawn, colour in parts:
         lines.append(drawn)
@@ -40,7 +53,7 @@ def coloured(parts: Iterable[tuple[Array, Sequence[float]]], axes: int = 2) -> L
 
 
 def along(places: Array) -> Array:
-    """Lines from each of some places, (N, n), to the next."""
+    """Connect each of N points, shape (N, n), to the next; return N - 1 lines."""
     return np.stack([places[:-1], np.diff(places, axis=0)], axis=1)
 
 
@@ -54,27 +67,28 @@ def patch_lines(
     only: int | None = None,
     is_place: bool = False,
 ) -> Float64Array:
-    """Lines that show how a round patch of tissue is to move.
+    """Draw the prescribed motion of a round patch of tissue.
 
-    An arrow leads from where it was to where it goes; around its head lies the patch's outline. In
-    a volume the patch is a ball: each slice shows the outline of what it cuts off that.
+    An arrow leads from the centre of the patch to its moved position, with the outline of the patch
+    around its head. In a volume the patch is a ball, and each slice shows the circle in which it
+    cuts the ball.
 
     Parameters
     ----------
     at : sequence of float, shape (n,)
-        The middle of the patch, in pixels.
+        Centre of the patch, in pixels.
     by : sequence of float, shape (n,)
-        How far it moves, in the unit of the spacing.
+        Displacement of the patch, in the unit of the spacing.
     radius : float
-        In the unit of the spacing.
+        Radius of the patch, in the unit of the spacing.
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
     across : int
-        Of a volume: the axis across the slices that are looked at.
+        For a volume, the axis across the displayed slices.
     only : int, optional
-        The one axis of which the motion speaks.
+        Axis of the prescribed component, if only one component is prescribed.
     is_place : bool
-        Whether where it was is a place that was found, and has a cross, too.
+        If True, mark the start of the arrow with a cross, too, as for a landmark.
 
     Returns
     -------
@@ -105,18 +119,18 @@ def patch_lines(
 
 
 def motion_marks(at: Array, by: Array, known: Array, apart: float) -> Float64Array:
-    """Marks that say what tissue does at some places: stays, moves, or is free one way.
+    """Draw marks for the prescribed motion of sites: an arrow, a cross or a double arrow.
 
-    In a volume they lie across its first axis.
+    In a volume the marks lie in planes across the first axis.
 
     Parameters
     ----------
     at, by : ndarray, shape (N, n)
-        The places, and how far tissue moves there, in the unit of the spacing.
+        Positions and displacements of the sites, in the unit of the spacing.
     known : ndarray of bool, shape (N, n)
-        Of which axes that is known.
+        Mask of the prescribed components.
     apart : float
-        The room that each has.
+        Distance of neighbouring marks, in the unit of the spacing.
 
     Returns
     -------
@@ -139,14 +153,14 @@ def motion_marks(at: Array, by: Array, known: Array, apart: float) -> Float64Arr
 
 
 def double_arrows(at: Array, way: Array, aside: Array) -> Float64Array:
-    """Lines one way with two barbs at either end: what says nothing of the other ways.
+    """Draw lines with two barbs at either end, for motion with one prescribed component.
 
     Parameters
     ----------
     at : ndarray, shape (N, n)
-        Their middles, in the unit of the spacing.
+        Centres of the lines, in the unit of the spacing.
     way, aside : ndarray, shape (n,)
-        Half of each, and as far to the side to which the barbs point.
+        Half of each line, and a perpendicular vector of the same length in the plane of the barbs.
 
     Returns
     -------
@@ -158,17 +172,17 @@ def double_arrows(at: Array, way: Array, aside: Array) -> Float64Array:
 
 
 def barbed(at: Array, by: Array, back: Array | float, plane: Array) -> Float64Array:
-    """Arrows: shafts, and two barbs at the head of each.
+    """Draw arrows: a shaft and two barbs each.
 
     Parameters
     ----------
     at, by : ndarray, shape (N, n)
-        Where they begin, and how far they go, which is not straight out of the plane; in the unit
-        of the spacing.
+        Starts and steps of the arrows, in the unit of the spacing. No step is perpendicular to the
+        plane.
     back : float or ndarray, shape (N, 1)
-        How far the barbs go back along the shaft.
+        Length of the barbs along the shaft, in the unit of the spacing.
     plane : ndarray, shape (2, n)
-        The two ways in which the barbs lie.
+        Orthonormal vectors of the plane of the barbs.
 
     Returns
     -------
@@ -184,21 +198,21 @@ def barbed(at: Array, by: Array, back: Array | float, plane: Array) -> Float64Ar
 
 
 def crosses(at: Array, arms: Array) -> Float64Array:
-    """Two lines through each of some places, (N, n), along two `arms`, (2, n)."""
+    """Draw two lines through each point `at`, (N, n), along the two `arms`, (2, n)."""
     return _at_each(at, [(-arm, 2 * arm) for arm in arms])
 
 
 def _at_each(at: Array, lines: Iterable[Any]) -> Float64Array:
-    """The same lines, (start, step) each, at each of some places."""
+    """Repeat lines, given as (start, step), at each point `at`, (N, n)."""
     return np.concatenate(
         [np.stack([at + start, np.broadcast_to(step, at.shape)], axis=1) for start, step in lines]
     )
 
 
 def _cuts(at: float, radius: float, step: float) -> Iterator[tuple[float, float]]:
-    """How far off each slice lies that cuts a ball, and the radius of what it cuts off."""
+    """Yield the offset from the centre of a ball, and the radius, of the circle in each slice."""
     nearest, reach = round(at / step), int(radius / step) + 1
-    for number in range(nearest - reach, nearest + reach + 1):  # slices lie at whole pixels
+    for number in range(nearest - reach, nearest + reach + 1):
         off = number * step - at
         left = radius**2 - off**2
         if left > 0 or number == nearest:

@@ -1,4 +1,4 @@
-"""An image, and what lies over it, where one solution after another takes them."""
+"""Image and overlays, warped by one solution after another."""
 
 from __future__ import annotations
 
@@ -16,23 +16,33 @@ Array = npt.NDArray[Any]
 
 
 class MovedPictures:
-    """Moves pictures, and keeps what the next solution needs, too; on the compute thread only."""
+    """Warper of an image and its overlays that is reused from solution to solution.
+
+    Call its methods on the compute thread only.
+    """
 
     def __init__(self) -> None:
         self._warper: tuple[Array | None, tuple[Picture, ...], Warper] | None = None
-        # Of a volume: across which axis, of which image.
+        # Warper of slices of a volume, with the axis across them and the image.
         self._slicer: tuple[int, Array, Warper] | None = None
 
     def whole(
         self, image: Array | None, over: tuple[Picture, ...], solution: Solution | None
     ) -> tuple[Array | None, tuple[Array, ...]]:
-        """The image and what lies over it; as they are without a solution.
+        """Warp the image and the overlays by a solution.
 
         Parameters
         ----------
         image : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4), optional
         over : tuple of Picture
+            Overlays.
         solution : Solution, optional
+            If None, nothing moves.
+
+        Returns
+        -------
+        image : ndarray or None
+        over : tuple of ndarray
         """
         if solution is None:
             return image, tuple(np.array(picture.image) for picture in over)
@@ -56,18 +66,24 @@ class MovedPictures:
         spacing: Sequence[float],
         every: int,
     ) -> Array:
-        """A slice of a volume, where a displacement on a coarse grid takes it.
+        """Warp one slice of a volume by a displacement on a coarse grid.
 
         Parameters
         ----------
         image : ndarray, shape (D, H, W) or (D, H, W, 3 or 4)
         axis, number : int
-            Across which axis of the volume the slice lies, and which of them it is.
+            Axis across the slice, and index of the slice on it.
         displacement : ndarray, shape (d, h, w, 3)
-            At every so many-th voxel, in the unit of the spacing.
+            Material displacement at every `every`-th voxel, in the unit of the spacing.
         tissue : ndarray of bool, shape (D, H, W)
         spacing : sequence of float, shape (3,)
+            Size of a voxel along each axis.
         every : int
+            Step between the voxels of the displacement along each axis.
+
+        Returns
+        -------
+        ndarray, shape of the slice
         """
         order = (axis, *(each for each in range(3) if each != axis))
         known = self._slicer

@@ -1,4 +1,4 @@
-"""Where points of the tissue go, and those of an outline, which bends."""
+"""Motion of points and outlines with the tissue."""
 
 from __future__ import annotations
 
@@ -11,33 +11,34 @@ import scipy
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.problem import as_numbers
 
-#: Pieces of a side of a rectangle, and of an ellipse, which are bent.
+#: Number of line segments that replace a side of a rectangle, and an ellipse.
 _PIECES, _ROUND = 8, 64
 
 
 def moved_points(
     points: npt.ArrayLike, displacement: npt.ArrayLike, *, spacing: Sequence[float]
 ) -> npt.NDArray[np.float64]:
-    """Move points with the tissue: what is at X goes to X + d(X), linear between pixels.
+    """Move points with the tissue from X to X + d(X); d is linear between pixels.
 
     Parameters
     ----------
     points : array_like, shape (N, n)
-        In pixels, in the order of the axes; of an image's edge those beyond it.
+        Positions in pixels, in the order of the axes. Points outside of the image move like the
+        nearest point of its edge.
     displacement : array_like, shape ([D,] H, W, n)
-        Material, in the unit of `spacing`.
+        Material displacement, in the unit of `spacing`.
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
 
     Returns
     -------
     ndarray, shape (N, n), float64
-        In pixels.
+        Moved positions, in pixels.
 
     Raises
     ------
     ProblemError
-        If the points have not as many axes as the field.
+        If the points and the displacement differ in their number of axes.
     """
     d = as_numbers("displacement", displacement)
     at = as_numbers("points", points).astype(np.float64)
@@ -50,9 +51,17 @@ def moved_points(
 def looked_up(
     field: npt.NDArray[np.floating], points: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
-    """Look a field, ([D,] H, W, k), up at points, (N, n) in pixels: linear between its sites.
+    """Interpolate a field linearly at some points; it is constant beyond its edge.
 
-    Beyond its edge it stays as it is there.
+    Parameters
+    ----------
+    field : ndarray, shape ([D,] H, W, k)
+    points : ndarray, shape (N, n)
+        Positions in pixels.
+
+    Returns
+    -------
+    ndarray, shape (N, k), float64
     """
     parts = [
         scipy.ndimage.map_coordinates(field[..., part], points.T, order=1, mode="nearest")
@@ -64,13 +73,20 @@ def looked_up(
 def looked_up_with_slopes(
     field: npt.NDArray[np.floating], points: npt.NDArray[np.float64]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Look a field up as `looked_up` does, and by how much it changes a pixel further.
+    """Interpolate a field and its derivatives linearly at some points.
+
+    Parameters
+    ----------
+    field, points
+        As for `looked_up`.
 
     Returns
     -------
     values : ndarray, shape (N, k)
+        As from `looked_up`.
     slopes : ndarray, shape (N, k, n)
-        Along each axis: between the corners of the cell that a point is in. 0 beyond the edge.
+        Derivatives along each axis, per pixel, in the cell that contains the point; 0 beyond the
+        edge.
     """
     n = points.shape[1]
     last = np.array(field.shape[:-1]) - 1
@@ -81,7 +97,7 @@ def looked_up_with_slopes(
         np.stack([end[:, axis] for end in ends]).reshape(*np.eye(n, dtype=int)[axis] + 1, -1)
         for axis in range(n)
     ]
-    # Axis by axis, of both ends of each cell that is left: the value, and the slopes so far.
+    # Reduce the cells axis by axis: `parts` has the values and then the slopes of the axes so far.
     parts = [field[tuple(corners)].astype(np.float64)]
     for axis in range(n):
         share, inside = (at - low)[:, axis, None], (at == points)[:, axis, None]
@@ -91,20 +107,22 @@ def looked_up_with_slopes(
 
 
 def bendable(corners: npt.NDArray[np.float64], kind: str) -> tuple[npt.NDArray[np.float64], str]:
-    """Describe an outline by points that may each go elsewhere.
+    """Convert a rectangle or an ellipse to a polygon, which can bend with the tissue.
 
     Parameters
     ----------
     corners : ndarray, shape (N, n)
-        In pixels, in the order along the outline; of an ellipse those of the box around it.
+        Vertices in pixels, in the order along the outline; for an ellipse, the corners of its
+        bounding box.
     kind : str
-        "rectangle" or "ellipse"; any other is of points already.
+        Kind of shape in napari; other kinds than "rectangle" and "ellipse" are not converted.
 
     Returns
     -------
     points : ndarray, shape (M, n)
+        Vertices in pixels.
     kind : str
-        "polygon", if it was one of the two.
+        "polygon" for a rectangle or an ellipse, else the given kind.
     """
     if kind == "rectangle":
         part = np.linspace(0, 1, _PIECES, endpoint=False)[:, None]

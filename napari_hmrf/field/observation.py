@@ -1,4 +1,4 @@
-"""What is known of a displacement on the pixels of a slice or volume: by a field, or by arrows."""
+"""Prescribed displacement on the pixels of a slice or volume, from a field or from arrows."""
 
 from __future__ import annotations
 
@@ -14,24 +14,25 @@ from napari_hmrf.field.frame import Frame
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 
-#: How far beyond the middle of its outermost pixels a field reaches, in pixels.
+#: Distance from the centres of its outermost pixels to which a field extends, in pixels.
 _REACH = 0.5 + 1e-3
 
 
 class Observation(NamedTuple):
-    """What is known of a displacement on the pixels of a slice or volume.
+    """Displacement that is known at some pixels of a slice or volume.
 
     Attributes
     ----------
     displacement : ndarray, shape (H, W, 2) or (D, H, W, 3), float32
-        In the slice's unit; 0 where it is not known.
+        Displacement in the unit of the slice; 0 at other pixels.
     known : ndarray of bool, shape ([D,] H, W)
-        Where a field reaches, or an arrow starts.
+        Mask of the pixels that a field covers, or at which an arrow starts.
     out : float
-        How far a field leads out of the slice at most, or how many arrows point straight out of it,
-        which do not count: the displacement does not say so. Nothing leads out of a volume.
+        For a field, the largest component across the slice, which `displacement` does not contain;
+        for arrows, the number of arrows perpendicular to the slice, which are ignored. 0 for a
+        volume.
     note : str
-        What was taken for granted of units, as a clause; "" if nothing.
+        Clause about an assumption on units; "" if there is none.
     """
 
     displacement: npt.NDArray[np.float32]
@@ -41,14 +42,14 @@ class Observation(NamedTuple):
 
 
 class PixelField(NamedTuple):
-    """A field, and where its grid lies.
+    """Displacement field in pixels, with the place of its grid.
 
     Attributes
     ----------
     field : DisplacementField
-        In the pixels of its grid, along all of its axes.
+        Field in the pixels of its grid, with components along all its axes.
     frame : Frame
-        Of the grid, at its first site.
+        Place of the grid, at its first site.
     """
 
     field: DisplacementField
@@ -56,26 +57,39 @@ class PixelField(NamedTuple):
 
     @classmethod
     def of(cls, solution: Solution, place: Frame) -> PixelField:
-        """The field of a solution on the pixels of its slice or volume."""
+        """Return the field of a solution on the pixels of its slice or volume."""
         pixels = place.put_field(solution.displacement / solution.spacing)
         return cls(DisplacementField.in_pixels(pixels), place)
 
     def on(self, frame: Frame, shape: tuple[int, ...]) -> Observation:
-        """Look the field up at the pixels of a slice or volume, wherever these lie.
+        """Resample the field on the pixels of a slice or volume, by their places in the world.
 
-        Where the world of either has no unit of length, pixels are taken for pixels.
+        If only one of the grids has a unit of length, pixels of both grids are assumed to
+        correspond.
+
+        Parameters
+        ----------
+        frame : Frame
+            Place of the slice or volume.
+        shape : tuple of int
+            Shape of the slice or volume.
+
+        Returns
+        -------
+        Observation
 
         Raises
         ------
         ProblemError
-            If the field reaches no pixel of the slice, or pixels cannot be taken for pixels.
+            If the field covers no pixel of the slice, or the units cannot be converted and the
+            grids have different shapes.
         """
         own, more = self.field.shape, self.frame.ndim - frame.ndim
         if min(frame.plane) + more < 0 or max((1, *own[: max(more, 0)])) > 1:
             raise ProblemError(
                 "observed",
-                f"is {grid_in_words(own)}, and the image is no slice of that. Give both the same "
-                "axes.",
+                f"is {grid_in_words(own)}, and the image is not a slice of this grid. Give both "
+                "the same axes.",
             )
         to, back = self.frame.from_pixels_of(frame), frame.from_pixels_of(self.frame)
         if to is None or back is None:
@@ -85,7 +99,9 @@ class PixelField(NamedTuple):
         at = sites.reshape(-1, frame.ndim) @ to[:, :-1].T + to[:, -1] - self.frame.index
         known = ((at > -_REACH) & (at < np.array(own) - 1 + _REACH)).all(axis=1)
         if not known.any():
-            raise ProblemError("observed", "lies elsewhere than the image. Give both one place.")
+            raise ProblemError(
+                "observed", "lies elsewhere than the image. Give both the same place."
+            )
         steps = np.zeros((len(at), frame.ndim))
         steps[known] = self.field.at(at[known]) @ back[:, :-1].T
         sizes = np.linalg.norm(np.array(frame.matrix)[:-1, :-1], axis=0)
@@ -99,16 +115,16 @@ class PixelField(NamedTuple):
         if tuple(own[axis] for axis in axes) != shape or math.prod(own) != math.prod(shape):
             raise ProblemError(
                 "observed",
-                f"is {grid_in_words(own)} in {self.frame.unit}, but the image "
+                f"is {grid_in_words(own)} in {self.frame.unit}, but the image is "
                 f"{grid_in_words(shape)} in {frame.unit}. Give the image its place in units of "
-                "length, or take a field on its pixels.",
+                "length, or use a field on its pixels.",
             )
         ends, last = [axis - 1 for axis in axes], range(-len(axes) - 1, -1)
         ordered = np.moveaxis(self.field.displacement, ends, tuple(last))
         d = ordered.reshape(*shape, -1)[..., axes] * frame.spacing
         note = (
-            f"is in {self.frame.unit} and the image in {frame.unit}: a pixel of the one was taken "
-            "for a pixel of the other. Give the image its unit of length if that is wrong"
+            f"is in {self.frame.unit} and the image in {frame.unit}: the pixels of both are "
+            "assumed to be the same. Give the image its unit of length if that is wrong"
         )
         return Observation(d.astype(np.float32), np.ones(shape, bool), 0.0, note)
 
@@ -119,24 +135,28 @@ def arrow_observation(
     spacing: tuple[float, ...],
     shape: tuple[int, ...],
 ) -> Observation:
-    """What arrows say, each counting for the pixel it starts in.
+    """Return the displacement given by arrows, each at the pixel in which it starts.
 
     Parameters
     ----------
     vectors : ndarray, shape (N, 2, D)
-        Of a Vectors layer, in the pixels of the image.
+        Arrows of a Vectors layer as (start, step), in the pixels of the image.
     own : Frame
-        The layer's slice or volume.
+        Place of the slice or volume in the layer.
     spacing : tuple of float, shape (n,)
         Size of a pixel along each axis of the grid, in the unit of the displacement.
     shape : tuple of int, shape (n,)
-        The grid.
+        Shape of the grid.
+
+    Returns
+    -------
+    Observation
 
     Raises
     ------
     ProblemError
-        By the arrow's number, if it starts outside the grid, disagrees with another in its pixel,
-        or holds NaN.
+        If an arrow starts outside the grid, differs from another arrow in the same pixel, or has
+        NaN; the error names its number.
     """
     bad = np.flatnonzero(~np.isfinite(vectors).all(axis=(1, 2)))
     if len(bad):
@@ -166,7 +186,7 @@ def arrow_observation(
         first = conflict[0]
         raise ProblemError(
             "observed",
-            f"has vectors that start in the same pixel and differ, as vector {rows[first]} at "
-            f"{tuple(at[first].tolist())}. Keep one for each pixel.",
+            f"has different vectors that start in the same pixel, such as vector {rows[first]} at "
+            f"{tuple(at[first].tolist())}. Keep one vector for each pixel.",
         )
     return Observation(y, known, int((here & outward).sum()))

@@ -1,4 +1,4 @@
-"""A motion as it is met by another grid: by a film, a volume, or pixels of another size."""
+"""Motion of a solution on other grids: time series, volumes, or pixels of another size."""
 
 from __future__ import annotations
 
@@ -20,28 +20,29 @@ from napari_hmrf.field.warp import inverse_map
 from napari_hmrf.solver.solution import Solution
 
 Array = npt.NDArray[Any]
-#: How far, in pixels, two grids may lie apart and be the same.
+#: Largest distance between corresponding pixels of equal grids, in pixels.
 _SAME = 1e-3
-#: How far from a slice, in slices, is on it.
+#: Largest distance of a point on a slice from the centre of the slice, in slices.
 _ON = 0.5
-#: What an axis of space is called that has no unit of length.
+#: Names of spatial axes that may have no unit of length.
 _DEPTHS = ("z", "depth", "slice", "plane", "section")
 
 
 @dataclass(frozen=True, eq=False)
 class OtherGrid:
-    """A grid that lies on the tissue of a solution, and moves with it.
+    """Grid that overlaps a solution and moves with its tissue.
 
-    What lies beside the solution's pixels, or on another slice than its own, stays.
+    Points outside of the solution's pixels, or on another slice, stay in place.
 
     Attributes
     ----------
     solution : Solution
     to : ndarray, shape (m + k, n + 1)
-        From the grid's pixels, homogeneous, to the solution's along its m axes, and then to how
-        many slices it is from the solution's along each of k axes.
+        Transform from homogeneous pixels of the grid. The first m rows give pixels along the axes
+        of the solution; the others give the distance from the slice of the solution, in slices,
+        along the k axes across it.
     plane : sequence of int, shape (m,)
-        The grid's axes that are those of the solution.
+        Axes of the grid that correspond to the axes of the solution.
     """
 
     solution: Solution
@@ -50,35 +51,39 @@ class OtherGrid:
 
     @classmethod
     def of(cls, solution: Solution, frame: Frame, own: Frame) -> OtherGrid:
-        """A grid that may have other pixels than a solution, and more axes.
+        """Return a grid, which may have other pixels and more axes than the solution.
 
-        Along an axis of space the slice of the solution is moved; along others, such as time,
-        channels, or one of which nobody has said what it is, all that there is.
+        Only the slice of the solution moves along a spatial axis across it. All slices move along
+        other axes, such as time, channels, or an axis of unknown meaning.
 
         Parameters
         ----------
         solution : Solution
         frame, own : Frame
-            Where the solution lies, and where the grid does.
+            Places of the solution and of the grid.
+
+        Returns
+        -------
+        OtherGrid
 
         Raises
         ------
         ProblemError
-            If the grid's axes have no unit in common with the solution's, or it is at an angle to
-            it.
+            If the units of the grid cannot be converted to those of the solution, or the grid is
+            at an angle to the slice of the solution.
         """
         more = own.ndim - frame.ndim
         plane = [axis + more for axis in frame.plane]
         if min(plane) < 0:
-            raise ProblemError("observed", f"has {own.ndim} axes, and not those of the result.")
+            raise ProblemError("observed", f"has {own.ndim} axes and lacks an axis of the result.")
         across = [axis for axis in frame.others if axis + more >= 0 and _is_space(frame, axis)]
         counted = [*frame.plane, *across]
-        found = frame.from_pixels_of(own, counted)
-        if found is None:
+        transform = frame.from_pixels_of(own, counted)
+        if transform is None:
             raise ProblemError(
-                "observed", "is measured in other units than the result. Give it those."
+                "observed", "has other units than the result. Give both the same units."
             )
-        to = found[counted]
+        to = transform[counted]
         out = to[len(plane) :]
         out[:, -1] -= np.array(frame.index)[across]
         if np.abs(out[:, plane]).max(initial=0.0) * max(solution.tissue.shape) > 1:
@@ -86,33 +91,46 @@ class OtherGrid:
         return cls(solution, to, plane)
 
     def moved_points(self, points: Array) -> Array:
-        """Move points, (N, n) in the grid's pixels, to where their tissue has gone."""
-        at, there = self._at(points)
-        steps = looked_up(self.solution.displacement / self.solution.spacing, at[there])
+        """Move points with the tissue; positions are in pixels of the grid, shape (N, n)."""
+        at, inside = self._at(points)
+        steps = looked_up(self.solution.displacement / self.solution.spacing, at[inside])
         moved = points.astype(float)
-        moved[np.ix_(np.flatnonzero(there), np.array(self.plane))] += steps @ self._back.T
+        moved[np.ix_(np.flatnonzero(inside), np.array(self.plane))] += steps @ self._back.T
         return moved
 
     def moved_pixels(self, pixels: Array, *, order: int) -> Array:
-        """Move an image on the grid, which may have colours; by `order` as `warp`."""
+        """Warp an image on the grid.
+
+        Parameters
+        ----------
+        pixels : ndarray
+            Image on the grid, which may have colours on a last axis.
+        order : int
+            Order of interpolation, as for `warp`.
+
+        Returns
+        -------
+        ndarray
+            Warped copy of the image.
+        """
         moved, n = np.array(pixels), self.to.shape[1] - 1
         others = [axis for axis in range(n) if axis not in self.plane]
         slices = np.moveaxis(moved, self.plane, range(len(others), n))
-        before, found = None, None
+        before, origins = None, None
         for numbers in np.ndindex(*slices.shape[: len(others)]):
             index = np.zeros(n)
             index[others] = numbers
             at = np.round(self.to @ [*index, 1.0], 6)
-            if before is None or not np.array_equal(at, before):  # along time it is the same
-                before, found = at, self._origins_on(index, slices.shape[len(others) : n])
-            if found is not None:
+            if before is None or not np.array_equal(at, before):  # along time it is unchanged
+                before, origins = at, self._origins_on(index, slices.shape[len(others) : n])
+            if origins is not None:
                 picture = slices[numbers]
                 fill = 0 if order == 0 else emptiness(picture, len(self.plane))
-                slices[numbers] = resample(picture, *found, order=order, fill=fill)
+                slices[numbers] = resample(picture, *origins, order=order, fill=fill)
         return moved
 
     def _at(self, points: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Where points are on the solution's pixels, and which of them are there at all."""
+        """Return points in pixels of the solution, and a mask of the points inside of it."""
         at = points @ self.to[:, :-1].T + self.to[:, -1]
         size = np.array(self.solution.tissue.shape)
         within, across = at[:, : len(size)], at[:, len(size) :]
@@ -120,26 +138,26 @@ class OtherGrid:
         return within, inside.all(axis=1) & (np.abs(across) <= _ON).all(axis=1)
 
     def _origins_on(self, index: Array, shape: tuple[int, ...]) -> tuple[Array, Array] | None:
-        """Where the pixels of a slice came from, and which are seen; None if all stay."""
+        """Return the origins and the cover mask of the pixels of a slice; None if none moves."""
         sites = np.moveaxis(np.indices(shape), 0, -1).reshape(-1, len(shape))
         points = np.zeros((len(sites), len(index))) + index
         points[:, self.plane] = sites
-        at, there = self._at(points)
-        if not there.any():
+        at, inside = self._at(points)
+        if not inside.any():
             return None
         origins, covered = self._origins
         if shape == covered.shape and np.abs(at - sites).max() < _SAME:
             return origins, covered
-        came, seen = sites.astype(float), np.ones(len(sites), dtype=bool)
-        came[there] += looked_up(self._inverse, at[there]) @ self._back.T
-        nearest = np.clip(np.rint(at[there]).astype(int), 0, np.array(covered.shape) - 1)
-        seen[there] = covered[tuple(nearest.T)]
-        seen &= ((came > -_ON) & (came < np.array(shape) - 1 + _ON)).all(axis=1)
-        return came.reshape(*shape, len(shape)), seen.reshape(shape)
+        sources, visible = sites.astype(float), np.ones(len(sites), dtype=bool)
+        sources[inside] += looked_up(self._inverse, at[inside]) @ self._back.T
+        nearest = np.clip(np.rint(at[inside]).astype(int), 0, np.array(covered.shape) - 1)
+        visible[inside] = covered[tuple(nearest.T)]
+        visible &= ((sources > -_ON) & (sources < np.array(shape) - 1 + _ON)).all(axis=1)
+        return sources.reshape(*shape, len(shape)), visible.reshape(shape)
 
     @cached_property
     def _back(self) -> Array:
-        """Steps of the solution's pixels, in the grid's."""
+        """Matrix from steps in pixels of the solution to steps in pixels of the grid."""
         inverse: Array = np.linalg.inv(self.to[: len(self.plane)][:, list(self.plane)])
         return inverse
 
@@ -160,6 +178,6 @@ class OtherGrid:
 
 
 def _is_space(frame: Frame, axis: int) -> bool:
-    """Whether an axis is known to be one of space."""
+    """Return whether an axis is spatial by its unit or its name."""
     length = np.isfinite(unit_factor(frame.units[axis], "millimeter"))
     return bool(length) or frame.axis_labels[axis].lower() in _DEPTHS

@@ -17,9 +17,9 @@ Quantity = Literal[
     "magnitude", "jacobian", "equivalent", "stretch", "squeeze", "rows", "columns", "shear"
 ]
 _PER_CENT = 100.0
-#: Titles and units of the quantities; the unit "" stands for that of the lengths, "{kind}" for the
-#: `StrainKind`. Strains are in per cent; of a volume those of rows and columns, and the shear
-#: between them, are those within its slices.
+#: Title and unit of each quantity; the unit "" stands for the unit of length, "{kind}" for the
+#: `StrainKind`. The strains along rows and columns, and their shear, are the components within
+#: slices, also for a volume.
 QUANTITIES: dict[Quantity, tuple[str, str]] = {
     "magnitude": ("displacement", ""),
     "jacobian": ("Jacobian", "area ratio"),
@@ -33,7 +33,7 @@ QUANTITIES: dict[Quantity, tuple[str, str]] = {
 
 
 def title_and_unit(quantity: Quantity, solution: Solution) -> tuple[str, str]:
-    """Return the title of a quantity of a solution, which names the kind of a strain; its unit."""
+    """Return the title and the unit of a quantity; the title of a strain names its kind."""
     title, unit = QUANTITIES[quantity]
     if solution.tissue.ndim == 3:
         unit = unit.replace("area", "volume")
@@ -41,18 +41,18 @@ def title_and_unit(quantity: Quantity, solution: Solution) -> tuple[str, str]:
 
 
 class Coloured(NamedTuple):
-    """A quantity of the tissue before it moved, and the scale of its colours.
+    """Quantity of the tissue, on the pixels before the motion, with its colour scale.
 
     Attributes
     ----------
     values : ndarray, shape ([D,] H, W), float32
-        In the unit of `QUANTITIES`: strains in per cent. NaN where there is no tissue.
+        Values in the unit of `QUANTITIES`; NaN outside tissue.
     limits : (float, float)
-        Where the scale begins and ends.
+        Ends of the scale.
     signed : bool
-        Whether no change is in the middle of the scale, and not at its lower end.
+        True if no change is in the middle of the scale; False if it is at its lower end.
     folded : bool
-        Whether there are folds, which are at the lower limit, or beyond.
+        True if there are folds, whose values are at the lower limit or below.
     """
 
     values: FloatArray
@@ -62,15 +62,20 @@ class Coloured(NamedTuple):
 
 
 def coloured(solution: Solution, quantity: Quantity) -> Coloured:
-    """Compute a quantity, and how far its scale has to go.
+    """Compute a quantity and the ends of its colour scale.
 
     Parameters
     ----------
     solution : Solution
     quantity : {"magnitude", "jacobian", "equivalent", "stretch", "squeeze", "rows", "columns", \
 "shear"}
-        Strains are of the kind that `strain_kind` says; "stretch" and "squeeze" are the principal
-        ones, of an image those within it. "jacobian" is as of `area_change`.
+        Strains are of the kind given by `strain_kind`. "stretch" and "squeeze" are the largest and
+        the smallest principal strain, for an image within its plane. "jacobian" is that of
+        `area_change`.
+
+    Returns
+    -------
+    Coloured
     """
     values, signed = values_of(solution, quantity), quantity not in ("magnitude", "equivalent")
     if quantity == "jacobian":
@@ -82,7 +87,20 @@ def coloured(solution: Solution, quantity: Quantity) -> Coloured:
 
 
 def values_of(solution: Solution, quantity: Quantity, fraction: float = 1.0) -> FloatArray:
-    """Compute the values of `coloured` alone, after a part of the deformation."""
+    """Compute the values of a quantity after a fraction of the deformation.
+
+    Parameters
+    ----------
+    solution, quantity
+        As for `coloured`.
+    fraction : float
+        Part of the displacement, from 0 to 1.
+
+    Returns
+    -------
+    ndarray, shape ([D,] H, W), float32
+        As `values` of `Coloured`.
+    """
     tissue = solution.tissue
     if quantity == "magnitude":
         return np.where(tissue, fraction * magnitude(solution.displacement), np.float32(np.nan))
@@ -101,10 +119,10 @@ def values_of(solution: Solution, quantity: Quantity, fraction: float = 1.0) -> 
 
 
 def area_change(solution: Solution, fraction: float = 1.0) -> FloatArray:
-    """Compute the factor by which the area, or volume, of each site changes.
+    """Compute the ratio of the areas, or volumes, after and before the motion at each site.
 
-    NaN where there is no tissue. Where tissue folds it is the smallest determinant around the site,
-    so that it is 0 or below at all folds.
+    The ratio is the Jacobian determinant; at folds it is the smallest determinant around the site,
+    so that it is 0 or below at all folds. It is NaN outside tissue.
     """
     displacement = solution.displacement * np.float32(fraction)
     return determinant_or_fold(displacement, solution.spacing, solution.tissue)

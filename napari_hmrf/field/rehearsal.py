@@ -1,7 +1,7 @@
-"""Compiling what tissue that follows the mouse will need, before the mouse is pressed.
+"""Compilation of the loops and shaders of a drag before the first drag.
 
-Whatever was compiled on a machine once is there for good, so this mostly takes no time; where it
-does, the first drag would wait for it.
+Compiled code is cached on disk, so that this takes time only once per machine. Without this module,
+the first drag would wait for the compiler.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solve import CancelFlag, Progress, run_here
 
+#: Sites along each axis of the small problem.
 _SIZE = 24
 
 
@@ -32,19 +33,22 @@ def rehearse(
     left: CancelFlag,
     more: bool = False,
 ) -> None:
-    """Solve something small, and move a corner of a picture; on the compute thread only.
+    """Solve a small problem and warp a corner of an image, which compiles the code that they use.
+
+    Call on the compute thread only.
 
     Parameters
     ----------
     prior : Prior
     image : ndarray, shape ([D,] H, W) or ([D,] H, W, channels)
-        Will move.
+        Image that the drag will warp.
     spacing : tuple of float, shape (n,)
-        Of its pixels.
+        Size of its pixels along each axis.
     report, left
         As `progress` and `cancel` of `solve`.
     more : bool
-        Have ready what not every drawing needs: holds that may slip, paint, and confidence.
+        If True, compile code for features that only some drawings use: constraints that may slip,
+        painted labels, and confidence.
     """
     if left.is_set():
         return
@@ -55,7 +59,7 @@ def rehearse(
         kinds = (np.uint8, np.float32)
         pictures = [Picture(np.zeros(shape, kind), order=0) for kind in kinds]
     if isinstance(prior, Elastic) and prior.penalty in (None, math.inf):
-        slips = more and n == 2  # in volumes nothing does
+        slips = more and n == 2  # constraints of volumes do not slip
         prior = replace(prior, penalty=1.0 if slips else math.inf)
     y, c = np.zeros((2, *shape, n))
     c[0] = c[-1] = 1
@@ -64,6 +68,7 @@ def rehearse(
     small = prior.rehearsal(problem.shape)
     run_here(problem, small, Multigrid(TOLERANCE), "auto", report, left)
     tissue = np.ones(np.shape(pictures[0].image)[:n], dtype=bool)
-    tissue.setflags(write=False)  # as a solution's, which to numba is a type of its own
+    # The tissue of a solution is read-only, and numba compiles separate loops for such arrays.
+    tissue.setflags(write=False)
     for picture in pictures:
         Warper(picture, spacing=spacing)(np.zeros((*tissue.shape, n), np.float32), tissue)

@@ -32,7 +32,7 @@ def resample(
 ) -> npt.NDArray[Any]:
     """Interpolate an image at the coordinates of an `inverse_map`.
 
-    A NaN or infinite pixel does not spread: it is left out of the interpolation around it.
+    NaN and infinite pixels do not spread: the interpolation around them ignores them.
 
     Parameters
     ----------
@@ -50,33 +50,34 @@ def resample(
     Raises
     ------
     ProblemError
-        Naming the input at fault.
+        If an input is invalid; the error names it.
     """
     source = as_numbers("coordinates", coordinates).astype(np.float64, copy=False)
-    there = as_numbers("covered", covered).astype(bool, copy=False)
-    if source.shape != (*there.shape, there.ndim) or there.ndim not in (2, 3):
+    mask = as_numbers("covered", covered).astype(bool, copy=False)
+    if source.shape != (*mask.shape, mask.ndim) or mask.ndim not in (2, 3):
         raise ProblemError(
             "coordinates",
-            f"have shape {source.shape} and covered {there.shape}. Give both of an inverse_map.",
+            f"have shape {source.shape}, but covered has {mask.shape}. Give both results of "
+            "inverse_map.",
         )
-    picture = as_image(image, there.shape)
+    picture = as_image(image, mask.shape)
     order = checked_order(order)
     background = checked_fill(fill, picture.dtype)
-    if there.ndim == 3:
-        found = _by_loop(picture, source, there, order, background)
-        if found is not None:
-            return found
+    if mask.ndim == 3:
+        resampled = _by_loop(picture, source, mask, order, background)
+        if resampled is not None:
+            return resampled
     known = np.asarray(np.isfinite(source).all(axis=-1))
     if not known.all():
-        if (there & ~known).any():
+        if (mask & ~known).any():
             raise ProblemError(
                 "coordinates",
-                f"are NaN or infinite at {int((there & ~known).sum())} pixels that are covered. "
-                "Give both of an inverse_map.",
+                f"are NaN or infinite at {int((mask & ~known).sum())} covered pixels. Give both "
+                "results of inverse_map.",
             )
         source = np.where(known[..., None], source, 0.0)
     moved = sampled(picture, source, order)
-    moved[~there] = background
+    moved[~mask] = background
     return moved
 
 
@@ -111,18 +112,18 @@ def _by_loop(
     fill = background.view(np.float64) if bits else background.astype(taken)
     images = loops.only_read(values), loops.only_read(smooth), gaps
     places = [loops.only_read(np.ascontiguousarray(each)) for each in (source, covered)]
-    how = nearest, kind.kind != "f", fill[()]
+    settings = nearest, kind.kind != "f", fill[()]
 
     def looked_up() -> bool:
         return all(
-            look_up(*images, *(each[slab] for each in places), *how, moved[slab])
+            look_up(*images, *(each[slab] for each in places), *settings, moved[slab])
             for slab in slabs(covered.shape)
         )
 
     if not compute_thread.result_of(looked_up, "a volume to be looked up"):
         return None
-    found = moved.view(kind) if bits else moved.astype(kind, copy=False)
-    return found.reshape(picture.shape)
+    moved = moved.view(kind) if bits else moved.astype(kind, copy=False)
+    return moved.reshape(picture.shape)
 
 
 def _numbers_for(kind: np.dtype[Any]) -> str:
@@ -156,19 +157,23 @@ def unknown_values(picture: npt.NDArray[Any], axes: int, name: str) -> str:
 
     Parameters
     ----------
-    picture : ndarray, shape ([D,] H, W) or with channels last
+    picture : ndarray, shape ([D,] H, W) or ([D,] H, W, channels)
     axes : int
-        Number of its axes that are not channels.
+        Number of axes before the channels: 2, or 3 for a volume.
     name : str
-        Name of the picture.
+        Name of the picture, with which the clause begins.
+
+    Returns
+    -------
+    str
     """
     if picture.dtype.kind != "f" or np.isfinite(picture).all():
         return ""
     unknown = ~np.isfinite(picture).reshape(*picture.shape[:axes], -1).all(axis=-1)
     count, sites = int(unknown.sum()), "voxel" if axes == 3 else "pixel"
     return (
-        f"{name} is NaN or infinite at {count} {sites}{'s' * (count > 1)}, which stay so where "
-        "they move"
+        f"{name} is NaN or infinite at {count} {sites}{'s' * (count > 1)}, and remains so "
+        "where they move"
     )
 
 
@@ -180,8 +185,14 @@ def on_finer_grid(solution: Solution, tissue: BoolArray, step: int) -> Solution:
     solution : Solution
         Solution on an image, (h, w).
     tissue : ndarray of bool, shape (H, W)
+        Tissue on the finer grid.
     step : int
         Distance of neighbouring sites of the solution along each axis, in pixels.
+
+    Returns
+    -------
+    Solution
+        Solution on the finer grid, (H, W).
     """
     parts = np.moveaxis(solution.displacement, -1, 0)
     scale, shape = (1 / step, 1 / step), tissue.shape
@@ -202,15 +213,16 @@ def on_finer_grid(solution: Solution, tissue: BoolArray, step: int) -> Solution:
 
 
 def emptiness(picture: npt.NDArray[Any], axes: int = 2) -> Any:
-    """Return the fill value of uncovered pixels: black, or the lowest value (air in CT).
+    """Return the fill value of uncovered pixels: 0 for colours, else the lowest grey value.
 
-    The value is a plain Python number, because a float cannot hold the largest integers.
+    The lowest value is air in CT. It is returned as a Python number of its type, because a float
+    cannot represent the largest integers.
 
     Parameters
     ----------
     picture : ndarray, shape ([D,] H, W) or ([D,] H, W, channels)
     axes : int
-        Number of axes before the channels: 3 for a volume.
+        Number of axes before the channels: 2, or 3 for a volume.
     """
     finite = picture[np.isfinite(picture)] if picture.dtype.kind == "f" else picture
     return 0 if picture.ndim > axes or not finite.size else finite.min().item()
@@ -230,16 +242,16 @@ def as_image(image: npt.ArrayLike, grid: tuple[int, ...]) -> npt.NDArray[Any]:
 
 
 def checked_order(order: int) -> int:
-    """Check the order of a spline."""
+    """Check the order of spline interpolation."""
     if real(order) not in (0, 1, 2, 3, 4, 5):
-        raise ProblemError("order", f"is {shown(order)}. Take 0 (nearest), 1 (linear) or up to 5.")
+        raise ProblemError("order", f"is {shown(order)}. Use 0 (nearest), 1 (linear) or up to 5.")
     return int(order)
 
 
 def checked_fill(fill: float, dtype: np.dtype[Any]) -> Any:
     """Convert the fill value to the image's dtype, or refuse it if it does not fit."""
     try:
-        # Compare integers as integers: as floats the largest are one too large.
+        # Integers are compared as integers: the largest, as floats, would be rounded up.
         whole = dtype.kind in "iu" and isinstance(fill, int | np.integer)
         value = fill if whole else float(fill)
         low, high = (0, 1) if dtype.kind == "b" else (-math.inf, math.inf)
@@ -254,12 +266,14 @@ def checked_fill(fill: float, dtype: np.dtype[Any]) -> Any:
 
 
 def filled_in(values: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], BoolArray]:
-    """Replace NaN and infinite values by that of the nearest finite pixel: 0 times NaN is NaN.
+    """Replace each NaN or infinite value by that of the nearest finite pixel.
+
+    Interpolation needs this, because even a weight of 0 spreads a NaN.
 
     Returns
     -------
     values : ndarray, shape ([D,] H, W)
-        The given array itself if all values are finite, or none.
+        The given array itself if all of its values are finite, or none is.
     bad : ndarray, shape ([D,] H, W), bool
         Mask of the values that were not finite.
     """
@@ -278,7 +292,7 @@ def _interpolated(
     nearest: tuple[npt.NDArray[np.intp], ...],
     order: int,
 ) -> npt.NDArray[Any]:
-    """Interpolate one channel at real-valued coordinates, keeping its dtype."""
+    """Interpolate one channel at real-valued coordinates and keep its dtype."""
     values = channel if channel.dtype in (np.float32, np.float64) else channel.astype(np.float64)
     values, bad = filled_in(values)
     moved: npt.NDArray[Any] = scipy.ndimage.map_coordinates(values, at, order=order, mode="nearest")
@@ -288,7 +302,7 @@ def _interpolated(
             moved = np.where(bad[nearest], channel[nearest], moved)
         return moved
     bounds = np.iinfo(channel.dtype)
-    # The largest 64-bit integers lie between two floats: the lower one is in range.
+    # The largest 64-bit integers are no floats: the nearest lower float is in the range.
     highest = float(bounds.max)
     if int(highest) > bounds.max:
         highest = math.nextafter(highest, 0)

@@ -1,4 +1,4 @@
-"""Volumes a few planes at a time, so that whoever cancels does not wait for the rest."""
+"""Slabs of a volume, between which a job can be cancelled."""
 
 from __future__ import annotations
 
@@ -7,29 +7,31 @@ from collections.abc import Iterator
 
 from napari_hmrf.solver.backends.thread import compute_thread
 
-#: Voxels that a core goes through in a sixth of a second by the slowest of the loops here, or less;
-#: and planes below which a core makes too much of what it shares with its neighbours.
-VOXELS, _PLANES = 2**20, 4
+#: Number of voxels of a slab per core; the slowest loop takes a sixth of a second for them.
+VOXELS = 2**20
+#: Smallest number of planes per core; with fewer, the planes shared by two cores cost too much.
+_PLANES = 4
 
 
 def slabs(shape: tuple[int, ...], cores: int = 1) -> Iterator[slice]:
-    """Cut a volume into slabs of planes; before each, look whether the work is still wanted.
+    """Yield the slabs of a volume in their order, and check for cancellation before each.
 
     Parameters
     ----------
     shape : (int, int, int)
+        Shape of the volume.
     cores : int
-        How many share a slab.
+        Number of cores that share a slab.
 
     Yields
     ------
     slice
-        Of planes, in their order.
+        Range of planes.
 
     Raises
     ------
     Cancelled
-        As of `ComputeThread.look`.
+        If the job was cancelled, as by `ComputeThread.look`.
     """
     planes = cores * max(_PLANES, VOXELS // max(1, math.prod(shape[1:])))
     for begin in range(0, shape[0], planes):
@@ -38,6 +40,21 @@ def slabs(shape: tuple[int, ...], cores: int = 1) -> Iterator[slice]:
 
 
 def with_neighbours(slab: slice, depth: int) -> tuple[slice, slice]:
-    """A slab and a plane on either side, of a volume so deep; and where in that the slab is."""
+    """Return a slab widened by a plane on either side, and the place of the slab in that.
+
+    Parameters
+    ----------
+    slab : slice
+        Range of planes.
+    depth : int
+        Number of planes of the volume, to which the result is limited.
+
+    Returns
+    -------
+    wide : slice
+        Widened range of planes.
+    inner : slice
+        Range of the slab's planes within `wide`.
+    """
     first, last = max(slab.start - 1, 0), min(slab.stop + 1, depth)
     return slice(first, last), slice(slab.start - first, slab.stop - first)

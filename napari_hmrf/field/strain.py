@@ -1,19 +1,19 @@
 """Deformation gradient, area change and strain of a displacement at each site.
 
-All quantities are *material*: a value at the site X belongs to the tissue that lay at X before the
-motion, on the pixel grid of the displacement, wherever that tissue is now. With the displacement
-d(X), its gradient H = dd/dX and the deformation gradient F = I + H they are
+All quantities are *material*: a value at the site X belongs to the tissue that was at X before the
+motion, on the pixel grid of the displacement. With the displacement d(X), its gradient H = dd/dX
+and the deformation gradient F = I + H they are
 
     area ratio            J = det F                        1: unchanged, 0 or below: folded
     small strain          e = (H + H^T) / 2                valid for small motions without rotation
     Green-Lagrange strain E = (F^T F - I) / 2              valid for any motion; 0 for a rotation
 
 Differences are central, one-sided where a neighbour is missing, and never taken across the border
-of the tissue; along an axis on which a site has no neighbour it counts as unstrained. They are
-those of `jacobian_determinant`, which is det F. Tensors are in (row, col) order: [..., 0, 1] is the
-change of the row component along a column step; in a volume the order is (depth, row, col). Strains
-have no unit (0.01 is one per cent); the displacement and `spacing` must share theirs. All values
-are NaN where there is no tissue.
+of the tissue; a site without neighbours along an axis counts as unstrained along that axis. The
+differences are those of `jacobian_determinant`, which is det F. Tensors are in (row, col) order:
+[..., 0, 1] is the change of the row component along a column step; in a volume the order is
+(depth, row, col). Strains have no unit (0.01 is one per cent); displacement and `spacing` must have
+the same unit. All values are NaN outside tissue.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ __all__ = [
     "strain_through_slice",
 ]
 
-#: Number of planes of a volume whose strains are in memory at a time.
+#: Number of planes of a volume whose strains are computed together, to limit memory.
 _SLAB = 8
 # Number of sites computed between two checks for cancellation.
 _AT_ONCE = 2**17
@@ -68,7 +68,7 @@ def deformation_gradient(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
-    """Return the local stretch and rotation of tissue: F = d(X + d(X)) / dX.
+    """Return the deformation gradient F = I + dd/dX, the local stretch and rotation of tissue.
 
     Parameters
     ----------
@@ -77,18 +77,18 @@ def deformation_gradient(
     spacing : float or sequence of float, shape (n,)
         Size of a pixel along each axis, or along all of them.
     tissue : array_like of bool, shape ([D,] H, W), optional
-        By default everything.
+        Mask of the tissue; by default all sites.
 
     Returns
     -------
     ndarray, shape ([D,] H, W, n, n), float32
-        F[..., i, j] is the component along axis i of an original unit step along axis j; NaN where
-        there is no tissue.
+        F[..., i, j] is the component along axis i of the deformed unit step along axis j. NaN
+        outside tissue.
 
     Raises
     ------
     ProblemError
-        Naming the input at fault.
+        If an input is invalid; the error names it.
     """
     gradient, mask = displacement_gradient(displacement, spacing, tissue)
     return on_sites(gradient + np.eye(mask.ndim), mask)
@@ -110,13 +110,14 @@ def fold_mask(
     Returns
     -------
     ndarray, shape ([D,] H, W), bool
-        True if the determinant at the site is 0 or below in any element that has it as a corner.
-        This is stricter than J <= 0, which misses a site that jumps over its neighbour and back.
+        True if the determinant at the site is 0 or below in any of its elements, as for
+        `count_folds`. This finds more folds than J <= 0, which misses a single site that has moved
+        past its neighbour.
 
     Raises
     ------
     ProblemError
-        Naming the input at fault.
+        If an input is invalid; the error names it.
     """
     folded: BoolArray = smallest_determinant(displacement, spacing, tissue) <= 0
     return folded
@@ -130,8 +131,8 @@ def small_strain(
 ) -> FloatArray:
     """Return the strain of linear elasticity, e = (H + H^T) / 2, as used by `ElasticPrior`.
 
-    Tissue that rotates by an angle a seems to shrink by 1 - cos(a) in this strain, but not in
-    `green_lagrange_strain`.
+    In this strain, tissue that rotates by an angle a seems to shrink by 1 - cos(a); in
+    `green_lagrange_strain` it does not.
 
     Parameters
     ----------
@@ -142,12 +143,12 @@ def small_strain(
     -------
     ndarray, shape ([D,] H, W, n, n), float32
         Symmetric; [..., i, i] is the strain along an axis, [..., i, j] half the change of the angle
-        between two axes. NaN where there is no tissue.
+        between two axes. NaN outside tissue.
 
     Raises
     ------
     ProblemError
-        Naming the input at fault.
+        If an input is invalid; the error names it.
     """
     gradient, mask = displacement_gradient(displacement, spacing, tissue)
     return on_sites(symmetric(gradient), mask)
@@ -159,9 +160,10 @@ def green_lagrange_strain(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> FloatArray:
-    """Return the Green-Lagrange strain, E = (F^T F - I) / 2, in which rotations do not count.
+    """Return the Green-Lagrange strain, E = (F^T F - I) / 2, which is 0 for a rotation.
 
-    The motion makes a fibre along the unit vector a sqrt(1 + 2 a.E a) times as long.
+    The motion changes the length of a fibre along the unit vector a by the factor
+    sqrt(1 + 2 a.E a).
 
     Parameters
     ----------
@@ -171,12 +173,12 @@ def green_lagrange_strain(
     Returns
     -------
     ndarray, shape ([D,] H, W, n, n), float32
-        Symmetric, in the axes before the motion; NaN where there is no tissue.
+        Symmetric, in the order of the axes, before the motion. NaN outside tissue.
 
     Raises
     ------
     ProblemError
-        Naming the input at fault.
+        If an input is invalid; the error names it.
     """
     gradient, mask = displacement_gradient(displacement, spacing, tissue)
     return on_sites(green_lagrange(gradient), mask)
@@ -184,7 +186,7 @@ def green_lagrange_strain(
 
 def green_lagrange(gradient: Float64Array) -> Float64Array:
     """Return the Green-Lagrange strain of displacement gradients H, shape (N, n, n)."""
-    # (F^T F - I) / 2 is computed from H, so that small strains are not lost beside the ones of I.
+    # (F^T F - I) / 2 is computed from H, because in F small strains are rounded off next to 1.
     product = np.einsum("...ki,...kj->...ij", gradient, gradient)
     return np.asarray(symmetric(gradient) + product / 2)
 
@@ -196,21 +198,22 @@ def values_by_parts(
 ) -> FloatArray:
     """Compute a scalar from the strain of each site.
 
-    A volume is processed a few planes at a time: all its strains take nine times the memory.
+    A volume is processed a few planes at a time, because the strains of all its sites would take
+    nine times the memory of the result.
 
     Parameters
     ----------
     strains : callable
-        Returns the strains of the tissue in a range of the first axis, (N, n, n); for an image
-        the strains across its plane, (N,) or 0; and the mask of the sites.
+        Returns, for a range of the first axis, the strains of the tissue, (N, n, n); for an image
+        the strains across its plane, (N,) or 0; and the mask of the N sites.
     value : callable
-        Computes scalars, shape (N,), from the first two.
+        Computes scalars, shape (N,), from both strains.
     tissue : ndarray of bool, shape ([D,] H, W)
 
     Returns
     -------
     ndarray, shape ([D,] H, W), float32
-        NaN where there is no tissue.
+        NaN outside tissue.
     """
     slab = len(tissue) if tissue.ndim == 2 else _SLAB
     values = np.full(tissue.shape, np.nan, np.float32)
@@ -243,7 +246,7 @@ def principal_strains(strain: npt.ArrayLike) -> FloatArray:
     Returns
     -------
     ndarray, shape (..., n), float32
-        The largest (stretch) first; NaN where the strain is NaN.
+        In descending order, so that the largest stretch comes first; NaN where the strain is NaN.
 
     Raises
     ------
@@ -263,18 +266,18 @@ def principal_strains(strain: npt.ArrayLike) -> FloatArray:
 def equivalent_strain(strain: npt.ArrayLike, through: npt.ArrayLike = 0.0) -> FloatArray:
     """Return the equivalent strain of von Mises, a scalar measure of distortion.
 
-    sqrt(2/3 e':e'), where e' = e - tr(e)/3 I is the part of the strain in space that changes shape
-    and not volume. A bar of incompressible tissue stretched by e along its axis has the value e;
-    a simple shear by g has g / sqrt(3).
+    It is sqrt(2/3 e':e'), where e' = e - tr(e)/3 I is the deviatoric part of the strain, which
+    changes the shape and not the volume. A bar of incompressible tissue that is stretched by e
+    along its axis has the value e; a simple shear by g has the value g / sqrt(3).
 
     Parameters
     ----------
     strain : array_like, shape (..., 2, 2), or (..., 3, 3) of a volume
         Symmetric; for an image, the strain in its plane.
     through : array_like, shape (...)
-        The strain across the plane of an image, which the image does not determine: 0 for a slice
-        held between its neighbours, `strain_through_slice` for one free to bulge. Shears across
-        the plane are taken as 0. Ignored for a volume.
+        Strain across the plane of an image, which the image does not determine: 0 for a slice held
+        between its neighbours, `strain_through_slice` for a slice that is free to bulge. Shears
+        across the plane are taken as 0. Ignored for a volume.
 
     Returns
     -------
@@ -306,7 +309,7 @@ def equivalent_strain(strain: npt.ArrayLike, through: npt.ArrayLike = 0.0) -> Fl
 
 
 def strain_through_slice(strain: npt.ArrayLike, poisson: npt.ArrayLike) -> FloatArray:
-    """Return the strain across a thin, free slice (plane stress): -nu/(1 - nu) (e_rr + e_cc).
+    """Return the strain across a slice in plane stress: -nu / (1 - nu) (e_rr + e_cc).
 
     Parameters
     ----------
@@ -323,7 +326,7 @@ def strain_through_slice(strain: npt.ArrayLike, poisson: npt.ArrayLike) -> Float
     Raises
     ------
     ProblemError
-        Naming the input at fault.
+        If the strain has another shape, or Poisson's ratio is out of range.
     """
     tensor = _as_strain(strain, 2)
     ratio = as_numbers("poisson", poisson).astype(np.float64)
@@ -336,7 +339,7 @@ def strain_through_slice(strain: npt.ArrayLike, poisson: npt.ArrayLike) -> Float
 def displacement_gradient(
     displacement: npt.ArrayLike, spacing: Spacing, tissue: npt.ArrayLike | None
 ) -> tuple[Float64Array, BoolArray]:
-    """Return H = dd/dX, shape (N, n, n) without a unit, for the N sites of tissue; and a mask."""
+    """Return the gradient H = dd/dX at the N sites of tissue, (N, n, n), and their mask."""
     moved, mask = moved_sites(displacement, spacing, tissue)
     sizes = checked_sizes(spacing, mask.ndim)
     if mask.ndim == 3 and loops.ready_for_volumes():
@@ -347,15 +350,15 @@ def displacement_gradient(
     gradient = np.empty((*moved.shape, mask.ndim))
     for axis, (following, previous) in enumerate(differences_along_axes(moved, mask)):
         gradient[..., axis] = (following + previous) / 2 - np.eye(mask.ndim)[axis]
-    # Convert from pixels to lengths: pixel sizes may differ between axes.
+    # Convert steps in pixels to lengths, because pixel sizes may differ between axes.
     return gradient[mask] * (sizes[:, None] / sizes), mask
 
 
 def on_sites(values: Float64Array, mask: BoolArray) -> FloatArray:
-    """Scatter values at the sites of tissue to all pixels; NaN where there is no tissue."""
-    made = np.full((*mask.shape, *values.shape[1:]), np.nan, np.float32)
-    made[mask] = values
-    return made
+    """Scatter values at the sites of tissue to all pixels; NaN outside tissue."""
+    image = np.full((*mask.shape, *values.shape[1:]), np.nan, np.float32)
+    image[mask] = values
+    return image
 
 
 def symmetric(tensor: Float64Array) -> Float64Array:

@@ -1,8 +1,8 @@
-"""The compiled loops behind `warp` of volumes: draw moved tetrahedra of sites into an inverse map.
+"""Compiled loops that draw the moved tetrahedra of a volume's sites into an inverse map.
 
-Imports numba; `warp` imports this module when a volume is moved first, and only then is it
-compiled. All loops are in this file, because numba's cache notices when this file changes, not when
-one that it imports does.
+This module imports numba; `warp` imports it when the first volume is warped, and only then are its
+loops compiled. All loops are in one file, because numba's cache is invalidated by changes of this
+file, but not by changes of modules that it imports.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator, misc"
@@ -17,34 +17,35 @@ _LOOPS = {"error_model": "numpy", "no_cfunc_wrapper": True}
 _callee = numba.njit(no_cpython_wrapper=True, **_LOOPS)
 _kept = {"cache": True, "nogil": True, **_LOOPS}
 
-# Distance outside a tetrahedron, in barycentric coordinates, at which a voxel is still on its side.
+# Distance outside a tetrahedron, in barycentric coordinates, at which a voxel counts as inside.
 _SIDE = 1e-9
 # Six times the volume, in voxels, below which a tetrahedron has collapsed and covers nothing.
 _COLLAPSED = 1e-12
-# Voxels between two places from which tissue came, up to which they are one: neighbours.
+# Largest distance, in voxels, between two origins of a voxel that belong to the same tissue.
 _NEAR = 1.0
-# The state of a voxel that two parts of the tissue have moved onto.
+# State of a voxel onto which two parts of the tissue have moved.
 TWICE = 3
-# By plane, row and column, the second and the third corner of the tetrahedra that lead along edges
-# from the first corner of a cell to its last; and which way round each is. That is Kuhn's division,
-# in which the tetrahedra of cells beside each other share their sides.
+# Kuhn's division of a cell into six tetrahedra, each along three edges from the first corner of the
+# cell to the last: second corner, third corner (plane, row, column) and orientation of each. With
+# this division, neighbouring cells share the faces of their tetrahedra.
 _SECOND = ((1, 0, 0), (1, 0, 0), (0, 1, 0), (0, 1, 0), (0, 0, 1), (0, 0, 1))
 _THIRD = ((1, 1, 0), (1, 0, 1), (1, 1, 0), (0, 1, 1), (1, 0, 1), (0, 1, 1))
 _ROUND = (1.0, -1.0, -1.0, 1.0, 1.0, -1.0)
-# One step along each axis, and the pairs of these that squares have for sides.
+# Unit step along each axis, and pairs of axes that span squares.
 _UNITS = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 _PAIRS = ((0, 1), (0, 2), (1, 2))
-# Residual, in voxels, below which an origin is exact; largest number of Newton steps towards it;
-# and the determinant of a step below which it is undefined.
+# Residual, in voxels, below which an origin is exact; largest number of Newton steps; and
+# determinant of the gradient below which a step is undefined.
 _EXACT, _STEPS, _FLAT = 1e-7, 8, 1e-3
-# Steps of the corners of a cell may differ by so many voxels, all axes together, and none of its
-# tetrahedra be turned over: below 1 no matrix of three of its edges can be singular.
+# Largest difference between the displacements of a cell's corners, in voxels, summed over the axes,
+# for which no tetrahedron is checked for inversion. Below 1 the matrix of three edges of a cell is
+# never singular.
 _ALIKE = 0.9
 
 
 @_callee
 def _mark(source, state, value, plane, row, col, from_plane, from_row, from_col):
-    """Say where the tissue on a voxel came from, unless another part has come first."""
+    """Store the origin of the tissue on a voxel, unless another part of it was drawn before."""
     if state[plane, row, col] < value:
         state[plane, row, col] = value
         source[plane, row, col, 0] = from_plane
@@ -60,11 +61,11 @@ def _mark(source, state, value, plane, row, col, from_plane, from_row, from_col)
 
 @_callee
 def _draw(moved, source, state, value, first, past, plane, row, col, way):
-    """Draw a moved tetrahedron of a cell if its orientation is the one asked for."""
-    # `value` is 2 for those that kept their orientation and 1 for those that were turned over; a
-    # voxel that already holds as much is left alone, but for a mark if what it holds came from
-    # elsewhere. Only planes from `first` to before `past` are drawn on. Returns whether this one
-    # was turned over, unless it reaches none of them.
+    """Draw a moved tetrahedron if it has the requested orientation; return True if inverted."""
+    # `value` is 2 to draw tetrahedra that kept their orientation, and 1 to draw inverted ones. A
+    # voxel whose state is already that high is unchanged, except that it is marked if its tissue
+    # has another origin. Only planes from `first` to before `past` are drawn. The result is False
+    # for a tetrahedron that does not reach these planes.
     b0, b1, b2 = _SECOND[way]
     c0, c1, c2 = _THIRD[way]
     az = moved[plane, row, col, 0]
@@ -83,7 +84,8 @@ def _draw(moved, source, state, value, first, past, plane, row, col, way):
     cx = moved[plane + c0, row + c1, col + c2, 2] - ax
     dy = moved[plane + 1, row + 1, col + 1, 1] - ay
     dx = moved[plane + 1, row + 1, col + 1, 2] - ax
-    # The sides' normals: a place is so far from each, measured by the corner opposite.
+    # Normals of the faces. Their products with a position are its barycentric coordinates times
+    # six times the volume.
     bnz, bny, bnx = cy * dx - cx * dy, cx * dz - cz * dx, cz * dy - cy * dz
     cnz, cny, cnx = dy * bx - dx * by, dx * bz - dz * bx, dz * by - dy * bz
     dnz, dny, dnx = by * cx - bx * cy, bx * cz - bz * cx, bz * cy - by * cz
@@ -122,7 +124,7 @@ def _draw(moved, source, state, value, first, past, plane, row, col, way):
 
 @_callee
 def _is_inner(tissue, plane, row, col):
-    """Return whether all neighbours of a site, across corners too, are tissue."""
+    """Return whether all 26 neighbours of a site are tissue."""
     depth, height, width = tissue.shape
     if min(plane, row, col) < 1 or plane > depth - 2 or row > height - 2 or col > width - 2:
         return False
@@ -146,7 +148,7 @@ def _is_face(tissue, plane, row, col):
 
 @_callee
 def _steps_of(moved, plane, row, col):
-    """The least and the largest step of these four along each axis."""
+    """Return the least and the largest step of the four sites of `_is_face` along each axis."""
     least, most = (math.inf, math.inf, math.inf), (-math.inf, -math.inf, -math.inf)
     for corner in range(4):
         i, j = plane + corner // 2, row + corner % 2
@@ -158,7 +160,7 @@ def _steps_of(moved, plane, row, col):
 
 @_callee
 def _claims(moved, source, state, plane, row, col, way, to_plane, to_row, to_col):
-    """Draw a tetrahedron that kept its orientation onto one voxel; whether it lies there."""
+    """Draw a tetrahedron that kept its orientation onto a voxel; return whether it covers it."""
     b0, b1, b2 = _SECOND[way]
     c0, c1, c2 = _THIRD[way]
     az, ay, ax = moved[plane, row, col, 0], moved[plane, row, col, 1], moved[plane, row, col, 2]
@@ -190,9 +192,10 @@ def _claims(moved, source, state, plane, row, col, way, to_plane, to_row, to_col
 
 @_callee
 def _draw_alike(moved, source, state, first, past, plane, row, col, least, most):
-    """Draw a whole cell whose corners make much the same step, as its tetrahedra would be."""
-    # Tissue at a voxel came from the voxel less a step between these: most often one tetrahedron
-    # can hold that origin, and no other is tested. The first of those that share a side has it.
+    """Draw all tetrahedra of a cell whose corners have nearly the same displacement."""
+    # The origin of a voxel is the voxel less a step between `least` and `most`. Usually only one
+    # tetrahedron can contain this origin, and no other is tested. On a face between two
+    # tetrahedra, the first of them is used, as in `_draw`.
     _, height, width = state.shape
     first_plane = math.ceil(max(1.0 * first, plane + least[0] - _SIDE))
     last_plane = math.floor(min(past - 1.0, plane + 1 + most[0] + _SIDE))
@@ -207,7 +210,8 @@ def _draw_alike(moved, source, state, first, past, plane, row, col, least, most)
                 if shifted:
                     _mark(source, state, 2, z, y, x, z - least[0], y - least[1], x - least[2])
                     continue
-                # True where the share along the first of two axes may be as large as the other's.
+                # `zy` is True if the origin may be as far along z as along y in the cell; the other
+                # names have the same meaning for their axes.
                 deep, down, along = z - plane, y - row, x - col
                 zy = deep - least[0] > down - most[1] - 2 * _SIDE
                 yz = down - least[1] > deep - most[0] - 2 * _SIDE
@@ -241,7 +245,7 @@ def _reaches(moved, first, past, plane, row, col):
 
 @_callee
 def _draw_cell(moved, tissue, source, state, value, first, past, plane, row, col):
-    """Draw the tetrahedra of a cell one by one; whether one was turned over."""
+    """Draw the tetrahedra of a cell one by one; return whether one of them is inverted."""
     turned = False
     if not (tissue[plane, row, col] and tissue[plane + 1, row + 1, col + 1]):
         return False
@@ -257,12 +261,12 @@ def _draw_cell(moved, tissue, source, state, value, first, past, plane, row, col
 
 @_callee
 def _draw_row(moved, tissue, source, state, value, first, past, plane, row):
-    """Draw a row of cells; whether a tetrahedron was turned over."""
+    """Draw a row of cells; return whether a tetrahedron is inverted."""
     turned = whole = False
     nothing = 0.0, 0.0, 0.0
     least, most = nothing, nothing
     for col in range(-1, tissue.shape[2] - 1):
-        # The face behind a cell is the one before the next.
+        # Neighbouring cells share a face, whose steps are computed once.
         begins, low, high = whole, least, most
         whole = _is_face(tissue, plane, row, col + 1)
         if whole:
@@ -299,8 +303,8 @@ def _tetrahedra(moved, tissue, source, state, reach, first, past):
 
 @_callee
 def _patch(moved, source, state, longest, first, past, plane, row, col, one, other):
-    """Draw the moved square that two unit steps make from a site onto voxels still empty."""
-    # A step of (0, 0, 0) makes it a line, and two of these a dot.
+    """Draw the moved square that two unit steps span from a site onto voxels that are empty."""
+    # If one step is (0, 0, 0), the square is a line; if both are, it is a point.
     _, height, width = state.shape
     i, j, k = plane + one[0], row + one[1], col + one[2]
     az, ay, ax = moved[plane, row, col, 0], moved[plane, row, col, 1], moved[plane, row, col, 2]
@@ -311,7 +315,8 @@ def _patch(moved, source, state, longest, first, past, plane, row, col, one, oth
     cz, cy, cx = moved[i, j, k, 0], moved[i, j, k, 1], moved[i, j, k, 2]
     along = max(abs(bz - az), abs(by - ay), abs(bx - ax), abs(dz - cz), abs(dy - cy), abs(dx - cx))
     across = max(abs(cz - az), abs(cy - ay), abs(cx - ax), abs(dz - bz), abs(dy - by), abs(dx - bx))
-    # Half a voxel at a time, by rounding no more; what is larger than the volume lies outside.
+    # Points are at most half a voxel apart. Edges longer than the volume lie mostly outside of it,
+    # so that their number of points is limited.
     steps = math.ceil(2.0 * min(along, longest) - _SIDE)
     rows = math.ceil(2.0 * min(across, longest) - _SIDE)
     for number in range(steps + 1):
@@ -335,7 +340,7 @@ def _patch(moved, source, state, longest, first, past, plane, row, col, one, oth
 
 @_callee
 def _outline(moved, tissue, outer, source, state, reach, longest, first, past):
-    """Draw sites, and lines and squares between outermost ones, onto what is empty of these."""
+    """Draw outermost sites, and lines and squares between them, onto voxels that are empty."""
     depth, height, width = tissue.shape
     nowhere = 0, 0, 0
     for size in range(3):  # sites first, then lines, then squares
@@ -364,7 +369,7 @@ def _outline(moved, tissue, outer, source, state, reach, longest, first, past):
 
 @_callee
 def _is_square(tissue, plane, row, col, one, other):
-    """Return whether the corners of the square that two steps make from a site are tissue."""
+    """Return whether the other corners of the square that two steps span from a site are tissue."""
     return (
         _holds(tissue, plane + one[0], row + one[1], col + one[2])
         and _holds(tissue, plane + other[0], row + other[1], col + other[2])
@@ -376,14 +381,14 @@ def _is_square(tissue, plane, row, col, one, other):
 
 @_callee
 def _holds(tissue, plane, row, col):
-    """Return whether there is tissue at a site, which may lie beyond the last."""
+    """Return whether there is tissue at a site; False beyond the end of an axis."""
     depth, height, width = tissue.shape
     return plane < depth and row < height and col < width and tissue[plane, row, col]
 
 
 @_callee
 def _stay(tissue, source, state, first, past):
-    """Leave what is no tissue in place where no tissue came."""
+    """Make each voxel of void, onto which no tissue has moved, its own origin."""
     for plane in range(first, past):
         for row in range(tissue.shape[1]):
             for col in range(tissue.shape[2]):
@@ -401,7 +406,7 @@ def _is_cell(tissue, plane, row, col):
 
 @_callee
 def _low(place, size):
-    """Return the index of the cell along an axis, or -1 outside the sites."""
+    """Return the index along an axis of the cell that contains a position, or -1 if none does."""
     if place < -_SIDE or place > size - 1 + _SIDE:
         return -1
     return max(0, min(size - 2, math.floor(place)))
@@ -409,7 +414,7 @@ def _low(place, size):
 
 @_callee
 def _refined(moved, tissue, to_plane, to_row, to_col, start):
-    """Return the origin for motion that is trilinear in each cell, or `start` if there is none."""
+    """Return the origin for motion that is trilinear in each cell, or `start` if not found."""
     depth, height, width = tissue.shape
     z, y, x = start
     for _ in range(_STEPS):
@@ -456,10 +461,11 @@ def _refined(moved, tissue, to_plane, to_row, to_col, start):
 
 @numba.njit(parallel=True, **_kept)
 def refine(moved, tissue, begin, end, slabs, source, state):
-    """Refine the result of `rasterise` to motion that is trilinear in each cell of eight sites.
+    """Refine the result of `rasterise` for motion that is trilinear in each cell of eight sites.
 
-    That is the motion of the elements, and of points. Cells that lack a site keep their tetrahedra,
-    and so does tissue that has folded over itself. Outlines are drawn afterwards.
+    The finite elements and `moved_points` interpolate the motion in the same way. The motion stays
+    linear on tetrahedra in cells that lack a site, and in tissue that has folded over itself.
+    `outline` is called after this function.
 
     Parameters
     ----------
@@ -490,21 +496,21 @@ def refine(moved, tissue, begin, end, slabs, source, state):
 
 @numba.njit(parallel=True, **_kept)
 def surface(moved, tissue):
-    """Find what `rasterise` needs to know of the tissue first.
+    """Find the surface of the tissue, and the planes that it has moved to, for `rasterise`.
 
     Parameters
     ----------
     moved : ndarray, shape (D, H, W, 3), float64
-        Where each site has moved, in voxels along the axes.
+        Moved position of each site, in voxels along the axes.
     tissue : ndarray, shape (D, H, W), bool
-        Which sites there are.
+        Mask of the tissue.
 
     Returns
     -------
     outer : ndarray, shape (D, H, W), bool
-        Tissue that does not lie between tissue on all sides.
+        Mask of tissue that has a neighbour outside the tissue.
     reach : ndarray, shape (D, 2), float64
-        The first and the last plane of voxels, as real numbers, that sites of a plane moved to.
+        Smallest and largest moved position along the first axis of the sites of each plane.
     """
     depth, height, width = tissue.shape
     outer = np.empty(tissue.shape, np.bool_)
@@ -528,29 +534,32 @@ def surface(moved, tissue):
 def rasterise(moved, tissue, reach, begin, end, slabs, source, state):
     """Invert the motion of the sites, linear on each tetrahedron of four neighbouring sites.
 
-    Each cell of 2 x 2 x 2 sites is six tetrahedra; of one that lacks corners those are drawn that
-    lack none. `refine` and `outline` complete the result.
+    Each cell of 2 x 2 x 2 sites consists of six tetrahedra; in cells at the border of the tissue
+    only tetrahedra with four corners of tissue are drawn. `refine` and `outline` complete the
+    result.
 
-    Each core fills planes of its own, and draws on them in the same order, however many there are:
-    the result is the same to the bit, and so it is if planes are drawn on by several calls.
+    Each core fills planes of its own and draws all tetrahedra in the same order. The result is
+    therefore equal bit by bit for any number of cores, and for any division of the planes among
+    several calls.
 
     Parameters
     ----------
     moved : ndarray, shape (D, H, W, 3), float64
-        Where each site has moved, in voxels along the axes.
+        Moved position of each site, in voxels along the axes.
     tissue : ndarray, shape (D, H, W), bool
-        Which sites there are.
+        Mask of the tissue.
     reach : ndarray, shape (D, 2), float64
         From `surface`.
     begin, end : int
-        Only planes of voxels from `begin` to before `end` are drawn on.
+        Only planes of voxels from `begin` to before `end` are drawn.
     slabs : int
-        Into so many slabs these are cut, one or a few for each core.
+        Number of slabs into which these planes are divided, one or a few for each core.
     source : ndarray, shape (P, H, W, 3), float64
-        Zeros, overwritten by where the tissue now on each voxel came from, in voxels.
+        Output, zeros before: origin of the tissue on each voxel, in voxels.
     state : ndarray, shape (P, H, W), uint8
-        Zeros, overwritten by 0 where nothing came, 1 by a tetrahedron turned over, 2 by one that
-        was not, 3 by two that were not, from places more than a voxel apart.
+        Output, zeros before: 0 if no tissue has moved onto the voxel, 1 for an inverted
+        tetrahedron, 2 for one that is not inverted, 3 for two that are not inverted and whose
+        origins are more than a voxel apart.
     """
     for number in numba.prange(slabs):
         slab = np.int64(number)
@@ -561,21 +570,22 @@ def rasterise(moved, tissue, reach, begin, end, slabs, source, state):
 
 @numba.njit(parallel=True, **_kept)
 def outline(moved, tissue, outer, reach, longest, begin, end, slabs, source, state):
-    """Fill voxels that no tetrahedron covers from the outline of the tissue, or as no tissue.
+    """Fill voxels that no tetrahedron covers from the outline of the tissue, or as void.
 
-    A voxel goes to the site, the line or the square between outermost sites that has moved onto it,
-    if any: tissue one voxel thin survives, and all tissue reaches half a voxel beyond its outermost
-    sites, as voxels do.
+    The outline consists of the outermost sites and of the lines and squares between them. With it,
+    tissue that is one voxel thin remains visible, and all tissue extends half a voxel beyond its
+    outermost sites, as voxels do.
 
     Parameters
     ----------
     outer : ndarray, shape (D, H, W), bool
         From `surface`.
     longest : float
-        How many voxels the volume is long in all; of what is torn no more is drawn closely.
+        Sum of the sides of the volume, in voxels. It limits the number of points that are drawn of
+        a line or square that is stretched further.
     moved, tissue, reach, begin, end, slabs, source, state
-        As for `rasterise`, which comes first. `state` is 2 where an outline came; if all planes are
-        here, P = D, `source` is the voxel's own place where there is no tissue and none came.
+        As for `rasterise`, which is called before. `state` is 2 where the outline is drawn. If all
+        planes are given (P = D), void onto which no tissue has moved is its own `source`.
     """
     for number in numba.prange(slabs):
         slab = np.int64(number)

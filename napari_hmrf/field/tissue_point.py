@@ -15,24 +15,25 @@ from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.quantities import area_change, values_of
 from napari_hmrf.solver.solution import Solution
 
-#: Added to the Jacobian at a fold, where it is 0 or below; elsewhere it is the mean of the corners.
+#: Remark after the Jacobian at a fold: there it is the smallest determinant of the elements around
+#: the site, elsewhere their mean.
 _FOLDS = " (folds: that of the worst corner)"
 _FULL = 100
 
 
 class Probe(NamedTuple):
-    """The tissue at a point.
+    """Displacement and strain of the tissue at a point.
 
     Attributes
     ----------
     site : tuple of int
         Pixel of the tissue before the motion, (row, col), or voxel, (depth, row, col).
     displacement : tuple of float
-        In the order of the axes and the unit of the solution's spacing.
+        Components in the order of the axes, in the unit of the solution's spacing.
     length : float
         Length of the displacement.
     jacobian : float
-        Factor of area, or volume, change; 0 or below where the tissue folds.
+        Ratio of the areas, or volumes, after and before; 0 or below where the tissue folds.
     strain : float
         Equivalent strain, in per cent, of the kind given by `strain_kind`.
     """
@@ -45,7 +46,7 @@ class Probe(NamedTuple):
 
 
 def holds(image: npt.NDArray[Any], pixel: tuple[int, ...]) -> bool:
-    """Return whether a pixel lies inside an image that is above 0 there."""
+    """Return whether a pixel is inside an image and has a value above 0."""
     inside = all(0 <= at < size for at, size in zip(pixel, image.shape, strict=True))
     return inside and bool(image[pixel] > 0)
 
@@ -63,44 +64,49 @@ class Points:
         self._farthest = farthest_of(solution.displacement)
 
     def before(self, place: tuple[float, ...], fraction: float = 1.0) -> tuple[float, ...] | None:
-        """Return the original place of the tissue now seen at a place; None if there is none.
+        """Return the origin of the tissue at a moved position; None if there is no tissue.
 
         Parameters
         ----------
         place : tuple of float
-            ([depth,] row, col) in pixels.
+            Position after the motion, ([depth,] row, col) in pixels.
         fraction : float
-            Fraction of the displacement that is applied: 0 to 1.
+            Part of the displacement that is applied, from 0 to 1.
+
+        Returns
+        -------
+        tuple of float or None
+            Position before the motion, in pixels.
         """
         solution = self._solution
         field = (solution.displacement, solution.spacing, solution.tissue)
         return inverse_point(place, *field, self._farthest, fraction)
 
     def after(self, places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return the places after the motion of tissue originally at `places`, (N, n) in pixels."""
+        """Return the moved positions of points of the tissue, both (N, n) in pixels."""
         return moved_points(places, self._solution.displacement, spacing=self._solution.spacing)
 
     def at(self, place: tuple[float, ...], fraction: float = 0.0) -> Probe | None:
-        """Return displacement, Jacobian and strain of the tissue seen at a place.
+        """Return displacement, Jacobian and strain of the tissue at a displayed position.
 
         Parameters
         ----------
         place : tuple of float
-            ([depth,] row, col) in pixels, where the tissue is seen.
+            Position in the displayed image, ([depth,] row, col) in pixels.
         fraction : float
-            Fraction of the displacement that is applied: 0 to 1.
+            Part of the displacement by which the displayed image has moved, from 0 to 1.
 
         Returns
         -------
         Probe or None
-            None where there is no tissue.
+            Values of the whole displacement; None if there is no tissue.
         """
         solution, origin = self._solution, self.before(place, fraction)
         site = () if origin is None else tuple(int(np.floor(along + 0.5)) for along in origin)
         if not (site and holds(solution.tissue, site)):
             return None
         step = solution.displacement[site]
-        # The neighbours of a site determine its values: computing a whole volume would be slow.
+        # The values at a site depend on its neighbours only; those of a whole volume would be slow.
         around = tuple(slice(max(at - 1, 0), at + 2) for at in site)
         near = replace(
             solution,
@@ -120,34 +126,39 @@ class Points:
 
 
 def at_point(
-    unit: str, found: Probe, ways: Directions, more: Sequence[str] = (), percent: int = _FULL
+    unit: str, probe: Probe, ways: Directions, more: Sequence[str] = (), percent: int = _FULL
 ) -> str:
-    """Describe the deformation at a point in a line short enough for a status bar.
+    """Describe the deformation at a point in a line for the status bar.
 
     The values are always those of the whole deformation.
 
     Parameters
     ----------
     unit : str
-        Unit of lengths.
-    found : Probe
+        Symbol of the unit of lengths.
+    probe : Probe
     ways : Directions
         Directions of rows and columns.
     more : sequence of str
         Further parts of the line.
     percent : int
-        Percentage of the deformation that is shown; below 100 the line says that it is for 100 %.
+        Percentage of the deformation in the displayed image; if it is below 100, the line begins
+        with a remark that the values are those at 100 %.
+
+    Returns
+    -------
+    str
     """
-    step = tuple(rounded(part) for part in ways.seen(found.displacement))
-    length = rounded(found.length)
+    step = tuple(rounded(part) for part in ways.seen(probe.displacement))
+    length = rounded(probe.length)
     parts = [
         f"moves {length:g} {unit}" + (f" ({ways.step(step)})" if length else ""),
-        f"Jacobian {found.jacobian:.3f}" + (_FOLDS if found.jacobian <= 0 else ""),
+        f"Jacobian {probe.jacobian:.3f}" + (_FOLDS if probe.jacobian <= 0 else ""),
     ]
     line = ", ".join([*parts, *filter(None, more)])
     return line if percent == _FULL else f"at {_FULL} %: {line}"
 
 
 def rounded(length: float) -> float:
-    """Round to three significant digits, and at most two decimals."""
+    """Round a length to three significant digits and at most two decimals."""
     return round(float(f"{length:.3g}"), 2) + 0.0  # avoids -0

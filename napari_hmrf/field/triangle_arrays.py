@@ -1,7 +1,7 @@
-"""`triangle_raster` in NumPy: what is drawn before any loop is compiled.
+"""NumPy version of `triangle_raster`, which is used until its loops are compiled.
 
-All triangles are drawn at once: each pixel in a triangle's box is asked whether it lies inside, and
-of those that claim a pixel the first has it, as if they were drawn one after the other.
+All triangles are drawn together: each pixel in the bounding box of a triangle is tested against the
+triangle. If several triangles cover a pixel, the first is used, as if they were drawn in order.
 """
 
 from __future__ import annotations
@@ -15,23 +15,24 @@ Float64Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
-# As in `triangle_raster`.
+# Tolerances as in `triangle_raster`.
 _EDGE, _COLLAPSED, _NEAR = 1e-9, 1e-12, 1.0
+# States of a pixel: no tissue; an inverted triangle; a triangle that is not inverted; two of these.
 _EMPTY, _TURNED, _KEPT, TWICE = 0, 1, 2, 3
-# Pixels that are asked at once.
+# Number of pixels tested together.
 _AT_ONCE = 1_000_000
 
 
 def rasterise(moved: Float64Array, tissue: Mask) -> tuple[Float64Array, npt.NDArray[np.uint8]]:
-    """Invert the motion of the sites, with parameters and result of `triangle_raster.rasterise`."""
+    """Invert the motion of the sites; see `triangle_raster.rasterise`."""
     height, width = tissue.shape
     source, state = np.zeros((height, width, 2)), np.zeros((height, width), np.uint8)
     corners = _corners(tissue)
     areas = _areas(moved, corners)
     turned = areas * _areas(np.moveaxis(np.indices(tissue.shape, float), 0, -1), corners) < 0
     covers = np.abs(areas) >= _COLLAPSED
-    for value, which in ((_KEPT, covers & ~turned), (_TURNED, covers & turned)):
-        for pixels, places in _covered(moved, corners[which], tissue.shape):
+    for value, selected in ((_KEPT, covers & ~turned), (_TURNED, covers & turned)):
+        for pixels, places in _covered(moved, corners[selected], tissue.shape):
             _claim(source, state, pixels, places, value)
     for pixels, places in (_sites(moved, tissue), _strokes(moved, tissue)):
         empty = state.ravel()[pixels] == _EMPTY
@@ -40,26 +41,27 @@ def rasterise(moved: Float64Array, tissue: Mask) -> tuple[Float64Array, npt.NDAr
 
 
 def _corners(tissue: Mask) -> Index:
-    """The triangles of all cells, (triangles, 3, 2), cell by cell, as `rasterise` takes them."""
+    """Return the corners of the triangles of all cells, (N, 3, 2), cell by cell."""
     a, b, c, d = tissue[:-1, :-1], tissue[:-1, 1:], tissue[1:, :-1], tissue[1:, 1:]
-    # Each is one corner's right angle; the first two share the diagonal from a to d.
+    # Tissue that a kind of triangle needs, and its corners. A whole cell has the first two kinds,
+    # which share the diagonal from a to d; a cell without d or a has one of the other two.
     kinds = (
         (a & d & b, ((0, 0), (0, 1), (1, 1))),
         (a & d & c, ((0, 0), (1, 1), (1, 0))),
         (b & c & a & ~d, ((0, 1), (1, 0), (0, 0))),
         (b & c & d & ~a, ((0, 1), (1, 1), (1, 0))),
     )
-    found, numbers = [], []
-    for kind, (there, offsets) in enumerate(kinds):
-        cells = np.argwhere(there)
-        found.append(cells[:, None] + np.array(offsets))
-        numbers.append((cells[:, 0] * there.shape[1] + cells[:, 1]) * len(kinds) + kind)
+    corners, numbers = [], []
+    for kind, (exists, offsets) in enumerate(kinds):
+        cells = np.argwhere(exists)
+        corners.append(cells[:, None] + np.array(offsets))
+        numbers.append((cells[:, 0] * exists.shape[1] + cells[:, 1]) * len(kinds) + kind)
     order = np.argsort(np.concatenate(numbers), kind="stable")
-    return np.asarray(np.concatenate(found)[order], np.intp)
+    return np.asarray(np.concatenate(corners)[order], np.intp)
 
 
 def _areas(places: Float64Array, corners: Index) -> Float64Array:
-    """Twice the area of triangles, with a sign that says how they are turned."""
+    """Return twice the signed area of each triangle; the sign gives its orientation."""
     at = places[corners[..., 0], corners[..., 1]]
     (by, bx), (cy, cx) = (at[:, 1] - at[:, 0]).T, (at[:, 2] - at[:, 0]).T
     return np.asarray(by * cx - bx * cy)
@@ -68,7 +70,10 @@ def _areas(places: Float64Array, corners: Index) -> Float64Array:
 def _covered(
     moved: Float64Array, corners: Index, shape: tuple[int, ...]
 ) -> Iterator[tuple[Index, Float64Array]]:
-    """Which pixels triangles cover, in their order, and where the tissue there came from."""
+    """Yield the pixels that triangles cover, and their origins, in the order of the triangles.
+
+    Pixels are indices of the flattened image, (N,); origins are positions in pixels, (N, 2).
+    """
     at = moved[corners[..., 0], corners[..., 1]]
     last = np.array(shape, float) - 1
     low = np.ceil(np.maximum(at.min(axis=1) - _EDGE, 0.0))
@@ -80,17 +85,17 @@ def _covered(
     while begin < len(counts):
         before = int(ends[begin - 1]) if begin else 0
         end = max(int(np.searchsorted(ends, before + _AT_ONCE, side="right")), begin + 1)
-        some = np.repeat(np.arange(begin, end), counts[begin:end])
-        within = np.arange(len(some)) - (ends[some] - counts[some] - before)
-        rows, cols = np.divmod(within, np.maximum(sizes[some, 1], 1))
-        pixel = low[some] + np.stack([rows, cols], axis=1)
-        origin = at[some, 0]
-        (by, bx), (cy, cx) = (at[some, 1] - origin).T, (at[some, 2] - origin).T
+        owner = np.repeat(np.arange(begin, end), counts[begin:end])
+        within = np.arange(len(owner)) - (ends[owner] - counts[owner] - before)
+        rows, cols = np.divmod(within, np.maximum(sizes[owner, 1], 1))
+        pixel = low[owner] + np.stack([rows, cols], axis=1)
+        origin = at[owner, 0]
+        (by, bx), (cy, cx) = (at[owner, 1] - origin).T, (at[owner, 2] - origin).T
         y, x = (pixel - origin).T
         area = by * cx - bx * cy
         to_b, to_c = (y * cx - x * cy) / area, (by * x - bx * y) / area
         inside = (to_b >= -_EDGE) & (to_c >= -_EDGE) & (to_b + to_c <= 1 + _EDGE)
-        a, b, c = (corners[some[inside], k].astype(float) for k in range(3))
+        a, b, c = (corners[owner[inside], k].astype(float) for k in range(3))
         place = a + to_b[inside, None] * (b - a) + to_c[inside, None] * (c - a)
         row, col = pixel[inside].astype(np.intp).T
         yield row * shape[1] + col, place
@@ -105,7 +110,7 @@ def _claim(
     value: int,
     first_only: bool = False,
 ) -> None:
-    """Let the first that covers a pixel have it, and mark where others come from elsewhere."""
+    """Store the first origin of each pixel, and mark pixels whose other origins are not near."""
     flat, states = source.reshape(-1, 2), state.reshape(-1)
     free = states[pixels] < value
     new, first = np.unique(pixels[free], return_index=True)
@@ -116,12 +121,15 @@ def _claim(
 
 
 def _sites(moved: Float64Array, tissue: Mask) -> tuple[Index, Float64Array]:
-    """The pixels that sites have moved onto, and the sites."""
+    """Return the pixels onto which sites have moved, and their origins, the sites."""
     return _on_pixels(moved[tissue], np.argwhere(tissue).astype(float), tissue.shape)
 
 
 def _strokes(moved: Float64Array, tissue: Mask) -> tuple[Index, Float64Array]:
-    """The pixels on moved lines between outermost sites, half a pixel at a time."""
+    """Return the pixels on moved lines between outermost sites, and their origins.
+
+    The points of a line are at most half a pixel apart.
+    """
     height, width = tissue.shape
     padded = np.pad(tissue, 1)
     here, right, below = padded[1:-1, 1:-1], padded[1:-1, 2:], padded[2:, 1:-1]
@@ -140,17 +148,17 @@ def _strokes(moved: Float64Array, tissue: Mask) -> tuple[Index, Float64Array]:
     b = moved[ends[:, 0], ends[:, 1]] - a
     longest = np.minimum(np.abs(b).max(axis=1, initial=0.0), float(height + width))
     steps = np.ceil(2.0 * longest).astype(np.intp)
-    some = np.repeat(np.arange(len(starts)), steps + 1)
-    step = np.arange(len(some)) - np.repeat(np.cumsum(steps + 1) - (steps + 1), steps + 1)
-    part = (step / np.maximum(steps[some], 1))[:, None]
-    return _on_pixels(a[some] + part * b[some], starts[some] + part * ways[some], tissue.shape)
+    owner = np.repeat(np.arange(len(starts)), steps + 1)
+    step = np.arange(len(owner)) - np.repeat(np.cumsum(steps + 1) - (steps + 1), steps + 1)
+    part = (step / np.maximum(steps[owner], 1))[:, None]
+    return _on_pixels(a[owner] + part * b[owner], starts[owner] + part * ways[owner], tissue.shape)
 
 
 def _on_pixels(
-    places: Float64Array, came_from: Float64Array, shape: tuple[int, ...]
+    places: Float64Array, origins: Float64Array, shape: tuple[int, ...]
 ) -> tuple[Index, Float64Array]:
-    """The pixels that places lie on, within an image."""
+    """Return the pixels nearest to places inside an image, and the origins of these."""
     row, col = np.floor(places + 0.5).T
-    there = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
-    pixels = row[there].astype(np.intp) * shape[1] + col[there].astype(np.intp)
-    return pixels, came_from[there]
+    inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
+    pixels = row[inside].astype(np.intp) * shape[1] + col[inside].astype(np.intp)
+    return pixels, origins[inside]

@@ -1,7 +1,7 @@
-"""The compiled loops behind `warp`: draw moved triangles of sites into an inverse map.
+"""Compiled loops that draw the moved triangles of an image's sites into an inverse map.
 
-Imports numba; `warp` imports this module when it is first needed. All loops are in this file,
-because numba's cache notices when this file changes, not when one that it imports does.
+This module imports numba; `warp` imports it on first use. All loops are in one file, because
+numba's cache is invalidated by changes of this file, but not by changes of modules that it imports.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator, misc"
@@ -12,30 +12,30 @@ import math
 import numba
 import numpy as np
 
-# What only loops call, and what is taken into them: calls for each cell take a quarter of the time.
+# Decorators of functions that only loops call. `_inlined` avoids the cost of a call for each cell,
+# which would be a quarter of the time.
 _LOOPS = {"error_model": "numpy", "no_cfunc_wrapper": True}
 _callee = numba.njit(no_cpython_wrapper=True, **_LOOPS)
 _inlined = numba.njit(no_cpython_wrapper=True, forceinline=True, **_LOOPS)
-# What Python calls.
+# Options of functions that Python calls; numba caches them on disk.
 _kept = {"cache": True, "nogil": True, **_LOOPS}
 
-# How far outside a triangle, in barycentric coordinates, a pixel still counts as on its edge.
+# Distance outside a triangle, in barycentric coordinates, at which a pixel counts as inside.
 _EDGE = 1e-9
 # Twice the area, in pixels, below which a triangle has collapsed and covers nothing.
 _COLLAPSED = 1e-12
-# Pixels between two places from which tissue came, up to which they are one: neighbours.
+# Largest distance, in pixels, between two origins of a pixel that belong to the same tissue.
 _NEAR = 1.0
-# The state of a pixel that two parts of the tissue have moved onto.
+# State of a pixel onto which two parts of the tissue have moved.
 TWICE = 3
 
 
 @_inlined
 def _draw(moved, source, state, value, first, past, a_row, a_col, b_row, b_col, c_row, c_col):
-    """Draw the moved triangle of sites a, b, c if its orientation is the one asked for."""
-    # `value` is 2 for triangles that kept their orientation and 1 for those that were turned over;
-    # a pixel that already holds as much is left alone, but for a mark if what it holds came from
-    # elsewhere. Only rows of pixels from `first` to before `past` are drawn on. Returns whether
-    # this one was turned over.
+    """Draw the moved triangle of sites a, b, c in one orientation; return True if inverted."""
+    # `value` is 2 to draw triangles that kept their orientation, and 1 to draw inverted ones. A
+    # pixel whose state is already that high is unchanged, except that it is marked if its tissue
+    # has another origin. Only rows from `first` to before `past` are drawn.
     ay = moved[a_row, a_col, 0]
     ax = moved[a_row, a_col, 1]
     by = moved[b_row, b_col, 0] - ay
@@ -69,7 +69,7 @@ def _draw(moved, source, state, value, first, past, a_row, a_col, b_row, b_col, 
 
 @_inlined
 def _mark(source, state, value, row, col, from_row, from_col):
-    """Say where the tissue on a pixel came from, unless another triangle has come first."""
+    """Store the origin of the tissue on a pixel, unless another triangle was drawn before."""
     if state[row, col] < value:
         state[row, col] = value
         source[row, col, 0] = from_row
@@ -83,8 +83,8 @@ def _mark(source, state, value, row, col, from_row, from_col):
 
 @_inlined
 def _draw_cell(moved, source, state, first, past, row, col):
-    """Draw both triangles of a whole cell at once, if neither is turned over nor collapsed."""
-    # As `_draw` would for the one after the other. Returns whether it could.
+    """Draw both triangles of a whole cell; return False if one is inverted or has collapsed."""
+    # The result is that of `_draw` for one triangle after the other.
     ay = moved[row, col, 0]
     ax = moved[row, col, 1]
     by = moved[row, col + 1, 0] - ay
@@ -120,13 +120,14 @@ def _draw_cell(moved, source, state, first, past, row, col):
 
 @_callee
 def _stroke(moved, source, state, first, past, a_row, a_col, b_row, b_col):
-    """Draw the moved line between two sites onto pixels still empty."""
+    """Draw the moved line between two sites onto pixels that are empty."""
     height, width = state.shape
     ay = moved[a_row, a_col, 0]
     ax = moved[a_row, a_col, 1]
     by = moved[b_row, b_col, 0] - ay
     bx = moved[b_row, b_col, 1] - ax
-    # Half a pixel at a time; a line longer than the image mostly lies outside.
+    # Points are at most half a pixel apart; a line longer than the image lies mostly outside of it,
+    # so that its number of points is limited.
     steps = math.ceil(2.0 * min(max(abs(by), abs(bx)), 1.0 * (height + width)))
     for step in range(steps + 1):
         part = step / max(steps, 1)
@@ -191,7 +192,7 @@ def _triangles(moved, tissue, source, state, reach, first, past):
 
 @_callee
 def _outline(moved, tissue, source, state, reach, first, past):
-    """Draw sites and the lines between outermost ones onto what is empty of these rows."""
+    """Draw sites, and lines between outermost sites, onto the empty pixels of some rows."""
     height, width = tissue.shape
     for row in range(height):
         if reach[row, 0] > past or reach[row, 1] < first - 1:
@@ -228,7 +229,7 @@ def _outline(moved, tissue, source, state, reach, first, past):
 
 @_callee
 def _note_reach(moved, tissue, row, reach):
-    """Note the first and the last row of pixels, as real numbers, that sites of a row moved to."""
+    """Store the smallest and the largest moved position along the rows of the sites of a row."""
     low = math.inf
     high = -math.inf
     for col in range(tissue.shape[1]):
@@ -243,25 +244,26 @@ def _note_reach(moved, tissue, row, reach):
 def rasterise(moved, tissue):
     """Invert the motion of the sites, linear on each triangle of three neighbouring sites.
 
-    Each cell of 2 x 2 sites is two triangles; a cell that lacks one corner is one. A pixel that no
-    triangle covers goes to the site or the line between two outermost sites that has moved onto
-    it, if any: tissue one pixel thin survives, and all tissue reaches half a pixel beyond its
-    outermost sites, as pixels do.
+    Each cell of 2 x 2 sites consists of two triangles; a cell with three sites of tissue is one
+    triangle. Pixels that no triangle covers are filled from the sites and from the lines between
+    outermost sites that have moved onto them. With these lines, tissue that is one pixel thin
+    remains visible, and all tissue extends half a pixel beyond its outermost sites, as pixels do.
 
     Parameters
     ----------
     moved : ndarray, shape (H, W, 2), float64
-        Where each site has moved, in pixels (row, col).
+        Moved position of each site, in pixels (row, col).
     tissue : ndarray, shape (H, W), bool
-        Which sites there are.
+        Mask of the tissue.
 
     Returns
     -------
     source : ndarray, shape (H, W, 2), float64
-        Where the tissue now on each pixel came from, in pixels.
+        Origin of the tissue on each pixel, in pixels.
     state : ndarray, shape (H, W), uint8
-        0 nothing came, 1 by a triangle turned over, 2 by one that was not, or by a line, 3 by
-        two that were not, from places more than a pixel apart.
+        0 if no tissue has moved onto the pixel, 1 for an inverted triangle, 2 for a triangle that
+        is not inverted, or a line, 3 for two triangles that are not inverted and whose origins are
+        more than a pixel apart.
     """
     height, width = tissue.shape
     source = np.zeros((height, width, 2))
@@ -269,7 +271,7 @@ def rasterise(moved, tissue):
     reach = np.empty((height, 2))
     for row in range(height):
         _note_reach(moved, tissue, row, reach)
-    first = np.int64(0)  # a plain 0 would make functions of its own
+    first = np.int64(0)  # for a Python int, numba would compile the functions again
     _triangles(moved, tissue, source, state, reach, first, height)
     _outline(moved, tissue, source, state, reach, first, height)
     return source, state
@@ -279,39 +281,41 @@ def rasterise(moved, tissue):
 def rasterise_displaced(
     displacement, spacing, fraction, tissue, bands, moved, reach, source, state
 ):
-    """`rasterise` of a part of a displacement, by all cores, into memory that is there.
+    """Apply `rasterise` to a fraction of a displacement, on all cores, with preallocated arrays.
 
-    Each core fills rows of pixels of its own, and draws on them in the order of `rasterise`: the
-    result is the same to the bit.
+    Each core fills rows of pixels of its own and draws all triangles in the order of `rasterise`.
+    The result is therefore equal bit by bit.
 
     Parameters
     ----------
     displacement : ndarray, shape (H, W, 2), float32
-        In the unit of `spacing`.
+        Material displacement, in the unit of `spacing`.
     spacing : (float, float)
+        Size of a pixel along rows and columns.
     fraction : float
-        How much of the displacement, 0 to 1.
+        Part of the displacement, from 0 to 1.
     tissue : ndarray, shape (H, W), bool
+        Mask of the tissue.
     bands : int
-        Into so many bands of rows the image is cut, one or a few for each core.
+        Number of bands of rows into which the image is divided, one or a few for each core.
     moved : ndarray, shape (H, W, 2), float64
-        Overwritten by where each site has moved.
+        Output: moved position of each site, in pixels.
     reach : ndarray, shape (H, 2), float64
-        Overwritten.
+        Output: range of the moved positions along the rows of the sites of each row.
     source, state : ndarray
-        Overwritten by the result; `source` is left as it was where `state` is 0.
+        Output, as from `rasterise`; `source` is unchanged where `state` is 0.
 
     Returns
     -------
     bool
-        Whether the displacement is finite wherever there is tissue; if not, there is no result.
+        True if the displacement is finite at all sites of tissue; otherwise there is no result.
     """
     height, width = tissue.shape
     fine = np.ones(height, np.bool_)
     for number in numba.prange(height):
-        row = np.int64(number)  # so is the counter of a parallel loop, to some of them
+        row = np.int64(number)  # numba gives the counter of a parallel loop another type
         for col in range(width):
-            # Void has no displacement, whatever is written there.
+            # The displacement of void is ignored.
             by_row = fraction * displacement[row, col, 0] if tissue[row, col] else 0.0
             by_col = fraction * displacement[row, col, 1] if tissue[row, col] else 0.0
             moved[row, col, 0] = by_row / spacing[0] + row

@@ -1,6 +1,7 @@
-"""Units of length by their names, as layers and files spell them; rounded lengths.
+"""Units of length by their names in layers and files, and rounding of displayed lengths.
 
-Pint is imported with the first unit, as it takes a third of the time of importing the package.
+The functions import pint on first use, because importing it takes a third of the time of importing
+the package.
 """
 
 from __future__ import annotations
@@ -9,14 +10,25 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-#: Names of units, as layers spell them. Pint also evaluates sums, which can take hours.
+#: Pattern of the names of units in layers. Pint also parses expressions, which can take forever.
 _UNIT = re.compile(r"[^\W\d]+( / [^\W\d]+)*")
-#: Lengths below this part of a pixel, and shares below this part of a per cent, are rounding.
+#: Fraction of a pixel, or of a per cent, below which a value is displayed as 0.
 UNSEEN = 1e-3
 
 
 def unit_factor(unit: str, to: str) -> float:
-    """Return the size of one `unit` in `to`; NaN if they measure different quantities."""
+    """Return the factor that converts a unit to another; NaN if they are incompatible.
+
+    Parameters
+    ----------
+    unit, to : str
+        Names of the units.
+
+    Returns
+    -------
+    float
+        Number of `to` in one `unit`.
+    """
     if unit == to:
         return 1.0
     import pint  # heavy: pint
@@ -28,18 +40,18 @@ def unit_factor(unit: str, to: str) -> float:
 
 
 def is_unit(unit: str) -> bool:
-    """Return whether layers know a unit of that name."""
+    """Return whether layers accept a unit of this name."""
     if not _UNIT.fullmatch(unit):
         return False
     try:
         _units().Unit(unit)
-    except Exception:  # noqa: BLE001 - parsing text of others raises what it likes
+    except Exception:  # noqa: BLE001 - pint raises errors of many types for invalid names
         return False
     return True
 
 
 def unit_symbol(unit: str) -> str:
-    """Return the symbol of a unit of length for tables: "px", "mm"."""
+    """Return the symbol of a unit of length, such as "px" or "mm"; the name if there is none."""
     if unit == "pixel":
         return "px"
     import pint  # heavy: pint
@@ -51,12 +63,23 @@ def unit_symbol(unit: str) -> str:
 
 
 def as_seen(length: float, spacing: Iterable[float]) -> float:
-    """Return a length to print: 0 if it is rounding, at the size of a pixel."""
+    """Return a length for display, 0 if it is a negligible fraction of a pixel.
+
+    Parameters
+    ----------
+    length : float
+    spacing : iterable of float
+        Size of a pixel along each axis, in the unit of the length.
+
+    Returns
+    -------
+    float
+    """
     return 0.0 if abs(length) < UNSEEN * min(spacing) else length
 
 
 def _units() -> Any:
-    """Return the registry of units; not cached, as an application may set another."""
+    """Return the registry of units of layers; an application may replace it at any time."""
     import pint  # heavy: pint
 
     return pint.get_application_registry()  # type: ignore[no-untyped-call]

@@ -1,7 +1,7 @@
-"""The compiled loops that look volumes up at an inverse map, and say how much tissue grows.
+"""Compiled loops that interpolate volumes at an inverse map and compute their strain.
 
-Imports numba; `resample` and `deformation` import this module when they have a volume, and NumPy
-and SciPy do the same until its loops are compiled.
+This module imports numba; `resample`, `deformation` and `strain` import it for volumes. Until its
+loops are compiled, these modules use NumPy and SciPy instead.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator, misc"
@@ -19,31 +19,33 @@ _kept = {"cache": True, "nogil": True, **_LOOPS}
 
 @numba.njit(parallel=True, **_kept)
 def look_up(image, smooth, gaps, source, covered, nearest, whole, fill, moved):
-    """Look a volume up where its tissue came from, as `resample` does, by all cores.
+    """Interpolate a volume at the origins of the moved tissue, like `resample`, on all cores.
 
     Parameters
     ----------
     image : ndarray, shape (D, H, W, channels)
     smooth : ndarray, shape (D, H, W, channels)
-        The image, finite everywhere: what is interpolated.
+        Copy of the image for interpolation, with finite values everywhere.
     gaps : bool
-        Whether the two differ: a voxel that is not finite stays one such voxel.
+        True if the image has voxels that are not finite; their value is then copied to the voxels
+        whose origin is nearest to them.
     source : ndarray, shape (P, H, W, 3), float64
+        Origins of the voxels of some planes, from `inverse_map`.
     covered : ndarray, shape (P, H, W), bool
-        Of `inverse_map`, of some planes.
+        Mask of the voxels that have an origin, from `inverse_map`.
     nearest : bool
-        Whether to take the nearest voxel; else the eight around the place.
+        If True, copy the nearest voxel; else interpolate between the eight nearest.
     whole : bool
-        Whether to round.
+        If True, round to whole numbers.
     fill
-        What is seen where tissue has left, of the type of the image.
+        Value of uncovered voxels, of the type of the image.
     moved : ndarray, shape (P, H, W, channels)
-        Overwritten by the result.
+        Output.
 
     Returns
     -------
     bool
-        Whether all places that are covered are finite; if not, there is no result.
+        True if the origins of all covered voxels are finite; otherwise there is no result.
     """
     depth, height, width, channels = image.shape
     fine = np.ones(len(covered), np.bool_)
@@ -91,8 +93,9 @@ def look_up(image, smooth, gaps, source, covered, nearest, whole, fill, moved):
 
 @_callee
 def _steps(moved, tissue, plane, row, col, i, j, k):
-    """Differences along an axis, of which (i, j, k) is one step, to the next site and the last."""
-    # Each stands in for the other where that is missing, and the step itself for both.
+    """Return the differences to the next and from the previous site in the direction (i, j, k)."""
+    # If one neighbour is missing, both are the difference to the other; without neighbours both
+    # are the undeformed step.
     depth, height, width = tissue.shape
     z, y, x = moved[plane, row, col, 0], moved[plane, row, col, 1], moved[plane, row, col, 2]
     following = previous = 1.0 * i, 1.0 * j, 1.0 * k
@@ -111,13 +114,13 @@ def _steps(moved, tissue, plane, row, col, i, j, k):
 
 @_callee
 def _across(b, c):
-    """The vector product: what the third edge of a brick is measured by."""
+    """Return the cross product of two vectors."""
     return b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
 
 
 @_callee
 def _octants(step, rows, cols):
-    """The determinants of the four octants on one side of a site, along the first axis."""
+    """Return the determinants of the four octants on one side of a site along the first axis."""
     one, two = _across(rows[0], cols[0]), _across(rows[0], cols[1])
     three, four = _across(rows[1], cols[0]), _across(rows[1], cols[1])
     return (
@@ -130,26 +133,26 @@ def _octants(step, rows, cols):
 
 @numba.njit(**_kept)
 def determinants(moved, tissue, elements, kind):
-    """Reduce the determinants of the eight octants around each site of a volume to one.
+    """Reduce the determinants of the eight octants around each site of a volume to one value.
 
-    On the caller's thread, which need not be the compute thread: a volume takes as long as a few
-    sweeps of a solver.
+    The loop runs on one core, so that any thread may call it, not only the compute thread. A volume
+    takes as long as a few sweeps of a solver.
 
     Parameters
     ----------
     moved : ndarray, shape (D, H, W, 3), float64
     tissue : ndarray, shape (D, H, W), bool
-        Of `moved_sites`.
+        As from `moved_sites`.
     elements : ndarray, shape (D + 1, H + 1, W + 1), bool
-        Which elements exist; the one before a site along all axes has the index of the site.
+        Mask of existing elements, as from `deformation.elements`.
     kind : int
-        0 for the smallest of those in an element, or 1 if there is none; 1 for the mean; and 2 for
-        the mean, but the smallest where that is 0 or below.
+        0 for the smallest determinant of the existing elements, or 1.0 if there are none; 1 for the
+        mean of all octants; 2 for the mean, except that the smallest is used if it is 0 or below.
 
     Returns
     -------
     ndarray, shape (D, H, W), float32
-        NaN where there is no tissue.
+        NaN outside tissue.
     """
     depth, height, width = tissue.shape
     made = np.empty(tissue.shape, np.float32)
@@ -182,22 +185,22 @@ def determinants(moved, tissue, elements, kind):
 
 @numba.njit(**_kept)
 def gradients(moved, tissue, sizes):
-    """Find the gradient of the displacement at each site of a volume's tissue, one after the other.
+    """Return the gradient of the displacement at each site of a volume's tissue.
 
-    On the caller's thread, as `determinants`.
+    Any thread may call this loop, as for `determinants`.
 
     Parameters
     ----------
     moved : ndarray, shape (D, H, W, 3), float64
     tissue : ndarray, shape (D, H, W), bool
-        Of `moved_sites`.
+        As from `moved_sites`.
     sizes : ndarray, shape (3,)
         Size of a voxel along each axis.
 
     Returns
     -------
     ndarray, shape (N, 3, 3), float64
-        H[..., i, j] = dd_i / dX_j, without a unit.
+        H[..., i, j] = dd_i / dX_j, without a unit, for the N sites of tissue in order.
     """
     depth, height, width = tissue.shape
     found = np.empty((tissue.sum(), 3, 3))

@@ -1,7 +1,6 @@
-"""One slice of a volume that has moved, without the rest: for as long as a hand drags.
+"""Inverse map of a single slice of a volume, for display during a drag.
 
-The same as that slice of `inverse_map`: the sites that can reach it are looked for, and only their
-planes are drawn.
+The result equals that slice of `inverse_map`. Only sites that can move onto the slice are drawn.
 """
 
 from __future__ import annotations
@@ -16,19 +15,20 @@ from napari_hmrf.field.warp import BoolArray, Float64Array, inverse_raster, move
 
 FloatArray = npt.NDArray[np.float32]
 
-#: Tissue is drawn no farther than this from its sites, in voxels; half of one is true.
+#: Upper bound of the distance between a voxel and the moved site that is drawn on it, in voxels;
+#: the largest distance is 0.5.
 _REACH = 1.0
 
 
 class SliceOrigins(NamedTuple):
-    """Where that which is seen on a slice came from.
+    """Inverse map of a slice: the origin of each pixel.
 
     Attributes
     ----------
     source : ndarray, shape (H, W, 3), float64
-        In voxels; 0 where not covered.
+        Origins in voxels; 0 where not covered.
     covered : ndarray of bool, shape (H, W)
-        Whether anything is seen: tissue that has come, or what never moves.
+        True where there is moved tissue, or void that stays in place.
     """
 
     source: Float64Array
@@ -44,27 +44,31 @@ def slice_origins(
     every: Sequence[int] = (1, 1, 1),
     fraction: float = 1.0,
 ) -> SliceOrigins:
-    """Find where that which is seen on a slice after the motion came from.
+    """Find the origins of the pixels of one slice after the motion.
 
     Parameters
     ----------
     displacement : ndarray, shape (D', H', W', 3)
-        Material, in the unit of `spacing`: of every so many-th voxel, linear between these.
+        Material displacement, in the unit of `spacing`, on a coarse grid; linear between its sites.
     number : int
-        Of the slice along the first axis.
+        Index of the slice along the first axis.
     spacing : sequence of float, shape (3,)
         Size of a voxel along each axis.
     tissue : ndarray of bool, shape (D, H, W)
-        What moves.
+        Mask of the tissue that moves.
     every : sequence of int, shape (3,)
-        The first voxel has a vector, and every so many-th along each axis after it.
+        Step between the sites of the coarse grid along each axis, in voxels, starting at voxel 0.
     fraction : float
-        How much of the displacement.
+        Part of the displacement, from 0 to 1.
+
+    Returns
+    -------
+    SliceOrigins
 
     Raises
     ------
     ProblemError
-        If the displacement is NaN or infinite somewhere in tissue that may reach the slice.
+        If the displacement is NaN or infinite in tissue that may move onto the slice.
     """
     steps = displacement[..., 0]
     ends = np.stack([steps.min(axis=(1, 2)), steps.max(axis=(1, 2))]) * (fraction / spacing[0])
@@ -82,29 +86,32 @@ def slice_origins(
 
 
 def _planes_near(ends: Float64Array, number: int, depth: int, every: int) -> tuple[int, int]:
-    """From which plane to before which sites are needed; `ends` of the steps of each, (2, D')."""
-    # A step that is no number may lead anywhere; whether it is one of tissue is seen later.
+    """Return the range of planes whose sites may move onto the slice.
+
+    `ends` has the least and the largest step across the planes of the coarse grid, (D', 2).
+    """
+    # A step of NaN may lead anywhere. If it is in tissue, `moved_sites` refuses it later.
     lowest = np.nan_to_num(ends.min(axis=0), nan=-np.inf)
     highest = np.nan_to_num(ends.max(axis=0), nan=np.inf)
     planes, last = np.arange(depth), len(lowest) - 1
     before = np.minimum(planes // every, last)
     after = np.minimum(before + 1, last)
-    # Voxels beside tissue stay, and say nothing of how far those between sites go.
+    # Voxels outside tissue stay in place, so that 0 belongs to the range of the steps.
     low = planes + np.minimum(np.minimum(lowest[before], lowest[after]), 0)
     high = planes + np.maximum(np.maximum(highest[before], highest[after]), 0)
-    # What lies between two planes is drawn even where these are far apart.
+    # Cells between two planes are drawn even if their planes have moved far apart.
     begins, ends_at = np.minimum(low[:-1], low[1:]), np.maximum(high[:-1], high[1:])
     near = np.flatnonzero((begins <= number + _REACH) & (ends_at >= number - _REACH))
     if not len(near):
         return number, number + 1
-    # With a neighbour on either side, by which sites know that they are no outermost ones.
+    # One more plane on either side, so that inner sites are not drawn as outermost sites.
     return max(int(near[0]) - 1, 0), min(int(near[-1]) + 3, depth)
 
 
 def _on_voxels(
     displacement: FloatArray, tissue: BoolArray, every: Sequence[int], planes: slice
 ) -> FloatArray:
-    """The displacement of all voxels of some planes, linear between the sites in tissue."""
+    """Interpolate a coarse displacement linearly to all voxels of some planes, within tissue."""
     if tuple(every) == (1, 1, 1):
         return displacement[planes]
     sites = tissue[tuple(slice(None, None, step) for step in every)]
@@ -119,7 +126,7 @@ def _on_voxels(
         parts = [
             (1 - share) * part.take(before, axis) + share * part.take(after, axis) for part in parts
         ]
-    found, weight = parts
-    filled = np.zeros_like(found)
-    np.divide(found, weight, out=filled, where=weight > 0)
-    return filled
+    total, weight = parts
+    mean = np.zeros_like(total)
+    np.divide(total, weight, out=mean, where=weight > 0)
+    return mean

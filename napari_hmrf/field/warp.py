@@ -1,10 +1,11 @@
 """Warping of an image with its tissue.
 
 A displacement is material: the tissue at X moves to X + d(X). The moved image I' therefore
-satisfies I'(X + d(X)) = I(X), and drawing it takes the inverse of the motion. (Sampling the image
-at X + d(X) would show the opposite motion.) Between the sites the motion is linear on triangles of
-three neighbouring sites, and in a volume trilinear in cells of eight, or linear on tetrahedra of
-four where a cell lacks a site; its inverse is then exact, however large the gradients.
+satisfies I'(X + d(X)) = I(X), and is computed with the inverse of the motion. (Sampling the image
+at X + d(X) would show the opposite motion.) Between the sites of a slice the motion is linear on
+triangles of three neighbouring sites. In a volume it is trilinear in cells of eight sites, and
+linear on tetrahedra of four in cells that lack a site. The inverse of this motion is exact, however
+large its gradients are.
 """
 
 from __future__ import annotations
@@ -41,25 +42,25 @@ def warp(
     tissue: npt.ArrayLike | None = None,
     fill: float = 0,
 ) -> npt.NDArray[Any]:
-    """Move an image, or a volume, with the tissue.
+    """Warp an image, or a volume, with the tissue.
 
     Parameters
     ----------
     image : array_like, shape ([D,] H, W) or ([D,] H, W, channels)
-        Grey, RGB or RGBA image, or labels (with ``order=0``). A NaN or infinite pixel moves like
-        others, but is left out of the interpolation around it.
+        Grey, RGB or RGBA image, or labels (with ``order=0``). NaN and infinite pixels move like
+        others, but the interpolation around them ignores them.
     displacement : array_like, shape (H, W, 2), or (D, H, W, 3) of a volume
         Material displacement in the order of the axes, in the unit of `spacing`.
     spacing : float or sequence of float, shape (n,)
         Size of a pixel along each axis, or along all of them.
     order : int
-        Order of the interpolating spline, 0 to 5: 0 takes the nearest pixel, as labels need; 1 is
-        linear.
+        Order of the interpolating spline, 0 to 5: 0 selects the nearest pixel, as labels need; 1
+        is linear.
     tissue : array_like of bool, shape ([D,] H, W), optional
-        Sites that move; by default all. The rest stays in place as background, and tissue that
-        moves onto it covers it.
+        Mask of the sites that move; by default all sites. Other pixels stay in place as background
+        and are covered by tissue that moves onto them.
     fill : float
-        Value of uncovered pixels, which tissue has left without replacement.
+        Value of uncovered pixels: pixels that tissue has left and no other tissue has reached.
 
     Returns
     -------
@@ -69,11 +70,11 @@ def warp(
     Raises
     ------
     ProblemError
-        Naming the input at fault.
+        If an input is invalid; the error names it.
 
     See Also
     --------
-    inverse_map, resample : the two steps of `warp`, to move several images by one displacement.
+    inverse_map, resample : The two steps of `warp`, to warp several images by one displacement.
     """
     picture = as_image(image, as_field(displacement).shape[:-1])
     coordinates, covered = inverse_map(displacement, spacing=spacing, tissue=tissue)
@@ -86,9 +87,9 @@ def inverse_map(
     spacing: Spacing,
     tissue: npt.ArrayLike | None = None,
 ) -> tuple[Float64Array, BoolArray]:
-    """Find the source of each pixel, that is, the original position of the tissue seen there.
+    """Find the source of each pixel: the position of its tissue before the motion.
 
-    Where the tissue has folded over itself, the part that is not inverted is seen.
+    Where the tissue has folded over itself, the part that is not inverted is visible.
 
     Parameters
     ----------
@@ -98,14 +99,14 @@ def inverse_map(
     Returns
     -------
     coordinates : ndarray, shape ([D,] H, W, n), float64
-        The source of each pixel, in pixels along the axes; 0 where not `covered`.
+        Source of each pixel, in pixels along the axes; 0 where not `covered`.
     covered : ndarray, shape ([D,] H, W), bool
-        False where tissue has left without replacement.
+        False at pixels that tissue has left and no other tissue has reached.
 
     Raises
     ------
     ProblemError
-        Naming the input at fault.
+        If an input is invalid; the error names it.
     """
     coordinates, covered, _ = inverse_map_and_overlaps(displacement, spacing, tissue)
     return coordinates, covered
@@ -118,7 +119,7 @@ def inverse_map_and_overlaps(
 ) -> tuple[Float64Array, BoolArray, BoolArray]:
     """Return the `inverse_map` and a mask of pixels where two parts of the tissue overlap.
 
-    Two parts that move onto each other across a gap overlap without any fold.
+    Two parts that move onto each other across a gap overlap without a fold.
 
     Parameters
     ----------
@@ -131,12 +132,12 @@ def inverse_map_and_overlaps(
         As in `inverse_map`.
     overlaps : ndarray, shape ([D,] H, W), bool
         Pixels onto which tissue that is not inverted has moved from two places more than a pixel
-        apart; which of the two is seen is undefined. Tissue one pixel thin is ignored.
+        apart. Either of the two parts may be visible. Tissue that is one pixel thin is ignored.
 
     Raises
     ------
     ProblemError
-        Naming the input at fault.
+        If an input is invalid; the error names it.
     """
     moving, mask = moved_sites(displacement, spacing, tissue)
     coordinates, state = inverse_raster(moving, mask)
@@ -149,7 +150,7 @@ def inverse_map_and_overlaps(
 def inverse_raster(
     moved: Float64Array, tissue: BoolArray, shape: tuple[int, ...] | None = None, planes: int = 0
 ) -> tuple[Float64Array, npt.NDArray[np.uint8]]:
-    """Invert the motion of sites with the loops, or with NumPy before these are compiled.
+    """Invert the motion of sites with compiled loops, or with NumPy until these are compiled.
 
     Parameters
     ----------
@@ -158,24 +159,25 @@ def inverse_raster(
     shape : tuple of int, optional
         Shape of the whole volume, if the sites are only some of its planes.
     planes : int
-        Number of planes of a volume to draw on; by default all.
+        Number of planes of the result for a volume; by default all.
 
     Returns
     -------
     source : ndarray, shape ([D,] H, W, n), float64
-        Original position of the tissue seen at each pixel; for a whole volume, the pixel's own
-        position where there is no tissue.
+        Position before the motion of the tissue at each pixel; for a whole volume, void in place
+        is its own source.
     state : ndarray, shape ([D,] H, W), uint8
-        0 where no tissue moved to; `TWICE` where two parts of the tissue did.
+        0 at pixels onto which no tissue has moved; `TWICE` where two parts of the tissue overlap.
     """
     if tissue.ndim == 3:
-        # Its loops use numba's own threads, which must not be entered from two threads.
+        # The loops for volumes use numba's threads, which must not be entered from two threads.
         drawn = partial(_volume_raster, moved, tissue, shape or tissue.shape, planes or len(tissue))
         return compute_thread.result_of(drawn, "a volume to be warped")
     if not loops.ready_for_pictures():
         compiler.compile_meanwhile()
         return triangle_arrays.rasterise(moved, tissue)
     loader.before_numba()
+    # Numba is imported on first use, because the import takes half a second.
     from napari_hmrf.field.triangle_raster import rasterise  # heavy: numba
 
     coordinates, state = rasterise(moved, loops.only_read(tissue))
@@ -183,7 +185,7 @@ def inverse_raster(
 
 
 def has_volume_loops() -> bool:
-    """Return whether the loops that move volumes are compiled and cached."""
+    """Return whether the loops that warp volumes are compiled and cached."""
     loader.before_numba()
     from napari_hmrf.field import tetrahedron_raster  # heavy: numba
 
@@ -193,7 +195,7 @@ def has_volume_loops() -> bool:
 def _volume_raster(
     moved: Float64Array, tissue: BoolArray, shape: tuple[int, ...], planes: int
 ) -> tuple[Float64Array, npt.NDArray[np.uint8]]:
-    """Invert the motion of a volume's sites onto its planes; on the compute thread only."""
+    """Invert the motion of a volume's sites; call on the compute thread only."""
     loader.before_numba()
     from numba import get_num_threads  # heavy: numba
 
@@ -220,26 +222,26 @@ def moved_sites(
     tissue: npt.ArrayLike | None,
     fraction: float = 1.0,
 ) -> tuple[Float64Array, BoolArray]:
-    """Check a displacement and its tissue, and return the moved position of every site, in pixels.
+    """Check a displacement and its tissue, and return the moved position of each site.
 
     Parameters
     ----------
     displacement, spacing, tissue
         As in `warp`.
     fraction : float
-        Fraction of the displacement.
+        Part of the displacement, from 0 to 1.
 
     Returns
     -------
     moved : ndarray, shape ([D,] H, W, n), float64
-        X + d(X) in pixels; X where there is no tissue.
+        X + d(X) in pixels; X outside tissue.
     tissue : ndarray, shape ([D,] H, W), bool
-        True everywhere if no tissue was given.
+        Mask of the tissue; True everywhere if `tissue` is None.
 
     Raises
     ------
     ProblemError
-        Naming the input at fault.
+        If an input is invalid; the error names it.
     """
     d = as_field(displacement)
     sizes = checked_sizes(spacing, d.shape[-1])
@@ -258,8 +260,8 @@ def moved_sites(
         at = tuple(int(i) for i in np.argwhere(bad)[0])
         raise ProblemError(
             "displacement",
-            f"is NaN or infinite at {int(bad.sum())} pixels, the first at {at}. Replace those "
-            "vectors, or leave the pixels out of `tissue`.",
+            f"is NaN or infinite at {int(bad.sum())} pixels, the first at {at}. Replace these "
+            "vectors, or exclude the pixels from `tissue`.",
         )
     return moved, mask
 
@@ -272,9 +274,9 @@ def _is_finite(plane: Float64Array) -> bool:
 def _added(
     d: npt.NDArray[Any], sizes: Float64Array, mask: BoolArray, fraction: float
 ) -> Float64Array:
-    """Return the position of every site, in pixels, after a fraction of the displacement."""
-    # Work plane by plane, which stays in the cache, with all components of a row in one line: an
-    # inner loop over three components would take as long as one over a hundred.
+    """Return the position of each site, in pixels, after a fraction of the displacement."""
+    # Planes are processed one by one, because a plane fits the CPU cache. All components of a row
+    # are in one line: a NumPy inner loop over 3 numbers takes as long as one over a hundred.
     (height, width), n = mask.shape[-2:], mask.ndim
     moved, size = np.empty(d.shape), np.tile(sizes, width)
     scaled = bool((sizes != 1).any())
@@ -283,14 +285,14 @@ def _added(
     for plane in np.ndindex(mask.shape[:-2]):
         compute_thread.look()
         own[..., : n - 2] = plane
-        there = np.repeat(mask[plane], n, axis=-1)
-        line = moved[plane].reshape(there.shape)
-        line[...] = np.where(there, d[plane].reshape(there.shape), 0)
+        inside = np.repeat(mask[plane], n, axis=-1)
+        line = moved[plane].reshape(inside.shape)
+        line[...] = np.where(inside, d[plane].reshape(inside.shape), 0)
         if fraction != 1:
             line *= fraction
         if scaled:
             line /= size
-        line += own.reshape(there.shape)
+        line += own.reshape(inside.shape)
     return moved
 
 
@@ -311,7 +313,7 @@ def as_field(displacement: npt.ArrayLike) -> npt.NDArray[Any]:
     if d.ndim not in (3, 4) or d.shape[-1] != d.ndim - 1:
         raise ProblemError(
             "displacement",
-            f"has shape {d.shape}, but (H, W, 2), or (D, H, W, 3) of a volume, is needed: one "
-            "vector per pixel, in the order of the axes.",
+            f"has shape {d.shape}. Give (H, W, 2), or (D, H, W, 3) for a volume: one vector per "
+            "pixel, in the order of the axes.",
         )
     return d

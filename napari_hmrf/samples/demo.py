@@ -1,4 +1,4 @@
-"""Demonstration: a sample is solved, measured against finite elements, and drawn."""
+"""Demonstration: solution of a sample, comparison with finite elements, and pictures."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 #: Size of the phantoms and finite-element fields in `sample_data`, in pixels.
 SAMPLE_SIZE = 300
-#: Material of these fields.
+#: Material of the finite-element fields.
 FEM = ElasticPrior(poisson=0.3, plane="stress")
 
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """A phantom with its solution and measurements.
+    """Phantom with its solution and measurements.
 
     Attributes
     ----------
@@ -38,12 +38,12 @@ class Demonstration:
     solution : Solution
     rmsd : float or None
         Root mean square deviation from the finite-element displacement over the tissue, in pixels
-        (eq. 20); None if there is no such field to compare with.
+        (eq. 20); None if there is no finite-element field of this size.
     rmsd_of_fem : float or None
-        The same for elastic tissue with the material of the finite elements, if the solution has
-        another material.
+        Deviation of the solution with the material of the finite elements, if the solution has
+        another elastic material; otherwise None.
     folds : int
-        Number of sites where the tissue folds: the determinant of its motion is 0 or less.
+        Number of sites where the tissue folds, from `count_folds`.
     """
 
     phantom: Phantom
@@ -71,14 +71,14 @@ class Demonstration:
 
     def _distances(self) -> tuple[tuple[str, str], ...]:
         """Return the rows of deviations from finite elements, for both materials."""
-        name, other = f"RMSD to FEM of nu {FEM.poisson}", "as another material"
+        name, other = f"RMSD from FEM, nu {FEM.poisson}", "with another material"
         if self.rmsd is None:
             return (name, "-"), (other, "-")
         if self.rmsd_of_fem is None:
             return (name, _in_pixels(self.rmsd)), (other, "-")
         prior = self.solution.provenance.parameters["prior"]
-        own = f"of nu {prior['poisson']}, plane {prior['plane']}"
-        same = f"{_in_pixels(self.rmsd_of_fem)}, if of nu {FEM.poisson}, too"
+        own = f"nu {prior['poisson']}, plane {prior['plane']}"
+        same = f"{_in_pixels(self.rmsd_of_fem)}, solved with nu {FEM.poisson}"
         return (name, same), (other, f"{_in_pixels(self.rmsd)}, {own}")
 
 
@@ -87,7 +87,7 @@ def _in_pixels(rmsd: float) -> str:
 
 
 def table(*shown: Demonstration | VolumeDemonstration) -> str:
-    """Format the measurements, one per line; several demonstrations are side by side."""
+    """Format the measurements, one per line, with a column for each demonstration."""
     rows = [demonstration.rows() for demonstration in shown]
     columns = [[name for name, _ in rows[0]], *([value for _, value in each] for each in rows)]
     widths = [max(map(len, column)) for column in columns]
@@ -114,30 +114,34 @@ def demonstrate(
     name : str
         One of `PHANTOM_NAMES`.
     size : int
-        Pixels along each side.
+        Number of pixels along each side.
     backend : str
         One of `BACKEND_NAMES`; "auto" is the fastest that is ready, as in napari.
     progress : callable
-        Called with a `Monitor` now and then.
+        Called repeatedly with a `Monitor`.
     prior, optimizer : optional
         As for `solve`.
+
+    Returns
+    -------
+    Demonstration
 
     Raises
     ------
     ArgumentError
-        If there is no such phantom, or not of that size.
+        If there is no such phantom, or the size is invalid.
     BackendError
         If the requested backend cannot run.
     """
     subject = sample(name) if size == SAMPLE_SIZE else phantom(name, size)
-    how: dict[str, Any] = {"optimizer": optimizer, "backend": backend, "progress": progress}
-    solution = solve(subject.problem, prior, **how)
+    options: dict[str, Any] = {"optimizer": optimizer, "backend": backend, "progress": progress}
+    solution = solve(subject.problem, prior, **options)
     rmsd = rmsd_of_fem = None
     if size == SAMPLE_SIZE:
         reference = reference_displacement(name)
         rmsd = _rmsd(solution, reference)
         if isinstance(prior, ElasticPrior) and prior != FEM:
-            rmsd_of_fem = _rmsd(solve(subject.problem, FEM, **how), reference)
+            rmsd_of_fem = _rmsd(solve(subject.problem, FEM, **options), reference)
     return Demonstration(
         phantom=subject,
         solution=solution,

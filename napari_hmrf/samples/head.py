@@ -1,7 +1,7 @@
-"""A head in three dimensions: a brain with ventricles in its skull, and a tumour that grows in it.
+"""Three-dimensional phantom of a head: a brain with ventricles and a growing tumour, in a skull.
 
-What `phantoms` draws in two. All of it is a formula, so that it has any size, and lengths are in
-millimetres.
+All shapes are formulas, so that the phantom can have any size. Lengths are in millimetres. The
+module `phantoms` has phantoms of slices.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from napari_hmrf.tissue.boundary_rules import (
 Uint8Array = npt.NDArray[np.uint8]
 FloatArray = npt.NDArray[np.float64]
 
-#: The smallest size at which the head still has an inside.
+#: Smallest size at which all parts of the head have an inside.
 SMALLEST = 24
 #: Size of the sample in napari, whose voxels are 2 mm wide.
 SAMPLE_SIZE = 95
-#: From the front of the head to its back, in millimetres; of the brain half as much along (up,
-#: back, left), and how thick the skull is around it.
+#: Length of the image from front to back; half axes of the brain along (up, back, left); thickness
+#: of the skull. In millimetres.
 _LONG, _BRAIN, _SKULL = 190.0, (62.0, 84.0, 66.0), 7.0
-#: Place of the tumour from the middle of the brain, and its radius.
+#: Position (up, back, left) of the tumour from the centre of the brain, and its radius.
 _TUMOUR_AT, _RADIUS = (10.0, 28.0, 30.0), 20.0
-#: Halves of a ventricle's horns, and where they are: up, back, beside the middle.
+#: Half axes and position of each horn of a ventricle along (up, back, lateral).
 _HORNS = (((8.0, 30.0, 8.0), (10.0, -6.0, 11.0)), ((16.0, 9.0, 7.0), (0.0, 24.0, 17.0)))
 
-#: Its label.
+#: Label of the tumour.
 TUMOUR = 3
 
 MATERIALS = (
@@ -52,25 +52,25 @@ MATERIALS = (
 
 @dataclass(frozen=True, eq=False)
 class HeadPhantom:
-    """A synthetic head with its tissue and the known motion of its boundaries.
+    """Synthetic head with its tissue and the known motion of its boundaries.
 
     Attributes
     ----------
     image : ndarray, shape (D, H, W), uint8
-        Axes lead up, to the back and to the left of the patient.
+        Image whose axes lead up, back and to the left of the patient.
     tissue_labels : ndarray, shape (D, H, W), uint8
-        Labels of `materials`; the skull, which holds the brain, is outside.
+        Labels of `materials`; the skull has label 0, like the outside.
     materials : tuple of Material
-        Relative stiffness.
+        Materials with relative stiffness.
     boundary_labels : ndarray, shape (D, H, W), uint8
-        0 where nothing is observed, else the label of a rule.
+        Label of the rule of each voxel; 0 is not observed.
     boundary : tuple of BoundaryRule
-        What each boundary label does: the brain is fixed at the skull, the rim of the tumour moves
-        outward. Lengths in millimetres.
+        Rules of the boundary labels: the brain is fixed at the skull, and the rim of the tumour
+        moves outward. Lengths are in millimetres.
     spacing : tuple of float
         Size of a voxel along each axis, in millimetres.
     growth : float
-        How far the rim of the tumour moves outward, in millimetres.
+        Outward displacement of the rim of the tumour, in millimetres.
     """
 
     image: Uint8Array
@@ -89,14 +89,14 @@ class HeadPhantom:
 
     @cached_property
     def problem(self) -> Problem:
-        """Problem that the labels and tables state."""
+        """Problem of the labels and their tables."""
         y, c = boundary_images(self.boundary_labels, self.boundary, spacing=self.spacing)
         m = stiffness_image(self.tissue_labels, self.materials)
         return Problem(y, c, m, spacing=self.spacing)
 
     @property
     def frame(self) -> Frame:
-        """Place of the head: its middle is at the origin of the patient's axes."""
+        """Place of the head, with its centre at the origin of patient coordinates."""
         affine = np.eye(4)
         affine[:3, 3] = -(np.array(self.image.shape) - 1) / 2 * self.spacing
         units = ("millimeter",) * 3
@@ -111,10 +111,11 @@ def head_phantom(size: int = 64, *, growth: float = 5.0) -> HeadPhantom:
     Parameters
     ----------
     size : int
-        Voxels from its front to its back; across and upward it has four fifths as many. At 190
-        voxels are 1 mm wide.
+        Number of voxels from front to back; along the other axes there are four fifths of that
+        number. At size 190, voxels are 1 mm wide.
     growth : float
-        How far the rim of the tumour moves outward, in millimetres. Its radius is 20.
+        Outward displacement of the rim of the tumour, in millimetres. The radius of the tumour is
+        20 mm.
 
     Returns
     -------
@@ -123,10 +124,10 @@ def head_phantom(size: int = 64, *, growth: float = 5.0) -> HeadPhantom:
     Raises
     ------
     ArgumentError
-        If the size is no whole number of at least 24, or the growth no number.
+        If the size is not a whole number of at least 24, or the growth is not a finite number.
     """
-    what = f"a whole number of at least {SMALLEST}"
-    refuse_unless(is_whole(size) and size >= SMALLEST, "size", size, what)
+    requirement = f"a whole number of at least {SMALLEST}"
+    refuse_unless(is_whole(size) and size >= SMALLEST, "size", size, requirement)
     refuse_unless(math.isfinite(real(growth)), "growth", growth, "a length in millimetres")
     side = _LONG / int(size)
     spacing = (side, side, side)
@@ -142,7 +143,7 @@ def head_phantom(size: int = 64, *, growth: float = 5.0) -> HeadPhantom:
     tumour = _ball(_from(shape, spacing, _TUMOUR_AT), (_RADIUS,) * 3) <= 1
     tissue[tumour] = TUMOUR
     grey = np.array([0.0, 130.0, 60.0, 200.0])[tissue] + 235.0 * bone
-    # The fissure between the halves, and folds, so that motion within the brain can be seen.
+    # The fissure between the hemispheres, and folds that make motion within the brain visible.
     grey -= (tissue == 1) * 50.0 * np.exp(-((left / 2.5) ** 2)) * (up > 0)
     folds = np.sin(0.42 * up + 2.0 * np.sin(0.16 * back)) + np.sin(
         0.45 * left + 1.8 * np.sin(0.14 * up + 0.15 * back)
@@ -151,7 +152,8 @@ def head_phantom(size: int = 64, *, growth: float = 5.0) -> HeadPhantom:
     image = scipy.ndimage.gaussian_filter(grey, 0.6)
     pixels = np.clip(np.rint(image), 0, 255).astype(np.uint8)
     boundary = (inside & ~scipy.ndimage.binary_erosion(inside)).astype(np.uint8)
-    # A rim without gaps across edges and corners: what is inside follows it alone.
+    # With the full neighbourhood the rim has no gaps at edges and corners, so that it separates the
+    # inside of the tumour from the brain.
     boundary[tumour & ~scipy.ndimage.binary_erosion(tumour, np.ones((3, 3, 3)))] = 2
     rules = (
         BoundaryRule(1, "fixed", name="skull"),
@@ -167,7 +169,7 @@ def _from(
     spacing: tuple[float, ...],
     middle: tuple[float, ...] = (0.0, 0.0, 0.0),
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the offset of each voxel from a place relative to the middle, in millimetres."""
+    """Return the offset of each voxel from a position relative to the centre, in millimetres."""
     lines = [
         (np.arange(count) - (count - 1) / 2) * step - at
         for count, step, at in zip(shape, spacing, middle, strict=True)
@@ -177,7 +179,7 @@ def _from(
 
 
 def _ball(away: tuple[FloatArray, ...], half: tuple[float, ...] | list[float]) -> FloatArray:
-    """At most 1 inside an ellipsoid."""
+    """Return the squared distance from the centre of an ellipsoid, 1 on its surface."""
     squares = ((part / size) ** 2 for part, size in zip(away, half, strict=True))
     inside: FloatArray = np.asarray(sum(squares), dtype=np.float64)
     return inside

@@ -1,8 +1,8 @@
-"""Synthetic test objects: an image, its tissue, what moves its boundary, and the problem they make.
+"""Phantoms: synthetic images with their tissue and the motion of their boundaries.
 
-The brain of the paper's figure 1, expanding or pushed by a growing tumour, and a bar of two
-tissues. Each is a label image and two small tables, turned into a `Problem` by the same functions
-that a painted layer goes through.
+The phantoms are the brain of the paper's figure 1, which expands or is pushed by a growing tumour,
+and a bar of two tissues. Each phantom consists of label images and two small tables, which the same
+functions convert to a `Problem` as for painted layers.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from napari_hmrf.tissue.boundary_rules import (
 )
 from napari_hmrf.tissue.painted_loads import growth_loads
 
-#: The phantoms that exist.
+#: Names of the phantoms.
 PHANTOM_NAMES = ("expansion", "mass-effect", "bar")
-#: The smallest size at which every phantom still has an inside.
+#: Smallest size, in pixels, at which all parts of the phantoms have an inside.
 SMALLEST = 16
-#: The size the geometry below is written for, in pixels; the size of the paper's images.
+#: Size, in pixels, for which the geometry is written: that of the paper's images.
 _DRAWN_AT = 300
 
 _OUTSIDE = Material(0, "outside", 0.0)
@@ -53,7 +53,7 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Phantom:
-    """A synthetic test object.
+    """Synthetic image with its tissue and the motion of its boundaries.
 
     Attributes
     ----------
@@ -62,16 +62,16 @@ class Phantom:
     title : str
         Description.
     image : ndarray, shape (H, W), uint8
-        What a scanner might have seen.
+        Synthetic scan.
     tissue_labels : ndarray, shape (H, W), uint8
         0 outside (void), 1 normal tissue, 2 soft tissue, 3 tumour.
     materials : tuple of Material
-        The stiffness of each tissue label: 20, 10 and 40 as in the paper, which are
-        ratios; 0 outside.
+        Materials of the tissue labels, with the relative stiffnesses of the paper: 20, 10 and 40,
+        and 0 outside.
     boundary_labels : ndarray, shape (H, W), uint8
-        0 where nothing is observed, else the label of a rule.
+        Label of the rule of each pixel; 0 is not observed.
     boundary : tuple of BoundaryRule
-        What each boundary label does; lengths in pixels.
+        Rules of the boundary labels; lengths are in pixels.
     """
 
     name: str
@@ -87,19 +87,23 @@ class Phantom:
 
     @cached_property
     def problem(self) -> Problem:
-        """The problem that the labels and tables state, with spacing (1, 1)."""
+        """Problem of the labels and their tables, with spacing (1, 1)."""
         y, c = boundary_images(self.boundary_labels, self.boundary, spacing=1)
         loads = growth_loads(self.tissue_labels, self.materials)
         return Problem(y, c, stiffness_image(self.tissue_labels, self.materials), loads=loads)
 
     def growing(self, strain: float = 0.4) -> Phantom:
-        """Return the brain of "mass-effect" with a tumour that grows, and a rim that is not pushed.
+        """Return the brain of "mass-effect" with a growing tumour instead of a pushed rim.
 
         Parameters
         ----------
         strain : float
-            How much longer the tumour would be if it were free: so that its rim moves by about 8
-            pixels of 300, too.
+            Growth of the tumour, as a relative change of length. With the default its rim also
+            moves by about 8 pixels at size 300.
+
+        Returns
+        -------
+        Phantom
         """
         tumour = replace(_TUMOUR, growth=strain)
         labels = np.where(self.boundary_labels == 2, 0, self.boundary_labels).astype(np.uint8)
@@ -123,7 +127,8 @@ def phantom(name: str, size: int = 300) -> Phantom:
         half soft tissue; its left end is fixed and its right end moves 20 pixels to the right.
         Motion scales with size.
     size : int
-        Pixels along each side; the bar is this long and a third as high. At least 16.
+        Number of pixels along each side, at least 16; the bar has this length and a third of it as
+        height.
 
     Returns
     -------
@@ -132,7 +137,7 @@ def phantom(name: str, size: int = 300) -> Phantom:
     Raises
     ------
     ArgumentError
-        If there is no phantom of that name, or `size` is not a whole number of at least 16.
+        If there is no phantom of this name, or `size` is not a whole number of at least 16.
     """
     size = _checked(name, size)
     if name == "bar":
@@ -148,7 +153,7 @@ def phantom(name: str, size: int = 300) -> Phantom:
 
 
 def sample(name: str) -> Phantom:
-    """Return the phantom of size 300 as stored in `sample_data`; the same as ``phantom(name)``.
+    """Return the phantom of size 300 from `sample_data`, which equals ``phantom(name)``.
 
     Parameters
     ----------
@@ -170,9 +175,10 @@ def sample(name: str) -> Phantom:
 
 
 def reference_displacement(name: str) -> npt.NDArray[np.float32]:
-    """Return the finite-element displacement of ``phantom(name)`` as stored in `sample_data`.
+    """Return the finite-element displacement of ``phantom(name)`` from `sample_data`.
 
-    Bilinear quads on the pixel grid, plane stress, Poisson's ratio 0.3, stored to 0.001 pixel.
+    It was computed with bilinear quadrilaterals on the pixel grid in plane stress, with a Poisson's
+    ratio of 0.3, and is stored with a precision of 0.001 pixels.
 
     Parameters
     ----------
@@ -181,7 +187,7 @@ def reference_displacement(name: str) -> npt.NDArray[np.float32]:
     Returns
     -------
     ndarray, shape (H, W, 2), float32
-        Material displacement in pixels, (row, col) order; zero outside.
+        Material displacement in pixels, in (row, col) order; 0 outside tissue.
 
     Raises
     ------
@@ -202,8 +208,7 @@ def _checked(name: str, size: object) -> int:
         pixels = operator.index(size)  # type: ignore[arg-type]
     except TypeError:
         pixels = 0
-    what = f"a whole number of at least {SMALLEST}"
-    refuse_unless(pixels >= SMALLEST, "size", size, what)
+    refuse_unless(pixels >= SMALLEST, "size", size, f"a whole number of at least {SMALLEST}")
     return pixels
 
 
@@ -243,7 +248,7 @@ def _width(size: int) -> int:
 
 
 def _rim(region: npt.NDArray[np.bool_], size: int) -> npt.NDArray[np.bool_]:
-    """The pixels of a region next to its edge."""
+    """Return the pixels of a region along its edge, as wide as the painted boundary."""
     rim: npt.NDArray[np.bool_] = region & (
         scipy.ndimage.distance_transform_edt(region) <= _width(size)
     )
@@ -251,7 +256,7 @@ def _rim(region: npt.NDArray[np.bool_], size: int) -> npt.NDArray[np.bool_]:
 
 
 def _coordinates(shape: tuple[int, int], size: int) -> tuple[FloatArray, FloatArray]:
-    """(row, col) of every pixel from the image's centre, in pixels of the size drawn at."""
+    """Return the offset (row, col) of each pixel from the centre, in pixels at size 300."""
     row, col = np.ogrid[: shape[0], : shape[1]]
     scale = _DRAWN_AT / size
     return (row - (shape[0] - 1) / 2) * scale, (col - (shape[1] - 1) / 2) * scale
@@ -264,7 +269,7 @@ def _ellipse(
     half: tuple[float, float],
     tilt: tuple[float, float] = (1.0, 0.0),
 ) -> npt.NDArray[np.bool_]:
-    """Inside an ellipse; `half` along and across the unit vector `tilt`, (row, col)."""
+    """Return a mask of an ellipse with half axes along and across the unit vector `tilt`."""
     row, col = row - centre[0], col - centre[1]
     along = (row * tilt[0] + col * tilt[1]) / half[0]
     across = (col * tilt[0] - row * tilt[1]) / half[1]
@@ -273,10 +278,11 @@ def _ellipse(
 
 
 def _brain(size: int) -> tuple[Uint8Array, npt.NDArray[np.bool_]]:
-    """Tissue labels of the brain, and its outline."""
+    """Return the tissue labels of the brain, and its outline."""
     row, col = _coordinates((size, size), size)
-    # An egg, a little wider at the back; two ventricles of two horns each; a round tumour. Only
-    # sums, products and quotients, so that every platform draws the same labels.
+    # The brain is egg-shaped and slightly wider at the back. It has two ventricles of two horns
+    # each and a round tumour. Only sums, products and quotients are used, so that the labels are
+    # equal on all platforms.
     egg = col / (106.0 * (1.0 + 0.06 * row / 128.0))
     inside = egg * egg + (row / 128.0) * (row / 128.0) <= 1.0
     tissue = np.zeros((size, size), dtype=np.uint8)
@@ -290,7 +296,7 @@ def _brain(size: int) -> tuple[Uint8Array, npt.NDArray[np.bool_]]:
 
 
 def _bar(size: int) -> tuple[Uint8Array, Uint8Array]:
-    """Tissue and boundary labels of the bar."""
+    """Return the tissue labels and the boundary labels of the bar."""
     shape = (round(size / 3), size)
     tissue = np.full(shape, _NORMAL.label, dtype=np.uint8)
     tissue[:, size // 2 :] = _SOFT.label
@@ -311,7 +317,7 @@ def _brain_image(tissue: Uint8Array, size: int) -> Uint8Array:
     grey = _painted(tissue, {1: 130.0, 2: 225.0, 3: 45.0})
     inside = tissue > 0
     row, col = _coordinates(tissue.shape, size)
-    # The cortex is a little darker, and so is the fissure between the hemispheres.
+    # The cortex and the fissure between the hemispheres are slightly darker.
     depth = scipy.ndimage.distance_transform_edt(inside) * (_DRAWN_AT / size)
     normal = tissue == _NORMAL.label
     grey -= normal * (28.0 * np.exp(-((depth / 9.0) ** 2)))
@@ -321,7 +327,7 @@ def _brain_image(tissue: Uint8Array, size: int) -> Uint8Array:
 
 
 def _texture(grey: FloatArray, size: int) -> Uint8Array:
-    """Blur the edges a little and add folds, so that motion within a tissue can be seen."""
+    """Blur the edges slightly, and add folds that make motion within a tissue visible."""
     row, col = _coordinates(grey.shape, size)
     folds = (
         6.0 * np.sin(0.23 * row + 2.1 * np.sin(0.083 * col + 0.4))

@@ -1,6 +1,6 @@
-"""A report on this installation: what it runs on, and whether it computes what it should.
+"""Self-test: a report on the system and on the results of each backend.
 
-Plain text without the user's name or folders, to be pasted into a bug report.
+The report is plain text without the names of the user or of folders, for use in a bug report.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from napari_hmrf.solver.priors import ElasticPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solve import solve
 
-#: Largest error of a backend, in pixels, from the affine field that it has to find.
+#: Largest allowed error of a backend, in pixels, for an affine field.
 CLOSED_FORM_BOUND = 0.001
 CANDIDATES_BOUND = 0.02
 ELASTIC_BOUND = 0.001
 
-# Wider than a work group of shaders, with some levels.
+# Shape of the test volume: wider than a work group of the shaders, with several levels.
 _VOLUME = (9, 12, 37)
 _BACKENDS = ("cpu", "opengl:fragment", "opengl:compute")
 _PACKAGES = (
@@ -48,50 +48,50 @@ _SETTINGS = (
 
 
 def selftest(write: Callable[[str], None] = print) -> bool:
-    """Report on this installation.
+    """Check this installation and write a report.
 
     Parameters
     ----------
     write : callable
-        Is given the report line by line.
+        Called with each line of the report.
 
     Returns
     -------
     bool
-        Whether every backend that is there computed what it should, and one is there.
+        True if there is a backend, and the results of all backends are right.
     """
 
-    def say(line: str) -> None:
+    def write_line(line: str) -> None:
         write(_anonymous(line))
 
-    say("napari-hmrf self-test")
-    say("")
-    _report_versions(say)
-    _report_opengl(say)
-    say("solves")
-    outcomes = [_check_backend(name, say) for name in _BACKENDS]
+    write_line("napari-hmrf self-test")
+    write_line("")
+    _report_versions(write_line)
+    _report_opengl(write_line)
+    write_line("solves")
+    outcomes = [_check_backend(name, write_line) for name in _BACKENDS]
     passed = False not in outcomes and True in outcomes
-    say("")
-    say("PASS" if passed else "FAIL")
+    write_line("")
+    write_line("PASS" if passed else "FAIL")
     return passed
 
 
 def affine_example(shape: tuple[int, ...] = (16, 23)) -> tuple[Problem, np.ndarray[Any, Any]]:
-    """Return uniform tissue whose whole border moves by an affine field, and that field.
+    """Return a problem of uniform tissue whose border moves by an affine field, and the field.
 
-    Tissue that stretches, shears and shifts evenly at its border does so inside: no clique
-    resists, so the affine field is the exact answer of any mechanical prior.
+    The affine field satisfies equilibrium inside the tissue for each mechanical prior, so that it
+    is the exact solution.
 
     Parameters
     ----------
     shape : tuple of int
-        Grid of an image or of a volume.
+        Shape of the image or volume.
 
     Returns
     -------
-    Problem
-    ndarray, shape (H, W, 2) or (D, H, W, 3)
-        The displacement of every site, in pixels.
+    problem : Problem
+    field : ndarray, shape (H, W, 2) or (D, H, W, 3)
+        Exact displacement of each site, in pixels.
     """
     axes = len(shape)
     sites = np.moveaxis(np.indices(shape), 0, -1) - (np.array(shape) - 1) / 2
@@ -102,52 +102,52 @@ def affine_example(shape: tuple[int, ...] = (16, 23)) -> tuple[Problem, np.ndarr
     return Problem(field * border, border, np.ones(shape)), field
 
 
-def _report_versions(say: Callable[[str], None]) -> None:
-    say("system")
+def _report_versions(write_line: Callable[[str], None]) -> None:
+    write_line("system")
     _list(
-        say,
+        write_line,
         {
             "Python": f"{platform.python_version()} ({platform.python_implementation()})",
             "system": f"{platform.system()} {platform.release()}",
             "processor": f"{platform.machine()}, {os.cpu_count()} threads",
         },
     )
-    say("")
-    say("packages")
+    write_line("")
+    write_line("packages")
     found = {}
     for package in _PACKAGES:
         try:
             found[package] = version(package)
         except PackageNotFoundError:
             continue
-    _list(say, found)
-    say("")
+    _list(write_line, found)
+    write_line("")
     settings = {name: os.environ[name] for name in _SETTINGS if name in os.environ}
     if settings:
-        say("environment variables")
-        _list(say, settings)
-        say("")
+        write_line("environment variables")
+        _list(write_line, settings)
+        write_line("")
 
 
-def _report_opengl(say: Callable[[str], None]) -> None:
-    say("OpenGL")
+def _report_opengl(write_line: Callable[[str], None]) -> None:
+    write_line("OpenGL")
 
     from napari_hmrf.solver.backends import opengl  # heavy: opengl
 
     try:
-        _list(say, compute_thread.submit(opengl.describe).result())
+        _list(write_line, compute_thread.submit(opengl.describe).result())
     except BackendError as error:
-        say(f"  not usable: {error}")
-    say("")
+        write_line(f"  not usable: {error}")
+    write_line("")
 
 
-def _check_backend(name: str, say: Callable[[str], None]) -> bool | None:
-    """Solve on one backend; whether that was right, or None if it is not there."""
-    say(f"  {name}")
+def _check_backend(name: str, write_line: Callable[[str], None]) -> bool | None:
+    """Check the results of a backend; return whether they are right, None without the backend."""
+    write_line(f"  {name}")
     image, volume = affine_example(), affine_example(_VOLUME)
     refusal = _refusal(name, image[0])
     if refusal is not None:
-        say(f"    not there: {refusal}")
+        write_line(f"    not available: {refusal}")
         return None
     elastic = (ElasticPrior(), Multigrid(tolerance=1e-4), ELASTIC_BOUND)
     checks: list[tuple[Any, ...]] = [
@@ -156,8 +156,8 @@ def _check_backend(name: str, say: Callable[[str], None]) -> bool | None:
         ("elastic", image, *elastic),
     ]
     if name != "cpu" and (refusal := _refusal(name, volume[0])) is not None:
-        say(f"    no volumes: {refusal}")
-    elif name != "cpu" or loops.ready_for_volumes():  # no report waits for them
+        write_line(f"    no volumes: {refusal}")
+    elif name != "cpu" or loops.ready_for_volumes():  # the report does not wait for the compiler
         checks.append(("elastic volume", volume, *elastic))
     passed = True
     try:
@@ -166,20 +166,20 @@ def _check_backend(name: str, say: Callable[[str], None]) -> bool | None:
             off = float(np.abs(solution.displacement - field).max())
             right = off <= bound
             passed = passed and right
-            say(
+            write_line(
                 f"    {'PASS' if right else 'FAIL'} affine motion, {title}: "
                 f"max error {off:.1e} px (at most {bound:g})"
             )
         for timing in _timings(name):
-            say(f"    {timing}")
+            write_line(f"    {timing}")
     except HmrfError as failure:
-        say(f"    FAIL {failure}")
+        write_line(f"    FAIL {failure}")
         return False
     return passed
 
 
 def _refusal(name: str, problem: Problem) -> BackendError | None:
-    """Return why a backend is missing or does not support a problem; None if it does."""
+    """Return the error of a backend that is missing or does not support a problem, or None."""
     try:
         job = SolveJob.of(problem, ElasticPrior().resolved(problem), Multigrid())
         opened = partial(open_backend, job, name, lambda: None)
@@ -207,25 +207,27 @@ def _timings(name: str) -> Iterator[str]:
     yield f"300 x 300, elastic, once warm: {seconds:.3f} s, {solution.iterations} cycles"
 
 
-def _list(say: Callable[[str], None], entries: Mapping[str, Any], indent: str = "  ") -> None:
-    """Write names and values in two columns, nested mappings indented below their name."""
+def _list(
+    write_line: Callable[[str], None], entries: Mapping[str, Any], indent: str = "  "
+) -> None:
+    """Write names and values in two columns; nested mappings are indented below their name."""
     width = max((len(str(name)) for name in entries), default=0)
     for name, value in entries.items():
         if isinstance(value, Mapping):
-            say(f"{indent}{name}")
-            _list(say, value, indent + "  ")
+            write_line(f"{indent}{name}")
+            _list(write_line, value, indent + "  ")
             continue
         if isinstance(value, (list, tuple)):
             value = ", ".join(str(item) for item in value) or "none"
-        say(f"{indent}{name!s:<{width}}  {value}")
+        write_line(f"{indent}{name!s:<{width}}  {value}")
 
 
 def _anonymous(text: str) -> str:
-    """The text without the user's home folder and name."""
+    """Remove the home folder and the name of the user from a text."""
     text = text.replace(str(Path.home()), "~")
     try:
         user = getpass.getuser()
     except (OSError, KeyError, ImportError):
         return text
-    # A short name might be part of any word; as part of a path it has gone with the home folder.
+    # Only names between slashes are replaced, because a short name may be a part of other words.
     return text.replace(f"/{user}/", "/~/").replace(f"\\{user}\\", "\\~\\")

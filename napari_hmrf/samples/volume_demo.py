@@ -1,4 +1,4 @@
-"""Demonstration of a volume: a tumour that grows in a head is solved, measured and drawn."""
+"""Demonstration of a volume: solution, measurements and pictures of a tumour in a head."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from napari_hmrf.study.ground import solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
-#: Displacement of the tumour's rim, in millimetres. From 2.5 on, the elastic tissue beside it
-#: folds.
+#: Outward displacement of the tumour's rim, in millimetres. From 2.5 on, elastic tissue around the
+#: tumour folds.
 GROWTH = 2.0
 #: One millilitre in cubic millimetres.
 _MILLILITRE = 1000.0
@@ -32,13 +32,13 @@ _MILLILITRE = 1000.0
 
 @dataclass(frozen=True, eq=False)
 class VolumeDemonstration:
-    """A head with its solution and measurements.
+    """Phantom of a head with its solution and measurements.
 
     Attributes
     ----------
     head : HeadPhantom
     study : Study
-        The solved study.
+        Study of the head.
     solution : Solution
     tumour : Measurement
         Measurement of the tumour.
@@ -93,7 +93,7 @@ def demonstrate_volume(
     poisson: float = USUAL_POISSON,
     growth: float = GROWTH,
 ) -> VolumeDemonstration:
-    """Solve a head in which a tumour grows.
+    """Solve the phantom of a head in which a tumour grows.
 
     Parameters
     ----------
@@ -107,10 +107,14 @@ def demonstrate_volume(
     growth : float
         As for `head_phantom`.
 
+    Returns
+    -------
+    VolumeDemonstration
+
     Raises
     ------
     ArgumentError
-        If there is no head of that size.
+        If the size is invalid.
     BackendError
         If the requested backend cannot run.
     """
@@ -124,7 +128,7 @@ def demonstrate_volume(
         pictures=Pictures(head.image, head.tissue_labels, "head"),
     )
     if backend == "auto":
-        # Compile all loops now, so that napari finds them ready.
+        # All loops are compiled now, so that napari does not wait for them.
         provide_loops(EVERYTHING, progress)
         # Loops for volumes are compiled only on request.
         job = SolveJob(study.grid.shape, study.grid.spacing, study.prior, study.optimizer)
@@ -141,9 +145,18 @@ def demonstrate_volume(
 
 
 def write_volume_results(demonstration: VolumeDemonstration, folder: Path) -> list[Path]:
-    """Write the study with its field, and pictures of slices through the middle of the tumour.
+    """Write the study with its field, and pictures of slices through the centre of the tumour.
 
-    The folder must exist. Returns the written files.
+    Parameters
+    ----------
+    demonstration : VolumeDemonstration
+    folder : Path
+        Existing folder.
+
+    Returns
+    -------
+    list of Path
+        Written files.
     """
     head, solution = demonstration.head, demonstration.solution
     path = write_study(folder / "head.study", demonstration.study, solution)

@@ -1,4 +1,4 @@
-"""Coarse grid on which tissue is solved during a drag, for a fast preview."""
+"""Coarse grid for a fast preview of the deformation during a drag."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from napari_hmrf.tissue.drawing.marks import Point
 
 @dataclass(frozen=True)
 class CoarseGrid:
-    """Every `step`-th site of an image or a volume along each axis, from the first.
+    """Grid of every `step`-th site of an image or a volume along each axis, from the first.
 
     Attributes
     ----------
     step : int
-        1 is the full grid.
+        Distance of neighbouring sites, in pixels; 1 is the full grid.
     """
 
     step: int = 1
 
     @classmethod
     def of_at_most(cls, sites: int, shape: tuple[int, ...]) -> CoarseGrid:
-        """Return the finest grid with at most this number of sites."""
+        """Return the finest grid of a full shape that has at most `sites` sites."""
         step = 1
         while math.prod(-(-size // step) for size in shape) > sites:
             step += 1
@@ -48,14 +48,19 @@ class CoarseGrid:
         Parameters
         ----------
         study : Study
-            Study on the full grid; its place stays that of the full grid.
+            Study on the full grid.
+
+        Returns
+        -------
+        Study
+            Study on this grid, which keeps the `place` of the full grid.
         """
         if self.step == 1:
             return study
         grid, motion = study.grid, study.motion
         shape = tuple(-(-size // self.step) for size in grid.shape)
         spacing = tuple(size * self.step for size in grid.spacing)
-        if motion.labels is not None:  # thin labels stay, so that a closed shell stays closed
+        if motion.labels is not None:  # the filter keeps thin labels, so that shells stay closed
             painted = scipy.ndimage.maximum_filter(motion.labels, self.step)
             motion = replace(motion, labels=painted)
         return replace(
@@ -91,14 +96,14 @@ class CoarseGrid:
 
 @dataclass(frozen=True)
 class Glance:
-    """Preview during a drag of tissue that is too slow to solve on the full grid.
+    """Settings of a preview during a drag, for tissue that is too slow to solve on the full grid.
 
     Attributes
     ----------
     grid : CoarseGrid
         Grid on which the tissue is solved.
     axis, number : int, optional
-        For a volume: axis perpendicular to the visible slice, and number of that slice.
+        For a volume: axis across the visible slice, and index of that slice.
     """
 
     grid: CoarseGrid

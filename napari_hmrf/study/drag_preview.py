@@ -12,7 +12,7 @@ from napari_hmrf.study.study import Study
 
 #: Number of sites on which a volume, or an image in large motion, is solved during a drag.
 PREVIEW_SITES = 100_000
-#: Images in large motion that have up to this many times as many sites are solved on all of them.
+#: Images in large motion with up to this many times `PREVIEW_SITES` are solved on the full grid.
 _LARGER = 4
 #: Tolerance during a drag in the large-motion model, in pixels.
 _LARGE_MOTION_TOLERANCE = 0.1
@@ -25,7 +25,11 @@ def drag_preview(study: Study, plane: tuple[int, int] | None = None) -> Glance |
     ----------
     study : Study
     plane : tuple of int, optional
-        For a volume: the axis perpendicular to the visible slice, and the number of that slice.
+        For a volume: axis across the visible slice, and index of that slice.
+
+    Returns
+    -------
+    Glance or None
     """
     shape = study.grid.shape
     if len(shape) == 3:
@@ -37,7 +41,7 @@ def drag_preview(study: Study, plane: tuple[int, int] | None = None) -> Glance |
 
 
 def as_dragged(study: Study) -> Study:
-    """Return the study with a tolerance that suits a drag: below what is visible."""
+    """Return the study with the tolerance of a drag, whose error is too small to be visible."""
     optimizer = study.optimizer
     if not isinstance(optimizer, Multigrid):
         return study

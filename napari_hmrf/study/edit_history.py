@@ -1,7 +1,7 @@
-"""Undo history: values by part, and the steps between their states.
+"""Undo history: values of the parts of a study, and the steps between them.
 
-There is one order of steps for all parts, as one user made them. Values are immutable, so undo
-restores exactly what was there.
+All parts share one sequence of steps, in the order of the user's edits. Values are immutable, so
+that undo restores them exactly.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 
 from psygnal import Signal
 
-#: Number of steps that are kept.
+#: Largest number of steps in the history.
 DEPTH = 500
 
 
 class Step(NamedTuple):
-    """Value of a part before a step (after it, once undone), and the step's name."""
+    """Step of the history: its part, the value that undo or redo would set, and its name."""
 
     part: Hashable
     value: Any
@@ -30,14 +30,14 @@ class EditHistory:
     Parameters
     ----------
     depth : int
-        Number of steps that are kept; older ones are dropped.
+        Largest number of steps; older steps are dropped.
 
     Attributes
     ----------
     changed : Signal(object, object, object)
-        Emitted with a part, its value and its earlier value, whenever it changes.
+        Emitted with a part, its new value and its old value when the value changes.
     steps_changed : Signal()
-        Emitted whenever there are other steps to undo or redo.
+        Emitted when the steps to undo or redo change.
     """
 
     changed = Signal(object, object, object)
@@ -57,12 +57,12 @@ class EditHistory:
 
     @property
     def parts(self) -> tuple[Any, ...]:
-        """All known parts."""
+        """Parts that have a value."""
         return tuple(self._now)
 
     @property
     def in_progress(self) -> Hashable | None:
-        """Part whose edit has begun and not ended, or None."""
+        """Part whose edit has begun and has not ended, or None."""
         return None if self._begun is None else self._begun.part
 
     @property
@@ -81,24 +81,24 @@ class EditHistory:
     # Edits
 
     def setdefault(self, part: Hashable, value: Any) -> Any:
-        """Set the first value of a part, unless it has one; return its value."""
+        """Set the value of a part that has none; return the value of the part."""
         return self._now.setdefault(part, value)
 
     def amend(self, part: Hashable, value: Any) -> None:
-        """Set a value without a step: the user did not edit it, as when a file is opened."""
+        """Set a value without a step, for changes that are no edits, such as opening a file."""
         if self._begun is not None and self._begun.part == part:
             self.end()
         self._show(part, value)
 
     def do(self, part: Hashable, value: Any, word: str) -> None:
-        """Set a value as one step; an edit in progress ends before it.
+        """Set a value as one step, after ending an edit in progress.
 
         Parameters
         ----------
         part : hashable
-            A known part.
+            Part that has a value.
         value : object
-            Its new value; no step is made if it equals the current one.
+            New value; if it equals the current value, there is no step.
         word : str
             Name of the step, in the past tense: "removed an arrow".
         """
@@ -109,12 +109,12 @@ class EditHistory:
             self._show(part, value)
 
     def begin(self, part: Hashable, word: str) -> None:
-        """Begin an edit with several values, such as a drag, that will be one step.
+        """Begin an edit of several values, such as a drag, that is undone as one step.
 
         Raises
         ------
         KeyError
-            If the part is not known.
+            If the part has no value.
         """
         self.end()
         self._begun = Step(part, self._now[part], word)
@@ -128,7 +128,7 @@ class EditHistory:
             If no edit is in progress.
         """
         if self._begun is None:
-            raise RuntimeError("no edit was begun; call begin() first, or do()")
+            raise RuntimeError("no edit has begun; call begin() first, or do()")
         self._show(self._begun.part, value)
 
     def end(self) -> Step | None:
@@ -137,7 +137,7 @@ class EditHistory:
         Returns
         -------
         Step or None
-            The step that can be undone now; None if nothing has changed.
+            The new step; None if the value has not changed.
         """
         begun, self._begun = self._begun, None
         if begun is None or begun.value == self._now[begun.part]:
@@ -157,7 +157,7 @@ class EditHistory:
         Returns
         -------
         Step or None
-            The undone step, with the value that it had set; None if there was none.
+            The undone step, with the value that redo would set; None if there is no step to undo.
         """
         self.end()
         return self._go(self._past, self._future)
@@ -168,13 +168,13 @@ class EditHistory:
         Returns
         -------
         Step or None
-            The redone step, with the value before it; None if there was none.
+            The redone step, with the value that undo would set; None if there is no step to redo.
         """
         self.end()
         return self._go(self._future, self._past)
 
     def drop(self, unwanted: Callable[[Any], bool]) -> None:
-        """Drop parts with all their steps; the steps of others stay, in their order."""
+        """Drop the parts for which `unwanted` is True, with all their steps."""
         if self._begun is not None and unwanted(self._begun.part):
             self._begun = None
         before = len(self._past) + len(self._future)

@@ -1,8 +1,8 @@
-"""Interactive solution of studies, and deformation of their images, independent of the window.
+"""Live solution of studies and deformation of their images, independent of the window.
 
-Everything is computed on the compute thread. While a study is solved, the latest request wins. A
-solve is a warm start unless a cold start is requested, and the parts that two consecutive studies
-share are computed once.
+All computation is on the compute thread. While a study is solved, the latest request wins. A solve
+is a warm start unless a cold start is requested, and parts that two consecutive studies share are
+computed once.
 """
 
 from __future__ import annotations
@@ -39,24 +39,24 @@ _log = logging.getLogger("napari_hmrf")
 Array = npt.NDArray[Any]
 #: Pictures that move with the tissue.
 Pictures = tuple[Picture, ...]
-#: Callback that updates pictures of the drawing. It is called with the ground, the drawing, the
-#: images with the drawing on top, the pixels that may have changed (None if none did), and the
-#: earlier pictures. It may write to these, and returns them or new ones.
+#: Callback that updates pictures of the drawing. Its arguments are the ground, the drawing, the
+#: images with the drawing, the box of pixels that may have changed (None if there are none), and
+#: the earlier pictures. It returns new pictures, or the earlier pictures, which it may modify.
 Overlay = Callable[[Ground, Drawing, Canvas, Box | None, Pictures], Pictures]
 
 
 class Engine:
     """Solver of the newest submitted study, which delivers a `Deformation`.
 
-    All methods may be called from any thread, and return at once. The answer to a study without
+    All methods may be called from any thread and return immediately. The answer to a study without
     boundary conditions or loads is the undeformed image.
 
     Parameters
     ----------
     deliver : callable
-        Called with a `Deformation` on the compute thread; it should hand over and return.
+        Called with a `Deformation` on the compute thread; it should forward it and return.
     doing : str
-        Clause for jobs that wait for the solve: its name, and how to stop it.
+        Name of the solve, and how to stop it, as a clause for messages of jobs that wait for it.
     overlay : callable, optional
         An `Overlay`, called on the compute thread.
     """
@@ -67,39 +67,39 @@ class Engine:
         doing: str,
         overlay: Overlay | None = None,
     ) -> None:
-        self._tell = deliver
+        self._forward = deliver
         self._overlay = overlay
         self._live = LiveSolver(self._deliver, progress=self.report, doing=doing)
         self._reached = Monitor("starting", 0.0)
-        #: Set once the engine is closed.
+        #: Event that is set when the engine is closed.
         self.closed = threading.Event()
-        # Generations of the last study, and of the last one that was dropped.
+        # Generations of the last study, and of the last study that was dropped.
         self._generation = self._dropped = 0
         self._newest: Deformation | None = None
         #: Latest answer with a result. Only the compute thread uses this and the attributes below.
         self.latest: Deformation | None = None
-        self._asked: Deformation | None = None
-        # Each ground with the study that it was made from.
+        self._request: Deformation | None = None
+        # Ground on each grid, with the study that it was computed from.
         self._grounds: dict[CoarseGrid, tuple[Study, Ground]] = {}
         self._rendering: Rendering | None = None
         self._over: Pictures = ()
         self._pictures = MovedPictures()
 
-    # From any thread
+    # Methods for any thread
 
     @property
     def busy(self) -> bool:
-        """True until the last study is answered or dropped, and between `hold` and `resume`."""
+        """True while a study is pending or being solved, and between `hold` and `resume`."""
         return self._live.busy or self._live.held
 
     @property
     def waits(self) -> bool:
-        """True if a study waits that is newer than the one that is being solved."""
+        """True if a study is pending that is newer than the study being solved."""
         return self._live.waits
 
     @property
     def monitor(self) -> Monitor:
-        """Progress of the solve, or the job that it waits for."""
+        """Progress of the solve, or the name of the job that it waits for."""
         waits = self._live.delay
         return Monitor(waits, 0.0) if waits else self._reached
 
@@ -110,7 +110,7 @@ class Engine:
         settle: bool = False,
         glance: Glance | None = None,
     ) -> int:
-        """Submit a study, which replaces the one that waits.
+        """Submit a study, which replaces the pending study.
 
         Parameters
         ----------
@@ -118,19 +118,19 @@ class Engine:
         backend : str
             As for `solve`.
         settle : bool
-            Whether to solve from a cold start, with the same bits as `solve_study`; a study without
-            boundary conditions or loads is then an error.
+            If True, solve from a cold start, with a result equal to `solve_study` bit by bit. A
+            study without boundary conditions or loads is then an error.
         glance : Glance, optional
             Preview during a drag: the study is solved only on its coarse grid.
 
         Returns
         -------
         int
-            Generation of the study, greater than that of every earlier one.
+            Generation number of the study, greater than that of all earlier studies.
         """
         if settle:
             self.forget()
-            self._reached = Monitor("reading what is painted", 0.0)
+            self._reached = Monitor("reading the layers", 0.0)
         self._live.optimizer, self._live.backend = study.optimizer, backend
         state = partial(self._state, study, settle, glance)
         patience = None if settle else patience_for(study, glance)
@@ -139,18 +139,18 @@ class Engine:
         return self._generation
 
     def is_current(self, answer: Deformation) -> bool:
-        """Return whether an answer is the newest, and its study was not dropped since."""
+        """Return whether an answer is the newest and its study has not been dropped."""
         return answer is self._newest and answer.generation > self._dropped
 
     def hold(self) -> None:
-        """Solve no newer study until `resume`, for instance until the answer is painted.
+        """Postpone the pending study until `resume`, for instance until the answer is painted.
 
-        Called while an answer is delivered.
+        This is called while an answer is delivered.
         """
         self._live.hold()
 
     def resume(self) -> None:
-        """Solve the study that waits, after `hold`."""
+        """Solve the pending study, after `hold`."""
         self._live.resume()
 
     def forget(self) -> None:
@@ -168,15 +168,15 @@ class Engine:
         """Record the progress of the solve."""
         self._reached = monitor
 
-    # On the compute thread
+    # Methods for the compute thread
 
     def _state(self, study: Study, settle: bool, glance: Glance | None) -> tuple[Problem, Prior]:
-        """Build the problem of a study; only parts that have changed are computed again."""
-        self._asked = Deformation(study, settled=settle, glance=glance)
-        grid = self._asked.grid
+        """Build the problem of a study; recompute only parts that have changed."""
+        self._request = Deformation(study, settled=settle, glance=glance)
+        grid = self._request.grid
         fine = self._ground_of(study, CoarseGrid())
         ground = fine if grid.step == 1 else self._ground_of(study, grid)
-        self._asked = replace(self._asked, ground=fine)
+        self._request = replace(self._request, ground=fine)
         if self._rendering is None or self._rendering.base is not ground.base:
             self._rendering, self._over = Rendering(ground.base), ()
         drawing, canvas = grid.drawing(study.motion.drawing), self._rendering.canvas
@@ -187,70 +187,71 @@ class Engine:
         if not (settle or moves):
             raise _StillError
         stated = replace(ground.statement(canvas), optimizer=study.optimizer)
-        self._asked = replace(self._asked, stated=stated)
+        self._request = replace(self._request, stated=stated)
         return stated.problem, stated.prior
 
     def _ground_of(self, study: Study, grid: CoarseGrid) -> Ground:
-        """Return the ground of a study; the last one is reused if only the drawing differs."""
+        """Return the ground of a study; reuse the last ground if only the drawing differs."""
         known = self._grounds.get(grid)
         if known is None or not known[0].lies_as(study):
             known = self._grounds[grid] = study, Ground.of(grid.study(study), compute_thread.look)
         return known[1]
 
     def _deliver(self, update: Update) -> None:
-        assert self._asked is not None
-        asked = replace(self._asked, generation=update.number)
+        assert self._request is not None
+        request = replace(self._request, generation=update.number)
         error, latest = update.error, self.latest
         if update.solution is not None or isinstance(error, _StillError):
             try:
-                image, over = self._moved(asked, update.solution)
-                answer = replace(asked, solution=update.solution, image=image, overlay=over)
+                image, over = self._moved(request, update.solution)
+                answer = replace(request, solution=update.solution, image=image, overlay=over)
                 self.latest = answer
                 self._answer(answer)
                 return
             except Cancelled:
                 raise
             except Exception as failure:  # noqa: BLE001 - the caller always gets an answer
-                _log.exception("the image could not be moved")
+                _log.exception("the image could not be deformed")
                 error = failure
-        known = latest is not None and latest.ground is asked.ground and asked.ground is not None
-        over = self._moved(asked, latest.solution if known and latest else None)[1]
-        error = asked.study.in_words(error or RuntimeError("there is no solution"))
-        self._answer(replace(asked, error=error, overlay=over))
+        ground = request.ground
+        known = latest is not None and latest.ground is ground and ground is not None
+        over = self._moved(request, latest.solution if known and latest else None)[1]
+        error = request.study.in_words(error or RuntimeError("there is no solution"))
+        self._answer(replace(request, error=error, overlay=over))
 
     def _answer(self, answer: Deformation) -> None:
         self._newest = answer
-        self._tell(answer)
+        self._forward(answer)
 
     def _moved(
-        self, asked: Deformation, solution: Solution | None
+        self, request: Deformation, solution: Solution | None
     ) -> tuple[Array | None, tuple[Array, ...]]:
         """Return the image and its overlays, deformed by a solution."""
-        image, glance = asked.study.pictures.image, asked.glance
+        image, glance = request.study.pictures.image, request.glance
         if glance is None or glance.axis is None:
-            if solution is not None and asked.ground is not None and asked.grid.step > 1:
-                solution = on_finer_grid(solution, asked.ground.stiffness > 0, asked.grid.step)
+            if solution is not None and request.ground is not None and request.grid.step > 1:
+                solution = on_finer_grid(solution, request.ground.stiffness > 0, request.grid.step)
             return self._pictures.whole(image, self._over, solution)
         if image is None:
             return None, ()
-        if solution is None or asked.ground is None:
+        if solution is None or request.ground is None:
             return np.asarray(image.take(glance.number, glance.axis)), ()
-        where = glance.axis, glance.number, solution.displacement, asked.ground.stiffness > 0
-        spacing, every = asked.study.grid.spacing, glance.grid.step
+        where = glance.axis, glance.number, solution.displacement, request.ground.stiffness > 0
+        spacing, every = request.study.grid.spacing, glance.grid.step
         return self._pictures.plane(image, *where, spacing, every), ()
 
 
 def patience_for(study: Study, glance: Glance | None) -> float:
-    """Return the time, in seconds, for which a solve goes on although a newer study waits.
+    """Return the time, in seconds, for which a solve continues although a newer study is pending.
 
-    Tissue must follow a drag that never pauses, so a solve is not cancelled at once. It is 0 for a
-    volume on its full grid, whose solution would be out of date before it is seen.
+    A solve is not cancelled immediately, because tissue must also follow a drag without pauses. The
+    time is 0 for a volume on its full grid, whose solution would be stale before it is displayed.
     """
     return 0.0 if glance is None and len(study.grid.shape) == 3 else 3.0
 
 
 class _StillError(HmrfError):
-    """Signal that nothing in a study is held or moved."""
+    """Signal that a study has no boundary conditions or loads."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,19 +266,19 @@ class Deformation:
     stated : Statement, optional
         Problem that was solved; None if it could not be built.
     solution : Solution, optional
-        None if nothing is held or moved, or if there is an error.
+        None if the study has no boundary conditions or loads, or if there is an error.
     image : ndarray, optional
         Image of the study, deformed with the tissue.
     overlay : tuple of ndarray
-        Pictures over the image, deformed likewise.
+        Deformed pictures over the image.
     error : Exception, optional
         Reason for the lack of a solution, in terms of the study.
     settled : bool
-        True if it was solved from a cold start, as by `solve_study`.
+        True if the study was solved from a cold start, as by `solve_study`.
     glance : Glance, optional
-        Set for a preview: `image` is then one slice of a volume, (H, W), or the whole image.
+        Settings of a preview, whose `image` is one slice of a volume, (H, W), or the whole image.
     generation : int
-        As returned by `Engine.submit`.
+        Generation number, as returned by `Engine.submit`.
     """
 
     study: Study
@@ -303,7 +304,7 @@ class Deformation:
         return drawn or (self.solution is not None and bool(self.solution.displacement.any()))
 
     def came_from(self, point: Point) -> Point | None:
-        """Return the undeformed place of the tissue seen at a point, in pixels; None if none is."""
+        """Return the origin of the tissue at a point, in pixels; None if there is no tissue."""
         if self.solution is not None:
             site = self.grid.down(point)
             before = self._points.before(site)
@@ -311,12 +312,12 @@ class Deformation:
                 point = self.grid.up(before)
             elif holds(self.solution.tissue, _pixel(site)):
                 return None
-            # Else it is unconstrained tissue, which was excluded and has not moved.
-        there = self.ground is not None and holds(self.ground.body, _pixel(point))
-        return point if there else None
+            # Otherwise the tissue is unconstrained; it was excluded and has not moved.
+        is_tissue = self.ground is not None and holds(self.ground.body, _pixel(point))
+        return point if is_tissue else None
 
     def goes_to(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return the places after the motion of tissue originally at points, (N, n) in pixels."""
+        """Return the moved positions of points of the tissue, (N, n) in pixels."""
         if self.solution is None or not len(points):
             return points
         return self._points.after(points / self.grid.step) * self.grid.step

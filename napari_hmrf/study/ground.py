@@ -47,12 +47,12 @@ from napari_hmrf.tissue.painted_loads import boundary_loads, growth_loads
 from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
 
 #: Stiffness of the subject and of its dark surroundings if no tissue is painted. The surroundings
-#: are soft enough not to hinder motion, but are still tissue, so that something always holds.
+#: are too soft to hinder motion, but as tissue they still constrain the subject.
 _TISSUE, _SURROUNDINGS = 1.0, 0.01
 
 _OVER = (
-    "what is drawn moves tissue that is painted as held: where they overlap, the drawing takes "
-    "precedence; make it smaller, or put it further away"
+    "the drawing moves tissue that is painted as held: where they overlap, the drawing takes "
+    "precedence; make it smaller, or move it further away"
 )
 
 _NO_UNIT = (
@@ -63,18 +63,19 @@ _NO_UNIT = (
 
 @dataclass(frozen=True, eq=False)
 class Statement:
-    """A problem with its prior and optimizer, ready to be solved.
+    """Problem of a study, with its prior and optimizer.
 
     Attributes
     ----------
     problem : Problem
     prior : ElasticPrior, NeoHookeanPrior or SeilerPrior
-        With the tissues' own Poisson's ratios.
+        Prior with the Poisson's ratios of the tissues.
     optimizer : ICM or Multigrid
     at_rest : ndarray of bool, shape ([D,] H, W)
-        Insufficiently constrained tissue, which is excluded from the problem and does not move.
+        Mask of insufficiently constrained tissue, which is excluded from the problem and does not
+        move.
     labels : ndarray of int, shape ([D,] H, W), optional
-        Tissue labels after painting, if brushes changed those of the tissue's own table.
+        Tissue labels with brush strokes, if strokes changed labels of the tissue's own table.
     """
 
     problem: Problem
@@ -89,7 +90,7 @@ class Statement:
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """The images of a study beneath its drawing.
+    """Images of a study without its drawing.
 
     Attributes
     ----------
@@ -97,13 +98,13 @@ class Ground:
     base : Canvas
         Prescribed displacements without the drawing.
     stiffness : ndarray, shape ([D,] H, W), float32
-        Young's modulus; 0 is no tissue, infinity is rigid.
+        Young's modulus; 0 in void, infinite in rigid tissue.
     prior : Prior
-        The energy, with the tissues' own Poisson's ratios.
+        Prior with the Poisson's ratios of the tissues.
     body : ndarray of bool, shape ([D,] H, W)
-        Tissue without the dark surroundings.
+        Mask of the tissue without the dark surroundings.
     palette : Palette
-        The tissues that can be painted, which the labels of `base` refer to.
+        Tissues for painting, to which the labels of `base` refer.
     notes : tuple of str
         Clauses for the user on how the study was interpreted.
     """
@@ -118,18 +119,22 @@ class Ground:
 
     @classmethod
     def of(cls, study: Study, checkpoint: Callable[[], None] = lambda: None) -> Ground:
-        """Interpret a study; on any thread, as large images take a while.
+        """Interpret a study; any thread may call this, because large images take long.
 
         Parameters
         ----------
         study : Study
         checkpoint : callable
-            Called between the steps; raises to stop the work.
+            Called between the steps; it may raise an error to cancel the work.
+
+        Returns
+        -------
+        Ground
 
         Raises
         ------
         ProblemError
-            Naming the part, the error and a remedy.
+            If a part of the study is invalid; the error names the part and a remedy.
         """
         _check_study(study)
         _refuse_other_axes(study)
@@ -141,38 +146,42 @@ class Ground:
         checkpoint()
         with study.naming():
             ground = _tissue_of(study)
-        base, there, notes = ground.base, ground.stiffness > 0, [*ground.notes]
+        base, tissue, notes = ground.base, ground.stiffness > 0, [*ground.notes]
         checkpoint()
         notes += filter(None, [_unknown_pixels(study)])
         notes += _observe(study, base)
-        ignored = int(((base.confidence > 0).any(axis=-1) & ~there).sum())
+        ignored = int(((base.confidence > 0).any(axis=-1) & ~tissue).sum())
         if ignored:
-            what = "1 boundary pixel" if ignored == 1 else f"{ignored} boundary pixels"
-            notes.insert(0, f"{what} outside tissue {'was' if ignored == 1 else 'were'} ignored")
+            pixels = "1 boundary pixel" if ignored == 1 else f"{ignored} boundary pixels"
+            notes.insert(0, f"{pixels} outside tissue {'was' if ignored == 1 else 'were'} ignored")
         checkpoint()
         if study.motion.hold_edge:
             free = ~(base.confidence > 0).any(axis=-1)
             if study.motion.labels is not None:  # the inside of an expanding patch must stay free
                 free &= study.motion.labels == 0
-            for part in (there, ground.body):
+            for part in (tissue, ground.body):
                 rim = outer_rim(part) & free
                 base.observed[rim], base.confidence[rim] = 0, 1
         return replace(ground, notes=tuple(notes))
 
     def statement(self, drawn: Canvas | None = None) -> Statement:
-        """State the problem of a drawing on this ground.
+        """Return the problem of this ground with a drawing.
 
-        Insufficiently constrained tissue is left out of the problem and does not move.
+        Insufficiently constrained tissue is excluded from the problem and does not move.
 
         Parameters
         ----------
         drawn : Canvas, optional
-            `base` with a drawing on top of it; by default the study's own.
+            `base` with a drawing; by default with the drawing of the study.
+
+        Returns
+        -------
+        Statement
 
         Raises
         ------
         ProblemError
-            Naming the part, the error and a remedy.
+            If a part of the study is invalid; the error names the part and a remedy.
         """
         canvas = self.study.motion.drawing.render(self.base) if drawn is None else drawn
         m, prior = self.palette.painted(canvas.labels, self.base.labels, self.stiffness, self.prior)
@@ -200,19 +209,19 @@ class Ground:
         return reduce(add, known) if known else None
 
     def refuse_motionless(self, statement: Statement) -> None:
-        """Refuse a problem in which nothing moves tissue.
+        """Refuse a problem without any displacement, force or growth.
 
         Raises
         ------
         ProblemError
-            Naming the inputs without effect, and a remedy.
+            If tissue would stay at rest; the error names inputs without effect, and a remedy.
         """
         if not asks_motion(statement.problem):
             idle = (*self.unused(statement), *self.idle_marks(statement))
-            why = "".join(f"; {note}" for note in idle)
+            notes = "".join(f"; {note}" for note in idle)
             raise ProblemError(
                 "motion",
-                f"nothing moves{why}. Give tissue a displacement, a force or growth "
+                f"nothing moves{notes}. Give tissue a displacement, a force or growth "
                 "(`Motion(drawing=..., labels=..., observed=..., weight=...)`).",
             )
 
@@ -258,28 +267,28 @@ def refuse_unknown(study: Study) -> None:
     Raises
     ------
     ProblemError
-        Naming the tissue, the unsupported property and a remedy.
+        If the study has such a property; the error names the tissue, the property and a remedy.
     """
     prior, tissue = study.prior, study.tissue
     if study.bears_loads and not isinstance(prior, Elastic):
         raise LayerError(
             study.named("tissue", "image"),
-            "has growth or forces, which the paper's model does not support. Take the elastic "
+            "has growth or forces, which the paper's model does not support. Use the elastic "
             "model (`model='elastic'`), or a boundary that expands.",
         )
     if isinstance(prior, Elastic) and prior.penalty in (None, math.inf):
         return
     labels, rigid = tissue.labels, [row for row in tissue.materials if row.is_rigid]
     painted = [row for row in rigid if labels is not None and row.label in labels]
-    which = [f"'{row.name or row.label}'" for row in painted]
+    names = [f"'{row.name or row.label}'" for row in painted]
     if tissue.stiffness is not None and (tissue.stiffness == np.inf).any():
-        which = ["an infinite stiffness"]
-    if which:
+        names = ["an infinite stiffness"]
+    if names:
         raise LayerError(
             study.named("tissue", "image"),
-            f"has rigid tissue ({' and '.join(which)}), which the paper's model cannot have, "
-            "nor any model in which boundaries may slip. Take the elastic model that holds by "
-            "confidence (`penalty=None`), or give it a number.",
+            f"has rigid tissue ({' and '.join(names)}), which the paper's model does not support, "
+            "nor does a model with boundaries that may slip. Use the elastic model that holds by "
+            "confidence (`penalty=None`), or give a finite stiffness.",
         )
 
 
@@ -293,12 +302,12 @@ def build_problem(study: Study) -> Statement:
     Returns
     -------
     Statement
-        With the attributes `problem`, `prior` and `optimizer`, the arguments of `solve`.
+        Its attributes `problem`, `prior` and `optimizer` are arguments of `solve`.
 
     Raises
     ------
     ProblemError
-        Naming the part, the error and a remedy.
+        If a part of the study is invalid; the error names the part and a remedy.
     """
     return Ground.of(study).statement()
 
@@ -317,23 +326,24 @@ def solve_study(
     ----------
     study : Study
     stated : Statement, optional
-        Result of `build_problem` for the study, if already known.
+        Result of `build_problem` for the study; computed by default.
     backend, progress, cancel
         As for `solve`.
 
     Returns
     -------
     Solution
-        Placed like the study, in the unit of its grid. Its notes list shortcomings such as folds,
-        which are not counted in volumes (`Solution.count_folds` counts them); and inputs without
-        effect and guessed values, unless the caller gave `stated`.
+        Solution with the place and the unit of the study's grid. Its notes list shortcomings such
+        as folds. Folds of volumes are not counted; `Solution.count_folds` does this. If `stated` is
+        None, the notes also list inputs without effect and assumed values.
 
     Raises
     ------
     ArgumentError
         If `study` is not a Study, or `stated` is not a Statement.
     ProblemError
-        Naming the part, the error and a remedy; also if nothing prescribes any motion.
+        If a part of the study is invalid, or if there is no displacement, force or growth; the
+        error names the part and a remedy.
     Cancelled, ConvergenceError, BackendError
         As for `solve`.
     """
@@ -346,7 +356,7 @@ def solve_study(
         notes = (*ground.unused(stated), *ground.notes_on(stated))
     require_kind(Statement, "stated", stated, "build_problem(study)")
     solution = solve_statement(study, stated, backend=backend, progress=progress, cancel=cancel)
-    # Counting takes 5 % of the time of a solve of a volume, but only milliseconds of an image.
+    # Counting the folds of a volume takes 5 % of the time of its solve; of an image, milliseconds.
     folds = 0 if solution.tissue.ndim == 3 else solution.count_folds()
     short = shortcomings(solution, solution.unit, folds)
     return replace(solution, notes=(*short, *(notes or solution.notes)))
@@ -360,20 +370,20 @@ def solve_statement(
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
 ) -> Solution:
-    """Compute the field of a study that is stated already, without looking for shortcomings.
+    """Solve the problem of a study from a cold start, without checks for shortcomings.
 
     Parameters
     ----------
     study : Study
     stated : Statement
-        The study as a problem, with the energy and the optimizer that solve it.
+        Result of `build_problem` for the study.
     backend, progress, cancel
         As for `solve`.
 
     Returns
     -------
     Solution
-        Placed like the study, in the unit of its grid.
+        Solution with the place and the unit of the study's grid.
     """
     with study.naming():
         solution = solve(
@@ -390,15 +400,15 @@ def solve_statement(
 
 
 def _check_study(study: object) -> None:
-    """Refuse anything but a study."""
+    """Refuse an argument that is not a study."""
     if isinstance(study, Problem):
         raise ArgumentError("study is a Problem. Call solve(problem), or give a Study.")
     require_kind(Study, "study", study, "Study(grid, tissue, motion)")
 
 
 def _refuse_other_axes(study: Study) -> None:
-    """Refuse marks of another number of axes than the grid."""
-    # Not checked as a study is made: the window changes grid and drawing one after the other.
+    """Refuse marks whose number of axes differs from that of the grid."""
+    # `Study` itself does not check this, because the window changes grid and drawing in turn.
     axes = len(study.grid.shape)
     for mark in study.motion.drawing.marks:
         place = mark.lines[0][0]
@@ -406,12 +416,12 @@ def _refuse_other_axes(study: Study) -> None:
             raise ProblemError(
                 study.named("drawing"),
                 f"has the {type(mark).__name__} at {place}, of {len(place)} axes, but the grid has "
-                f"{axes}. Give its places as {'(row, col)' if axes == 2 else '(plane, row, col)'}.",
+                f"{axes}. Give positions as {'(row, col)' if axes == 2 else '(plane, row, col)'}.",
             )
 
 
 def _tissue_of(study: Study) -> Ground:
-    """Return the ground with the tissues of a study, before any motion is prescribed."""
+    """Return the ground with the tissues of a study, without prescribed motion."""
     tissue, image, shape, prior = study.tissue, study.pictures.image, study.grid.shape, study.prior
     palette, notes = Palette.of_preset(tissue.preset, relative=False), [*study.notes]
     labels, around = np.full(shape, OTHER, dtype=np.int32), np.zeros(shape, dtype=bool)
@@ -470,11 +480,11 @@ def _unknown_pixels(study: Study) -> str:
 
 
 def _observe(study: Study, base: Canvas) -> list[str]:
-    """Write painted and observed displacements to a blank canvas; return clauses for the user."""
+    """Write the observed and the painted displacements to a blank canvas; return notes on them."""
     motion, notes = study.motion, []
     if motion.observed is not None and motion.confidence is not None:
-        sure, each = motion.confidence, motion.confidence.ndim > len(base.shape)
-        base.confidence[...] = sure if each else sure[..., None]
+        c, by_component = motion.confidence, motion.confidence.ndim > len(base.shape)
+        base.confidence[...] = c if by_component else c[..., None]
         base.observed[...] = np.where(base.confidence != 0, motion.observed, 0)
     if motion.labels is not None:
         new = [label for label in unlisted(motion.labels, motion.rules) if label != 0]

@@ -16,37 +16,41 @@ from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
 #: Energy and optimizer of a study that names none.
 USUAL_PRIOR, USUAL_OPTIMIZER = ElasticPrior(), Multigrid()
-#: Holding force in the form from which all observations are held exactly, at any confidence.
+#: Holding force in the form that holds all observations exactly, whatever their confidence.
 HOLD_ALL = 1e6
 
 
 def _form_field(usual: Any, label: str, tooltip: str, **options: Any) -> Any:
-    """Return a dataclass field with its label, tooltip and choices in a form."""
+    """Return a dataclass field with its label, tooltip and choices in the form."""
     options["tooltip"] = tooltip
     return field(default=usual, metadata={"label": label, "options": options})
 
 
 @dataclass(frozen=True)
 class SolverDetails:
-    """Optional settings of a solve; the defaults are the paper's or the usual ones.
+    """Optional settings of a solve.
 
-    A form is generated from these fields; `asked` lists those that apply to a model.
+    A form is generated from these fields; `asked` lists the fields that apply to a model. Zeros
+    stand for None in the priors and optimizers.
 
     Attributes
     ----------
     reading : {"centred", "blanket"}
+        Argument `conditional` of `SeilerPrior`.
     method : {"steps", "closed form"}
+        Candidate steps, or exact steps, of `ICM`.
     sweeps : int
+        Argument `iterations` of `ICM`.
     energy_change : float
-        0: never leave a level early.
+        Argument of `ICM`; 0: never leave a level early.
     penalty : float
-        K of eq. 19 of the paper's model; 0: large enough to hold.
+        K of eq. 19 in the paper's model; 0: large enough to hold.
     grip : float
-        K of eq. 19 of the elastic models; 0: hold by confidence; `HOLD_ALL`: hold all exactly.
+        K of eq. 19 in the elastic models; 0: hold by confidence; `HOLD_ALL`: hold all exactly.
     accuracy : float
-        In pixels.
+        Tolerance of `Multigrid`, in pixels.
     device : str
-        Value for the `backend` of `solve`.
+        Argument `backend` of `solve`.
     """
 
     reading: Conditional = _form_field(  # noqa: RUF009 - a new field on each call
@@ -56,7 +60,7 @@ class SolverDetails:
         "centred: lines with the pixel in the middle. Closest to finite elements.\n"
         "blanket: all lines with the pixel. Borders of stiff and soft tissue hardly move.",
     )
-    # Annotated as str: for a `Literal` magicgui would show the values, not the labels.
+    # Annotated as str, because magicgui shows the values of a `Literal` instead of the labels.
     method: str = _form_field(
         "steps",
         "steps",
@@ -133,7 +137,7 @@ def prior_of(
     plane: Plane = "stress",
     poisson: float = USUAL_POISSON,
 ) -> Prior:
-    """Return the energy of a model; tissue labels override `poisson` by their table."""
+    """Return the prior of a model; materials of tissue labels override `poisson`."""
     if model in ELASTIC:
         kind = ElasticPrior if model == "elastic" else NeoHookeanPrior
         penalty = math.inf if details.grip >= HOLD_ALL else details.grip or None
@@ -156,7 +160,7 @@ _BY_NAME: dict[ModelName, tuple[Prior, Optimizer]] = {
 
 
 def chosen(name: str) -> tuple[Prior, Optimizer]:
-    """Return the energy and the optimizer of a model.
+    """Return the prior and the optimizer of a model.
 
     Parameters
     ----------
@@ -166,12 +170,12 @@ def chosen(name: str) -> tuple[Prior, Optimizer]:
     Raises
     ------
     ArgumentError
-        If there is no model of that name.
+        If there is no model of this name.
     """
     model = MODELS.get(as_word(name)) if isinstance(name, str) else None
     if model is None:
         listed = ", ".join(f'"{each}"' for each in get_args(ModelName))
-        raise ArgumentError(f"there is no model {name!r}. Take one of {listed}.")
+        raise ArgumentError(f"there is no model {name!r}. Use one of {listed}.")
     return _BY_NAME[model]
 
 
@@ -182,7 +186,7 @@ def is_by_name(part: Prior | Optimizer) -> bool:
 
 
 def details_of(prior: Prior, optimizer: Optimizer) -> SolverDetails:
-    """Return the details from which `prior_of` and `optimizer_of` would make these objects."""
+    """Return the details for which `prior_of` and `optimizer_of` return these objects."""
     details = _USUAL
     if isinstance(prior, SeilerPrior):
         details = replace(details, reading=prior.conditional, penalty=prior.penalty or 0.0)

@@ -16,13 +16,17 @@ def shortcomings(solution: Solution, unit: str, folds: int) -> Iterator[str]:
     ----------
     solution : Solution
     unit : str
-        Unit of lengths.
+        Name of the unit of lengths.
     folds : int
         Number of sites that fold, as counted by `count_folds`; 0 if not counted.
+
+    Yields
+    ------
+    str
     """
     if folds:
         sites = "voxels" if solution.tissue.ndim == 3 else "pixels"
         yield f"the tissue folds over itself at {folds} {sites}, which no tissue does: move it less"
-    # `unit_symbol` imports pint, which is slow, so call it only for large motion.
+    # `unit_symbol` imports pint, which is slow, so it is called for large motion only.
     if solution.reach is not None and (short := shortfall(solution.reach, unit_symbol(unit))):
         yield short

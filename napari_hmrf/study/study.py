@@ -1,7 +1,7 @@
-"""Study: all inputs of a field, the same in the window, in Python and in files.
+"""Study: all inputs of a displacement field, shared by the window, Python and files.
 
-Nothing here needs napari or Qt. A study is immutable; an edit makes a new study, which shares the
-unchanged parts. So arrays are compared by identity, never by value.
+This module does not import napari or Qt. A study is immutable; an edit makes a new study, which
+shares the unchanged parts. Arrays are therefore compared by identity, not by value.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from napari_hmrf.tissue.tissue_maps import materials_of_maps, most_likely
 from napari_hmrf.tissue.tissue_names import materials_by_name
 
 Array = npt.NDArray[Any]
-#: Distance from the middle of a slice, in slices, up to which a point is in it.
+#: Largest distance of a point in a slice from the centre of the slice, in slices.
 _IN_SLICE = 0.5 + 1e-3
 
 
@@ -57,24 +57,24 @@ class NibabelImage(Protocol):
 
 @dataclass(frozen=True)
 class Grid:
-    """The pixel grid of all images of a study.
+    """Pixel grid of all images of a study.
 
     Attributes
     ----------
     shape : tuple of int
-        (H, W), or (D, H, W) of a volume.
+        (H, W), or (D, H, W) for a volume.
     spacing : tuple of float
         Size of a pixel along each axis, in `unit`; a single number applies to all axes.
     unit : str
         Unit of all lengths, such as displacements and radii.
     place : Frame, optional
         Position of the pixels in the world and, for a slice, within its volume; see `from_image`.
-        Files for other tools need it; the field does not depend on it.
+        Files for other tools need it; the displacement does not depend on it.
 
     Raises
     ------
     ProblemError
-        If the shape or the spacing is invalid, or the place is of another number of axes.
+        If the shape or the spacing is invalid, or the place has another number of axes.
     ArgumentError
         If the unit is not a string.
     """
@@ -123,20 +123,21 @@ class Grid:
         Parameters
         ----------
         points : array_like, shape (N, 3) or (N, 2)
-            In mm, as `read_points` returns them: z, y, x for a volume or a slice of one, towards
-            superior, posterior and left; y, x for an image of 2 axes.
+            Points in mm, as returned by `read_points`: (z, y, x), towards superior, posterior and
+            left, for a volume or a slice of a volume; (y, x) for an image of two axes.
 
         Returns
         -------
         ndarray, shape (N, n)
+            Positions in pixels, in the order of the grid's axes.
 
         Raises
         ------
         ProblemError
-            If the grid has no place, or points lie on another slice or have too few axes.
+            If the grid has no place, or points are on another slice or have too few axes.
         """
         if self.place is None:
-            raise ProblemError("grid", "has no place. Take Grid.from_image(image).")
+            raise ProblemError("grid", "has no place. Use Grid.from_image(image).")
         matrix, given = np.array(self.place.matrix), np.asarray(points, dtype=np.float64)
         if given.ndim != 2 or given.shape[1] != len(matrix) - 1:
             raise ProblemError(
@@ -147,10 +148,12 @@ class Grid:
         apart = np.abs(inside[:, others] - np.array(self.place.index)[others]).max(initial=0.0)
         if apart > _IN_SLICE:
             raise ProblemError(
-                "points", f"lie up to {apart:.3g} slices away from the slice of the grid."
+                "points",
+                f"are up to {apart:.3g} slices away from the slice of the grid. Give points on "
+                "this slice.",
             )
-        found: npt.NDArray[np.float64] = inside[:, list(self.place.plane)]
-        return found
+        pixels: npt.NDArray[np.float64] = inside[:, list(self.place.plane)]
+        return pixels
 
     @classmethod
     def from_image(
@@ -165,18 +168,22 @@ class Grid:
         Parameters
         ----------
         image : path-like, SimpleITK image or nibabel image
-            A path may be NIfTI, MetaImage, NRRD, a folder of DICOM files or a picture. The axes
-            are those of the array: [z,] y, x for a file or SimpleITK's ``GetArrayFromImage``, and
-            x, y, z for nibabel's ``dataobj``.
+            Path of a NIfTI, MetaImage or NRRD file, a folder of DICOM files or a picture; or an
+            image object. The order of the axes is that of the array: ([z,] y, x) for a file or
+            SimpleITK's ``GetArrayFromImage``, and (x, y, z) for nibabel's ``dataobj``.
         slice : int, optional
             Index of a slice of a volume; by default the grid is that of the whole image.
         axis : int
             Axis of the array along which slices are counted.
 
+        Returns
+        -------
+        Grid
+
         Raises
         ------
         ArgumentError
-            If `image` is no such image, or has no such slice.
+            If `image` is of another type, or has no such slice.
         ProblemError
             If the image's axes are not at right angles.
         FileFormatError, HmrfError, OSError
@@ -194,28 +201,30 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class Tissue:
-    """Map of the tissue: by labels, by stiffness, by brightness, or derived from the image.
+    """Map of the tissue: from labels, from stiffness, from brightness, or from the image alone.
 
-    Without labels, stiffness and curve, everything in the image is tissue of one stiffness, and
-    the dark surroundings, if any, are a hundred times softer.
+    Without labels, stiffness and curve, all pixels are tissue of one stiffness, except that dark
+    surroundings of the image are a hundred times softer.
 
     Attributes
     ----------
     labels : ndarray of int, shape ([D,] H, W), optional
-        Each label has a row of `materials`; a label without a row gets a default material.
+        Labels of the tissues. Each label has a row in `materials`; a label without a row gets a
+        default material.
     materials : tuple of Material
+        Materials of the labels.
     stiffness : ndarray, shape ([D,] H, W), optional
-        Young's modulus; 0 where there is no tissue, infinite where it is rigid.
+        Young's modulus; 0 in void, infinite in rigid tissue.
     curve : StiffnessCurve, optional
-        Converts the image's intensity to stiffness.
+        Conversion of the image's intensity to stiffness.
     record : mapping
         Origin of the tissue map, in JSON types, stored with a solution.
     preset : Preset, optional
-        Tissues that a brush can paint if there is no table; by default the first preset.
+        Tissues for brushes if there is no table; by default the first preset.
     unit : str
-        Unit of stiffness; it has no effect on the field, because only ratios matter.
+        Unit of stiffness. It does not affect the displacement, because only ratios matter.
     without_border : bool
-        Whether dark surroundings with label 0 are not tissue.
+        If True, dark surroundings with label 0 are void.
 
     Raises
     ------
@@ -243,25 +252,28 @@ class Tissue:
         scale: float | None = None,
         unit: str = "",
     ) -> Tissue:
-        """Return the tissue of likelihood maps, such as those of a segmentation.
+        """Return the tissue of probability maps, such as those of a segmentation.
 
-        Each pixel gets its most likely tissue, or label 0 where "none" is more likely, like
+        Each pixel gets its most likely tissue, or label 0 where "none" is more likely, as for
         ``--maps`` in the shell.
 
         Parameters
         ----------
         maps : mapping of str to array_like, shape ([D,] H, W)
-            Likelihood of each tissue, by name.
+            Probability of each tissue, by name.
         materials : mapping of str to Material or float, or sequence of Material, optional
-            Materials by the names of the maps; a number is a stiffness. "none" is the material of
-            pixels without a likely tissue, which by default are as stiff as the first tissue. By
-            default the published values for these names, from `materials_by_name`.
+            Materials, or stiffnesses, by the names of the maps; by default the published values for
+            these names, from `materials_by_name`. "none" is the material of pixels without a likely
+            tissue; without it, these pixels are as stiff as the first tissue.
         scale : {1, 100, 255}, optional
-            The value that means certain, in all maps. By default the first of these that no map
-            exceeds; give it for parts of larger maps, such as slices, whose values may all be
-            small.
+            Value of certainty in all maps. By default the smallest of these that no map exceeds.
+            Give it for parts of larger maps, such as slices, whose values may all be small.
         unit : str
             Unit of stiffness.
+
+        Returns
+        -------
+        Tissue
 
         Raises
         ------
@@ -271,18 +283,18 @@ class Tissue:
         ArgumentError
             If `maps` is not a mapping.
         """
-        what = 'a mapping of names to maps, such as {"grey matter": grey}'
-        refuse_unless(isinstance(maps, Mapping), "maps", maps, what)
+        requirement = 'a mapping of names to maps, such as {"grey matter": grey}'
+        refuse_unless(isinstance(maps, Mapping), "maps", maps, requirement)
         labels = most_likely(maps, scale)
         if materials is not None:
             return cls(labels=labels, materials=materials_of_maps([*maps], materials), unit=unit)
-        found = materials_by_name(dict(enumerate(maps, 1)))
-        if found.unknown:
-            names = ", ".join(f"'{name}'" for name in found.unknown.values())
+        published = materials_by_name(dict(enumerate(maps, 1)))
+        if published.unknown:
+            names = ", ".join(f"'{name}'" for name in published.unknown.values())
             raise ProblemError(
                 "tissue", f"has no published stiffness for {names}. Give materials of these names."
             )
-        return cls(labels=labels, materials=found.materials, unit=found.unit)
+        return cls(labels=labels, materials=published.materials, unit=published.unit)
 
     def __post_init__(self) -> None:
         _check_arrays(self, "labels", "stiffness")
@@ -296,7 +308,7 @@ class Tissue:
         ]
         if len(given) > 1:
             raise ProblemError(
-                "tissue", f"is given by its {' and by its '.join(given)}. Give one of them."
+                "tissue", f"is given by its {' and by its '.join(given)}. Give only one of them."
             )
 
     def __repr__(self) -> str:
@@ -313,24 +325,29 @@ class Tissue:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Prescribed motion of the tissue, and loads; where parts overlap, the later one wins.
+    """Prescribed motion of the tissue, and loads.
+
+    Where prescribed motions overlap, the drawing takes precedence over labels, and labels over the
+    observed displacement; `hold_edge` holds only tissue without prescribed motion.
 
     Attributes
     ----------
     hold_edge : bool
-        Whether the outer edge of the tissue stays where it is: next to void or to the dark
+        If True, hold the outer edge of the tissue in place: tissue next to void or to the dark
         surroundings, and at the edge of the image. The edges of holes are free.
     labels : ndarray of int, shape ([D,] H, W), optional
-        Painted boundary labels, each with a row of `rules`; a label without a row stays in place.
+        Painted boundary labels. Each label has a row in `rules`; tissue under a label without a row
+        is held in place.
     rules : tuple of BoundaryRule
+        Rules of the labels.
     observed : ndarray, shape ([D,] H, W, n), optional
-        Observed displacement, such as a registration's, in the order of the axes and the grid's
-        unit.
+        Observed material displacement, such as that of a registration, in the order of the axes
+        and in the unit of the grid.
     confidence : ndarray, shape ([D,] H, W) or ([D,] H, W, n), optional
-        Confidence in the observed displacement, 0 (none) to 1 (certain), as in a `Problem`.
+        Confidence in the observed displacement, from 0 (none) to 1 (certain), as in a `Problem`.
         Required with `observed`.
     drawing : Drawing
-        Marks drawn with a pointer: pulls, landmarks, and brush strokes.
+        Arrows, landmarks and brush strokes.
     weight : tuple of float
         Body force on all tissue along each axis: density times acceleration, in the unit of
         stiffness per length; empty for none.
@@ -360,8 +377,8 @@ class Motion:
         require_kind(Drawing, "drawing", self.drawing, "Drawing((Arrow(...),))")
         axes = len(self.weight) if isinstance(self.weight, Sized) else 1
         along = reals(self.weight, axes)
-        what = "a finite number along each axis, such as (0.01, 0)"
-        refuse_unless(bool(np.isfinite(along).all()), "weight", self.weight, what)
+        requirement = "a finite number along each axis, such as (0.01, 0)"
+        refuse_unless(bool(np.isfinite(along).all()), "weight", self.weight, requirement)
         object.__setattr__(self, "weight", along)
         if (self.observed is None) != (self.confidence is None):
             raise ProblemError("motion", "needs both the observed displacement and its confidence.")
@@ -379,21 +396,22 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Pictures:
-    """Image and labels that the field may deform.
+    """Image and labels to deform.
 
     Attributes
     ----------
     image : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4), optional
     labels : ndarray of int, shape ([D,] H, W), optional
     name, labels_name : str
-        Names of their sources; results are named after them.
+        Names of the image and the labels, which results are named after.
     look, labels_look : dict
-        Display settings, such as the colormap, as arguments of a new layer.
+        Display settings of the image and the labels, such as the colormap, as arguments of a new
+        layer.
 
     Raises
     ------
     ArgumentError
-        If image or labels are not an array.
+        If the image or the labels are not an array.
     """
 
     image: Array | None = None
@@ -416,7 +434,7 @@ class Pictures:
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """All inputs of a field: the tissue, its prescribed motion, and the model.
+    """All inputs of a displacement field: the tissue, its prescribed motion, and the model.
 
     Attributes
     ----------
@@ -425,31 +443,32 @@ class Study:
     motion : Motion
     model : {"elastic", "large motion", "paper", "paper, converged"}, optional
         Name of a model, which sets `prior` and `optimizer`; by default elastic. A prior or an
-        optimizer that is given, too, must be of this model, and is kept. It can be given, but not
-        read: `model_name` is the name of the model that will be used.
+        optimizer that is given as well must belong to this model, and is kept. This is an argument
+        only; the attribute `model_name` is the name of the model.
     prior : ElasticPrior, NeoHookeanPrior or SeilerPrior
-        The energy; if tissues are labels, Poisson's ratios are those of their table.
+        Energy of the tissue. If tissues are given by labels, the Poisson's ratios of their
+        materials apply.
     optimizer : ICM or Multigrid
-        The minimiser of the energy.
+        Minimiser of the energy.
     pictures : Pictures
         Image and labels to deform; tissue may be derived from the image.
     names : mapping of str to str
-        The user's names of the parts "image", "tissue", "boundary", "confidence" and "drawing",
-        for use in error messages.
+        Names of the parts "image", "tissue", "boundary", "confidence" and "drawing" in error
+        messages, such as names of layers or files.
     notes : tuple of str
-        Clauses for the user on how the study was read.
+        Clauses for the user about assumptions made when the study was read.
 
     Raises
     ------
     ProblemError
-        Naming the part that does not have the grid's shape.
+        If a part does not have the shape of the grid; the error names the part.
     ArgumentError
         If a part is of another type, there is no such model, or the prior or the optimizer is
         of another model.
 
     Examples
     --------
-    Pull tissue by a patch in its middle, and hold its edge.
+    Pull tissue at a patch in its middle, and hold its edge.
 
     >>> import numpy as np
     >>> from napari_hmrf import Arrow, Drawing, Grid, Motion, Study, Tissue, solve_study
@@ -487,7 +506,7 @@ class Study:
         if len(self.motion.weight) not in (0, len(needed)):
             given = f"has a weight of {len(self.motion.weight)} components"
             raise ProblemError("motion", f"{given}. Give {len(needed)}, one along each axis.")
-        for what, part in (
+        for name, part in (
             ("image", self.pictures.image),
             ("tissue", self.tissue.labels),
             ("tissue", self.tissue.stiffness),
@@ -497,7 +516,7 @@ class Study:
         ):
             if part is not None and part.shape[: len(needed)] != needed:
                 raise ProblemError(
-                    what, f"has shape {part.shape}, but the grid is {needed}. Give one of its size."
+                    name, f"has shape {part.shape}, but the grid is {needed}. Give an equal shape."
                 )
 
     def _take_model(self, model: str) -> None:
@@ -519,7 +538,7 @@ class Study:
 
     @property
     def model_name(self) -> str:
-        """Name of the model, as in results."""
+        """Name of the model, as in the provenance of a solution."""
         parts = {"prior": self.prior.parameters, "optimizer": self.optimizer.parameters}
         return model_name(parts)
 
@@ -546,11 +565,11 @@ class Study:
         return forces or any(row.grows for row in self.tissue.materials)
 
     def named(self, *parts: str) -> str:
-        """Return the user's name of the first of these parts that has one."""
+        """Return the name, from `names`, of the first of these parts that has a name there."""
         return next((self.names[part] for part in parts if part in self.names), parts[0])
 
     def same_as(self, other: Study) -> bool:
-        """Return whether the other study has the same field and image."""
+        """Return whether another study has the same displacement field and the same image."""
         return (
             self.grid == other.grid
             and self.prior == other.prior
@@ -561,15 +580,18 @@ class Study:
         )
 
     def lies_as(self, other: Study) -> bool:
-        """Return whether the other study differs at most in its drawing and its optimizer."""
+        """Return whether another study differs at most in its drawing and its optimizer."""
         motion = replace(self.motion, drawing=other.motion.drawing)
         return replace(self, motion=motion, optimizer=other.optimizer).same_as(other)
 
     @contextmanager
     def naming(self, drawn: bool = True) -> Iterator[None]:
-        """Make errors about the inputs of a problem name the parts that these came from.
+        """Make errors about the inputs of a problem name the parts of the study.
 
-        For boundary conditions the part is the drawing, if there is one, unless `drawn` is False.
+        Parameters
+        ----------
+        drawn : bool
+            If True, errors about boundary conditions name the drawing, if there is one.
         """
         names = self.names
         marks = self.motion.drawing.marks
@@ -589,7 +611,7 @@ class Study:
             yield
 
     def in_words(self, error: Exception) -> Exception:
-        """Return an error that uses the user's names of the parts."""
+        """Return an error with the names of the parts of the study."""
         try:
             with self.naming():
                 raise error
@@ -598,7 +620,7 @@ class Study:
 
 
 def _check_arrays(part: Tissue | Motion | Pictures, *names: str) -> None:
-    """Refuse images that are no arrays, such as lists."""
+    """Refuse images that are not arrays, such as lists."""
     for name in names:
         value = getattr(part, name)
         is_array = value is None or hasattr(value, "shape")
@@ -610,7 +632,7 @@ def _listed(parts: Iterable[str]) -> str:
 
 
 def is_same(one: Any, other: Any) -> bool:
-    """Return whether arrays are identical objects, or other values are equal."""
+    """Return whether two values are the same: arrays by identity, other values by equality."""
     return one is other or not (hasattr(one, "dtype") or hasattr(other, "dtype") or one != other)
 
 

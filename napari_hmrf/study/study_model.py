@@ -1,9 +1,9 @@
-"""Studies of a viewer as the user edits them: the one source for forms, tools and the solver.
+"""Studies of a viewer as the user edits them: the single source for forms, tools and the solver.
 
-A study is made of parts that have different owners: the drawing belongs to a slice, the table of
-materials or rules to a Labels layer, the choice of layers to an image, and the tissue model to the
-viewer. So each part is kept once, and an edit of it changes the study of every slice that uses it.
-Layers are any hashable objects here; nothing needs napari or Qt.
+The parts of a study have different owners: the drawing belongs to a slice, the table of materials
+or rules to a Labels layer, the choice of layers to an image, and the tissue model to the viewer.
+Each part is stored once, and an edit of a part changes the studies of all slices that use it.
+Layers are any hashable objects; this module does not import napari or Qt.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 #: Kinds of parts: the drawing of a slice; the tables of a Labels layer; the stiffness curve of an
 #: image; the choices for an image; the tissue model; and the strokes of napari's brush in a layer.
 Kind = Literal["drawing", "image", "tissue", "boundary", "curve", "choice", "model", "paint"]
-#: Kinds of tables; that of an image is always empty.
+#: Kinds of tables; the table of an image is always empty.
 TableKind = Literal["image", "tissue", "boundary"]
 #: Value of `ImageChoice.tissue` if the image's brightness gives the stiffness, by its curve.
 BRIGHTNESS = "brightness"
 # Attributes of `ImageChoice` that may be layers.
 _LAYER_NAMES = "tissue", "boundary", "confidence", "compare_with"
-# Names of the steps that change a choice; the first changed attribute names the step. A change of
-# another attribute, such as a solver detail, is no step.
+# Name of the step that changes a choice, by attribute; the first changed attribute determines it. A
+# change of other attributes, such as solver details, is no step.
 _STEP_NAMES = {
     "name": "chose another model",
     "plane": "chose another plane",
     "poisson": "changed Poisson's ratio",
-    "tissue": "chose what says how stiff tissue is",
+    "tissue": "chose another source of stiffness",
     "boundary": "chose another boundary",
-    "confidence": "chose what says how sure the boundary is",
+    "confidence": "chose another confidence",
     "without_border": "changed whether the dark border is tissue",
     "hold_edge": "changed whether the edge is held",
     "weight": "changed the weight",
@@ -65,9 +65,9 @@ class Part(NamedTuple):
     ----------
     kind : Kind
     layer : hashable
-        Owner: an image, a Labels layer, or None. Its parts are dropped with it.
+        Owner of the part: an image, a Labels layer, or None. A removed layer's parts are dropped.
     place : hashable
-        Slice of a drawing.
+        For a drawing, its slice.
     """
 
     kind: Kind
@@ -75,7 +75,7 @@ class Part(NamedTuple):
     place: Any = None
 
 
-#: The tissue model, which belongs to the whole viewer and to no layer.
+#: Key of the tissue model, which belongs to the whole viewer rather than to a layer.
 MODEL_PART = Part("model", "")
 
 
@@ -86,20 +86,22 @@ class ImageChoice:
     Attributes
     ----------
     tissue : layer, "brightness" or None
-        Labels, an image of stiffness, or the image's brightness; None: all in the image is tissue.
+        Source of the tissue: labels, an image of stiffness, or the brightness of the image. None:
+        all pixels of the image are tissue.
     boundary : layer or None
-        Labels, or observed displacements.
+        Labels or observed displacements that prescribe the motion.
     confidence : layer, "edges" or None
-        Confidence of observed displacements.
+        Confidence in observed displacements.
     without_border : bool
-        Whether dark surroundings with label 0 are not tissue.
+        True if dark surroundings with label 0 are void.
     hold_edge : bool
-        Whether the outer edge of the tissue is held.
+        True if the outer edge of the tissue is held.
     weight : tuple of float
-        As of `Motion`.
+        As for `Motion`.
     extent : {"slice", "volume"}
+        Part of the image that is solved.
     compare_with : layer or None
-        A second image, shown over the deformed one.
+        Second image, displayed over the deformed image.
     """
 
     tissue: Any = None
@@ -113,18 +115,20 @@ class ImageChoice:
 
     @property
     def tissue_layer(self) -> Any:
-        """The layer that is chosen as tissue, or None."""
+        """Layer that is chosen as tissue, or None."""
         return None if self.tissue == BRIGHTNESS else self.tissue
 
     @property
     def layers(self) -> tuple[Any, ...]:
-        """Values of the choices of layers."""
+        """Values of the attributes that may be layers."""
         return tuple(getattr(self, name) for name in _LAYER_NAMES)
 
     def without(self, layer: Hashable) -> ImageChoice:
-        """Return the choices without a layer."""
-        gone: dict[str, Any] = {name: None for name in _LAYER_NAMES if getattr(self, name) is layer}
-        return replace(self, **gone)
+        """Return the choices with a layer replaced by None."""
+        cleared: dict[str, Any] = {
+            name: None for name in _LAYER_NAMES if getattr(self, name) is layer
+        }
+        return replace(self, **cleared)
 
 
 @dataclass(frozen=True)
@@ -135,9 +139,11 @@ class ModelChoice:
     ----------
     name : ModelName
     plane : {"stress", "strain"}
+        Plane stress or plane strain, for elastic slices.
     poisson : float
         Poisson's ratio of tissue without a table.
     details : SolverDetails
+        Optional settings.
     """
 
     name: ModelName = "elastic"
@@ -147,9 +153,9 @@ class ModelChoice:
 
     @classmethod
     def of(cls, study: Study) -> ModelChoice:
-        """Return the choice that makes the prior and the optimizer of a study.
+        """Return the choice that corresponds to the prior and the optimizer of a study.
 
-        Poisson's ratios that differ from site to site belong to the tissue, and are not taken.
+        An image of Poisson's ratios is ignored, because it belongs to the tissue.
         """
         prior, optimizer = study.prior, study.optimizer
         choice = cls(family_of(prior, optimizer), details=details_of(prior, optimizer))
@@ -161,33 +167,33 @@ class ModelChoice:
 
     @property
     def prior(self) -> Prior:
-        """Energy of the model; for labelled tissues, without their Poisson's ratios."""
+        """Prior of the model, without the Poisson's ratios of labelled tissues."""
         return prior_of(self.name, self.details, self.plane, self.poisson)
 
     @property
     def optimizer(self) -> Optimizer:
-        """Optimizer that minimises the energy."""
+        """Optimizer of the model."""
         return optimizer_of(self.name, self.details)
 
 
 class StudyModel(EditHistory):
-    """Parts of all studies of a viewer, the selected slice, and undo.
+    """Model of all studies of a viewer: their parts, the selected slice, and undo.
 
-    Each kind of part has one method that writes it; `changed` is emitted with the `Part`.
+    Each kind of part has a single method that writes it; `changed` is emitted with the `Part`.
 
     Parameters
     ----------
     depth : int
-        Number of steps that are kept.
+        Largest number of undo steps.
 
     Attributes
     ----------
     image : hashable or None
         Selected image.
     slice : Part
-        Drawing of the selected slice.
+        Key of the drawing of the selected slice.
     selected : Signal(object)
-        Emitted with the image when another one is selected.
+        Emitted with the image when another image is selected.
     """
 
     selected = Signal(object)
@@ -200,7 +206,7 @@ class StudyModel(EditHistory):
     # Selection
 
     def select(self, image: Hashable | None) -> bool:
-        """Select an image; return whether anything was chosen for it before."""
+        """Select an image; return whether the model has choices for it."""
         known = Part("choice", image) in self._now
         if image is not self.image:
             self.image = image
@@ -208,7 +214,7 @@ class StudyModel(EditHistory):
         return known and image is not None
 
     def select_slice(self, image: Hashable | None, place: Hashable = None) -> None:
-        """Select the drawing of a slice; a drag of the previous slice ends first."""
+        """Select the drawing of a slice, after ending a drag in the previous slice."""
         if self.drawing_in_progress:
             self.end()
         self.slice = Part("drawing", image, place)
@@ -223,9 +229,17 @@ class StudyModel(EditHistory):
         return choice
 
     def choose(self, *, step: bool = True, **changes: Any) -> None:
-        """Change attributes of the `choice`; without `step`, undo does not restore the old ones."""
+        """Change attributes of the `choice`.
+
+        Parameters
+        ----------
+        step : bool
+            If True, undo can restore the old attributes.
+        **changes
+            New values of attributes of `ImageChoice`.
+        """
         now = replace(self.choice, **changes)
-        # Without an image there is nothing that undo could go back to.
+        # Without an image, undo would have no choices to restore.
         self._edit(Part("choice", self.image), now, step and self.image is not None)
 
     @property
@@ -235,17 +249,26 @@ class StudyModel(EditHistory):
         return choice
 
     def choose_model(self, choice: ModelChoice, *, step: bool = True) -> None:
-        """Change the tissue model of the viewer; solver details alone are no step."""
+        """Change the tissue model of the viewer.
+
+        Parameters
+        ----------
+        choice : ModelChoice
+        step : bool
+            If True, undo can restore the old model; a change of solver details alone is no step.
+        """
         self._edit(MODEL_PART, choice, step)
 
     def restore(self, study: Study, layers: Mapping[str, Hashable]) -> None:
-        """Select and choose what a study holds, except its drawing, without undo steps.
+        """Select the image and the choices of a study without undo steps.
+
+        The drawing of the study is not restored.
 
         Parameters
         ----------
         study : Study
         layers : mapping of str to layer
-            Layers of its parts: "image", "tissue", "boundary" and "confidence".
+            Layers of the parts "image", "tissue", "boundary" and "confidence".
         """
         tissue, motion = study.tissue, study.motion
         image = layers.get("image")
@@ -273,26 +296,26 @@ class StudyModel(EditHistory):
     # Tissue and boundary
 
     def table(self, kind: TableKind, layer: Hashable) -> RowTable[Any] | None:
-        """Return the table of a layer, or None if it has none."""
+        """Return the table of a layer, or None if the layer has no table."""
         table: RowTable[Any] | None = self.get(Part(kind, layer))
         return table
 
     def set_table(
         self, kind: TableKind, layer: Hashable, table: RowTable[Any], word: str = ""
     ) -> None:
-        """Change the table of a layer, as a step with this name; "" makes no step."""
+        """Change the table of a layer, as a step named `word`; without a step if it is ""."""
         part = Part(kind, layer)
         if self.setdefault(part, table) != table:
             self._set(part, table, word)
 
     @property
     def curve(self) -> StiffnessCurve | None:
-        """Stiffness curve of the selected image, whether it is in use or not."""
+        """Stiffness curve of the selected image, even if the tissue does not use it; or None."""
         curve: StiffnessCurve | None = self.get(Part("curve", self.image))
         return curve
 
     def set_curve(self, curve: StiffnessCurve, word: str) -> None:
-        """Change the curve of the selected image; several changes until `end` are one step."""
+        """Change the curve of the selected image; all changes until `end` are one step."""
         part = Part("curve", self.image)
         if self.setdefault(part, curve) != curve:
             if self.in_progress != part:
@@ -309,45 +332,45 @@ class StudyModel(EditHistory):
 
     @property
     def drawing_in_progress(self) -> bool:
-        """True if an edit of this drawing has begun and not ended."""
+        """True if an edit of this drawing has begun and has not ended."""
         return self.in_progress == self.slice
 
     def draw(self, drawing: Drawing, word: str) -> None:
-        """Change the drawing, as a step with this name; "" makes no step."""
+        """Change the drawing, as a step named `word`; without a step if it is ""."""
         self.setdefault(self.slice, Drawing())
         self._set(self.slice, drawing, word)
 
     def begin_drawing(self, word: str) -> None:
-        """Begin a drag: all its changes are one step."""
+        """Begin a drag, whose changes are one step."""
         self.setdefault(self.slice, Drawing())
         self.begin(self.slice, word)
 
     def update_drawing(self, drawing: Drawing) -> None:
-        """Continue the drag.
+        """Change the drawing during a drag.
 
         Raises
         ------
         RuntimeError
-            If no drag of this drawing was begun.
+            If no drag of this drawing has begun.
         """
         if not self.drawing_in_progress:
-            raise RuntimeError("no edit was begun; call begin_drawing() first, or draw()")
+            raise RuntimeError("no edit has begun; call begin_drawing() first, or draw()")
         self.update(drawing)
 
     def end_drawing(self) -> str:
-        """End the drag, if there is one; return the name of its step, or "" if there is none."""
+        """End the drag, if there is one; return the name of its step, or "" without a step."""
         step = self.end() if self.drawing_in_progress else None
         return "" if step is None else step.word
 
     def cancel_drawing(self) -> None:
-        """Cancel the drag, if there is one."""
+        """Cancel the drag, if there is one, and restore the drawing before it."""
         if self.drawing_in_progress:
             self.cancel()
 
     # Common
 
     def remove(self, layer: Hashable) -> None:
-        """Drop the parts of a layer that was removed, and clear it from all choices."""
+        """Drop the parts of a removed layer, and remove the layer from all choices."""
         self.drop(lambda part: part.layer is layer)
         for part in self.parts:
             if part.kind == "choice":
@@ -363,9 +386,10 @@ class StudyModel(EditHistory):
         self._set(part, now, word if step else "")
 
     def _change_earlier(self, part: Part, before: Any, now: Any, changed: list[str]) -> None:
-        """Apply a change that is no step to the other states of a part, so that undo keeps it.
+        """Apply a change that is no step to the states of a part in the history.
 
-        States in which these attributes had another value keep it.
+        Undo then keeps the change. States with another value of a changed attribute stay unchanged
+        in this attribute.
         """
         for steps in (self._past, self._future):
             for number, step in enumerate(steps):

@@ -1,4 +1,4 @@
-"""Input without effect: marks off tissue, rules and growth of labels that are nowhere."""
+"""Inputs without effect: marks outside tissue, and rules and growth of labels without pixels."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
 from napari_hmrf.tissue.drawing.canvas import Box, box_of, covered, is_empty
 from napari_hmrf.tissue.drawing.marks import Mark, Point
 
-#: Strokes that hold or move tissue, and so need some; the others change what lies beneath.
+#: Actions of strokes that have no effect outside tissue; other strokes change earlier marks.
 _HOLD_OR_MOVE = ("pin", "move", "expand")
 
 
 def asks_motion(problem: Problem) -> bool:
-    """Return whether any tissue is observed to move, grows or is pulled by a force."""
+    """Return whether a problem has a prescribed displacement other than 0, growth or a force."""
     loads = problem.loads
     given = () if loads is None else (loads.growth, loads.force)
     moved = problem.known & (problem.observed != 0)
@@ -31,7 +31,7 @@ def asks_motion(problem: Problem) -> bool:
 def marks_without_effect(
     drawing: Drawing, tissue: npt.NDArray[np.bool_], spacing: Sequence[float]
 ) -> Iterator[str]:
-    """Yield a clause for each kind of marks that lie outside the image or off tissue.
+    """Yield a clause for each kind of marks that are outside the image or off tissue.
 
     Parameters
     ----------
@@ -39,6 +39,10 @@ def marks_without_effect(
     tissue : ndarray of bool, shape ([D,] H, W)
     spacing : sequence of float
         Size of a pixel along each axis.
+
+    Yields
+    ------
+    str
     """
     idle: dict[tuple[str, str], list[Point]] = defaultdict(list)
     whole: Box = tuple(slice(0, size) for size in tissue.shape)
@@ -58,13 +62,17 @@ def marks_without_effect(
 
 
 def rows_without_effect(study: Study, labels: npt.NDArray[Any] | None) -> Iterator[str]:
-    """Yield clauses on rules and growth of labels that are nowhere in their images.
+    """Yield clauses about the rules and the growth of labels that do not occur in their images.
 
     Parameters
     ----------
     study : Study
     labels : ndarray of int, optional
-        The tissues as they are solved, strokes of tissue included.
+        Tissue labels of the problem, including strokes that paint tissue.
+
+    Yields
+    ------
+    str
     """
     motion = study.motion
     rules = _absent(motion.rules, motion.labels)
@@ -88,18 +96,18 @@ def _needs_tissue(mark: Mark) -> bool:
 def _absent(
     rows: Iterable[BoundaryRule | Material], labels: npt.NDArray[Any] | None
 ) -> list[BoundaryRule | Material]:
-    there = set() if labels is None else set(np.unique(labels).tolist())
-    return [row for row in rows if row.label not in there and row.label != 0]
+    present = set() if labels is None else set(np.unique(labels).tolist())
+    return [row for row in rows if row.label not in present and row.label != 0]
 
 
-def _rows(what: str, rows: Sequence[BoundaryRule | Material]) -> str:
+def _rows(noun: str, rows: Sequence[BoundaryRule | Material]) -> str:
     names = ", ".join(
         f"{row.label} ('{row.name}')" if getattr(row, "name", "") else f"{row.label}"
         for row in rows
     )
     if len(rows) == 1:
-        return f"the {what} of label {names} has"
-    return f"the {what}{'' if what == 'growth' else 's'} of labels {names} have"
+        return f"the {noun} of label {names} has"
+    return f"the {noun}{'' if noun == 'growth' else 's'} of labels {names} have"
 
 
 def _named(mark: Mark) -> tuple[str, Point]:

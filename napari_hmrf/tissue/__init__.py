@@ -50,8 +50,8 @@ __all__ = [
     "write_preset",
 ]
 
-#: Module of each name. The names are imported on first use, as modules of this package are
-#: imported by the modules that some of the names come from.
+#: Module of each public name. Names are imported on first use, because some of these modules import
+#: other modules of this package.
 _HOMES = {
     "PRESETS": "napari_hmrf.tissue.material_presets",
     "RIGID": "napari_hmrf.tissue.boundary_rules",

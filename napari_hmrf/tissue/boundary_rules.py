@@ -1,8 +1,8 @@
 """Conversion of painted labels and their tables to the input images of the method.
 
-A *material* defines the stiffness and growth of the tissue under a label; a *boundary rule* defines
-the observed motion of the tissue under a label and its confidence, or a force there. Both tables
-belong to integer label images such as napari's Labels layers; nothing here needs napari.
+A *material* defines the stiffness and growth of the tissue under a label. A *boundary rule* defines
+the observed motion of the tissue under a label with its confidence, or a force on it. Both tables
+belong to integer label images, such as napari's Labels layers.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from napari_hmrf.tissue.normals import outward_normals
 Action = Literal["fixed", "move", "expand", "press", "pull"]
 #: Actions that are forces rather than observed displacements.
 FORCES: tuple[Action, ...] = "press", "pull"
-#: One strain for all directions, or one along each axis of the image.
+#: Strain of growth: one number for all directions, or one along each axis of the image.
 Growth = float | tuple[float, ...]
 
-#: The usual Poisson's ratio of soft tissue, if nothing better is known.
+#: Default Poisson's ratio of soft tissue.
 USUAL_POISSON = 0.45
-#: The stiffness of a rigid body, such as bone or an implant.
+#: Stiffness of a rigid body, such as bone or an implant.
 RIGID = math.inf
 _RIGID = "rigid"
-#: The name of label 0.
+#: Name of label 0.
 UNPAINTED = "everything unpainted"
-#: The stiffness of a new tissue if there is no deformable one to copy.
+#: Stiffness of a new tissue if there is no deformable tissue to copy.
 _STIFFNESS = 20.0
-#: Largest growth, a strain; larger values were probably given in per cent.
+#: Largest growth, as a strain; larger values were probably given in per cent.
 _LARGEST_GROWTH = 10.0
 #: Largest value in single precision; a larger stiffness would become infinite, that is, rigid.
 LARGEST_STIFFNESS = float(np.finfo(np.float32).max)
@@ -53,14 +53,16 @@ class Material:
     name : str
         Name for display.
     stiffness : float
-        Young's modulus in any unit, the same for all materials: only ratios matter. 0 is void (no
-        tissue, such as air or anything that does not adhere to its surroundings); `RIGID`, which is
-        infinite, moves as a rigid body, and only an `ElasticPrior` supports it.
+        Young's modulus in any unit that all materials share; only ratios matter. 0 is void: no
+        tissue, such as air or matter that does not adhere to its surroundings. Tissue of the
+        infinite stiffness `RIGID` moves as a rigid body; only elastic models support it.
     poisson : float
-        Poisson's ratio, 0 to 0.499; used by elastic models only, and not for void or rigid tissue.
+        Poisson's ratio, from 0 to 0.499; used by elastic models only, and not for void or rigid
+        tissue.
     growth : float or tuple of float
-        Relative change of length of free tissue: 0.1 is a tenth longer. In all directions, or along
-        (row, col), in a volume (plane, row, col); void and rigid tissue do not grow.
+        Relative change of length of unconstrained tissue: 0.1 makes it a tenth longer. One number
+        for all directions, or one each along (row, col), or in a volume (plane, row, col). Void
+        and rigid tissue do not grow.
 
     Raises
     ------
@@ -116,20 +118,21 @@ class BoundaryRule:
     label : int
         Value in the label image, above 0: unpainted tissue is not observed.
     action : {"fixed", "move", "expand", "press", "pull"}
-        "fixed": the tissue under the label stays where it is. "move": it moves by `vector`.
-        "expand": it moves outward by `amount` (inward if negative), all of a ring, but only the rim
-        of a patch. "press" and "pull": the tissue is free, and its surface under the label, where
-        tissue ends, bears a pressure of `amount`, or a traction of `vector`.
+        "fixed": the tissue under the label stays in place. "move": it moves by `vector`. "expand":
+        it moves outward by `amount`, or inward if `amount` is negative; a painted ring moves as a
+        whole, a filled patch only at its rim. "press" and "pull": the tissue is free, and its
+        surface under the label bears a pressure of `amount`, or a traction of `vector`.
     vector : tuple of float
         Displacement along (row, col), or (plane, row, col) in a volume, in the unit of the pixel
-        spacing; by default the plane component is 0. For "pull" a force per area, in the unit of
-        stiffness.
+        spacing; with two components in a volume, the plane component is 0. For "pull", force per
+        area, in the unit of stiffness.
     amount : float
-        Displacement along the outward normal, in the unit of the pixel spacing; for "press" a force
+        Displacement along the outward normal, in the unit of the pixel spacing. For "press", force
         per area against the normal, in the unit of stiffness.
     confidence : tuple of float
-        Confidence of the (row, col) components, or (plane, row, col) in a volume, from 0 (not
-        observed) to 1 (complete); by default the plane component has the larger of the two.
+        Confidence of the components along (row, col), or (plane, row, col) in a volume, from 0 (not
+        observed) to 1 (certain). With two values in a volume, the plane component has the larger
+        of them.
     name : str
         Name for display.
     """
@@ -144,7 +147,7 @@ class BoundaryRule:
 
 
 def default_material(label: int, known: Iterable[Material]) -> Material:
-    """Return the default material of a new tissue: that of the first deformable known one."""
+    """Return the default material of a new tissue: a copy of the first deformable material."""
     name = UNPAINTED if label == 0 else f"tissue {label}"
     first = next((material for material in known if material.is_deformable), None)
     if first is None:
@@ -153,7 +156,7 @@ def default_material(label: int, known: Iterable[Material]) -> Material:
 
 
 def default_rigid(label: int) -> Material:
-    """Return the default rigid material, to be painted."""
+    """Return the default rigid material for painting."""
     return Material(label, "bone or implant", RIGID)
 
 
@@ -163,7 +166,7 @@ def default_rule(label: int) -> BoundaryRule:
 
 
 def is_growth(strain: Any) -> bool:
-    """Return whether a strain is a valid growth: above -1, and not mistakenly in per cent."""
+    """Return whether a strain is a valid growth: above -1, and too small to be in per cent."""
     return -1 < real(strain) <= _LARGEST_GROWTH
 
 
@@ -179,24 +182,25 @@ def stiffness_in_words(stiffness: float, unit: str = "") -> str:
 
 
 def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> FloatArray:
-    """Give every pixel the stiffness of its material.
+    """Return an image of the stiffness of each pixel's material.
 
     Parameters
     ----------
     labels : array_like of int, shape ([D,] H, W)
+        Label of the tissue at each pixel.
     materials : iterable of Material
-        One for each value in `labels`, 0 included; others are ignored.
+        A material for each value in `labels`, 0 included; other materials are ignored.
 
     Returns
     -------
     ndarray, shape ([D,] H, W), float32
-        The stiffness of a `Problem`; infinite where tissue is rigid.
+        Argument `stiffness` of a `Problem`; infinite in rigid tissue.
 
     Raises
     ------
     ProblemError
-        If a label has no material or two, or a stiffness is neither `RIGID` nor a number of at
-        least 0 that fits single precision.
+        If a label has no material or more than one, or if a stiffness is neither `RIGID` nor a
+        number of at least 0 that fits single precision.
     """
     image, present, table = _read("stiffness", "materials", Material, labels, materials)
     for material in table.values():
@@ -207,7 +211,7 @@ def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> Flo
 
 
 def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float | FloatArray:
-    """Give every pixel the Poisson's ratio of its material.
+    """Return an image of the Poisson's ratio of each pixel's material.
 
     Parameters
     ----------
@@ -217,18 +221,18 @@ def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float
     Returns
     -------
     float or ndarray, shape ([D,] H, W), float32
-        `poisson` of an `ElasticPrior`: one number if it is the same for all tissue. 0 in void and
-        rigid tissue, which have none.
+        Argument `poisson` of an `ElasticPrior`: one number if all tissue has the same ratio,
+        otherwise an image that is 0 in void and rigid tissue.
 
     Raises
     ------
     ProblemError
-        If a label has no material or two, or a tissue's ratio is out of range.
+        If a label has no material or more than one, or a tissue's ratio is out of range.
     """
     image, present, table = _read("stiffness", "materials", Material, labels, materials)
-    there = [table[int(label)] for label in present]
+    rows = [table[int(label)] for label in present]
     low, high = POISSON_RANGE
-    tissues = [material for material in there if material.is_deformable]
+    tissues = [material for material in rows if material.is_deformable]
     for material in tissues:
         if not low <= real(material.poisson) <= high:
             raise ProblemError(
@@ -238,7 +242,7 @@ def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float
             )
     if len({material.poisson for material in tissues}) <= 1:
         return float(tissues[0].poisson) if tissues else USUAL_POISSON
-    values = [material.poisson if material.is_deformable else 0.0 for material in there]
+    values = [material.poisson if material.is_deformable else 0.0 for material in rows]
     return _at_labels(image, present, values)
 
 
@@ -248,18 +252,18 @@ def boundary_images(
     *,
     spacing: float | Sequence[float],
 ) -> tuple[FloatArray, FloatArray]:
-    """Give every painted pixel the displacement and the confidence of its rule.
+    """Return images of the displacement and the confidence of each painted pixel's rule.
 
-    Each connected part of an expanding label moves along the outward normal of its outer outline
-    (holes filled): the painted rim of a tumour moves radially, and so does the rim of a completely
-    painted tumour, whose inside is free and follows.
+    Each connected part of an expanding label moves along the outward normal of its outer outline,
+    in which holes are filled. A painted ring around a tumour therefore moves radially. If the whole
+    tumour is painted, its rim moves in the same way, and its inside is free.
 
     Parameters
     ----------
     labels : array_like of int, shape ([D,] H, W)
-        0 where nothing is observed.
+        Boundary label of each pixel; 0 is not observed.
     rules : iterable of BoundaryRule
-        One for each value in `labels` above 0; others are ignored.
+        A rule for each value in `labels` above 0; other rules are ignored.
     spacing : float or sequence of float, shape (n,)
         Size of a pixel along each axis, in the unit of the displacements; a single number applies
         to all axes.
@@ -269,14 +273,14 @@ def boundary_images(
     observed : ndarray, shape ([D,] H, W, n), float32
         Material displacement in the order of the axes, in the unit of `spacing`.
     confidence : ndarray, shape ([D,] H, W, n), float32
-        Confidence per component; 0 where nothing is painted or a force acts, inside an expanding
-        patch, and on an expanding spot too small to have a direction.
+        Confidence of each component; 0 in unpainted pixels, under forces, inside an expanding
+        patch, and in an expanding spot that is too small to have a direction.
 
     Raises
     ------
     ProblemError
-        If a label has no rule or two, if a rule has numbers out of range, or if an expanding label
-        is an open line (which has no outside).
+        If a label has no rule or more than one, if a rule has numbers out of range, or if an
+        expanding label is an open line, which has no inside.
     """
     image, present, table = _read("observed", "rules", BoundaryRule, labels, rules)
     n = image.ndim
@@ -301,25 +305,25 @@ def boundary_images(
 
 
 def _read(
-    field: str, what: str, kind: type, labels: npt.ArrayLike, rows: Iterable[Any]
+    field: str, name: str, kind: type, labels: npt.ArrayLike, rows: Iterable[Any]
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any], dict[int, Any]]:
-    """Return the label image, the labels present in it, and the rows by label."""
+    """Return the label image, the labels in it, and the rows of the table by label."""
     image = as_numbers(field, labels)
     if image.dtype.kind not in "biu" or image.ndim not in (2, 3):
         raise ProblemError(
             field,
-            f"has labels of type {image.dtype}, shape {image.shape}, but a 2-D image (H, W) or a "
-            "volume (D, H, W) of whole numbers is needed, one per material.",
+            f"has labels of type {image.dtype} and shape {image.shape}. Give an image (H, W) or a "
+            "volume (D, H, W) of whole numbers, one per material.",
         )
     table: dict[int, Any] = {}
     for row in rows if isinstance(rows, Iterable) else [rows]:
-        refuse_unless(isinstance(row, kind), what, row, f"a list, each a {kind.__name__}")
+        refuse_unless(isinstance(row, kind), name, row, f"a list of {kind.__name__}")
         if not is_whole(row.label):
             raise ProblemError(
-                field, f"has {what} for label {shown(row.label)}. Give labels as whole numbers."
+                field, f"has {name} for label {shown(row.label)}. Give labels as whole numbers."
             )
         if row.label in table:
-            raise ProblemError(field, f"has two {what} for label {row.label}. Remove one.")
+            raise ProblemError(field, f"has two {name} for label {row.label}. Remove one.")
         table[row.label] = row
     present = np.unique(image)
     if kind is BoundaryRule:
@@ -329,7 +333,7 @@ def _read(
         raise ProblemError(
             field,
             f"has labels without a {'rule' if kind is BoundaryRule else 'stiffness'}: "
-            f"{', '.join(missing[:10])}. Give each one in the table, or erase its pixels.",
+            f"{', '.join(missing[:10])}. Give each of them in the table, or erase its pixels.",
         )
     return image, present, table
 
@@ -344,7 +348,7 @@ def _check_rule(rule: BoundaryRule, n: int) -> None:
         for given in (rule.vector, rule.confidence)
     )
     each = "(row, col)" if n == 2 else "(row, col) or (plane, row, col)"
-    sure = all(0 <= value <= 1 for value in confidence)
+    in_range = all(0 <= value <= 1 for value in confidence)
     for name, right, needed in (
         (
             "action",
@@ -353,7 +357,7 @@ def _check_rule(rule: BoundaryRule, n: int) -> None:
         ),
         ("vector", all(map(math.isfinite, vector)), f"a number for each of {each}"),
         ("amount", math.isfinite(real(rule.amount)), "a number"),
-        ("confidence", sure, f"a value from 0 to 1 for each of {each}"),
+        ("confidence", in_range, f"a value from 0 to 1 for each of {each}"),
     ):
         if not right:
             raise ProblemError(
@@ -379,12 +383,12 @@ def quoted(row: Material | BoundaryRule) -> str:
 
 
 def unlisted(labels: npt.ArrayLike, rows: Iterable[Material | BoundaryRule]) -> list[int]:
-    """List the labels of an image that have no row in a table."""
+    """Return the labels of an image that have no row in a table, sorted."""
     return sorted({*np.unique(labels).tolist()} - {row.label for row in rows})
 
 
 def _at_labels(
     image: npt.NDArray[Any], present: npt.NDArray[Any], values: Sequence[float]
 ) -> FloatArray:
-    """Give every pixel the value of its label; `present` must be sorted and complete."""
+    """Return an image of the value of each pixel's label; `present` has all labels, sorted."""
     return np.asarray(values, dtype=np.float32)[np.searchsorted(present, image)]

@@ -1,4 +1,4 @@
-"""Materials to begin with, from published models, and what tissue becomes that is painted."""
+"""Presets of published materials, and palettes of tissues for painting."""
 
 from __future__ import annotations
 
@@ -20,24 +20,25 @@ from napari_hmrf.tissue.boundary_rules import (
 )
 
 FloatArray = npt.NDArray[np.float32]
-#: The label of what has a stiffness, but no row in the table.
+#: Label of pixels that have a stiffness, but no row in the table.
 OTHER = -1
 _VOID = Material(0, "no tissue", 0.0)
 
 
 @dataclass(frozen=True)
 class Preset:
-    """Published materials that belong together, with their source.
+    """Published materials from one source.
 
-    The stiffnesses of one preset share a unit and must not be mixed with those of another.
-    Poisson's ratios are those of the source, if it has any.
+    The stiffnesses of one preset share a unit and must not be mixed with those of another. The
+    Poisson's ratios are those of the source, if it gives any.
 
     Attributes
     ----------
     name : str
     unit : str
-        Unit of stiffness; "" for ratios.
+        Unit of stiffness; "" if only ratios of stiffness are known.
     source : str
+        Publication.
     materials : tuple of Material
     """
 
@@ -50,11 +51,12 @@ class Preset:
         return f"Preset({self.name!r}, {len(self.materials)} materials)"
 
     def take_over(self, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:
-        """Put these materials in place of those of a table.
+        """Replace the materials of a table by those of the preset.
 
-        A row becomes the material of its name, else the one of its number that goes to no name;
-        what no row becomes is added. A row that becomes none stays void or rigid, or is as the
-        preset's first tissue, since an old stiffness may be in another unit.
+        A row is replaced by the material of its name, or else by the material of its label if that
+        matches no other row by name. Other materials of the preset are added. Rows without a
+        material of the preset stay void or rigid; if they are deformable, they get the stiffness of
+        the preset's first tissue, because their stiffness may be in another unit.
 
         Parameters
         ----------
@@ -64,12 +66,12 @@ class Preset:
         Returns
         -------
         materials : tuple of Material
-            By label.
+            New table, sorted by label.
         words : str
-            What became of the rows that are called otherwise; empty if there are none.
+            Sentence about rows whose name or stiffness has changed; "" if there are none.
         """
-        called = (each for each in self.materials if each.label > 0 and each.name.strip())
-        named = {_key(each): each for each in called}
+        with_names = (each for each in self.materials if each.label > 0 and each.name.strip())
+        named = {_key(each): each for each in with_names}
         now = {row.label: named[_key(row)] for row in rows if row.label > 0 and _key(row) in named}
         for material in self.materials:
             if material not in now.values():
@@ -91,37 +93,37 @@ class Preset:
 
 
 def _published() -> Iterator[Preset]:
-    """The presets of `sample_data/materials.json`."""
+    """Yield the presets of `sample_data/materials.json`."""
     file = resource_folder("sample_data") / "materials.json"
     for preset in json.loads(file.read_text(encoding="utf-8")):
         materials = tuple(Material(*row) for row in preset.pop("materials"))
         yield Preset(**preset, materials=materials)
 
 
-#: Published stiffnesses differ by orders of magnitude between studies; ratios within one agree
-#: better, and only ratios matter here.
+#: Published presets. Published stiffnesses differ by orders of magnitude between studies; their
+#: ratios within a study agree better, and only ratios matter for the displacement.
 PRESETS: tuple[Preset, ...] = tuple(_published())
 
 
 def _key(row: Material) -> str:
-    """Its name, however it is spelt."""
+    """Return the name of a row for comparison, without regard to case and outer spaces."""
     return row.name.strip().casefold()
 
 
 @dataclass(frozen=True)
 class Palette:
-    """Tissues to paint with.
+    """Tissues for painting.
 
     Attributes
     ----------
     materials : tuple of Material
-        One for each label.
+        A material for each label.
     unit : str
-        Of their stiffness; may be "".
+        Unit of stiffness; may be "".
     one : float
-        The stiffness that counts as 1 on the ground that is painted on.
+        Stiffness of the palette that equals a stiffness of 1 in the painted image.
     own : bool
-        Whether it is the tissue layer's own table, and not a preset.
+        True if the palette is the table of the tissue layer, False if it is a preset.
     """
 
     materials: tuple[Material, ...]
@@ -131,14 +133,19 @@ class Palette:
 
     @classmethod
     def of_preset(cls, preset: Preset | None = None, relative: bool = True) -> Palette:
-        """Return the tissues of a preset, the void, and what is rigid.
+        """Return a palette of the tissues of a preset, with void and a rigid material.
 
         Parameters
         ----------
         preset : Preset, optional
-            By default the first.
+            By default the first preset.
         relative : bool
-            Whether the first of them counts as 1, as what is not painted does.
+            If True, the stiffness of the first deformable tissue equals a stiffness of 1 in the
+            painted image, which is that of unpainted tissue.
+
+        Returns
+        -------
+        Palette
         """
         preset = preset or PRESETS[0]
         listed = {row.label for row in preset.materials}
@@ -149,22 +156,27 @@ class Palette:
 
     @property
     def usual(self) -> int:
-        """The label of what is not painted, where there is no table."""
+        """Label of unpainted tissue if there is no table: the first deformable material."""
         return next(row.label for row in self.materials if row.is_deformable)
 
     def painted(
         self, labels: npt.NDArray[Any], before: npt.NDArray[Any], m: FloatArray, prior: Prior
     ) -> tuple[FloatArray, Prior]:
-        """Return stiffness and energy where some tissue has become another.
+        """Return stiffness and prior after some pixels were painted with other tissues.
 
         Parameters
         ----------
-        labels, before : ndarray of int, shape (H, W)
-            As painted, and as they were.
-        m : ndarray, shape (H, W), float32
-            Stiffness as it was.
+        labels, before : ndarray of int, shape ([D,] H, W)
+            Labels after and before painting.
+        m : ndarray, shape ([D,] H, W), float32
+            Stiffness before painting.
         prior : Prior
-            With Poisson's ratios as they were.
+            Prior before painting, with its Poisson's ratios.
+
+        Returns
+        -------
+        m : ndarray, shape ([D,] H, W), float32
+        prior : Prior
         """
         changed = labels != before
         if not changed.any():

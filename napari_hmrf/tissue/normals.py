@@ -1,4 +1,4 @@
-"""Outward normals of the parts of a mask, for boundaries that expand."""
+"""Outward normals of the connected parts of a mask, for boundaries that expand."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import scipy
 
 from napari_hmrf.errors import ProblemError
 
-#: Width of the smoothing of an outline before its normal is taken, in pixels.
+#: Standard deviation of the Gaussian blur of an outline before its normal is computed, in pixels.
 _SMOOTHING = 1.5
-#: A part at least this many times longer than thick is a line, whatever the brush, and has no
-#: inside; likewise a sheet in a volume, if both its sides are this many times its thickness.
+#: Ratio of length to thickness above which a part is an open line, which has no inside. In a volume
+#: a part is an open sheet if both its sides are this many times its thickness.
 _LINE = 8.0
-#: Size of a bounding box, in pixels, up to which holes of a part are ignored.
+#: Number of pixels of a bounding box up to which holes of a part are ignored.
 _SPECK = 25
-#: A part whose holes take up less than this share of the enclosed area is a patch, and no ring.
+#: Fraction of the enclosed area below which holes are ignored: the part is a patch, not a ring.
 _HOLES = 0.1
-#: Width in pixels of the rim of a patch that moves with its outline: with a single pixel the
+#: Width in pixels of the rim of a patch that moves with its outline. With a rim of one pixel, the
 #: paper's schedule would lose the outline on its coarse levels.
 _RIM = 2
 
@@ -28,18 +28,20 @@ _RIM = 2
 def outward_normals(
     mask: npt.NDArray[np.bool_], spacing: Sequence[float], name: str
 ) -> npt.NDArray[np.float32]:
-    """Return unit normals of each part's enclosing outline, at the outline's nearest pixel.
+    """Return for each pixel the outward unit normal at the nearest pixel of its part's outline.
 
-    All pixels of a ring have a normal. In a patch only the rim along its outline has one: tissue
-    deeper inside would be torn if it moved as far.
+    All pixels of a ring have a normal. In a patch only pixels of the rim along its outline have a
+    normal, because an inside that moved as far as the rim would tear.
 
-    The outline is that of the filled part, and its normal the slope of the blurred filled part:
-    pixel steps average out, and a rim of one pixel needs no inside of its own. Deeper inside, many
-    pixels share their nearest outline pixel; a second blur, of the normals, smooths the jumps.
+    The outline is the outer outline of the part with its holes filled. Its normal is the negative
+    gradient of the blurred, filled part: the blur averages pixel steps, and thin rings need no
+    inside of their own. Far from the outline, many pixels share their nearest outline pixel; a
+    blur of the normals smooths the jumps between them.
 
     Parameters
     ----------
     mask : ndarray of bool, shape ([D,] H, W)
+        Pixels that expand.
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
     name : str
@@ -48,13 +50,13 @@ def outward_normals(
     Returns
     -------
     ndarray, shape ([D,] H, W, n), float32
-        In the order of the axes; 0 outside the mask, inside a patch, and where a part is too small
-        to have a direction.
+        Unit vectors in the order of the axes; 0 outside the mask, inside a patch, and in a part
+        that is too small to have a direction.
 
     Raises
     ------
     ProblemError
-        If a part is an open line: it has no outside.
+        If a part is an open line, which has no inside.
     """
     sizes = np.asarray(spacing, dtype=float)
     sigma = _SMOOTHING * sizes.max() / sizes
@@ -81,7 +83,7 @@ def outward_normals(
 
 
 def _unit(vectors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return vectors of length 1, or 0 where there is no direction."""
+    """Normalise vectors to length 1; a vector of nearly 0 becomes 0."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     units: npt.NDArray[np.float64] = np.divide(
         vectors, length, out=np.zeros_like(vectors), where=length > 1e-6
@@ -92,8 +94,8 @@ def _unit(vectors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 def _parts(
     mask: npt.NDArray[np.bool_],
 ) -> Iterator[tuple[tuple[slice, ...], npt.NDArray[np.bool_]]]:
-    """Yield each connected part, with its bounding box."""
-    # Pixels that touch at a corner belong together, as in a ring one pixel wide.
+    """Yield the bounding box of each connected part, and the part within the box."""
+    # Pixels that touch at a corner are connected, so that a ring may be one pixel wide.
     numbered, _ = scipy.ndimage.label(mask, structure=np.ones((3,) * mask.ndim, dtype=bool))
     for number, box in enumerate(scipy.ndimage.find_objects(numbered), start=1):
         yield box, numbered[box] == number
@@ -108,18 +110,19 @@ def _refuse_open_line(
     at_least = 2 * deepest - sizes.max()
     if content <= _LINE ** (n - 1) * at_least**n:
         return
-    # At half the pixel size both even and odd widths have a middle, and are measured exactly.
+    # At half the pixel size, even and odd widths have pixels at their middle, which makes the
+    # measured thickness exact.
     fine = np.kron(filled, np.ones((2,) * n, dtype=bool))
     thickness = 2 * float(scipy.ndimage.distance_transform_edt(fine, sampling=sizes / 2).max())
     if content <= _LINE ** (n - 1) * thickness**n:
         return
     length = (content / thickness) ** (1 / (n - 1))
-    what, closed = ("line", "ring") if n == 2 else ("sheet", "shell")
+    shape, closed = ("line", "ring") if n == 2 else ("sheet", "shell")
     raise ProblemError(
         "observed",
-        f"lets {name} expand, but a part of it is an open {what} (about {length:.3g} long and "
-        f"{thickness:.3g} thick), which has no outside: it would be torn along its middle. "
-        f"Close the {what} to a {closed}, or let it move by a vector instead (`action='move'`).",
+        f"lets {name} expand, but a part of it is an open {shape} (about {length:.3g} long and "
+        f"{thickness:.3g} thick), which has no inside: it would be torn along its middle. "
+        f"Close the {shape} to a {closed}, or let it move by a vector instead (`action='move'`).",
     )
 
 
@@ -133,7 +136,7 @@ def outer_rim(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     Returns
     -------
     ndarray of bool, shape ([D,] H, W)
-        Pixels of each part at its outside, or at the edge of the image.
+        Pixels of each part that are next to the outside of the part or at the edge of the image.
     """
     rim = mask & ~scipy.ndimage.binary_erosion(mask)
     for box, part in _parts(mask):
@@ -143,8 +146,11 @@ def outer_rim(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
 
 
 def outside_of(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Return the pixels around a mask that are connected to the image's edge, without holes."""
-    # A ring around the image joins all regions that reach its edge.
+    """Return the pixels outside a mask that are connected to the edge of the image.
+
+    Holes of the mask are not connected to the edge.
+    """
+    # One more pixel around the image connects all regions that reach its edge.
     pieces, _ = scipy.ndimage.label(np.pad(~mask, 1, constant_values=True))
-    found: npt.NDArray[np.bool_] = (pieces == pieces.flat[0])[(slice(1, -1),) * mask.ndim]
-    return found
+    outside: npt.NDArray[np.bool_] = (pieces == pieces.flat[0])[(slice(1, -1),) * mask.ndim]
+    return outside

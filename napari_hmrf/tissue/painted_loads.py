@@ -1,4 +1,4 @@
-"""From painted labels and their tables to the loads that tissue bears."""
+"""Conversion of painted labels and their tables to loads on tissue."""
 
 from __future__ import annotations
 
@@ -18,28 +18,29 @@ from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material, is
 
 
 def growth_loads(labels: npt.ArrayLike, materials: Iterable[Material]) -> Loads | None:
-    """Return the growth of the tissues of an image, as their materials say.
+    """Return the growth of the tissues of an image.
 
     Parameters
     ----------
     labels : array_like of int, shape ([D,] H, W)
+        Label of the tissue at each pixel.
     materials : iterable of Material
-        What has none does not grow.
+        Materials with their growth; labels without a material do not grow.
 
     Returns
     -------
     Loads or None
-        None if nothing grows.
+        None if no tissue grows.
 
     Raises
     ------
     ProblemError
-        If a growth is no number above -1 and up to 10, nor such a number for each axis.
+        If a growth is neither a number above -1 and up to 10, nor such a number for each axis.
     """
     image, parts = np.asarray(labels), []
     for material in materials:
-        there = image == material.label
-        if not (material.grows and there.any()):
+        mask = image == material.label
+        if not (material.grows and mask.any()):
             continue
         along = np.ndim(material.growth) > 0
         amounts = reals(material.growth, image.ndim) if along else (real(material.growth),)
@@ -49,8 +50,8 @@ def growth_loads(labels: npt.ArrayLike, materials: Iterable[Material]) -> Loads 
                 f"gives {quoted(material)} a growth of {shown(material.growth)}. Give a number "
                 f"above -1, up to 10 (0.1: a tenth longer), or {image.ndim}, one along each axis.",
             )
-        ways = np.eye(image.ndim) if along else [None]
-        parts += [growth(far * there, along=way) for far, way in zip(amounts, ways, strict=True)]
+        axes = np.eye(image.ndim) if along else [None]
+        parts += [growth(part * mask, along=axis) for part, axis in zip(amounts, axes, strict=True)]
     return reduce(add, parts) if parts else None
 
 
@@ -61,24 +62,24 @@ def boundary_loads(
     *,
     spacing: Sequence[float],
 ) -> Loads | None:
-    """Press and pull at the tissue's surface where rules say so of what is painted.
+    """Return the pressure and traction on the surface of tissue under painted labels.
 
     Parameters
     ----------
     labels, rules, spacing
         As for `boundary_images`, which checks them.
     stiffness : ndarray, shape ([D,] H, W)
-        0 where there is no tissue.
+        Stiffness of each pixel; 0 is no tissue.
 
     Returns
     -------
     Loads or None
-        None if nothing presses or pulls.
+        None if no rule is a force.
 
     Raises
     ------
     ProblemError
-        If no surface of tissue is painted so.
+        If a label of a force covers no surface of tissue.
     """
     image, parts = np.asarray(labels), []
     for rule in rules:

@@ -1,4 +1,4 @@
-"""Table of the labels of a layer, as an immutable value, and names for changes of it."""
+"""Table of the labels of a layer, as an immutable value, and descriptions of its changes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 
 Row = TypeVar("Row", bound=Material | BoundaryRule)
 
-# Prefix of the source of values that the user has changed.
+# Prefix of the source of a table that the user has changed.
 _CHANGED = "changed since taken from: "
 
 
@@ -21,8 +21,10 @@ class RowTable(NamedTuple, Generic[Row]):
     rows : tuple of Material or BoundaryRule
     unit : str
         Unit of stiffness.
-    preset, whose : str
-        Name of the preset, and source of its values.
+    preset : str
+        Name of the preset; "" if there is none.
+    whose : str
+        Source of the values; "" if it is unknown.
     """
 
     rows: tuple[Row, ...]
@@ -31,24 +33,28 @@ class RowTable(NamedTuple, Generic[Row]):
     whose: str = ""
 
     def edited(self, rows: Iterable[Row]) -> RowTable[Row]:
-        """Return the table with rows that the user has edited; the source says so."""
+        """Return the table with rows edited by the user, and mark its source as changed."""
         changed = self.whose and not self.whose.startswith(_CHANGED)
         return self._replace(rows=tuple(rows), whose=(_CHANGED if changed else "") + self.whose)
 
 
 def change(before: RowTable[Row], after: RowTable[Row], name: str) -> str:
-    """Return a name for the change of a table, in the past tense.
+    """Describe the change of a table in the past tense, for the menu of undo.
 
     Parameters
     ----------
     before, after : RowTable
     name : str
         Name of the layer.
+
+    Returns
+    -------
+    str
     """
-    was, now = ({row.label: row for row in table.rows} for table in (before, after))
-    differing = [label for label in was | now if was.get(label) != now.get(label)]
+    old, new = ({row.label: row for row in table.rows} for table in (before, after))
+    differing = [label for label in old | new if old.get(label) != new.get(label)]
     if len(differing) != 1:
         return f"changed the table of '{name}'"
     (label,) = differing
-    done, where = ("changed", "of") if label in was else ("added", "to")
-    return f"{done} label {label} {where} '{name}'"
+    verb, preposition = ("changed", "of") if label in old else ("added", "to")
+    return f"{verb} label {label} {preposition} '{name}'"

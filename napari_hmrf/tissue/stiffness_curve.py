@@ -1,7 +1,7 @@
 """Stiffness from the intensity of an image, by a curve that the user draws.
 
-Tissues that differ in brightness need not be painted: a curve through a few points gives the
-stiffness of each intensity, and below a threshold there is no tissue. A curve is immutable.
+If tissues differ in brightness, they need not be painted: a curve through a few points maps each
+intensity to a stiffness, and intensities below a threshold are void. A curve is immutable.
 """
 
 from __future__ import annotations
@@ -25,40 +25,42 @@ from napari_hmrf.tissue.surroundings import void_threshold
 Between = Literal["straight", "smooth"]
 Point = tuple[float, float]
 
-#: Points of a first curve, in percent of the pixels, and their stiffness: the paper's soft tissue,
-#: normal tissue and tumour.
+#: Points of an initial curve, as percentiles of the intensity, and their stiffness: that of the
+#: paper's soft tissue, normal tissue and tumour.
 PERCENTILES = (5.0, 50.0, 95.0)
 STIFFNESSES = (10.0, 20.0, 40.0)
-#: Nodes between two points, by which a smooth curve is followed: to about 1e-5 of its height.
+#: Number of linear pieces that approximate a smooth curve between two points, with a relative error
+#: of about 1e-5.
 _NODES = 64
 
 
 @dataclass(frozen=True)
 class StiffnessCurve:
-    """Curve of stiffness over intensity; a callable that turns intensities into stiffnesses.
+    """Curve of stiffness over intensity; a callable that maps intensities to stiffnesses.
 
-    Between its points the curve is straight or smooth; smooth, it is a monotone cubic (PCHIP), so
-    that it never leaves the range of two neighbouring points. Beyond the outer points it is
-    constant. NaN is no tissue.
+    Between its points the curve is linear or smooth. A smooth curve is a monotone cubic (PCHIP),
+    which stays in the range of its two neighbouring points. Beyond the outer points the curve is
+    constant. NaN is void.
 
     Attributes
     ----------
     points : tuple of (float, float)
-        Intensity, in the image's own unit, and stiffness (Young's modulus), above 0; intensities
-        in rising order, two points or more.
+        Pairs of intensity, in the unit of the image, and stiffness (Young's modulus, above 0). At
+        least two points, in the order of rising intensities.
     void_below : float, optional
-        Threshold below which there is no tissue, with stiffness 0.
+        Intensity below which there is no tissue and the stiffness is 0.
     between : {"straight", "smooth"}
+        Kind of interpolation between the points.
     logarithmic : bool
-        Whether to interpolate the logarithm of the stiffness: stiffnesses of tissues differ by
-        factors, not by amounts.
+        If True, interpolate the logarithm of the stiffness, because stiffnesses of tissues differ
+        by factors.
     unit : str
         Unit of stiffness, for display only: only ratios matter.
 
     Raises
     ------
     ProblemError
-        If there are fewer than two points, intensities do not rise, or a number makes no sense.
+        If there are fewer than two points, intensities do not rise, or a value is invalid.
     """
 
     points: tuple[Point, ...]
@@ -74,9 +76,9 @@ class StiffnessCurve:
         void_below = None if self.void_below is None else real(self.void_below)
         intensities = [intensity for intensity, _ in points]
         if not all(map(math.isfinite, intensities)):
-            raise _bad("has a point that is no pair of numbers. Give its intensity and stiffness")
+            raise _bad("has a point that is not a pair of numbers. Give intensity and stiffness")
         if len(points) < 2:
-            raise _bad("has fewer than two points. Give two or more, each of its own intensity")
+            raise _bad("has fewer than two points. Give two or more, of different intensities")
         for before, after in pairwise(intensities):
             if before >= after:
                 twice = "twice" if before == after else f"after {before:g}"
@@ -86,38 +88,41 @@ class StiffnessCurve:
                 most = f"above 0, and no larger than {LARGEST_STIFFNESS:.2g}"
                 raise _bad(f"needs a stiffness at intensity {intensity:g} that is {most}")
         if void_below is not None and not math.isfinite(void_below):
-            raise _bad("has no number as that below which is no tissue. Give one, or nothing")
+            raise _bad(
+                "has a threshold of tissue that is no finite number. Give a number, or leave it out"
+            )
         if not is_one_of(self.between, get_args(Between)):
-            raise _bad(f'is {shown(self.between)} between its points. Take "straight" or "smooth"')
+            raise _bad(f'is {shown(self.between)} between its points. Use "straight" or "smooth"')
         if not isinstance(self.logarithmic, bool) or not isinstance(self.unit, str):
-            raise _bad("needs true or false for 'logarithmic' and a word for 'unit'")
+            raise _bad("needs True or False for 'logarithmic' and a string for 'unit'")
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "void_below", void_below)
 
     def __call__(self, intensities: npt.ArrayLike) -> FloatArray:
-        """Give every pixel the stiffness of its intensity.
+        """Return an image of the stiffness of each pixel's intensity.
 
         Parameters
         ----------
         intensities : array_like of numbers, any shape
-            Of an image; of colours take the `luminance`. Masked pixels are no tissue.
+            Intensities of an image; for a colour image, its `luminance`. Masked pixels are void.
 
         Returns
         -------
         ndarray of the same shape, float32
-            The stiffness of a `Problem`; 0 where there is no tissue.
+            Argument `stiffness` of a `Problem`; 0 in void.
 
         Raises
         ------
         ProblemError
-            If these are no real numbers.
+            If the intensities are not real numbers.
         """
         image = _as_intensities(intensities)
         mask, image = np.ma.getmaskarray(image), np.ma.getdata(image)
         if image.dtype.kind == "b":
             image = image.view(np.uint8)
         if image.dtype.kind in "iu" and image.dtype.itemsize <= 2:
-            # Each number is computed once; those below 0 lie at the end, where they are looked up.
+            # Each possible value is computed once. Negative values are at the end of the table,
+            # where indexing finds them.
             numbers = np.arange(256**image.dtype.itemsize).astype(image.dtype)
             values: FloatArray = self._at(numbers)[image]
         else:
@@ -128,7 +133,7 @@ class StiffnessCurve:
 
     @cached_property
     def _nodes(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Intensities, and what is straight between them: stiffness, or its logarithm."""
+        """Nodes of the piecewise linear curve: intensity, and stiffness or its logarithm."""
         intensities, stiffnesses = np.array(self.points).T
         heights = np.log(stiffnesses) if self.logarithmic else stiffnesses
         if self.between == "straight":
@@ -155,17 +160,17 @@ class StiffnessCurve:
         return min(stiffnesses), max(stiffnesses)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the curve in JSON types, for the metadata of a layer."""
+        """Return the curve as a dictionary of JSON types, for the metadata of a layer."""
         return {**asdict(self), "points": [list(point) for point in self.points]}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> StiffnessCurve:
-        """Return the curve of a dictionary of `as_dict`.
+        """Return the curve from a dictionary of `as_dict`.
 
         Raises
         ------
         ProblemError
-            If it is not what `as_dict` made.
+            If the dictionary is not from `as_dict`, or a value is invalid.
         """
         known = [field.name for field in fields(cls)]
         if not isinstance(values, Mapping) or "points" not in values or set(values) - set(known):
@@ -178,53 +183,78 @@ class StiffnessCurve:
         intensities: npt.ArrayLike,
         void_below: float | None = None,
     ) -> StiffnessCurve:
-        """Make a first curve for an image, to be changed: brighter is stiffer.
+        """Return an initial curve for an image, in which brighter pixels are stiffer.
 
         Parameters
         ----------
         intensities : array_like of numbers, any shape
+            Intensities of the image.
         void_below : float, optional
-            What is darker is no tissue, and does not count.
+            Intensity below which there is no tissue; darker pixels do not count.
+
+        Returns
+        -------
+        StiffnessCurve
 
         Raises
         ------
         ProblemError
-            If there are not two different intensities.
+            If there are no two different intensities.
         """
         values = np.ma.masked_invalid(_as_intensities(intensities)).compressed().astype(float)
         if void_below is not None:
             values = values[values >= void_below]
         if not values.size or values.min() == values.max():
             raise _bad(
-                "cannot be made: the image has not two different intensities there. Choose another "
+                "cannot be made: the tissue of the image has a single intensity. Choose another "
                 "image or slice"
             )
-        found = [float(f"{value:.5g}") for value in np.percentile(values, PERCENTILES)]
-        points = dict(zip(found, STIFFNESSES, strict=True))
-        if len(points) < 2:  # most of the image is of one value
+        nodes = [float(f"{value:.5g}") for value in np.percentile(values, PERCENTILES)]
+        points = dict(zip(nodes, STIFFNESSES, strict=True))
+        if len(points) < 2:  # most pixels of the image have one value
             ends = (float(values.min()), float(values.max()))
             points = dict(zip(ends, (STIFFNESSES[0], STIFFNESSES[-1]), strict=True))
         return cls(tuple(sorted(points.items())), void_below=void_below)
 
 
 def first_curve(picture: npt.NDArray[Any]) -> StiffnessCurve:
-    """Guess a curve for an image, shape (H, W): brighter is stiffer, dark surroundings are void.
+    """Guess a curve for an image: brighter is stiffer, and dark surroundings are void.
+
+    Parameters
+    ----------
+    picture : ndarray, shape ([D,] H, W)
+
+    Returns
+    -------
+    StiffnessCurve
 
     Raises
     ------
     ProblemError
-        If the image is of one value.
+        If the tissue of the image has a single intensity.
     """
     return StiffnessCurve.from_percentiles(picture, void_below=void_threshold(picture))
 
 
 def with_point(curve: StiffnessCurve, at: int | None, point: Point | None) -> StiffnessCurve:
-    """Return a curve with one point added (`at` is None), moved, or removed (`point` is None).
+    """Return a curve with one point added, moved or removed.
+
+    Parameters
+    ----------
+    curve : StiffnessCurve
+    at : int or None
+        Index of the point to move or remove; None to add a point.
+    point : (float, float) or None
+        New intensity and stiffness; None to remove the point.
+
+    Returns
+    -------
+    StiffnessCurve
 
     Raises
     ------
     ProblemError
-        If that leaves no curve.
+        If the new points do not make a valid curve.
     """
     others = [each for number, each in enumerate(curve.points) if number != at]
     added = [] if point is None else [point]

@@ -1,4 +1,4 @@
-"""Tissue from maps of likelihood: the most likely tissue of each pixel, and its material."""
+"""Tissue from probability maps: the most likely tissue of each pixel, and its material."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.problem import as_numbers
 from napari_hmrf.tissue.boundary_rules import Material
 
-#: The name by which materials say what pixels without a likely tissue are.
+#: Name of the material of pixels without a likely tissue.
 NONE = "none"
-#: Values that mean certain, of which one is the scale of all maps.
+#: Allowed scales of probability maps: values that mean certainty.
 SCALES = 1, 100, 255
 #: Tolerance of the largest value, relative to the scale, for interpolated maps.
 _BEYOND = 1.001
 
 
 class MapRange(NamedTuple):
-    """Type and range of the values of a likelihood map.
+    """Type and range of the values of a probability map.
 
     Attributes
     ----------
     kind : numpy.dtype
     low, high : float
-        NaN if the map has NaN.
+        Smallest and largest value; NaN if the map has NaN.
     """
 
     kind: np.dtype[Any]
@@ -39,7 +39,7 @@ class MapRange(NamedTuple):
 
     @classmethod
     def of(cls, values: npt.ArrayLike) -> MapRange:
-        """Return the range of an array; of an empty one, 0."""
+        """Return the range of an array; 0 for an empty array."""
         array = as_numbers("tissue", values)
         if not array.size:
             return cls(array.dtype, 0.0, 0.0)
@@ -49,22 +49,27 @@ class MapRange(NamedTuple):
 def scale_of(
     maps: Mapping[str, MapRange], scale: float | None = None, *, fix: str = "pass its scale="
 ) -> float:
-    """Return the value that means certain in all maps: 1, 100 or 255.
+    """Return the common scale of all maps, the value of certainty: 1, 100 or 255.
 
     Parameters
     ----------
     maps : mapping of str to MapRange
-        Ranges of the whole maps by name: those of a slice may be small.
+        Ranges of the whole maps by name. (The range of a single slice may be too small.)
     scale : {1, 100, 255}, optional
-        By default the first that the largest value of all maps does not exceed.
+        By default the smallest scale that the largest value of all maps does not exceed.
     fix : str
-        Alternative to probabilities, in the words of the interface.
+        Remedy for error messages, other than probabilities from 0 to 1, in the words of the
+        interface.
+
+    Returns
+    -------
+    float
 
     Raises
     ------
     ProblemError
-        Naming the map that is negative, has NaN, exceeds the scale, or differs in scale from the
-        others; or if 8-bit maps may be in per cent or of 255.
+        If a map is negative, has NaN, exceeds the scale, or differs in scale from the others; or if
+        the scale of 8-bit maps may be 100 or 255. The error names the map.
     """
     if scale is not None and not any(scale == each for each in SCALES):
         raise ProblemError("tissue", f"has a scale of {shown(scale)}. Give 1, 100 or 255.")
@@ -99,16 +104,16 @@ def scale_of(
         number = [*maps].index(most) + 1
         raise ProblemError(
             "tissue",
-            f"has values up to {large:g} in map {number} ({most}), which may be per cent or of "
-            f"255. {give}{fix and f', or {fix}'}.",
+            f"has values up to {large:g} in map {number} ({most}), whose scale may be 100 or 255. "
+            f"{give}{fix and f', or {fix}'}.",
         )
     return next(float(each) for each in SCALES if large <= each * _BEYOND)
 
 
 def scale_in_words(scale: float) -> str:
     """Return a note on the scale of maps, as a clause; "" for probabilities from 0 to 1."""
-    read = {100: "per cent", 255: "probabilities from 0 to 255"}.get(int(scale))
-    return f"the maps are read as {read}" if read else ""
+    words = {100: "per cent", 255: "probabilities from 0 to 255"}.get(int(scale))
+    return f"the maps are read as {words}" if words else ""
 
 
 def most_likely(
@@ -120,14 +125,15 @@ def most_likely(
     Parameters
     ----------
     maps : mapping of str to array_like, all of one shape
-        Likelihoods by name, on one scale for all; "none" has the rest.
+        Probability maps of the tissues by name, with one scale. "none" has the remaining
+        probability.
     scale : {1, 100, 255}, optional
         As for `scale_of`.
 
     Returns
     -------
     ndarray of int
-        The place of the most likely map, from 1 on.
+        Position of the most likely map in `maps`, counted from 1.
 
     Raises
     ------
@@ -145,30 +151,37 @@ def most_likely(
                 f"{array.shape}. Give all maps on the same pixels.",
             )
     ranges = dict(zip(maps, map(MapRange.of, arrays), strict=True))
-    sure = scale_of(ranges, scale)
+    certain = scale_of(ranges, scale)
     likely = np.stack(arrays).astype(float)
-    none = sure - likely.sum(axis=0)
-    there = likely.max(axis=0) > np.maximum(none, 0.0)
-    found = np.where(there, 1 + likely.argmax(axis=0), 0)
-    return found.astype(np.min_scalar_type(len(arrays)))
+    none = certain - likely.sum(axis=0)
+    is_tissue = likely.max(axis=0) > np.maximum(none, 0.0)
+    labels = np.where(is_tissue, 1 + likely.argmax(axis=0), 0)
+    return labels.astype(np.min_scalar_type(len(arrays)))
 
 
 def materials_of_maps(
     names: Sequence[str], materials: Mapping[str, Any] | Sequence[Material]
 ) -> tuple[Material, ...]:
-    """Return the materials of tissues by name, with their place in `names`, from 1 on, as label.
+    """Return the materials of the tissues of `most_likely`, by name.
 
     Parameters
     ----------
     names : sequence of str
+        Names of the tissues in the order of their maps.
     materials : mapping of str to Material or float, or sequence of Material
-        By name, a number being a stiffness; "none" is for pixels without a likely tissue. The
-        labels of materials are replaced.
+        Materials, or stiffnesses, by name; "none" is for pixels without a likely tissue. The labels
+        of the materials are ignored.
+
+    Returns
+    -------
+    tuple of Material
+        The label of each material is the position of its name in `names`, counted from 1; the label
+        of "none" is 0.
 
     Raises
     ------
     ProblemError
-        If a tissue has no material, or a material no tissue.
+        If a tissue has no material, or a material has no tissue.
     """
     given = materials
     if not isinstance(given, Mapping):

@@ -1,9 +1,10 @@
-"""Tissues by the names that segmentations give them, with published stiffness.
+"""Published stiffness of tissues by their names in segmentations.
 
-`sample_data/tissue_names.json` lists the tissues, their sources and their names. A name matches if
-its words occur in a label's name one after the other, however they are joined: "fat" in
-"subcutaneous_fat_left". Longer names take precedence: "kidney_cyst_left" is no kidney. A label is
-unknown if two tissues match, or if it has a word that makes it doubtful, such as "lesion".
+`sample_data/tissue_names.json` lists the tissues with their sources and names. A tissue matches if
+the words of one of its names occur in the name of a label in the same order, with any separators:
+"fat" matches "subcutaneous_fat_left". Longer names take precedence: "kidney_cyst_left" is a cyst
+and not a kidney. A label is unknown if several tissues match, or if its name has a doubtful word,
+such as "lesion".
 """
 
 from __future__ import annotations
@@ -20,23 +21,23 @@ from napari_hmrf.resources import resource_folder
 from napari_hmrf.tissue.boundary_rules import Material, read_stiffness
 
 _Words = tuple[str, ...]
-#: Number of labels that a sentence lists.
+#: Largest number of labels that a sentence lists.
 _FEW = 6
 
 
 @dataclass(frozen=True)
 class KnownTissue:
-    """A tissue with a published stiffness.
+    """Tissue with a published stiffness.
 
     Attributes
     ----------
     name : str
     stiffness : float
-        Young's modulus in kPa; 0 is no tissue, and infinity is rigid.
+        Young's modulus in kPa; 0 for void, infinity for rigid tissue.
     poisson : float
         Poisson's ratio.
     source : str
-        Source of the values, and any conversion.
+        Source of the values, and a remark if they were converted.
     """
 
     name: str
@@ -65,7 +66,7 @@ class NamedMaterials:
     unit : str
         Unit of stiffness.
     name : str
-        Name of the table that holds the label names.
+        Name of the table of the label names.
     """
 
     materials: tuple[Material, ...]
@@ -78,15 +79,19 @@ class NamedMaterials:
         return f"NamedMaterials({len(self.materials)} known, {len(self.unknown)} unknown)"
 
     def published(self, labels: Iterable[int]) -> str:
-        """Return a clause that says for which labels published stiffness is used, or "".
+        """Return a clause that lists the labels with published stiffness; "" if there are none.
 
         Parameters
         ----------
         labels : iterable of int
-            Labels that are in the image or the table.
+            Labels of the image or the table.
+
+        Returns
+        -------
+        str
         """
-        there = set(labels)
-        known = [f"{row.label} ({row.name})" for row in self.materials if row.label in there]
+        present = set(labels)
+        known = [f"{row.label} ({row.name})" for row in self.materials if row.label in present]
         more = f" and {len(known) - _FEW} more" if len(known) > _FEW else ""
         if not known:
             return ""
@@ -95,15 +100,15 @@ class NamedMaterials:
 
     @property
     def source(self) -> str:
-        """Sources of the values, tissue by tissue."""
+        """Sources of the values of each tissue, in one line."""
         used = dict.fromkeys(self.tissues.values())
         return "; ".join(f"{tissue.name}: {tissue.source}" for tissue in used)
 
     def take_over(self, rows: Sequence[Material]) -> tuple[tuple[Material, ...], str]:
         """Replace the materials of a table, label by label.
 
-        For an unknown label, void and rigid tissue stay; other tissue gets the stiffness of the
-        first known material, because the old stiffness may be in another unit.
+        Rows of unknown labels stay void or rigid; if they are deformable, they get the stiffness of
+        the first known material, because their stiffness may be in another unit.
 
         Parameters
         ----------
@@ -113,10 +118,10 @@ class NamedMaterials:
         Returns
         -------
         materials : tuple of Material
-            Materials by label.
+            New table.
         words : str
-            Sentences on the labels that use published stiffness, and on unknown labels that were
-            changed.
+            Sentences about the labels that use published stiffness, and about unknown labels whose
+            stiffness has changed.
         """
         known = {row.label: row for row in self.materials}
         first = next((row for row in self.materials if row.is_deformable), None)
@@ -127,13 +132,13 @@ class NamedMaterials:
                 other = replace(other, stiffness=first.stiffness, poisson=first.poisson)
                 guessed.append(f"{row.label} ({other.name})")
             now.append(known.get(row.label, other))
-        said = []
+        sentences = []
         if published := self.published(row.label for row in rows):
-            said.append(f"{published[0].upper()}{published[1:]}.")
+            sentences.append(f"{published[0].upper()}{published[1:]}.")
         if first is not None and guessed:
             unknown = ", ".join(guessed)
-            said.append(f"No stiffness is known for {unknown}, now as stiff as {first.name}.")
-        return tuple(now), " ".join(said)
+            sentences.append(f"No stiffness is known for {unknown}, now as stiff as {first.name}.")
+        return tuple(now), " ".join(sentences)
 
 
 class _Rules(NamedTuple):
@@ -145,12 +150,13 @@ class _Rules(NamedTuple):
 
 
 def lookup_tissue(name: str) -> KnownTissue | None:
-    """Return the tissue that a name refers to; None if no tissue matches, or more than one.
+    """Return the tissue that a name refers to; None if no tissue or more than one matches.
 
     Parameters
     ----------
     name : str
-        As in segmentations: "Left-Cerebral-White-Matter", "lung_upper_lobe_left".
+        Name of a label in a segmentation, such as "Left-Cerebral-White-Matter" or
+        "lung_upper_lobe_left".
 
     Returns
     -------
@@ -165,13 +171,13 @@ def lookup_tissue(name: str) -> KnownTissue | None:
     words = _words(name)
     rules = _rules()
     spans = [(i, j) for i in range(len(words)) for j in range(i + 1, len(words) + 1)]
-    said = [(i, j) for i, j in spans if words[i:j] in rules.tissues]
-    said = [span for span in said if not _is_within(span, said)]
+    matches = [(i, j) for i, j in spans if words[i:j] in rules.tissues]
+    matches = [span for span in matches if not _is_within(span, matches)]
     doubts = [(i, j) for i, j in spans if words[i:j] in rules.doubts]
-    found = {rules.tissues[words[i:j]] for i, j in said}
-    if len(found) != 1 or any(not _is_within(span, said) for span in doubts):
+    tissues = {rules.tissues[words[i:j]] for i, j in matches}
+    if len(tissues) != 1 or any(not _is_within(span, matches) for span in doubts):
         return None
-    return found.pop()
+    return tissues.pop()
 
 
 def materials_by_name(names: Mapping[int, str], *, name: str = "") -> NamedMaterials:
@@ -182,12 +188,12 @@ def materials_by_name(names: Mapping[int, str], *, name: str = "") -> NamedMater
     names : mapping of int to str
         Name of each label of a segmentation, as returned by `read_label_names`.
     name : str
-        Name of the table that holds the label names.
+        Name of the table of the label names.
 
     Returns
     -------
     NamedMaterials
-        Materials in kPa, with their sources; and the unknown labels.
+        Materials in kPa with their sources, and the unknown labels.
 
     Raises
     ------
@@ -202,8 +208,8 @@ def materials_by_name(names: Mapping[int, str], *, name: str = "") -> NamedMater
     ([('liver', 5.4), ('skull', inf)], {20: 'colon'})
     """
     right = isinstance(names, Mapping) and all(map(is_whole, names))
-    what = 'a mapping of labels to names, such as {1: "liver", 2: "bone"}'
-    refuse_unless(right, "names", names, what)
+    requirement = 'a mapping of labels to names, such as {1: "liver", 2: "bone"}'
+    refuse_unless(right, "names", names, requirement)
     tissues = {label: lookup_tissue(names[label]) for label in sorted(names)}
     known = {label: tissue for label, tissue in tissues.items() if tissue is not None}
     materials = tuple(
@@ -220,7 +226,7 @@ def _words(name: str) -> _Words:
 
 
 def _is_within(span: tuple[int, int], others: list[tuple[int, int]]) -> bool:
-    """Return whether a longer span among the others contains a span."""
+    """Return whether one of the other spans is longer than a span and contains it."""
     first, last = span
     return any(i <= first and last <= j and j - i > last - first for i, j in others)
 

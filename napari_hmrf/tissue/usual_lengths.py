@@ -1,4 +1,4 @@
-"""Lengths to begin with, before anybody has set them."""
+"""Default lengths of the drawing tools, in proportion to the image."""
 
 from __future__ import annotations
 
@@ -6,23 +6,39 @@ from collections.abc import Sequence
 
 
 def usual_radius(shape: Sequence[int], spacing: Sequence[float]) -> float:
-    """A radius to take hold of tissue with, in the unit of the spacing.
+    """Return the default radius of a patch of tissue that a tool moves.
 
     Parameters
     ----------
     shape : sequence of int, shape (n,)
-        Of the image.
+        Shape of the image.
     spacing : sequence of float, shape (n,)
-        Size of a pixel.
+        Size of a pixel along each axis.
+
+    Returns
+    -------
+    float
+        A sixteenth of the shortest side of the image, in the unit of the spacing.
     """
     shorter = min(size * step for size, step in zip(shape, spacing, strict=True))
     return float(f"{shorter / 16:.2g}")
 
 
 def usual_step(shape: Sequence[int], spacing: Sequence[float]) -> float:
-    """How far tissue is pushed to begin with: enough to be seen. As `usual_radius`.
+    """Return the default displacement of a patch of tissue: visible, but without folds.
 
-    Around a disc that grows, tissue is squeezed by the part of its radius that it grows by, and
-    around a ball by twice that. By a third nothing folds, at the steps of its rim either.
+    The tissue around an expanding disc is compressed by the ratio of the expansion to the radius;
+    around a ball by twice that ratio. Up to a compression of a third no tissue folds, even at the
+    pixel steps of the rim.
+
+    Parameters
+    ----------
+    shape, spacing
+        As for `usual_radius`.
+
+    Returns
+    -------
+    float
+        In the unit of the spacing.
     """
     return float(f"{usual_radius(shape, spacing) / 3 / (len(shape) - 1):.2g}")

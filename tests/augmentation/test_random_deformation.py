@@ -289,10 +289,10 @@ def test_a_file_that_is_none_or_disagrees_with_itself_is_refused(tmp_path):
         RandomDeformation.read(path)
     whole = dict(np.load(flat().write(path)))
     for name, value, said in (
-        ("displacements", whole["displacements"][1:], "its solutions are"),
-        ("displacements", whole["displacements"] * np.float32(np.nan), "not numbers"),
-        ("patches", whole["patches"][1:], "disagree"),
-        ("centres", whole["centres"][:, :1], "disagree"),
+        ("displacements", whole["displacements"][1:], "its solutions have shape"),
+        ("displacements", whole["displacements"] * np.float32(np.nan), "NaN or infinite"),
+        ("patches", whole["patches"][1:], "do not match"),
+        ("centres", whole["centres"][:, :1], "do not match"),
         ("header", _header(whole, amplitude=[2, 1]), "amplitude"),
         ("header", _header(whole, smoothness=0), "lengths"),
     ):

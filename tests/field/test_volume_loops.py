@@ -164,7 +164,7 @@ def test_a_volume_is_looked_up_as_by_scipy(kind, order, monkeypatch):
 def test_a_place_that_is_no_number_is_told():
     source = np.zeros((3, 3, 3, 3))
     source[1, 1, 1, 2] = np.inf
-    with pytest.raises(ProblemError, match="are NaN or infinite at 1 pixels that are covered"):
+    with pytest.raises(ProblemError, match="are NaN or infinite at 1 covered pixels"):
         resample(np.zeros((3, 3, 3)), source, np.ones((3, 3, 3)))
 
 

@@ -331,7 +331,7 @@ def test_a_field_without_a_unit_is_taken_on_its_voxels_in_the_order_of_the_axes(
     with pytest.raises(ProblemError, match="but the image 14 x 15 x 16 in mm"):
         known.on(here, SHAPE)
     slice_ = DisplacementField.in_pixels(steps[0, ..., 1:])
-    with pytest.raises(ProblemError, match="no slice of that"):
+    with pytest.raises(ProblemError, match="not a slice of this grid"):
         PixelField(slice_, Frame.at((1.0,) * 2, ("mm",) * 2)).on(here, SHAPE)
 
 

@@ -101,7 +101,7 @@ def test_pixels_that_are_no_numbers_are_counted(solved, tmp_path, capsys):
     out = str(tmp_path / "out")
     assert main(["apply", str(path), str(tmp_path / "mr.tif"), "-o", out]) == 0
     said = capsys.readouterr().out
-    assert "note: mr.tif is NaN or infinite at 3 pixels, which stay so where they move" in said
+    assert "note: mr.tif is NaN or infinite at 3 pixels, and remains so where they move" in said
     assert np.isnan(read_image(tmp_path / "out" / "mr.tif").pixels).any()
 
 

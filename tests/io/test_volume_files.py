@@ -231,7 +231,9 @@ def test_the_shell_says_that_moving_volumes_waits_for_loops(
     command = ["apply", tmp_path / "result.npz", tmp_path / "scan.nii.gz", "-o", tmp_path / "out"]
     assert main([str(each) for each in command]) == 0
     said = capsys.readouterr().err
-    assert said == ("" if ready else "compiling loops that move volumes, once on a machine ...\n")
+    assert said == (
+        "" if ready else "compiling the loops that warp volumes, once per machine ...\n"
+    )
 
 
 def test_an_image_in_another_order_of_axes_than_the_result_is_turned_to_it(solution, tmp_path):

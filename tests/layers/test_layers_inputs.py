@@ -271,8 +271,9 @@ def test_rigid_tissue_reaches_the_elastic_model(made):
 def test_the_paper_s_model_refuses_rigid_tissue_and_says_what_to_do(made, said):
     error = refusal(with_bone(made()))
     assert str(error) == (
-        f"{said} the paper's model cannot have, nor any model in which boundaries may slip. Take "
-        "the elastic model that holds by confidence (`penalty=None`), or give it a number."
+        f"{said} the paper's model does not support, nor does a model with boundaries that may "
+        "slip. Use the elastic model that holds by confidence (`penalty=None`), or give a finite "
+        "stiffness."
     )
 
 

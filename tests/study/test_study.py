@@ -192,7 +192,7 @@ def test_values_that_are_no_numbers_are_said():
         Ground.of(study)
     even = replace(study, tissue=Tissue())
     (note,) = [each for each in Ground.of(even).notes if "NaN" in each]
-    assert note == "'MR' is NaN or infinite at 3 pixels, which stay so where they move"
+    assert note == "'MR' is NaN or infinite at 3 pixels, and remains so where they move"
     whole = replace(study, pictures=Pictures(image=np.nan_to_num(image)))
     assert not [each for each in Ground.of(whole).notes if "NaN" in each]
 

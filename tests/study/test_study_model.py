@@ -98,7 +98,7 @@ def test_undo_goes_back_through_choices_tables_drawings_and_the_model_in_one_ord
         "added a rule",
         "chose another boundary",
         "added a tissue",
-        "chose what says how stiff tissue is",
+        "chose another source of stiffness",
     ]
     assert model.choice == ImageChoice(hold_edge=False)
     assert (model.model, model.drawing) == (ModelChoice(), Drawing())

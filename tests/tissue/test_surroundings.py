@@ -151,7 +151,7 @@ def test_air_around_the_image_does_not_move_unless_somebody_says_so(scanned, run
     assert not scanned.without_border
     moved = run(scanned).solution
     assert moved.tissue.all()
-    assert "The dark surroundings of the image move as tissue does, too" in scanned.warning
+    assert "The dark surroundings of the image move like tissue" in scanned.warning
     scanned.without_border = True
     np.testing.assert_array_equal(run(scanned).solution.tissue, block)
 

@@ -150,7 +150,7 @@ def test_a_number_typed_in_a_table_is_taken_over_and_nonsense_is_put_back(
     screen.cell(GEL, "Stiffness").write("rigid")
     assert dock.materials[1].is_rigid
     screen.choose(MODELS["paper"])
-    refused = f"has rigid tissue ('{GEL}'), which the paper's model cannot have"
+    refused = f"has rigid tissue ('{GEL}'), which the paper's model does not support"
     wait_for(lambda: refused in screen.words)
     screen.choose(MODELS["elastic"])
     wait_for(lambda: refused not in screen.words)

@@ -120,7 +120,7 @@ def test_what_lies_around_a_slice_is_chosen_by_its_picture(widget):
     assert widget.plane == "strain"
 
 
-RIGID = "'Tissue' has rigid tissue ('gel'), which the paper's model cannot have"
+RIGID = "'Tissue' has rigid tissue ('gel'), which the paper's model does not support"
 
 
 def be_rigid(widget):

@@ -1,7 +1,7 @@
-"""What was drawn on an image: arrows, landmarks and brush strokes, as values that do not change.
+"""Drawings on an image: arrows, landmarks and brush strokes, as immutable values.
 
-A `Drawing` is marks in their order; `Rendering` puts it on top of the images of a problem. Nothing
-here needs Qt or napari.
+A `Drawing` is a sequence of marks; a `Rendering` applies a drawing to the images of a problem. This
+package does not import Qt or napari.
 """
 
 from napari_hmrf.tissue.drawing.canvas import Canvas

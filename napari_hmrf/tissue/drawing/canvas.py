@@ -1,4 +1,4 @@
-"""Canvas, the images that marks are drawn on, and the painting of marks."""
+"""Images of a problem on which marks are drawn, and the painting of marks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from napari_hmrf.tissue.drawing.marks import (
 from napari_hmrf.tissue.normals import outward_normals
 
 FloatArray = npt.NDArray[np.float32]
-#: Box of an image, one slice per axis; an empty box has slices that end where they begin.
+#: Box of an image, one slice per axis; an empty box has slices of length 0.
 Box = tuple[slice, ...]
 
 #: Values of the actions of strokes in `Canvas.kinds`; painted tissue is stored in the labels.
@@ -33,19 +33,19 @@ KINDS: dict[Action, int] = {"pin": 1, "free": 2, "move": 3, "expand": 4, "confid
 
 @dataclass(frozen=True, eq=False)
 class Canvas:
-    """The images of a problem that marks are drawn on.
+    """Images of a problem on which marks are drawn.
 
     Attributes
     ----------
     observed : ndarray, shape ([D,] H, W, n), float32
-        Observed displacement along each axis, in the unit of `spacing`; material.
+        Observed material displacement along each axis, in the unit of `spacing`.
     confidence : ndarray, shape ([D,] H, W, n), float32
-        Confidence per component, 0 to 1.
+        Confidence of each component, from 0 to 1.
     labels : ndarray of int, shape ([D,] H, W)
         Tissue labels, for strokes that paint tissue.
     kinds : ndarray of uint8, shape ([D,] H, W)
-        Last painted action by its number in `KINDS`; 0 where nothing but confidence was painted.
-        For display only.
+        Number in `KINDS` of the last painted action, for display only; 0 in unpainted pixels.
+        Painted confidence does not change it.
     spacing : tuple of float, shape (n,)
         Size of a pixel along each axis.
     """
@@ -63,7 +63,7 @@ class Canvas:
         spacing: Sequence[float] | None = None,
         labels: npt.NDArray[Any] | None = None,
     ) -> Canvas:
-        """Return a canvas without observations; without `labels` it has a single tissue."""
+        """Return a canvas without observations; if `labels` is None, it has a single tissue."""
         n = len(shape)
         y, kinds = np.zeros((*shape, n), dtype=np.float32), np.zeros(shape, dtype=np.uint8)
         tissue = kinds.copy() if labels is None else labels
@@ -72,17 +72,17 @@ class Canvas:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Pixels along each axis."""
+        """Number of pixels along each axis."""
         return self.kinds.shape
 
     @property
     def whole(self) -> Box:
-        """The box of all pixels."""
+        """Box of all pixels."""
         return tuple(slice(0, size) for size in self.shape)
 
     @property
     def images(self) -> tuple[npt.NDArray[Any], ...]:
-        """All images, always in the same order."""
+        """Tuple of all images: observed, confidence, labels, kinds."""
         return self.observed, self.confidence, self.labels, self.kinds
 
     def copy(self) -> Canvas:
@@ -91,7 +91,7 @@ class Canvas:
 
 
 def box_of(mark: Mark, spacing: Sequence[float], whole: Box) -> Box:
-    """Return the box of pixels that a mark may change; empty if the mark lies outside."""
+    """Return the box of pixels that a mark may change; empty if the mark is outside `whole`."""
     reach = [brush_reach(mark.radius, spacing) / size for size in spacing]
     points = np.array([point for line in mark.lines for point in line])
     low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
@@ -108,7 +108,15 @@ def is_empty(box: Box) -> bool:
 
 
 def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
-    """Draw a mark over the canvas in place, leaving pixels outside the window unchanged.
+    """Draw a mark on the canvas in place; pixels outside the window stay unchanged.
+
+    Parameters
+    ----------
+    mark : Mark
+    canvas : Canvas
+        Images, which are modified.
+    window : Box
+        Pixels that may change.
 
     Raises
     ------
@@ -123,10 +131,10 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     distance = distance_to(mark.lines, mark.radius, canvas.spacing, box)
     reach = brush_reach(mark.radius, canvas.spacing)
     where = distance <= reach
-    which = COMPONENTS[mark.components]
-    y, c = canvas.observed[box][..., which], canvas.confidence[box][..., which]
+    components = COMPONENTS[mark.components]
+    y, c = canvas.observed[box][..., components], canvas.confidence[box][..., components]
     if isinstance(mark, Arrow) or mark.action == "move":
-        y[where], c[where] = mark.by[which], mark.confidence
+        y[where], c[where] = mark.by[components], mark.confidence
     elif mark.action == "pin":
         y[where], c[where] = 0, mark.confidence
     elif mark.action == "free":
@@ -137,7 +145,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
         at = tuple(slice(side.start - of.start, side.stop - of.start) for side, of in sides)
         moves = normals[at][where]
         # The inside of a patch is free, even over earlier marks.
-        y[where] = np.float32(mark.amount) * moves[:, which]
+        y[where] = np.float32(mark.amount) * moves[:, components]
         c[where] = mark.confidence * moves.any(axis=-1, keepdims=True)
     elif mark.action == "confidence":
         soft = mark.softness * reach
@@ -155,7 +163,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
 
 
 def refuse_open_line(stroke: Stroke, spacing: tuple[float, ...], shape: tuple[int, ...]) -> None:
-    """Refuse an expanding stroke that has no outside.
+    """Refuse an expanding stroke that has no inside.
 
     Raises
     ------
@@ -172,7 +180,7 @@ def covered(mark: Mark, spacing: Sequence[float], box: Box) -> npt.NDArray[np.bo
 
 
 def covers(stroke: Stroke, point: Point, spacing: Sequence[float]) -> bool:
-    """Return whether a place, in pixels, is under the brush of a stroke."""
+    """Return whether a stroke covers a point, given in pixels."""
     lines = [np.array(line) - point for line in stroke.lines]
     pixel = distance_to(lines, stroke.radius, spacing, (slice(0, 1),) * len(point))
     return bool(pixel.item() <= stroke.radius)
@@ -184,23 +192,24 @@ def distance_to(
     spacing: Sequence[float],
     window: Box,
 ) -> FloatArray:
-    """Compute the distance of the pixels of a window to lines; infinite well beyond a radius.
+    """Compute the distance of each pixel of a window from the nearest of some lines.
 
     Only the parts of the lines near the window are evaluated.
 
     Parameters
     ----------
     lines : iterable of array_like, shape (N, n)
-        In pixels.
+        Points of each line, in pixels.
     radius : float
-        In the unit of `spacing`.
+        Distance up to which the result is computed, in the unit of `spacing`.
     spacing : sequence of float, shape (n,)
+        Size of a pixel along each axis.
     window : Box
 
     Returns
     -------
-    ndarray, of the window's shape, float32
-        In the unit of `spacing`.
+    ndarray, shape of the window, float32
+        Distances in the unit of `spacing`; infinite at pixels far beyond the radius.
     """
     begin, end = ([getattr(side, at) for side in window] for at in ("start", "stop"))
     nearest = np.full(np.subtract(end, begin), np.inf, dtype=np.float32)
@@ -229,7 +238,7 @@ def distance_to(
 
 
 def brush_reach(radius: float, spacing: Sequence[float]) -> float:
-    """Return the radius, enlarged if needed so that a brush always covers a pixel centre."""
+    """Return the radius of a brush, enlarged so that it covers the centre of at least one pixel."""
     return max(radius, 0.5 * math.hypot(*spacing)) * (1 + 1e-6)
 
 
@@ -237,8 +246,8 @@ def brush_reach(radius: float, spacing: Sequence[float]) -> float:
 def _outward(
     stroke: Stroke, spacing: tuple[float, ...], shape: tuple[int, ...]
 ) -> tuple[FloatArray, Box]:
-    """Return the outward normals of the region covered by a stroke, and the box of that region."""
-    # The region may leave the image, so the box extends one image size beyond each side.
+    """Return the outward normals of the region that a stroke covers, and the box of the region."""
+    # The region may extend beyond the image, so the box has one image size more on each side.
     box = box_of(stroke, spacing, tuple(slice(-size, 2 * size) for size in shape))
     normals = outward_normals(covered(stroke, spacing, box), spacing, "a brush stroke")
     normals.setflags(write=False)

@@ -27,11 +27,12 @@ from napari_hmrf.tissue.drawing.marks import (
     mark_from_dict,
 )
 
+#: Version of the stored form of a drawing.
 _VERSION = 1
 
 
 class Hit(NamedTuple):
-    """A mark found at a place: its number, and the end that was hit."""
+    """Mark at a position: its index in the drawing, and the end that was hit."""
 
     number: int
     part: Literal["head", "base"]
@@ -44,7 +45,7 @@ class Drawing:
     Attributes
     ----------
     marks : tuple of Arrow, Landmark or Stroke
-        In the order of their creation. Where marks overlap, the later ones win.
+        Marks in the order of their creation. Where marks overlap, later marks take precedence.
 
     Raises
     ------
@@ -77,21 +78,25 @@ class Drawing:
         Parameters
         ----------
         source, target : array_like, shape (N, 2) or (N, 3)
-            The places of tissue before and after the motion, (row, col) or (plane, row, col) in
-            pixels; `Grid.to_pixels` converts the mm of landmark files.
+            Positions of tissue before and after the motion, (row, col) or (plane, row, col) in
+            pixels; `Grid.to_pixels` converts positions in mm from landmark files.
         radius : float
             Radius of the patch that moves with each landmark, in the unit of the pixel spacing.
         confidence : float
-            Confidence in each pair, from above 0 to 1 (certain).
+            Confidence in each pair, above 0 and up to 1 (certain).
         shape : sequence of int, optional
-            Shape of the image. If given, sources outside are refused; otherwise `solve_study`
-            notes them.
+            Shape of the image. If given, sources outside the image raise an error; otherwise
+            `solve_study` reports them in a note.
+
+        Returns
+        -------
+        Drawing
 
         Raises
         ------
         ProblemError
-            If there are no pairs or not as many targets as sources, if a value is NaN or infinite,
-            if two sources lie in the same pixel, or if one lies outside the image.
+            If there are no pairs, if sources and targets differ in number, if a value is NaN or
+            infinite, if two sources are in the same pixel, or if one is outside the image.
         """
         sources, targets = _points("source", source), _points("target", target)
         if sources.shape != targets.shape:
@@ -110,7 +115,8 @@ class Drawing:
             if len(shape) != sources.shape[1]:
                 raise ProblemError(
                     "landmarks",
-                    f"have {sources.shape[1]} coordinates each, but the image {len(shape)} axes.",
+                    f"have {sources.shape[1]} coordinates each, but the image has {len(shape)} "
+                    "axes. Give a coordinate for each axis.",
                 )
             last = np.array(shape) - 0.5
             outside = ((sources < -0.5) | (sources > last)).any(axis=1)
@@ -126,7 +132,7 @@ class Drawing:
         return cls(tuple(Landmark(tuple(at), tuple(to), radius, confidence) for at, to in pairs))
 
     def with_mark(self, mark: Mark) -> Drawing:
-        """Return the drawing with a mark added on top."""
+        """Return the drawing with a mark added at the end."""
         return Drawing((*self.marks, mark))
 
     def replaced(self, number: int, mark: Mark) -> Drawing:
@@ -135,7 +141,7 @@ class Drawing:
         Raises
         ------
         IndexError
-            If there is no mark of that number.
+            If there is no mark with this index.
         """
         self._check(number)
         return Drawing((*self.marks[:number], mark, *self.marks[number + 1 :]))
@@ -146,18 +152,18 @@ class Drawing:
         Raises
         ------
         IndexError
-            If there is no mark of that number.
+            If there is no mark with this index.
         """
         self._check(number)
         return Drawing((*self.marks[:number], *self.marks[number + 1 :]))
 
     def at(self, point: Point, reach: float, spacing: Sequence[float]) -> Hit | None:
-        """Find the end of an arrow or a landmark that can be picked up at a place.
+        """Find the end of an arrow or a landmark near a position.
 
         Parameters
         ----------
         point : tuple of float
-            (row, col) or (plane, row, col) in pixels.
+            Position, (row, col) or (plane, row, col) in pixels.
         reach : float
             Largest distance of a hit, in the unit of `spacing`.
         spacing : sequence of float
@@ -166,8 +172,8 @@ class Drawing:
         Returns
         -------
         Hit or None
-            The nearest end. If several are equally near, heads come before bases, and later marks
-            before earlier ones.
+            The nearest end. At equal distances, heads take precedence over bases, and later marks
+            over earlier marks.
         """
         ends = (
             (math.hypot(*between(point, end, spacing)), order, -number)
@@ -178,14 +184,19 @@ class Drawing:
         return Hit(-number, "base" if order else "head") if away <= reach else None
 
     def painted_at(self, point: Point, spacing: Sequence[float]) -> int | None:
-        """Find the uppermost stroke at a place; None if there is none.
+        """Find the last stroke that covers a position.
 
         Parameters
         ----------
         point : tuple of float
-            (row, col) or (plane, row, col) in pixels.
+            Position, (row, col) or (plane, row, col) in pixels.
         spacing : sequence of float
             Size of a pixel along each axis.
+
+        Returns
+        -------
+        int or None
+            Index of the stroke; None if there is none.
         """
         for number in reversed(range(len(self.marks))):
             mark = self.marks[number]
@@ -199,11 +210,12 @@ class Drawing:
         Parameters
         ----------
         base : Canvas
-            Observations and tissues beneath the drawing.
+            Observations and tissues without the drawing.
 
         Returns
         -------
         Canvas
+            New images with the drawing.
 
         Raises
         ------
@@ -216,17 +228,17 @@ class Drawing:
         return canvas
 
     def as_dict(self) -> dict[str, Any]:
-        """Convert to JSON types, to be stored with a project or a solution."""
+        """Return the drawing as a dictionary of JSON types, for files."""
         return {"version": _VERSION, "marks": [mark_as_dict(mark) for mark in self.marks]}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Drawing:
-        """Restore a drawing from the output of `as_dict`.
+        """Return the drawing from a dictionary of `as_dict`.
 
         Raises
         ------
         ValueError
-            If the values are not from `as_dict`, or from a newer version.
+            If the dictionary is not from `as_dict`, or is from a newer version.
         """
         try:
             version, marks = values["version"], tuple(values["marks"])
@@ -245,12 +257,12 @@ class Drawing:
 
 
 class Rendering:
-    """Images with a drawing on top; an edit rewrites only the pixels that it may have changed.
+    """Images with a drawing; an edit rewrites only the pixels that it may have changed.
 
     Parameters
     ----------
     base : Canvas
-        Images beneath the drawing; must not be modified while in use.
+        Images without the drawing; must not be modified while the rendering is used.
 
     Attributes
     ----------
@@ -258,7 +270,7 @@ class Rendering:
     canvas : Canvas
         Images with the drawing; updated in place.
     drawing : Drawing
-        The drawing that is shown.
+        The current drawing.
     """
 
     def __init__(self, base: Canvas) -> None:
@@ -267,7 +279,7 @@ class Rendering:
         self.drawing = Drawing()
 
     def show(self, drawing: Drawing) -> Box | None:
-        """Update the images to show a drawing.
+        """Update the images to another drawing.
 
         Parameters
         ----------
@@ -276,12 +288,12 @@ class Rendering:
         Returns
         -------
         Box or None
-            Box of the pixels that may have changed; None if none did.
+            Box of the pixels that may have changed; None if no pixel has changed.
 
         Raises
         ------
         ProblemError
-            As in `Drawing.render`; the images then still show the previous drawing.
+            As for `Drawing.render`; the images then keep the previous drawing.
         """
         window = self._changed(drawing)
         if window is not None:
@@ -301,7 +313,7 @@ class Rendering:
             paint(mark, canvas, window)
 
     def _changed(self, drawing: Drawing) -> Box | None:
-        """Return the box of all marks that differ from their counterpart in the other drawing."""
+        """Return the box of all marks that differ between the current and another drawing."""
         canvas, pairs = self.canvas, zip_longest(self.drawing.marks, drawing.marks)
         marks = [mark for pair in pairs if pair[0] != pair[1] for mark in _differing(*pair)]
         boxes = [box_of(mark, canvas.spacing, canvas.whole) for mark in marks]
@@ -315,7 +327,7 @@ class Rendering:
 
 
 def _points(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """Return points (N, 2) or (N, 3), or refuse them."""
+    """Check points, (N, 2) or (N, 3), and return them as an array."""
     points = as_numbers("landmarks", values).astype(np.float64)
     if points.ndim != 2 or points.shape[1] not in (2, 3) or not len(points):
         raise ProblemError(
@@ -336,10 +348,10 @@ def ends_of(mark: Mark, spacing: Sequence[float]) -> tuple[Point, ...]:
     return ()
 
 
-def _differing(gone: Mark | None, come: Mark | None) -> tuple[Mark, ...]:
+def _differing(old: Mark | None, new: Mark | None) -> tuple[Mark, ...]:
     """Return the marks of a differing pair, or only the new part of a continued stroke."""
-    if isinstance(gone, Stroke) and isinstance(come, Stroke) and come.action != "expand":
-        added = come.added_to(gone)
+    if isinstance(old, Stroke) and isinstance(new, Stroke) and new.action != "expand":
+        added = new.added_to(old)
         if added is not None:
             return (added,)
-    return tuple(mark for mark in (gone, come) if mark is not None)
+    return tuple(mark for mark in (old, new) if mark is not None)

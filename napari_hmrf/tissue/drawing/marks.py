@@ -1,8 +1,8 @@
 """Marks of a drawing: arrows, landmarks and brush strokes.
 
-Places are (row, col) in pixels of the image, (plane, row, col) of a volume, and need not be whole;
-lengths (displacements, radii) are in the unit of the pixel spacing. Displacements are material:
-tissue at X moves to X + by.
+Positions are (row, col) in pixels of the image, or (plane, row, col) in a volume, and may be
+fractions of a pixel. Lengths, such as displacements and radii, are in the unit of the pixel
+spacing. Displacements are material: tissue at X moves to X + by.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from napari_hmrf.arguments import is_one_of, is_whole, real, reals, shown
 from napari_hmrf.errors import ProblemError
 
 Point = tuple[float, ...]
-#: Components of a displacement that a mark prescribes; in a volume "both" is all three.
+#: Components of a displacement that a mark prescribes; in a volume, "both" means all three.
 Components = Literal["both", "row", "col"]
-#: Index of these components, counted from the last axis, as a volume has one more in front.
+#: Slice of the prescribed components, counted from the last axis, for slices and volumes.
 COMPONENTS = {"both": slice(None), "row": slice(-2, -1), "col": slice(-1, None)}
 #: Effects of a brush on the tissue under it.
 Action = Literal["pin", "free", "move", "expand", "confidence", "tissue"]
 
 
 def between(start: Point, end: Point, spacing: Iterable[float]) -> Point:
-    """Return the distance from one place to another along each axis, as lengths."""
+    """Return the displacement from one position in pixels to another, in the unit of `spacing`."""
     return tuple((b - a) * size for a, b, size in zip(start, end, spacing, strict=True))
 
 
@@ -43,7 +43,7 @@ def _place(value: Any) -> Point | None:
 
 
 def _lines(values: Any) -> tuple[tuple[Point, ...], ...] | None:
-    try:  # a stroke has many places
+    try:  # a stroke has many points, so they are checked as arrays
         lines = [np.asarray(line, dtype=float) for line in values]
     except (TypeError, ValueError):
         return None
@@ -60,13 +60,13 @@ def _one_of(words: tuple[str, ...]) -> tuple[Callable[[Any], str | None], str]:
 _LARGEST = sys.float_info.max
 _SHARE = (_number(0, 1), "a value from 0 to 1")
 _PLACE = (_place, "(row, col), or (plane, row, col) of a volume")
-#: By the name of a field: conversion to a plain value, None for an invalid one; and the remedy.
+#: For each field: conversion to a plain value, or to None if it is invalid, and the remedy.
 _VALUES: dict[str, tuple[Callable[[Any], Any], str]] = {
     "at": _PLACE,
     "by": _PLACE,
     "source": _PLACE,
     "target": _PLACE,
-    "lines": (_lines, "the places of a brush, (row, col) each, or (plane, row, col)"),
+    "lines": (_lines, "the paths of a brush, as points (row, col) or (plane, row, col)"),
     "radius": (_number(sys.float_info.min, _LARGEST), "a length above 0"),
     "amount": (_number(-_LARGEST, _LARGEST), "a number"),
     "confidence": _SHARE,
@@ -78,7 +78,7 @@ _VALUES: dict[str, tuple[Callable[[Any], Any], str]] = {
 
 
 def _checked(name: str, value: Any) -> Any:
-    """Return a value in its plain type, so that equal marks are equal and can be saved."""
+    """Convert a value to a plain type, so that marks can be compared and saved; or refuse it."""
     make_plain, give = _VALUES[name]
     plain = make_plain(value)
     if plain is None:
@@ -88,9 +88,9 @@ def _checked(name: str, value: Any) -> Any:
 
 
 class _Checked:
-    """Base of marks: converts their values to plain types and refuses invalid ones."""
+    """Base class of marks: converts their values to plain types and refuses invalid values."""
 
-    #: True if a confidence of 0 is meaningful: a stroke can erase the boundary beneath it.
+    #: True if a confidence of 0 is allowed: a stroke can erase earlier marks.
     _may_doubt = False
     confidence: float
 
@@ -102,33 +102,33 @@ class _Checked:
         if len({len(place) for place in self._places}) > 1:
             raise ProblemError(
                 "observed",
-                "has a mark with places of two and of three axes. Give (row, col) in an image, "
+                "has a mark with positions of two and of three axes. Give (row, col) in an image, "
                 "(plane, row, col) in a volume.",
             )
 
     @property
     def _places(self) -> tuple[Point, ...]:
-        """Places and steps, which must all have the same number of axes."""
+        """Positions and displacements, which must all have the same number of axes."""
         return tuple(value for name, value in vars(self).items() if _VALUES[name] is _PLACE)
 
 
 @dataclass(frozen=True)
 class Arrow(_Checked):
-    """A patch of tissue that is prescribed to move.
+    """Prescribed displacement of a round patch of tissue.
 
     Attributes
     ----------
     at : tuple of float
-        Middle of the patch, (row, col) or (plane, row, col) in pixels.
+        Centre of the patch, (row, col) or (plane, row, col) in pixels.
     by : tuple of float
         Displacement along each axis, in the unit of the pixel spacing.
     radius : float
-        Radius of the patch, in a volume of a ball, in the unit of the pixel spacing. However
-        small, it includes the nearest pixel.
+        Radius of the patch, which is a ball in a volume, in the unit of the pixel spacing. The
+        patch always includes the nearest pixel.
     confidence : float
-        Confidence in the displacement, from above 0 to 1 (certain).
+        Confidence in the displacement, above 0 and up to 1 (certain).
     components : {"both", "row", "col"}
-        Components that are prescribed; the other stays as it is beneath the mark.
+        Prescribed components; earlier marks still determine the other component.
 
     Raises
     ------
@@ -144,18 +144,18 @@ class Arrow(_Checked):
 
     @property
     def lines(self) -> tuple[tuple[Point, ...], ...]:
-        """Place of the mark, as the lines of a stroke of one point."""
+        """Position of the mark, as the lines of a stroke of one point."""
         return ((self.at,),)
 
     def head(self, spacing: Iterable[float]) -> Point:
-        """Return the position of the middle of the patch after the motion, in pixels."""
+        """Return the centre of the patch after the motion, in pixels."""
         steps = zip(self.at, self.by, spacing, strict=True)
         return tuple(at + by / size for at, by, size in steps)
 
 
 @dataclass(frozen=True)
 class Landmark(_Checked):
-    """A point of the tissue and its position after the motion.
+    """Point of the tissue and its position after the motion.
 
     Attributes
     ----------
@@ -177,45 +177,46 @@ class Landmark(_Checked):
 
     @property
     def lines(self) -> tuple[tuple[Point, ...], ...]:
-        """Place of the mark, as the lines of a stroke of one point."""
+        """Position of the mark, as the lines of a stroke of one point."""
         return ((self.source,),)
 
     def arrow(self, spacing: Iterable[float]) -> Arrow:
-        """Return the landmark as an arrow, whose length depends on the size of a pixel."""
+        """Return the landmark as an arrow, with its displacement in the unit of `spacing`."""
         by = between(self.source, self.target, spacing)
         return Arrow(self.source, by, self.radius, self.confidence)
 
 
 @dataclass(frozen=True)
 class Stroke(_Checked):
-    """Paint of a round brush, in a volume of a ball.
+    """Stroke of a round brush; in a volume the brush is a ball.
 
     Attributes
     ----------
     action : {"pin", "free", "move", "expand", "confidence", "tissue"}
-        Effect on the tissue under the brush. "pin": it stays where it is. "free": it is not
-        observed, whatever is beneath. "move": it moves by `by`. "expand": it moves by `amount`
-        along the outward normal of the painted region, all of a ring, but only the rim of a patch,
-        whose inside is not observed. "confidence": it is observed as beneath, with another
-        confidence. "tissue": it becomes tissue of `label`.
+        Effect on the tissue under the brush. "pin": it stays in place. "free": it is not observed,
+        even where earlier marks are. "move": it moves by `by`. "expand": it moves by `amount` along
+        the outward normal of the painted region; a ring moves as a whole, a filled patch only at
+        its rim, and its inside is not observed. "confidence": the confidence of earlier marks
+        changes. "tissue": it becomes tissue of `label`.
     lines : tuple of tuple of tuple of float
-        Paths of the brush, (row, col) or (plane, row, col) in pixels; a path of one point is a dab.
-        Together they are one painted region.
+        Paths of the brush, (row, col) or (plane, row, col) in pixels; a path of one point is a
+        spot. All paths together paint one region.
     radius : float
         Radius of the brush, in the unit of the pixel spacing.
     by : tuple of float
         For "move": displacement along each axis, in the unit of the pixel spacing.
     amount : float
-        For "expand": displacement in the unit of the pixel spacing; below 0 the region shrinks.
+        For "expand": displacement in the unit of the pixel spacing; the region shrinks if it is
+        negative.
     confidence : float
-        From 0 (not observed) to 1 (certain).
+        Confidence of the displacement, from 0 (not observed) to 1 (certain).
     softness : float
-        For "confidence": the part of the radius, 0 to 1, across which it fades into the confidence
-        beneath.
+        For "confidence": fraction of the radius, from 0 to 1, over which the confidence of the
+        stroke fades into that of earlier marks.
     label : int
-        For "tissue".
+        For "tissue": label of the tissue.
     components : {"both", "row", "col"}
-        Components that are prescribed; the other stays as it is beneath the mark.
+        Prescribed components; earlier marks still determine the other component.
 
     Raises
     ------
@@ -246,16 +247,16 @@ class Stroke(_Checked):
         return not any(by)
 
     def onward(self, point: Point) -> Stroke:
-        """Return the stroke with its last path continued to a point."""
+        """Return the stroke with a point, in pixels, added to its last path."""
         *before, line = self.lines
         return _with_lines(self, (*before, (*line, _checked("at", point))))
 
     def again(self, point: Point) -> Stroke:
-        """Return the stroke with a new path that begins at a point."""
+        """Return the stroke with a new path that begins at a point, in pixels."""
         return _with_lines(self, (*self.lines, (_checked("at", point),)))
 
     def added_to(self, earlier: Stroke) -> Stroke | None:
-        """Return the part added since an earlier stroke; None if this does not continue it."""
+        """Return the part added to an earlier stroke; None if this stroke does not continue it."""
         count, last = len(earlier.lines), len(earlier.lines[-1])
         if _with_lines(self, earlier.lines) != earlier or len(self.lines) < count:
             return None
@@ -270,17 +271,17 @@ _KINDS: dict[str, type[Mark]] = {"arrow": Arrow, "landmark": Landmark, "stroke":
 
 
 def mark_as_dict(mark: Mark) -> dict[str, Any]:
-    """Convert a mark to JSON types."""
+    """Return a mark as a dictionary of JSON types."""
     return {"kind": type(mark).__name__.lower(), **asdict(mark)}
 
 
 def mark_from_dict(values: Mapping[str, Any]) -> Mark:
-    """Restore a mark from the output of `mark_as_dict`.
+    """Return a mark from a dictionary of `mark_as_dict`.
 
     Raises
     ------
     ValueError
-        If the values are not from `mark_as_dict`.
+        If the dictionary is not from `mark_as_dict`.
     """
     try:
         rest = dict(values)
@@ -290,7 +291,7 @@ def mark_from_dict(values: Mapping[str, Any]) -> Mark:
 
 
 def _with_lines(stroke: Stroke, lines: tuple[tuple[Point, ...], ...]) -> Stroke:
-    """Replace the lines without checking every point of a long stroke again."""
+    """Replace the lines of a stroke without checking all of its points again."""
     other = object.__new__(Stroke)
     other.__dict__.update(stroke.__dict__, lines=lines)
     return other

@@ -178,8 +178,8 @@ def test_fields_say_and_take_the_curve(editor, person, qtbot):
         ("50: 10", "two or more"),
         ("50: 10; 50: 20", "has intensity 50 twice. Give each once"),
         ("50: 10; 100", "above 0"),
-        ("50: 10; 100: 20;", "a point that is no pair of numbers"),
-        ("", "a point that is no pair of numbers"),
+        ("50: 10; 100: 20;", "a point that is not a pair of numbers"),
+        ("", "a point that is not a pair of numbers"),
     ],
 )
 def test_what_is_no_curve_is_refused_and_put_back(editor, person, qtbot, text, why):
@@ -188,7 +188,7 @@ def test_what_is_no_curve_is_refused_and_put_back(editor, person, qtbot, text, w
     assert typed(qtbot, editor.points, text) == "50: 10; 100: 20; 200: 40"
     assert why in said[0]
     assert typed(qtbot, editor.void_below, "x") == "20"
-    assert "no number as that below which is no tissue" in said[1]
+    assert "threshold of tissue that is no finite number" in said[1]
     assert len(said) == 2
     assert not [each for each in said if "(" in each or "nan" in each or "void_below" in each]
     assert person.changed == []
@@ -502,7 +502,7 @@ def test_without_an_image_a_sentence_says_what_to_do(widget):
     assert not widget._form.intensity.enabled
     widget._viewer.add_image(np.zeros((9, 9)), name="flat")
     widget._form.intensity.native.click()
-    assert "has not two different intensities" in widget.status
+    assert "has a single intensity" in widget.status
     assert not [layer for layer in widget._viewer.layers if layer.name != "flat"]
 
 

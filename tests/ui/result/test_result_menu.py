@@ -186,7 +186,7 @@ def test_an_image_on_another_grid_moves_as_its_tissue(result, moved):
 def test_a_layer_that_lies_on_other_axes_is_refused_by_its_name(result):
     dock, viewer = result(**MM)
     in_pixels = viewer.add_labels(np.ones((20, 24), int), name="cells")
-    with pytest.raises(HmrfError, match="'cells' is measured in other units than the result"):
+    with pytest.raises(HmrfError, match="'cells' has other units than the result"):
         dock.more.move_along(in_pixels)
 
 
@@ -322,7 +322,7 @@ def test_where_nothing_can_be_saved_it_is_said_plainly(result, asked, wait_for, 
     dock, _ = result(**MM)
     (tmp_path / "folder.mha").mkdir()
     for name, why in (
-        ("gone/a.mha", "its folder is not there. Make that first, or choose another."),
+        ("gone/a.mha", "its folder does not exist. Create the folder first, or choose another."),
         ("folder.mha", "it is a folder. Give the name of a file."),
     ):
         asked(tmp_path / name)

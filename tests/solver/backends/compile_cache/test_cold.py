@@ -219,7 +219,7 @@ def test_the_compiler_leaves_what_nobody_waits_for_any_more(cold, monkeypatch):
     compiler._wanted_file().write_text("schedule")
     todo = [job(name) for name in ("elastic", "schedule", "converged")]
     while todo:
-        compiling._next(todo)
+        compiling._run_next(todo)
     assert done == [
         "schedule begun",
         "converged begun",
@@ -398,7 +398,7 @@ def test_a_disk_that_fills_up_costs_the_cache_but_no_result(monkeypatch, caplog)
     folder = said.partition(" cannot be written to (No space left on device)")[0]
     assert Path(loop.stats.cache_path).is_relative_to(folder)
     assert "set NUMBA_CACHE_DIR to another folder" in said
-    assert not compiling._kept()
+    assert not compiling._is_cached()
 
 
 def test_where_nothing_can_be_kept_shaders_go_on(cold, monkeypatch, tmp_path):
@@ -421,7 +421,7 @@ def test_loops_for_volumes_are_compiled_only_for_who_waits_for_them(cold, monkey
     names = ["elastic", "volume"]
     made = [compiling.Job(name, lambda name=name: done.append(name)) for name in names]
     monkeypatch.setattr(compiling, "jobs", lambda: list(made))
-    monkeypatch.setattr(compiling, "_kept", lambda: True)
+    monkeypatch.setattr(compiling, "_is_cached", lambda: True)
     monkeypatch.setattr(compiler, "give_way", lambda: None)
     monkeypatch.setenv("NAPARI_HMRF_COMPILE", "there")
     assert compiling.main() == 0
