@@ -1,4 +1,4 @@
-"""Between napari's layers and the solver: layers become a problem, a solution becomes layers.
+"""Conversion between napari layers and the solver: layers to a study, a solution to layers.
 
-Nothing here needs a window, and nothing here keeps a layer: what is read is copied.
+Nothing in this package needs a window. The data of layers are copied when they are read.
 """
