@@ -45,7 +45,7 @@ def materials(path):
 
 
 def figure(path):
-    figures._saved(path.parent, {path.stem: figures.energy_picture(_energies())})
+    figures._save_figures(path.parent, {path.stem: figures.energy_picture(_energies())})
 
 
 def _energies():

@@ -118,7 +118,7 @@ def test_the_demo_goes_on_to_convergence_when_asked(tmp_path, capsys):
 @pytest.mark.parametrize("option", [("--poisson", "0.3"), ("--plane", "strain")])
 def test_the_papers_prior_has_no_poisson_ratio_to_give(tmp_path, capsys, option):
     assert demo(tmp_path, "--size", "40", "--model", "paper", *option) == 1
-    assert f"{option[0]} means nothing here: the paper's" in capsys.readouterr().err
+    assert f"{option[0]} has no effect here: the paper's" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
@@ -390,7 +390,7 @@ def test_slices_of_a_volume_are_drawn_where_they_meet_with_the_head_up(
     from napari_hmrf.samples.volume_demo import demonstrate_volume, write_volume_results
 
     drawn = {}
-    monkeypatch.setattr(figures, "_saved", lambda _, made: drawn.update(made) or [])
+    monkeypatch.setattr(figures, "_save_figures", lambda _, made: drawn.update(made) or [])
     shown = demonstrate_volume(24, backend="cpu", progress=lambda _: None, poisson=0.3)
     assert shown.solution.provenance.parameters["prior"]["poisson"] == 0.3
     write_volume_results(shown, tmp_path)
@@ -412,8 +412,8 @@ def test_slices_of_a_volume_are_drawn_where_they_meet_with_the_head_up(
 @pytest.mark.parametrize(
     ("option", "said"),
     [
-        (("--plane", "strain"), "--plane means nothing here: a volume is"),
-        (("--model", "paper", "--poisson", "0.3"), "--poisson means nothing here: the paper"),
+        (("--plane", "strain"), "--plane has no effect here: a volume is"),
+        (("--model", "paper", "--poisson", "0.3"), "--poisson has no effect here: the paper"),
         (("--size", "20"), "at least 24"),
     ],
 )

@@ -145,7 +145,7 @@ def test_no_command_writes_over_a_file_unless_it_is_told_to(files, capsys):
         before = path.stat().st_ino, path.read_bytes()
         code, out, err = run(line, capsys)
         assert code == 1, line
-        assert f"{name} is there already" in err
+        assert f"{name} already exists" in err
         assert "Give another name, or write over it (--force)" in err
         assert out == ""
         assert (path.stat().st_ino, path.read_bytes()) == before
@@ -181,11 +181,11 @@ def test_the_shell_gives_the_energy_its_parameters(files, capsys):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ("--model paper --poisson 0.3", "--poisson means nothing here: the paper's has no Poisson"),
-        ("--model paper --plane strain", "--plane means nothing here: the paper's model has no"),
-        ("--model paper-converged --weight 0/1", "--weight means nothing here: the paper's model"),
-        ("--model paper --tolerance 0.1", "--tolerance means nothing here: the paper's schedule"),
-        ("--weight 0/0/1", "--weight has 3 numbers, but what is solved has 2 axes"),
+        ("--model paper --poisson 0.3", "--poisson has no effect here: the paper's model has no"),
+        ("--model paper --plane strain", "--plane has no effect here: the paper's model has no"),
+        ("--model paper-converged --weight 0/1", "--weight has no effect here: the paper's model"),
+        ("--model paper --tolerance 0.1", "--tolerance has no effect here: the paper's schedule"),
+        ("--weight 0/0/1", "--weight has 3 numbers, but the grid has 2 axes"),
         ("--forward", "--forward is for a --boundary that is a field"),
     ],
 )

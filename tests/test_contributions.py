@@ -219,7 +219,7 @@ def test_file_save_writes_the_field_and_says_how_good_its_inverse_is(
     path = str(tmp_path / f"field{ending}")
     assert viewer.layers.save(path, plugin="napari-hmrf") == [path]
     said = notification_manager.records[-1].message
-    assert said.startswith(f"Saved field{ending}: it moves images, and is an inverse to ")
+    assert said.startswith(f"Saved field{ending}: the backward field, which moves images. ")
     viewer.layers.clear()
     (layer,) = viewer.open(path, plugin="napari-hmrf")
     assert np.abs(layer.data[:, 1]).max() > 0.5, "what was saved is a field that opens again"

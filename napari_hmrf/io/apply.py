@@ -1,4 +1,4 @@
-"""Application of a field to data of the same tissue: images, labels, channels and landmarks."""
+"""Application of a displacement field to images, labels, channels and landmarks."""
 
 from __future__ import annotations
 
@@ -34,14 +34,13 @@ from napari_hmrf.solver.solution import Solution, is_solution_file
 
 Pixels = npt.NDArray[Any]
 
-#: Rounding of a 0 in files, in mm.
+#: Displacements below this size count as zero in a file, in mm.
 _ROUNDING = 1e-4
 #: Sentence about a field without a place.
-_NOWHERE = (
-    " Its image lies nowhere, so the field begins at the origin, with pixels of as many mm as its "
-    "spacing."
+_NO_PLACE = (
+    " Its image has no place, so the field begins at the origin, and its spacing is read as mm."
 )
-#: Largest number of values, and largest value, of an image that may hold labels.
+#: Largest number of different values, and largest value, of an image that may hold labels.
 _MOST_LABELS, _LARGEST_LABEL = 16, 99
 #: Largest distance of a point from the middle of its slice, in slices.
 _IN_SLICE = 0.5 + 1e-3
@@ -56,7 +55,7 @@ class Applied(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FieldFile:
-    """A field that was read from a file of any kind.
+    """Displacement field read from a file of any kind, with its place.
 
     Attributes
     ----------
@@ -65,11 +64,11 @@ class FieldFile:
     place : Place
         For a slice of a volume, the place in the volume, with three spacings.
     tissue : ndarray of bool or None
-        The tissue that moves; None (everything moves) if the file does not say.
+        Mask of the moving tissue; None if the file has no mask, so that everything moves.
     unit : {"millimeter", "pixel"}
         Unit of the place: pixels if their size is unknown.
     is_placed : bool
-        False if the place is the default: the origin, along the axes.
+        False if the file has no place, so that the grid begins at the origin, along the axes.
     """
 
     field: DisplacementField
@@ -112,7 +111,7 @@ class FieldFile:
 
     @property
     def displacement(self) -> npt.NDArray[Any]:
-        """Material displacement at every site; a backward field is inverted as a whole."""
+        """Material displacement at every site; a backward field is inverted on its whole grid."""
         return self.field.displacement
 
 
@@ -123,21 +122,21 @@ def read_field_file(path: str | os.PathLike[str], *, forward: bool = False) -> F
     ----------
     path : str or path-like
     forward : bool
-        Whether the field of another tool maps the tissue's old position to its new one, although
-        the file does not say so.
+        True if the field of another tool maps old positions of tissue to new ones and the file
+        does not state this direction.
 
     Raises
     ------
     FileFormatError
-        If the file is none of these.
+        If the file is of none of these kinds.
     HmrfError, OSError
         As for `read_field`.
     """
     if is_solution_file(path) or is_study_file(path):
         if forward:
             raise HmrfError(
-                f"{Path(path).name} is a result, and its direction is known. Leave out that it "
-                "leads forward (`forward=True`)."
+                f"{Path(path).name} is a result, whose direction is known. Leave out the "
+                "direction (`forward=True`)."
             )
         return FieldFile.of(read_solved(path)[1])
     file = read_field(path, forward=forward)
@@ -161,22 +160,22 @@ def write_field_file(
     name, d = Path(path).name, field.displacement
     residual = write_field(path, d, **field.place._asdict(), tissue=field.tissue, forward=forward)
     if forward:
-        nowhere = "" if field.is_placed else _NOWHERE
-        return f"Saved {name}: it says where tissue goes, which moves points.{nowhere}"
-    nowhere = "" if field.is_placed else _NOWHERE
-    said = (
-        f"Saved {name}: it moves images, and is an inverse to {residual:.2g} px in the middle of "
-        "any pixel that tissue came to. Between these and at the rim of the tissue a round trip "
-        "may miss by more."
+        place_note = "" if field.is_placed else _NO_PLACE
+        return f"Saved {name}: the forward field, which moves points.{place_note}"
+    place_note = "" if field.is_placed else _NO_PLACE
+    sentence = (
+        f"Saved {name}: the backward field, which moves images. In the middle of each pixel that "
+        f"tissue moved to, its error as an inverse is at most {residual:.2g} px; between pixels "
+        "and at the rim of the tissue it may be larger."
     )
     folded = count_folds(d, spacing=field.spacing, tissue=field.tissue)
-    said += nowhere
+    sentence += place_note
     if not folded:
-        return said
+        return sentence
     sites = "voxels" if len(field.shape) == 3 else "pixels"
     return (
-        f"{said} But tissue folds over itself at {folded} {sites}, and has no inverse there: the "
-        "image will show one of the parts that lie on each other. Have it move less there."
+        f"{sentence} But tissue folds over itself at {folded} {sites}, and has no inverse there: "
+        "the image will show only one of the overlapping parts. Make the tissue move less there."
     )
 
 
@@ -195,26 +194,26 @@ def apply_field(
         order of the field's.
     target : str or path-like
     labels : bool
-        Whether the image holds labels, which are not interpolated.
+        True if the image holds labels, which are not interpolated.
 
     Raises
     ------
     ProblemError
-        If the image is of another size, or would be overwritten; or if it is a volume and the
-        field does not say which slice it belongs to.
+        If the image has another size, or would be overwritten; or if it is a volume and the file
+        of the field does not state the slice.
     FileFormatError, HmrfError, OSError
         As for `read_image`, `write_image`, `read_points` and `write_points`.
     """
     name = Path(path).name
     if Path(target).exists() and Path(target).samefile(path):
-        raise ProblemError(name, "would be written over. Give another folder for what has moved.")
+        raise ProblemError(name, "would be overwritten. Give another folder for the moved files.")
     if name.lower().endswith(POINT_SUFFIXES):
         return _move_landmarks(field, path, target)
     image, n = read_image(path), len(field.shape)
     order = 0 if labels else 1
-    blended = "" if labels else _blended_labels(image.pixels, name)
+    blended = "" if labels else _note_on_labels(image.pixels, name)
     if n == 2 and image.ndim == 3 and image.place is not None:
-        return Applied(write_image(target, _slice_moved(field, image, name, order)), blended)
+        return Applied(write_image(target, _move_slice(field, image, name, order)), blended)
     if n == 3:
         image = image.laid_as(field.in_patient)
     pixels = image.pixels
@@ -222,27 +221,27 @@ def apply_field(
     if sizes[-n:] != field.shape:
         raise ProblemError(
             name,
-            f"is {grid_in_words(sizes)}, but the field {grid_in_words(field.shape)}. Give an image "
-            "of the same pixels.",
+            f"is {grid_in_words(sizes)}, but the field is {grid_in_words(field.shape)}. Give an "
+            "image of the same size.",
         )
     if n == image.ndim:
         image.refuse_elsewhere(field.in_patient, name, "the field")
     note = ""
     if n == 3 and field.field.back:
-        moved = _looked_back(field, pixels, order)
+        moved = _sample_backward(field, pixels, order)
     elif n == image.ndim:
-        moved = _moved(field, pixels, order)
+        moved = _warp_pixels(field, pixels, order)
     else:
         moved = pixels.copy()
         for number in range(len(pixels)):
-            moved[number] = _moved(field, pixels[number], order)
+            moved[number] = _warp_pixels(field, pixels[number], order)
         if len(pixels) > 1:
-            note = f"{name} lies nowhere, so all its {len(pixels)} slices were moved alike"
+            note = f"{name} has no place, so all its {len(pixels)} slices were moved alike"
     notes = filter(None, (note, blended, unknown_values(pixels, image.ndim, name)))
     return Applied(write_image(target, image._replace(pixels=moved)), "; ".join(notes))
 
 
-def _blended_labels(pixels: Pixels, name: str) -> str:
+def _note_on_labels(pixels: Pixels, name: str) -> str:
     """Return a clause if an image probably holds labels, which interpolation blends, or ""."""
     if pixels.dtype.kind not in "iu" or not 1 < pixels.max(initial=0) <= _LARGEST_LABEL:
         return ""
@@ -255,21 +254,21 @@ def _blended_labels(pixels: Pixels, name: str) -> str:
     )
 
 
-def _moved(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
+def _warp_pixels(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
     return warp(pixels, field.displacement, spacing=field.spacing, order=order, tissue=field.tissue)
 
 
-def _looked_back(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
-    """Sample a volume at the origins that a backward field gives, which needs no inverse."""
+def _sample_backward(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
+    """Sample a volume at the original positions given by a backward field, without an inverse."""
     steps = field.field.backward / field.spacing
     origins = np.moveaxis(steps, -1, 0) + np.indices(steps.shape[:-1])
     if pixels.ndim > 3:
-        parts = [_looked_up(pixels[..., part], origins, order) for part in range(pixels.shape[-1])]
+        parts = [_sample_at(pixels[..., part], origins, order) for part in range(pixels.shape[-1])]
         return np.stack(parts, axis=-1)
-    return _looked_up(pixels, origins, order)
+    return _sample_at(pixels, origins, order)
 
 
-def _looked_up(pixels: Pixels, origins: Pixels, order: int) -> Pixels:
+def _sample_at(pixels: Pixels, origins: Pixels, order: int) -> Pixels:
     if order == 0:
         near = np.floor(origins + 0.5).astype(int)
         last = np.array(pixels.shape).reshape(-1, 1, 1, 1) - 1
@@ -277,51 +276,53 @@ def _looked_up(pixels: Pixels, origins: Pixels, order: int) -> Pixels:
         nearest: Pixels = pixels[tuple(np.clip(near, 0, last))]
         nearest[~inside] = 0
         return nearest
-    found: Pixels = scipy.ndimage.map_coordinates(pixels.astype(float), origins, order=1, cval=0.0)
+    sampled: Pixels = scipy.ndimage.map_coordinates(
+        pixels.astype(float), origins, order=1, cval=0.0
+    )
     if pixels.dtype.kind in "biu":
-        found = np.rint(found)
-    return found.astype(pixels.dtype)
+        sampled = np.rint(sampled)
+    return sampled.astype(pixels.dtype)
 
 
-def _slice_moved(field: FieldFile, image: ImageFile, name: str, order: int) -> ImageFile:
+def _move_slice(field: FieldFile, image: ImageFile, name: str, order: int) -> ImageFile:
     """Return a volume in which the slice of the field is moved; the order of its axes is kept.
 
     Raises
     ------
     ProblemError
-        If the field does not say which slice it belongs to, or lies elsewhere.
+        If the slice of the field is unknown, or lies outside the volume.
     """
-    own = field.in_patient
-    if own is None or len(own.spacing) < 3:
+    slice_place = field.in_patient
+    if slice_place is None or len(slice_place.spacing) < 3:
         raise ProblemError(
             name,
-            f"is a volume of {len(image.pixels)} slices, but the field is of one slice and does "
+            f"is a volume of {len(image.pixels)} slices, but the field covers one slice and does "
             "not say which. Solve that slice of the volume (--slice, or Grid.from_image(volume, "
             "slice=...) in Python), or give the image of that slice alone.",
         )
     pixels = image.pixels.copy()
     for axes in permutations(range(3)):
-        laid = image._replace(pixels=pixels).reordered(axes)
-        number = _slice_number(own, laid)
-        if number is not None and laid.pixels.shape[1:3] == field.shape:
-            laid.pixels[number] = _moved(field, laid.pixels[number], order)
+        reordered = image._replace(pixels=pixels).reordered(axes)
+        index = _find_slice(slice_place, reordered)
+        if index is not None and reordered.pixels.shape[1:3] == field.shape:
+            reordered.pixels[index] = _warp_pixels(field, reordered.pixels[index], order)
             return image._replace(pixels=pixels)
     raise ProblemError(
         name,
         f"lies elsewhere than the field of a slice of {grid_in_words(field.shape)} pixels. Give an "
-        "image of the same patient and pixels.",
+        "image of the same patient, on the same grid.",
     )
 
 
-def _slice_number(own: Place, image: ImageFile) -> int | None:
-    """Return the number of a place's slice, counted along the first axis of a volume, or None."""
+def _find_slice(slice_place: Place, image: ImageFile) -> int | None:
+    """Return the index along a volume's first axis of the slice at a place, or None."""
     place = image.place
     assert place is not None
     corners = np.diag([0.0, 1.0, 1.0])
-    found = place.to_pixels(own.to_space(corners))
-    number = round(float(found[0, 0]))
-    apart = np.abs(found - corners - [number, 0, 0]).max()
-    return number if apart <= SAME and 0 <= number < len(image.pixels) else None
+    positions = place.to_pixels(slice_place.to_space(corners))
+    number = round(float(positions[0, 0]))
+    deviation = np.abs(positions - corners - [number, 0, 0]).max()
+    return number if deviation <= SAME and 0 <= number < len(image.pixels) else None
 
 
 def _move_landmarks(
@@ -331,14 +332,14 @@ def _move_landmarks(
     place = place_for(file, field.place, name, n)
     at = place.to_pixels(file.points)
     # As with images, points in other slices stay where they are.
-    here = np.abs(at[:, :-n]).max(axis=1, initial=0.0) <= _IN_SLICE
+    in_slice = np.abs(at[:, :-n]).max(axis=1, initial=0.0) <= _IN_SLICE
     beyond = (at[:, -n:] < -0.5) | (at[:, -n:] > np.array(field.shape) - 0.5)
-    outside = np.count_nonzero(here & beyond.any(axis=1))
-    at[here, -n:] += field.field.at(at[here, -n:]) / field.spacing
-    apart = np.count_nonzero(~here)
-    notes = [f"{apart} of {len(at)} points lie in other slices, and stay"] * bool(apart)
+    outside = np.count_nonzero(in_slice & beyond.any(axis=1))
+    at[in_slice, -n:] += field.field.at(at[in_slice, -n:]) / field.spacing
+    elsewhere = np.count_nonzero(~in_slice)
+    notes = [f"{elsewhere} of {len(at)} points lie in other slices, and stay"] * bool(elsewhere)
     if outside:
-        notes.append(f"{outside} of {len(at)} points lie outside the image, and move as its edge")
+        notes.append(f"{outside} of {len(at)} points lie outside the image, and move like its edge")
     written = write_points(target, place.to_space(at), file.targets, names=file.names)
     return Applied(written, "; ".join(notes))
 
@@ -359,15 +360,17 @@ def place_for(file: LandmarkFile, place: Place | None, name: str, n: int) -> Pla
     Raises
     ------
     ProblemError
-        If the points have too few axes, or more than the image.
+        If the points have fewer coordinates than the field has axes, or more than the image.
     """
     axes = file.points.shape[1]
-    most = n if place is None else len(place.spacing)
-    if axes not in (n, most):
+    image_axes = n if place is None else len(place.spacing)
+    if axes not in (n, image_axes):
         raise ProblemError(
-            name, f"holds points of {axes} axes, but the image has {most}. Give points of so many."
+            name,
+            f"holds points with {axes} coordinates, but the image has {image_axes} axes. Give "
+            f"points with {image_axes} coordinates.",
         )
     size = (1.0,) * axes if place is None or file.unit == "pixel" else place.spacing[-axes:]
-    if place is None or file.unit != "mm" or axes < most:
+    if place is None or file.unit != "mm" or axes < image_axes:
         return Place(size, (0.0,) * axes, np.eye(axes))
     return place

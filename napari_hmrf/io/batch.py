@@ -1,9 +1,9 @@
 """Batches of cases, each solved into its own folder, on local processes or a dask cluster.
 
-A folder is either complete or absent: a case is written under `UNFINISHED`, and moved to its place
-when it is complete, with `RECORD` in it. So the folders are right however and whenever a batch
-ends, and `resume` solves the rest. One process at a time uses a folder (`folder_lock`), and only
-that process writes the summary.
+A folder is either complete or absent: a case is written under `UNFINISHED`, and moved to its final
+folder when it is complete, with `RECORD` in it. A batch can therefore stop at any time without
+leaving a partial result, and `resume` solves the remaining cases. One process at a time uses a
+folder (`folder_lock`), and only that process writes the summary.
 """
 
 from __future__ import annotations
@@ -52,15 +52,16 @@ from napari_hmrf.wording import in_words_of
 _log = logging.getLogger("napari_hmrf")
 #: Folder for unfinished cases.
 UNFINISHED = ".unfinished"
+#: File with the outcome of each case.
 SUMMARY = "summary.csv"
 #: Least time between two writes of the summary while cases finish, in seconds.
-_SELDOM = 5.0
-#: Number of finished cases over which the pace is averaged.
-_PACE = 20
+_SUMMARY_INTERVAL = 5.0
+#: Number of finished cases over which the time per case is averaged.
+_AVERAGED_CASES = 20
 #: Significant digits of the numbers in the summary.
 _DIGITS = 6
 #: Environment variables that limit the threads of libraries.
-_THREADS = "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
+_THREAD_VARIABLES = "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 
 
 @dataclass(frozen=True)
@@ -72,8 +73,9 @@ class BatchProgress:
     done, failed, of : int
         Number of finished cases, of failed cases, and of all cases.
     seconds_left : float, optional
-        Estimate at the pace so far; None until the pace is known.
+        Estimated remaining time; None until enough cases are finished.
     newest : CaseOutcome, optional
+        Outcome of the latest finished case.
     """
 
     done: int
@@ -84,11 +86,11 @@ class BatchProgress:
 
     @property
     def words(self) -> str:
-        """Progress in a line."""
-        said = f"{self.done + self.failed} of {self.of} case{'s' * (self.of != 1)}"
-        said += f", {self.failed} failed" if self.failed else ""
+        """Progress as one line of text."""
+        text = f"{self.done + self.failed} of {self.of} case{'s' * (self.of != 1)}"
+        text += f", {self.failed} failed" if self.failed else ""
         left = self.seconds_left
-        return said if left is None else f"{said}, about {_duration(left)} left"
+        return text if left is None else f"{text}, about {_duration(left)} left"
 
 
 def solve_cases(
@@ -112,13 +114,13 @@ def solve_cases(
     cases : sequence of NamedCase
         As returned by `read_cases`.
     folder : path-like
-        Parent of the case folders and of `summary.csv`. One batch at a time may write there; a
-        second one is refused.
+        Parent of the case folders and of `summary.csv`. Only one batch at a time may write into
+        it.
     jobs : int, optional
-        Number of processes, each with one thread; by default one for each core.
+        Number of processes, each with one thread; by default one per core.
     scheduler : str, optional
-        Address of a dask scheduler, or its file (.json): its workers solve the cases. They must
-        see the same files.
+        Address of a dask scheduler, or its file (.json): its workers solve the cases. They need
+        access to the same files.
     resume : bool
         Keep the finished cases whose row and files are unchanged, and solve the others.
     backend : str
@@ -126,8 +128,8 @@ def solve_cases(
     progress : callable, optional
         Called with a `BatchProgress` after each case.
     tell : callable, optional
-        Called with a sentence for folders that are not counted and for cases that are solved again;
-        by default these are logged as warnings of "napari_hmrf".
+        Called with a sentence about folders that are not counted and cases that are solved again;
+        by default these sentences are logged as warnings of "napari_hmrf".
 
     Returns
     -------
@@ -139,8 +141,8 @@ def solve_cases(
     ArgumentError
         If `cases` is not a sequence of NamedCase.
     HmrfError
-        If the folder has finished cases and `resume` is not given; if another batch writes into
-        it; or if there is no scheduler.
+        If the folder has finished cases and `resume` is False; if another batch writes into it;
+        or if no scheduler answers.
     OSError
         If the folder cannot be written.
     """
@@ -148,82 +150,84 @@ def solve_cases(
     target = Path(folder).absolute()
     target.mkdir(parents=True, exist_ok=True)
     with exclusive(target):
-        there = [case.name for case in cases if (target / case.name).exists()]
-        there += [SUMMARY] * (target / SUMMARY).exists()
-        if there and not resume:
+        existing = [case.name for case in cases if (target / case.name).exists()]
+        existing += [SUMMARY] * (target / SUMMARY).exists()
+        if existing and not resume:
             raise HmrfError(
-                f"{target.name}: {there[0]!r} is there already. Resume the batch "
-                "(`resume=True`), or take another folder."
+                f"{target.name}: {existing[0]!r} already exists. Resume the batch "
+                "(`resume=True`), or choose another folder."
             )
-        found, again = finished_cases(cases, target)
-        for sentence in (*leftovers(cases, target), *again):
+        finished, repeated = finished_cases(cases, target)
+        for sentence in (*leftovers(cases, target), *repeated):
             (tell or _log.warning)(sentence)
         shutil.rmtree(target / UNFINISHED, ignore_errors=True)
-        todo = [case for case in cases if case.name not in found]
+        todo = [case for case in cases if case.name not in finished]
         solve_one = partial(solve_into, folder=target, backend=backend)
-        batch = _Batch(cases, found, target)
+        batch = _Batch(cases, finished, target)
         if scheduler is None:
-            coming = _by_processes(todo, solve_one, jobs or _cores())
+            outcomes = _solve_in_processes(todo, solve_one, jobs or _cores())
         else:
-            coming = _by_cluster(todo, solve_one, scheduler)
+            outcomes = _solve_on_cluster(todo, solve_one, scheduler)
         try:
-            for outcome in coming:
-                said = batch.take(outcome)
+            for outcome in outcomes:
+                state = batch.take(outcome)
                 if progress is not None:
-                    progress(said)
+                    progress(state)
         finally:
-            coming.close()
+            outcomes.close()
             shutil.rmtree(target / UNFINISHED, ignore_errors=True)
             batch.write()
     return batch.outcomes
 
 
 def solve_into(case: NamedCase, folder: Path, backend: str = "cpu") -> CaseOutcome:
-    """Solve a case in this process, on one thread, into a folder that is complete or absent."""
+    """Solve a case in this process, on one thread; its folder appears only when it is complete."""
     one_thread()
-    begun = time.perf_counter()
-    part = folder / UNFINISHED / f"{case.name}-{secrets.token_hex(4)}"
+    started = time.perf_counter()
+    unfinished = folder / UNFINISHED / f"{case.name}-{secrets.token_hex(4)}"
     try:
         inputs = fingerprints(case)  # before the files are read, so that a later change is detected
-        solved = solve_case(case.case, part, backend=backend, changes=case.changes)
-        outcome = _outcome(case.name, solved, _seconds_since(begun))
+        solved = solve_case(case.case, unfinished, backend=backend, changes=case.changes)
+        outcome = _outcome_of(case.name, solved, _seconds_since(started))
         record = {"cells": dict(case.cells), "outcome": asdict(outcome), "inputs": inputs}
-        record["outputs"] = output_digests(part)
-        write_whole(part / RECORD, json.dumps(record, indent=2).encode())
-        _publish(part, folder / case.name)
+        record["outputs"] = output_digests(unfinished)
+        write_whole(unfinished / RECORD, json.dumps(record, indent=2).encode())
+        _publish(unfinished, folder / case.name)
     except Exception as error:  # noqa: BLE001 - a failed case does not stop the others
-        said = in_words(error)
-        known = isinstance(error, HmrfError | OSError)
-        said = said if known else f"{type(error).__name__}: {said}"
-        said = in_words_of("shell", said)
+        message = in_words(error)
+        is_expected = isinstance(error, HmrfError | OSError)
+        message = message if is_expected else f"{type(error).__name__}: {message}"
+        message = in_words_of("shell", message)
         if (folder / case.name / RECORD).exists():
-            said += f" (the folder {case.name} still has an earlier result, which is not counted)"
-        return CaseOutcome(case.name, "failed", said, seconds=_seconds_since(begun))
+            message += (
+                f" (the folder {case.name} still has an earlier result, which is not counted)"
+            )
+        return CaseOutcome(case.name, "failed", message, seconds=_seconds_since(started))
     finally:
-        shutil.rmtree(part, ignore_errors=True)
+        shutil.rmtree(unfinished, ignore_errors=True)
     return outcome
 
 
 @cache
 def one_thread() -> None:
-    """Limit this process to one thread, as other processes compute beside it."""
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    """Limit this process to one thread, because other processes use the other cores."""
+    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
     if "numba" not in sys.modules:  # numba reads the variable only once
         os.environ["NUMBA_NUM_THREADS"] = "1"
     threadpoolctl.threadpool_limits(1)
 
 
-def _seconds_since(begun: float) -> float:
-    """Return the time since `begun` by `perf_counter`, rounded for a table."""
-    return round(time.perf_counter() - begun, 4)
+def _seconds_since(started: float) -> float:
+    """Return the seconds since `started`, a value of `perf_counter`, rounded for a table."""
+    return round(time.perf_counter() - started, 4)
 
 
 def _in_digits(value: Any) -> Any:
-    """Round a number to the digits that a table shows; single precision has no more."""
+    """Round a float to the digits of the summary; single precision has no more."""
     return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
 
 
-def _outcome(name: str, solved: SolvedCase, seconds: float) -> CaseOutcome:
+def _outcome_of(name: str, solved: SolvedCase, seconds: float) -> CaseOutcome:
     solution = solved.solution
     return CaseOutcome(
         name,
@@ -239,60 +243,64 @@ def _outcome(name: str, solved: SolvedCase, seconds: float) -> CaseOutcome:
     )
 
 
-def _publish(part: Path, target: Path) -> None:
-    """Move a complete folder to its final name, in place of one from an earlier table."""
+def _publish(unfinished: Path, target: Path) -> None:
+    """Move a complete folder to its final name; a folder of an earlier table is replaced."""
     if target.exists():
-        target.rename(part.with_name(f"{part.name}-old"))
-    part.rename(target)
+        target.rename(unfinished.with_name(f"{unfinished.name}-old"))
+    unfinished.rename(target)
 
 
 class _Batch:
-    """Finished outcomes and their summary."""
+    """Outcomes of the finished cases, and their summary file."""
 
     def __init__(
-        self, cases: Sequence[NamedCase], found: dict[str, CaseOutcome], folder: Path
+        self, cases: Sequence[NamedCase], finished: dict[str, CaseOutcome], folder: Path
     ) -> None:
-        self._found = {case.name: found.get(case.name, CaseOutcome(case.name)) for case in cases}
+        self._outcomes = {
+            case.name: finished.get(case.name, CaseOutcome(case.name)) for case in cases
+        }
         self._folder = folder
         self._parameters = {case.name: case.parameters for case in cases}
-        self._todo = len(cases) - len(found)
-        self._come: list[float] = []
-        self._written = time.monotonic()
+        self._todo = len(cases) - len(finished)
+        self._finish_times: list[float] = []
+        self._last_write = time.monotonic()
 
     @property
     def outcomes(self) -> tuple[CaseOutcome, ...]:
-        return tuple(self._found.values())
+        return tuple(self._outcomes.values())
 
     def take(self, outcome: CaseOutcome) -> BatchProgress:
         """Record an outcome, and write the summary from time to time."""
-        self._found[outcome.case] = outcome
+        self._outcomes[outcome.case] = outcome
         now = time.monotonic()
-        self._come.append(now)
-        if now > self._written + _SELDOM:
+        self._finish_times.append(now)
+        if now > self._last_write + _SUMMARY_INTERVAL:
             self.write()
-            self._written = now
-        states = [each.state for each in self._found.values()]
+            self._last_write = now
+        states = [each.state for each in self._outcomes.values()]
         left = self._seconds_left()
         return BatchProgress(
             states.count("done"), states.count("failed"), len(states), left, outcome
         )
 
     def _seconds_left(self) -> float | None:
-        """Estimate from the latest cases, as the first ones include start-up and compilation."""
-        newest = self._come[-_PACE:]
-        if len(newest) < _PACE:
+        """Estimate the remaining time from the latest cases; the first ones include start-up."""
+        times = self._finish_times[-_AVERAGED_CASES:]
+        if len(times) < _AVERAGED_CASES:
             return None
-        return (newest[-1] - newest[0]) / (_PACE - 1) * (self._todo - len(self._come))
+        return (
+            (times[-1] - times[0]) / (_AVERAGED_CASES - 1) * (self._todo - len(self._finish_times))
+        )
 
     def write(self) -> None:
-        """Write the summary: a row for each case, with the numbers that the table sweeps over."""
+        """Write the summary: a row for each case, with the values of the swept parameters."""
         titles = [*CaseOutcome.__dataclass_fields__]
         swept = [*dict.fromkeys(title for each in self._parameters.values() for title in each)]
         rows = []
         for outcome in self.outcomes:
-            own = self._parameters[outcome.case]
+            values = self._parameters[outcome.case]
             first, *others = (_in_digits(getattr(outcome, title)) for title in titles)
-            rows.append([first, *(own.get(title) for title in swept), *others])
+            rows.append([first, *(values.get(title) for title in swept), *others])
         write_csv(self._folder / SUMMARY, [titles[0], *swept, *titles[1:]], rows)
 
 
@@ -301,7 +309,7 @@ class _Batch:
 
 @dataclass
 class _Worker:
-    """Process that solves one case after the other, with its pipe."""
+    """Worker process that solves one case after the other, and its pipe."""
 
     process: Any
     pipe: Connection
@@ -310,30 +318,30 @@ class _Worker:
     @classmethod
     def start(cls, solve_one: Callable[[NamedCase], CaseOutcome], case: NamedCase) -> _Worker:
         context = multiprocessing.get_context("spawn")
-        here, there = context.Pipe()
-        process = context.Process(target=_work, args=(there, solve_one), daemon=True)
+        parent_end, child_end = context.Pipe()
+        process = context.Process(target=_work, args=(child_end, solve_one), daemon=True)
         process.start()
-        there.close()  # so that this end detects the end of the process
-        worker = cls(process, here, case)
-        worker.give(case)
+        child_end.close()  # so that this end detects the end of the process
+        worker = cls(process, parent_end, case)
+        worker.submit(case)
         return worker
 
-    def give(self, case: NamedCase) -> None:
+    def submit(self, case: NamedCase) -> None:
         self.case = case
-        with suppress(OSError):  # the missing answer shows that the process has ended
+        with suppress(OSError):  # if the process has ended, `answer` reports it
             self.pipe.send(case)
 
-    def answer(self) -> CaseOutcome:
+    def receive(self) -> CaseOutcome:
         """Return the outcome of its case, or a failure if the process has ended."""
         try:
             outcome: CaseOutcome = self.pipe.recv()
         except (EOFError, OSError):
             self.process.join()
-            return CaseOutcome(self.case.name, "failed", _ended(self.process.exitcode))
+            return CaseOutcome(self.case.name, "failed", _exit_reason(self.process.exitcode))
         return outcome
 
 
-def _by_processes(
+def _solve_in_processes(
     cases: Sequence[NamedCase], solve_one: Callable[[NamedCase], CaseOutcome], count: int
 ) -> Generator[CaseOutcome, None, None]:
     """Yield the outcomes as they arrive; a process that ends loses only its own case."""
@@ -351,9 +359,9 @@ def _by_processes(
         while workers:
             for pipe in wait(list(workers)):
                 worker = workers[pipe]  # type: ignore[index]
-                outcome = worker.answer()
+                outcome = worker.receive()
                 if worker.process.is_alive() and todo:
-                    worker.give(todo.popleft())
+                    worker.submit(todo.popleft())
                 else:
                     idle.append(workers.pop(worker.pipe))
                     worker.pipe.close()  # the process then ends
@@ -376,12 +384,12 @@ def _work(pipe: Connection, solve_one: Callable[[NamedCase], CaseOutcome]) -> No
             pipe.send(solve_one(pipe.recv()))
 
 
-def _ended(exitcode: int | None) -> str:
+def _exit_reason(exitcode: int | None) -> str:
     if exitcode is not None and exitcode < 0:
         with suppress(ValueError):
             name = signal.Signals(-exitcode).name
-            more = ", as where memory runs out" if name == "SIGKILL" else ""
-            return f"the process that solved it was ended by {name}{more}"
+            hint = ", possibly for lack of memory" if name == "SIGKILL" else ""
+            return f"the process that solved it was ended by {name}{hint}"
     return f"the process that solved it ended with exit code {exitcode}"
 
 
@@ -395,7 +403,7 @@ def _cores() -> int:
 # dask cluster
 
 
-def _by_cluster(
+def _solve_on_cluster(
     cases: Sequence[NamedCase], solve_one: Callable[[NamedCase], CaseOutcome], address: str
 ) -> Generator[CaseOutcome, None, None]:
     """Yield the outcomes as they arrive from the workers of a dask scheduler."""
@@ -403,12 +411,12 @@ def _by_cluster(
         from distributed import Client, as_completed  # optional: distributed
     except ImportError:
         raise HmrfError(
-            "a scheduler takes dask.distributed, which is not installed: "
+            "a scheduler needs dask.distributed, which is not installed: "
             f"{how_to_install('cluster')}."
         ) from None
-    where = {"scheduler_file": address} if address.endswith(".json") else {"address": address}
+    location = {"scheduler_file": address} if address.endswith(".json") else {"address": address}
     try:
-        client = Client(**where, set_as_default=False)
+        client = Client(**location, set_as_default=False)
     except (OSError, ValueError) as error:
         raise HmrfError(f"no dask scheduler answers at {address}: {error}") from error
     futures: dict[Any, NamedCase] = {}
@@ -421,9 +429,9 @@ def _by_cluster(
             if future.status == "finished":
                 yield future.result()
             else:
-                why = future.exception()
-                said = f"its worker did not finish: {type(why).__name__}: {why}"
-                yield CaseOutcome(case.name, "failed", said)
+                failure = future.exception()
+                message = f"its worker did not finish: {type(failure).__name__}: {failure}"
+                yield CaseOutcome(case.name, "failed", message)
     finally:
         client.cancel(list(futures))
         client.close()

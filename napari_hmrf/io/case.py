@@ -42,9 +42,10 @@ from napari_hmrf.tissue.tissue_maps import MapRange, most_likely, scale_in_words
 from napari_hmrf.tissue.usual_lengths import usual_radius
 
 #: Number of labels that a sentence lists.
-_FEW = 6
-#: An image is no label image if it has more values than this, and more than this part of the pixels
-#: differ from their neighbour. Photographs have 40 % to 90 %, label images up to 10 %.
+_LISTED = 6
+#: Limits of label images: an image with more values than the first, in which more than the second
+#: part of the pixels differ from their neighbour, is no label image. For photographs that part is
+#: 40 % to 90 %, for label images at most 10 %.
 _MANY, _UNEVEN = 64, 0.3
 
 
@@ -61,7 +62,7 @@ def read_case(case: Case) -> Study:
     if is_study_file(case.image):
         if case.options:
             raise HmrfError(
-                f"{case.image.name} is a study, which says itself what to compute. Leave out "
+                f"{case.image.name} is a study, which has its own settings. Leave out "
                 f"{', '.join(case.options)}, or give the image."
             )
         return read_study(case.image).study
@@ -95,28 +96,28 @@ def read_case(case: Case) -> Study:
     )
 
 
-def _refuse_unused(case: Case, flat: bool) -> None:
+def _refuse_unused(case: Case, is_planar: bool) -> None:
     """Refuse options without an effect."""
     path = case.boundary
     marks = path is not None and path.name.lower().endswith(POINT_SUFFIXES)
     field = path is not None and not marks and case.rules is None
     for unused, option, why in (
         (not (case.labels or case.maps), "--materials", "is for the tissues of --labels or --maps"),
-        (bool(case.maps), "--labels", "is given beside --maps, and each says where tissue is"),
+        (bool(case.maps), "--labels", "cannot be used with --maps: both define the tissue"),
         (path is None or marks, "--rules", "is for a --boundary that is an image of labels"),
         (not field, "--confidence", "is for a --boundary that is a field"),
         (not field, "--forward", "is for a --boundary that is a field"),
-        (flat, "--slice", f"is for volumes, and {case.image.name} is none"),
+        (is_planar, "--slice", f"is for volumes, and {case.image.name} is none"),
     ):
         if unused and option in case.options:
             raise HmrfError(f"{option} {why}. Leave {option} out, or give what it needs.")
 
 
 def _names(case: Case) -> dict[str, str]:
-    """Return the names of a study's parts: file names, and for the image the layer's name."""
-    sure = case.confidence if isinstance(case.confidence, Path) else None
+    """Return the names of a study's parts: the files' names, and the layer's name of the image."""
+    confidence = case.confidence if isinstance(case.confidence, Path) else None
     tissue = case.labels or next(iter(case.maps), None)
-    parts = {"tissue": tissue, "boundary": case.boundary, "confidence": sure}
+    parts = {"tissue": tissue, "boundary": case.boundary, "confidence": confidence}
     files = {part: path.name for part, path in parts.items() if path is not None}
     return {"image": case.image.name.partition(".")[0], **files}
 
@@ -168,7 +169,7 @@ def solve_case(
     changes : sequence of Change
         Numbers that replace those of the case's files.
     overwrite : bool
-        Whether files of an earlier solve may be replaced.
+        True if files of an earlier solve may be replaced.
     progress : callable, optional
         As for `solve`.
 
@@ -181,41 +182,41 @@ def solve_case(
     if case.boundary is None and not case.hold_edge and not is_study_file(case.image):
         if study.bears_loads:
             raise HmrfError(
-                "nothing holds the tissue. Give --hold-edge if its outer edge stays, or --boundary "
-                "with what holds it."
+                "nothing holds the tissue. Give --hold-edge if its outer edge stays, or a "
+                "--boundary that holds a part of it."
             )
         raise HmrfError(
-            "nothing says how the tissue moves. Give --boundary with what moves, and --hold-edge "
-            "if its outer edge stays."
+            "no motion of the tissue is given. Give a --boundary that moves, and --hold-edge if "
+            "the outer edge stays."
         )
     refuse_overwriting(_files_of(case, folder), overwrite=overwrite)
     ground = Ground.of(study)
     stated = ground.statement()
     try:
         ground.refuse_motionless(stated)
-    except ProblemError as error:  # an option, and no single part, lacks the motion
+    except ProblemError as error:  # the cause is a missing option, not one of the images
         raise HmrfError(error.message) from None
     folder.mkdir(parents=True, exist_ok=True)  # fail before the solve, not after it
     solution = solve_statement(study, stated, backend=backend, progress=progress)
     folds = solution.count_folds()
-    short = tuple(shortcomings(solution, study.grid.unit, folds))
-    solution = replace(solution, notes=(*short, *solution.notes))
+    caveats = tuple(shortcomings(solution, study.grid.unit, folds))
+    solution = replace(solution, notes=(*caveats, *solution.notes))
     name = case.image.name.partition(".")[0]
     image = study.pictures.image
     if image is not None:
         if progress is not None and len(study.grid.shape) == 3 and not has_volume_loops():
-            progress(Monitor("compiling loops that move volumes, once on a machine", 0.9))
+            progress(Monitor("compiling the loops that move volumes, once per machine", 0.9))
         moved = solution.warp(image)
-        where = None if study.grid.unit == "pixel" else place_of(solution)
-        written = ImageFile(moved, where, colours=moved.ndim > len(study.grid.shape))
-        write_image(folder / f"{name} deformed{'.nrrd' if where else '.tif'}", written)
+        place = None if study.grid.unit == "pixel" else place_of(solution)
+        file = ImageFile(moved, place, colours=moved.ndim > len(study.grid.shape))
+        write_image(folder / f"{name} deformed{'.nrrd' if place else '.tif'}", file)
     write_study(folder / f"{name}.study", study, solution)
-    notes = (*short, *ground.unused(stated), *ground.notes_on(stated))
+    notes = (*caveats, *ground.unused(stated), *ground.notes_on(stated))
     return SolvedCase(study, solution, folds, notes)
 
 
 def _part(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:
-    """Return the selected slice and its place in the volume, or a whole volume, upright."""
+    """Return the selected slice with its place in the volume, or the whole volume, upright."""
     place, number = image.place, case.slice
     if image.ndim == 2:
         return image, place
@@ -233,7 +234,7 @@ def _part(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:
 
 
 def _grid(part: ImageFile, whole: ImageFile, case: Case) -> Grid:
-    """Return the grid of a slice, with its number and the volume's place, or of a volume."""
+    """Return the grid of a slice, with its number and the place of its volume, or of a volume."""
     n, number = part.ndim, case.slice if whole.ndim > 2 and case.slice is not None else 0
     shape = part.pixels.shape[:n]
     if whole.place is None and n == whole.ndim == 2:
@@ -256,14 +257,17 @@ def _materials(
     table = tissue_table(path)
     if isinstance(table, Preset):
         return table.materials, table.unit, ()
-    there, unknown = set(np.unique(labels).tolist()), table.unknown
-    named = ", ".join(f"{label} ({unknown[label]})" for label in unknown if label in there)
-    notes = (table.published(there), f"no stiffness is known for {named}" if named else "")
+    present, unknown = set(np.unique(labels).tolist()), table.unknown
+    named = ", ".join(f"{label} ({unknown[label]})" for label in unknown if label in present)
+    notes = (table.published(present), f"no stiffness is known for {named}" if named else "")
     return table.materials, table.unit, tuple(f"{path.name}: {note}" for note in notes if note)
 
 
 def _most_likely(case: Case, whole: ImageFile) -> tuple[npt.NDArray[np.integer], float]:
-    """Return the labels of the most likely tissues, and the scale of the maps' whole files."""
+    """Return the labels of the most likely tissues, and the scale of the maps.
+
+    The scale is derived from the whole files, so that it is the same for each slice.
+    """
     maps: dict[str, npt.NDArray[Any]] = {}
     ranges: dict[str, MapRange] = {}
     names = [path.name for path in case.maps]
@@ -285,30 +289,30 @@ def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> n
 
 def _on_pixels(case: Case, path: Path, whole: ImageFile, image: ImageFile) -> npt.NDArray[Any]:
     """Return the pixels of a grey image; from a volume, the slice of the case."""
-    there, place = _part(whole, case)
-    if there.ndim == 3 and image.place is None:
+    reference, place = _part(whole, case)
+    if reference.ndim == 3 and image.place is None:
         image = image._replace(place=whole.place)
     image, at = _part(image, replace(case, image=path))
-    pixels, shape = image.pixels, there.pixels.shape[: there.ndim]
+    pixels, shape = image.pixels, reference.pixels.shape[: reference.ndim]
     refuse_colours(image, path)
     if pixels.shape != shape:
         raise ProblemError(
             path.name,
-            f"is {grid_in_words(pixels.shape)}, but the image {grid_in_words(shape)}. Give one of "
-            "the same pixels.",
+            f"is {grid_in_words(pixels.shape)}, but the image is {grid_in_words(shape)}. Give one "
+            "of the same size.",
         )
     image._replace(place=at).refuse_elsewhere(place, path.name, "the image")
     return pixels
 
 
 def refuse_colours(image: ImageFile, path: Path) -> None:
-    """Refuse an image in colours where one value for each pixel is needed."""
+    """Refuse an image in colours, where one value per pixel is needed."""
     if image.colours:
-        raise ProblemError(path.name, "is in colours. Give an image of one value for each pixel.")
+        raise ProblemError(path.name, "is in colours. Give an image with one value per pixel.")
 
 
 def as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
-    """Return the pixels of a file as labels; some tools store whole numbers as floats."""
+    """Return the pixels of a file as labels; whole numbers stored as floats are accepted."""
     is_mask = pixels.dtype.kind == "b"
     if is_mask or (pixels.dtype.kind == "f" and (pixels == np.rint(pixels)).all()):
         pixels = pixels.astype(np.int32)
@@ -336,23 +340,23 @@ def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Mo
         _refuse_unruled(labels, rules, path.name, case.rules.name)
         if any(len(rule.vector) > n for rule in rules):
             raise ProblemError(
-                case.rules.name, "has a column 'plane', but what is solved is a slice. Remove it."
+                case.rules.name, "has a column 'plane', but the case is a slice. Remove the column."
             )
         return Motion(labels=labels, rules=rules)
     try:
         field = read_field_file(path, forward=case.forward).in_pixels
     except FileFormatError as error:
         raise FileFormatError(f"{error} If it is an image of labels, give --rules, too.") from None
-    counts, frame = _counts(case, whole), grid.place
-    # A 2-D field does not say where it lies in a volume, so it is matched pixel by pixel.
+    confidence, frame = _confidence_of(case, whole), grid.place
+    # The file of a 2-D field has no place in a volume, so its pixels are matched by index.
     if frame is None or field.frame.ndim < frame.ndim:
         n = len(grid.shape)
         frame = Frame.at(grid.spacing, ("pixel",) * n, volume=n == 3)
     try:
-        there = field.on(frame, grid.shape)
+        on_grid = field.on(frame, grid.shape)
     except ProblemError as error:
         raise ProblemError(path.name, error.message) from None
-    return Motion(observed=there.displacement, confidence=np.where(there.known, counts, 0))
+    return Motion(observed=on_grid.displacement, confidence=np.where(on_grid.known, confidence, 0))
 
 
 def _refuse_unruled(
@@ -361,8 +365,8 @@ def _refuse_unruled(
     """Refuse painted labels without a rule, and rules for labels that are not painted."""
     missing = [label for label in unlisted(labels, rules) if label]
     if missing:
-        listed = ", ".join(map(str, missing[:_FEW]))
-        more = f" and {len(missing) - _FEW} more" if len(missing) > _FEW else ""
+        listed = ", ".join(map(str, missing[:_LISTED]))
+        more = f" and {len(missing) - _LISTED} more" if len(missing) > _LISTED else ""
         lines = "a line" if len(missing) == 1 else "lines"
         raise FileFormatError(
             f"{table}: there is no rule for label {listed}{more}, painted in {image}. Add {lines} "
@@ -370,48 +374,49 @@ def _refuse_unruled(
         )
 
 
-def _counts(case: Case, whole: ImageFile) -> npt.NDArray[Any]:
+def _confidence_of(case: Case, whole: ImageFile) -> npt.NDArray[Any]:
     part, _ = _part(whole, case)
     if case.confidence is None:
         return np.ones(part.pixels.shape[: part.ndim], np.float32)
     if case.confidence == "edges":
         return edge_confidence(part.pixels, axes=part.ndim)
-    counts = _pixels(case, case.confidence, whole).astype(np.float32)
-    return counts / counts.max() if counts.max() > 1 else counts
+    confidence = _pixels(case, case.confidence, whole).astype(np.float32)
+    return confidence / confidence.max() if confidence.max() > 1 else confidence
 
 
 def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
     file, n = read_points(path), len(grid.shape)
     if file.targets is None:
         raise ProblemError(
-            path.name, "says where things are, not where they should be. Give pairs, as BigWarp."
+            path.name,
+            "holds landmarks without target positions. Give pairs of landmarks, as BigWarp writes.",
         )
     _, place = _part(whole, case)
-    # Points of BigWarp are in the order of the file's axes, which are turned upright afterwards.
-    first = whole.place if n == 3 else place
-    where = place_for(file, first, path.name, n)
-    ends = [where.to_pixels(points) for points in (file.points, file.targets)]
-    if first is not None and place is not None and n == 3:
-        ends = [place.to_pixels(first.to_space(at)) for at in ends]
-    if where is not first and n == 2 and case.slice is not None:
+    # BigWarp orders coordinates by the axes of the file, before the volume is turned upright.
+    file_place = whole.place if n == 3 else place
+    point_place = place_for(file, file_place, path.name, n)
+    ends = [point_place.to_pixels(points) for points in (file.points, file.targets)]
+    if file_place is not None and place is not None and n == 3:
+        ends = [place.to_pixels(file_place.to_space(at)) for at in ends]
+    if point_place is not file_place and n == 2 and case.slice is not None:
         ends = [at - [*[case.slice] * (at.shape[1] - 2), 0, 0] for at in ends]  # in the volume
     if any((abs(at[:, :-n]) > 0.5).any() for at in ends):
-        raise ProblemError(path.name, "holds points that lie on other slices than the image.")
+        raise ProblemError(path.name, "holds points that lie in other slices than the image.")
     sources, last = ends[0][:, -n:], np.array(grid.shape) - 1
     if not len(sources):
-        raise ProblemError(path.name, "holds no landmarks in use. Give a pair, and have it active.")
+        raise ProblemError(path.name, "holds no active landmarks. Give at least one active pair.")
     pixels, counts = np.unique(np.rint(sources), axis=0, return_counts=True)
     if counts.max() > 1:
-        twice = " ".join(f"{at:g}" for at in pixels[counts.argmax()])
+        repeated = " ".join(f"{at:g}" for at in pixels[counts.argmax()])
         raise ProblemError(
-            path.name, f"has two landmarks in one pixel ({twice}). Keep one for each pixel."
+            path.name, f"has two landmarks in one pixel ({repeated}). Keep one per pixel."
         )
     outside = int(((sources < -0.5) | (sources > last + 0.5)).any(axis=1).sum())
     if outside:
         raise ProblemError(
             path.name,
-            f"has {outside} of {len(sources)} landmarks outside the image. Give "
-            f"them in its {'pixels' if place is None else 'mm'}, and remove what lies beside it.",
+            f"has {outside} of {len(sources)} landmarks outside the image. Give them in "
+            f"{'pixels' if place is None else 'mm'} of the image, and remove those outside it.",
         )
     radius = usual_radius(grid.shape, grid.spacing)
     return Drawing.from_landmarks(*(each[:, -n:] for each in ends), radius=radius)

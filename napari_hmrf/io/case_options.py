@@ -23,44 +23,44 @@ from napari_hmrf.tissue.boundary_rules import (
 
 @dataclass(frozen=True)
 class Case:
-    """Files and options of one case, as a command line has them.
+    """Files and options of one case, as given on a command line.
 
     Attributes
     ----------
     image : Path
-        An image, or the file of a study, which needs no other file.
+        An image; or the file of a study, which needs no other file.
     labels, materials : Path, optional
         An image of tissue labels and a table of materials, .csv or .json; or a table of label names
         from a segmentation tool, as read by `read_label_names`.
     maps : sequence of Path
-        Instead of `labels`: a probability image for each tissue. The label is the position, from 1
-        on, of the most likely tissue in this list; 0 where the remaining probability of no tissue
-        is larger.
+        Probability images, one for each tissue, instead of `labels`. The label of a pixel is the
+        position in this list, counted from 1, of the most likely tissue; it is 0 where the
+        probability of no tissue, which is the rest to 1, is larger.
     boundary : Path, optional
         Motion of the tissue: an image of labels with a table of `rules`; pairs of landmarks in a
         .csv; or a displacement field, such as a registration's.
     rules : Path, optional
         A .csv.
     forward : bool
-        Whether a boundary that is a field maps the tissue's old position to its new one, although
-        the file does not say so.
+        True if a boundary that is a field maps old positions of tissue to new ones and the file
+        does not state this direction.
     confidence : Path or "edges", optional
-        Confidence of a field: an image from 0 to 1 or a mask; or "edges": 1 at the edges of the
-        image and 0 elsewhere. By default 1 wherever the field is defined.
+        Confidence of a field: an image with values from 0 to 1, or a mask; or "edges", which is 1
+        at the edges in the image and 0 elsewhere. By default 1 wherever the field is defined.
     slice : int, optional
         Slice of a volume along its first axis; by default the whole volume is solved.
     hold_edge : bool
-        Whether the outer edge of the tissue stays where it is.
+        True if the outer edge of the tissue stays in place.
     model : str, optional
-        By default elastic.
+        Name of the model; by default "elastic".
     poisson : float, optional
-        Poisson's ratio of all tissue, in place of that of `materials`.
+        Poisson's ratio of all tissue; it replaces the values in `materials`.
     plane : {"stress", "strain"}, optional
-        Slice of elastic tissue: free to bulge (default), or held between its neighbours.
+        Plane stress, in which a slice may bulge (the default), or plane strain.
     tolerance : float, optional
         Largest estimated error of the field, in pixels; for all models but "paper".
     penalty : float, optional
-        K of eq. 19, which lets held sites slip; by default the model's own.
+        Penalty K of eq. 19, which lets held sites slip; by default that of the model.
     weight : tuple of float
         Body force on elastic tissue along each axis, in the unit of stiffness per length.
     """
@@ -84,7 +84,7 @@ class Case:
 
     @property
     def options(self) -> tuple[str, ...]:
-        """Options that are given in addition to the image, as they are typed in a shell."""
+        """Options given in addition to the image, as typed in a shell."""
         names = [each.name for each in fields(self) if each.name != "image"]
         given = [name for name in names if getattr(self, name) not in (None, (), False)]
         return tuple(f"--{name.replace('_', '-')}" for name in given)
@@ -97,7 +97,7 @@ def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
     ----------
     case : Case
     volume : bool
-        Whether a whole volume is solved.
+        True if a whole volume is solved.
 
     Raises
     ------
@@ -109,8 +109,13 @@ def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
     name = MODELS[as_word(case.model or "elastic")]
     prior, optimizer = chosen(name)
     elastic = name in ELASTIC
-    for given, option, has_it, why in (
-        (case.poisson is not None, "--poisson", elastic, "the paper's has no Poisson's ratio"),
+    for given, option, is_valid, why in (
+        (
+            case.poisson is not None,
+            "--poisson",
+            elastic,
+            "the paper's model has no Poisson's ratio",
+        ),
         (case.plane is not None, "--plane", elastic, "the paper's model has no plane"),
         (case.plane is not None, "--plane", not volume, "a volume is strained in all directions"),
         (bool(case.weight), "--weight", elastic, "the paper's model bears no forces"),
@@ -121,8 +126,8 @@ def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
             "the paper's schedule ends after its sweeps; --model paper-converged has a tolerance",
         ),
     ):
-        if given and not has_it:
-            raise HmrfError(f"{option} means nothing here: {why}. Leave {option} out.")
+        if given and not is_valid:
+            raise HmrfError(f"{option} has no effect here: {why}. Leave {option} out.")
     if isinstance(prior, Elastic):
         prior = replace(
             prior,
@@ -137,12 +142,12 @@ def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
 
 
 def weight_of(case: Case, grid: Grid) -> tuple[float, ...]:
-    """Return the weight of a case; refuse one whose axes differ from the grid's."""
+    """Return the weight of a case; refuse a weight whose length differs from the grid's axes."""
     if case.weight and len(case.weight) != len(grid.shape):
         axes = "plane, row and col" if len(grid.shape) == 3 else "row and col"
         raise HmrfError(
-            f"--weight has {len(case.weight)} numbers, but what is solved has {len(grid.shape)} "
-            f"axes. Give its {axes}."
+            f"--weight has {len(case.weight)} numbers, but the grid has {len(grid.shape)} axes. "
+            f"Give the weight along {axes}."
         )
     return case.weight
 

@@ -17,12 +17,12 @@ from napari_hmrf.io.study_file import read_study
 #: File in the folder of a case with its row of the table, its input digests, and its outcome.
 RECORD = "case.json"
 #: Number of names that a sentence lists.
-_FEW = 5
+_LISTED = 5
 
 
 @dataclass(frozen=True)
 class CaseOutcome:
-    """Outcome of a case.
+    """Outcome of a case in a batch.
 
     Attributes
     ----------
@@ -32,17 +32,17 @@ class CaseOutcome:
     error : str
         Reason for the failure, in words.
     notes : str
-        Assumptions made as the files were read, and shortcomings of the field.
+        Assumptions made while reading the files, and shortcomings of the field.
     seconds : float
         Time from reading to writing the files.
     folds : int
         Pixels at which the tissue folds over itself, which is physically impossible.
     error_bound : float, optional
-        Bound on the error of the field, in pixels; None if the model has no bound.
+        Estimated bound on the error of the field, in pixels; None if the model has none.
     largest_displacement : float, optional
-        In `unit`.
+        Largest length of a displacement, in `unit`.
     unit : str
-        Unit of the image's lengths.
+        Unit of length of the image.
     """
 
     case: str
@@ -57,7 +57,16 @@ class CaseOutcome:
 
 
 class CaseRecord(pydantic.BaseModel):
-    """Content of the record of a case."""
+    """Content of the record of a case.
+
+    Attributes
+    ----------
+    cells : dict of str to str
+        Row of the table, by column title.
+    outcome : CaseOutcome
+    inputs, outputs : dict of str to str
+        Digests of the files from which the case was read, and of the files of its result.
+    """
 
     cells: dict[str, str]
     outcome: CaseOutcome
@@ -77,28 +86,32 @@ def finished_cases(
     cases: Sequence[NamedCase], folder: Path
 ) -> tuple[dict[str, CaseOutcome], list[str]]:
     """Return the outcomes of finished cases, and sentences on cases that are solved again."""
-    found, rows, files, damaged = {}, [], [], []
+    outcomes, changed_rows, changed_files, damaged = {}, [], [], []
     digests: dict[Path, str] = {}
     for case in cases:
         record = record_in(folder / case.name)
         if record is None:
             continue
         if record.cells != dict(case.cells):
-            rows.append(case.name)
+            changed_rows.append(case.name)
         elif record.inputs and record.inputs != fingerprints(case, digests):
-            files.append(case.name)
+            changed_files.append(case.name)
         elif not _is_intact(folder / case.name, record):
             damaged.append(case.name)
         else:
-            found[case.name] = record.outcome
-    said = [
-        f"solved again, as the line in the table has changed: {_listed(rows)}" if rows else "",
-        f"solved again, as files it is read from have changed: {_listed(files)}" if files else "",
+            outcomes[case.name] = record.outcome
+    sentences = [
+        f"solved again, as the line in the table has changed: {_listed(changed_rows)}"
+        if changed_rows
+        else "",
+        f"solved again, as input files have changed: {_listed(changed_files)}"
+        if changed_files
+        else "",
         f"solved again, as files of the result are damaged or missing: {_listed(damaged)}"
         if damaged
         else "",
     ]
-    return found, [sentence for sentence in said if sentence]
+    return outcomes, [sentence for sentence in sentences if sentence]
 
 
 def output_digests(folder: Path) -> dict[str, str]:
@@ -108,9 +121,9 @@ def output_digests(folder: Path) -> dict[str, str]:
 
 
 def _is_intact(folder: Path, record: CaseRecord) -> bool:
-    """Return whether the result in a folder is as it was written."""
+    """Return whether the result in a folder is unchanged."""
     if record.outputs:
-        return all(_digest(folder / name) == one for name, one in record.outputs.items())
+        return all(_digest(folder / name) == digest for name, digest in record.outputs.items())
     try:  # earlier versions recorded no digests
         for path in folder.glob("*.study"):
             read_study(path)
@@ -133,36 +146,36 @@ def leftovers(cases: Sequence[NamedCase], folder: Path) -> list[str]:
 
 
 def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _FEW} more" if len(names) > _FEW else ""
-    return f"{', '.join(names[:_FEW])}{more}"
+    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return f"{', '.join(names[:_LISTED])}{more}"
 
 
 def fingerprints(case: NamedCase, known: dict[Path, str] | None = None) -> dict[str, str]:
-    """Return a digest of each file that a case is read from; "" for an unreadable file.
+    """Return a digest of each input file of a case; "" for an unreadable file.
 
     Parameters
     ----------
     case : NamedCase
     known : dict, optional
-        Digests made before; those of the case are added.
+        Digests of files that were already read; those of the case are added.
     """
-    made = {} if known is None else known
+    digests = {} if known is None else known
     for path in case.inputs:
-        if path not in made:
-            made[path] = _digest(path)
-    return {f"{number} {path.name}": made[path] for number, path in enumerate(case.inputs)}
+        if path not in digests:
+            digests[path] = _digest(path)
+    return {f"{number} {path.name}": digests[path] for number, path in enumerate(case.inputs)}
 
 
 def _digest(path: Path) -> str:
     files = sorted(path.rglob("*")) if path.is_dir() else [path]
-    whole = hashlib.sha256()
+    total = hashlib.sha256()
     try:
         for each in files:
             if each.is_file():
                 with open(each, "rb") as file:
-                    whole.update(hashlib.file_digest(file, "sha256").digest())
+                    total.update(hashlib.file_digest(file, "sha256").digest())
             elif each is path:
                 return ""
     except OSError:
         return ""
-    return whole.hexdigest()
+    return total.hexdigest()

@@ -1,12 +1,13 @@
 """Tables of cases: a row for each study or image to solve, with sweeps over its numbers.
 
-The columns are the words of ``napari-hmrf solve`` (``image`` or ``study``, ``labels``, ``maps``,
+The columns are the options of ``napari-hmrf solve`` (``image`` or ``study``, ``labels``, ``maps``,
 ``materials``, ``boundary``, ``rules``, ``forward``, ``confidence``, ``slice``, ``hold-edge``,
 ``model``, ``plane``, ``tolerance``, ``penalty``, ``weight``), the ``name`` of the case, and numbers
-that replace those of its files: ``poisson``, ``growth:TISSUE``,
-``stiffness:TISSUE``, ``poisson:TISSUE`` and ``amount:BOUNDARY``, by label or by name. Paths are
-relative to the table. A cell with several values, separated by semicolons, gives one case for each;
-``slice`` also takes ``3-7`` and ``all``, for example for the time points of a film.
+that replace those of its files: ``poisson``, ``growth:TISSUE``, ``stiffness:TISSUE``,
+``poisson:TISSUE`` and ``amount:BOUNDARY``, where a tissue or boundary is given by label or by name.
+Paths are relative to the table. A cell with several values, separated by semicolons, gives one case
+for each value; ``slice`` also accepts ``3-7`` and ``all``, for example for the time points of a
+film.
 """
 
 from __future__ import annotations
@@ -33,18 +34,18 @@ from napari_hmrf.solver.priors.elastic import Plane
 #: Largest size of a table, in bytes; a larger file is not read.
 _LARGEST = 2**24
 _FILES = "image", "labels", "materials", "boundary", "rules", "confidence"
-_ENERGY = "plane", "tolerance", "penalty", "weight"
+_ENERGY_OPTIONS = "plane", "tolerance", "penalty", "weight"
 _COLUMNS = (
     *("name", "study", *_FILES, "maps", "forward", "slice", "hold-edge", "model", "poisson"),
-    *_ENERGY,
+    *_ENERGY_OPTIONS,
 )
-#: Columns in which several values give one case each.
-_SEVERAL = ("slice", "model", "poisson", *_ENERGY)
-_SWEEPS = (*OF_TISSUES, *OF_BOUNDARIES)
+#: Columns that may hold several values; each value gives one case.
+_SWEPT = ("slice", "model", "poisson", *_ENERGY_OPTIONS)
+_NUMBERS = (*OF_TISSUES, *OF_BOUNDARIES)
 #: Characters that are not allowed in the name of a case.
 _FORBIDDEN = re.compile(r'[\\/:*?"<>|\0-\x1f]')
-#: Characters that are not plain in shells, tables and tools; they are replaced by "_".
-_STRANGE = re.compile(r"[^\w.-]+")
+#: Characters that shells and other tools may treat specially; they are replaced by "_".
+_SPECIAL = re.compile(r"[^\w.-]+")
 #: Reserved names: files of a batch, and device names of Windows.
 _RESERVED = {"summary.csv", *("con", "prn", "aux", "nul")} | {
     f"{port}{number}" for port in ("com", "lpt") for number in range(10)
@@ -64,7 +65,7 @@ class NamedCase:
     changes : tuple of Change
         Numbers that replace those of the case's files.
     cells : mapping of str to str
-        Cells of the row; a changed row is recognised by them.
+        Cells of the row, by column title; they show whether the row has changed since a solve.
     """
 
     name: str
@@ -74,27 +75,27 @@ class NamedCase:
 
     @property
     def parameters(self) -> dict[str, str]:
-        """Slice and numbers of the case that a table may sweep over, as text by column title."""
-        found = {} if self.case.slice is None else {"slice": str(self.case.slice)}
+        """Swept parameters of the case: its slice and numbers, as text by column title."""
+        values = {} if self.case.slice is None else {"slice": str(self.case.slice)}
         for option in ("plane", "tolerance", "penalty"):
             if (value := getattr(self.case, option)) is not None:
-                found[option] = f"{value:g}" if isinstance(value, float) else str(value)
+                values[option] = f"{value:g}" if isinstance(value, float) else str(value)
         if self.case.weight:
-            found["weight"] = "/".join(f"{part:g}" for part in self.case.weight)
+            values["weight"] = "/".join(f"{part:g}" for part in self.case.weight)
         for change in self.changes:
             title = f"{change.what}:{change.of}" if change.of else change.what
             parts = change.value if isinstance(change.value, tuple) else (change.value,)
             words = (as_word(part) if isinstance(part, str) else f"{part:g}" for part in parts)
-            found[title] = "/".join(words)
-        return found
+            values[title] = "/".join(words)
+        return values
 
     @property
     def inputs(self) -> tuple[Path, ...]:
         """Files and folders from which the case is read."""
         case = self.case
         named = (case.image, case.labels, case.materials, case.boundary, case.rules, *case.maps)
-        sure = (case.confidence,) if isinstance(case.confidence, Path) else ()
-        return tuple(path for path in (*named, *sure) if path is not None)
+        confidence = (case.confidence,) if isinstance(case.confidence, Path) else ()
+        return tuple(path for path in (*named, *confidence) if path is not None)
 
 
 def read_cases(path: str | os.PathLike[str]) -> tuple[NamedCase, ...]:
@@ -103,7 +104,7 @@ def read_cases(path: str | os.PathLike[str]) -> tuple[NamedCase, ...]:
     Parameters
     ----------
     path : str or path-like
-        A .csv.
+        A .csv file.
 
     Returns
     -------
@@ -113,8 +114,7 @@ def read_cases(path: str | os.PathLike[str]) -> tuple[NamedCase, ...]:
     Raises
     ------
     FileFormatError
-        Naming the row and its error. Whether the listed files exist, and their content, is checked
-        only when a case is solved.
+        Naming the row and its error. The listed files are checked only when a case is solved.
     OSError
         If the table cannot be opened.
     """
@@ -126,12 +126,12 @@ def read_cases(path: str | os.PathLike[str]) -> tuple[NamedCase, ...]:
             folder = case.name.casefold()  # some file systems ignore case
             if folder in cases:
                 raise FileFormatError(
-                    f"{where}: there is a case {cases[folder].name!r} already. Give each a name of "
-                    "its own."
+                    f"{where}: there is already a case {cases[folder].name!r}. Give each case a "
+                    "different name."
                 )
             cases[folder] = case
     if not cases:
-        raise FileFormatError(f"{source.name} has no line below the names of its columns.")
+        raise FileFormatError(f"{source.name} has no line below the column titles. Add a case.")
     return tuple(cases.values())
 
 
@@ -142,11 +142,13 @@ def _titles(file: str) -> Callable[[list[str], int], list[str]]:
         titles = [_title(cell) for cell in written]
         for title in filter(None, titles):
             kind, _, of = title.partition(":")
-            if not (title in _COLUMNS or (kind in _SWEEPS and of)):
-                raise unknown_column(file, line, title, [*_COLUMNS, *map(_sweep_of_named, _SWEEPS)])
+            if not (title in _COLUMNS or (kind in _NUMBERS and of)):
+                raise unknown_column(
+                    file, line, title, [*_COLUMNS, *map(_sweep_of_named, _NUMBERS)]
+                )
         if not {"image", "study"} & set(titles):
             raise FileFormatError(
-                f"{file}: line {line} lacks the column 'image'. It names the columns, with "
+                f"{file}: line {line} lacks the column 'image'. Give the column titles, with "
                 f"commas between them: {', '.join(_COLUMNS)}."
             )
         return titles
@@ -161,7 +163,7 @@ def read_energy(name: str, text: str) -> Any:
     ----------
     name : {"plane", "tolerance", "penalty", "weight"}
     text : str
-        As typed in a shell or in a table; a weight has slashes between its parts.
+        As typed in a shell or in a table; slashes separate the components of a weight.
 
     Raises
     ------
@@ -186,12 +188,12 @@ def read_energy(name: str, text: str) -> Any:
 
 
 def _sweep_of_named(kind: str) -> str:
-    """Return the title of a sweep over one tissue or boundary, as shown in messages."""
+    """Return the title of a column for one tissue or boundary, as shown in messages."""
     return f"{kind}:NAME"
 
 
 def _title(cell: str) -> str:
-    """Return a normalised title; the name that follows a colon keeps its case."""
+    """Return a normalised column title; a name after a colon keeps its upper and lower case."""
     kind, colon, of = cell.partition(":")
     return f"{kind.strip().casefold().replace('_', '-')}{colon}{of.strip()}"
 
@@ -200,28 +202,28 @@ def _cases_of(cells: dict[str, str], folder: Path, where: str) -> Iterator[Named
     """Yield the cases of a row: one for each combination of the swept values."""
     image = cells.get("image") or cells.get("study")
     if image is None or ("image" in cells and "study" in cells):
-        raise FileFormatError(f"{where}: give an image, or a study.")
-    swept = {title: text for title, text in cells.items() if ":" in title or title in _SEVERAL}
+        raise FileFormatError(f"{where}: give either an image or a study.")
+    swept = {title: text for title, text in cells.items() if ":" in title or title in _SWEPT}
     values = {title: _values(title, text, folder / image) for title, text in swept.items()}
-    # A row without a name is named after all its numbers, as other rows may use the same image.
-    told = [title for title in values if "name" not in cells or len(values[title]) > 1]
+    # Other rows may use the same image, so a row without a name is named after all its values.
+    named_after = [title for title in values if "name" not in cells or len(values[title]) > 1]
     for chosen in product(*values.values()):
-        here = dict(zip(values, chosen, strict=True))
-        own = cells.get("name", Path(image).name.partition(".")[0])
-        if not own or _FORBIDDEN.search(own) or own[0] in ".-" or own[-1] == ".":
-            raise FileFormatError(f"{where}: {own!r} is no name for a folder. Give another name.")
-        parts = [own, *(f"{title}-{here[title]}" for title in told)]
-        name = "_".join(_plain(part) for part in parts)
-        if name.casefold() in _RESERVED:
+        chosen_values = dict(zip(values, chosen, strict=True))
+        base = cells.get("name", Path(image).name.partition(".")[0])
+        if not base or _FORBIDDEN.search(base) or base[0] in ".-" or base[-1] == ".":
             raise FileFormatError(
-                f"{where}: {name!r} is the name of another file. Give another name."
+                f"{where}: {base!r} is not a valid folder name. Give another name."
             )
-        yield _named_case(name, {**cells, **here}, folder, where)
+        parts = [base, *(f"{title}-{chosen_values[title]}" for title in named_after)]
+        name = "_".join(_plain_name(part) for part in parts)
+        if name.casefold() in _RESERVED:
+            raise FileFormatError(f"{where}: {name!r} is a reserved file name. Give another name.")
+        yield _named_case(name, {**cells, **chosen_values}, folder, where)
 
 
-def _plain(text: str) -> str:
-    """Return text as part of a folder name that needs no quoting in any shell."""
-    return _STRANGE.sub("_", text.replace(":", "-")).strip("_") or "_"
+def _plain_name(text: str) -> str:
+    """Return text for a folder name, without characters that need quoting in a shell."""
+    return _SPECIAL.sub("_", text.replace(":", "-")).strip("_") or "_"
 
 
 def _values(title: str, text: str, image: Path) -> list[str]:
@@ -229,19 +231,19 @@ def _values(title: str, text: str, image: Path) -> list[str]:
     parts = [part.strip() for part in text.split(";") if part.strip()]
     if title != "slice":
         return parts or [text]
-    found: list[str] = []
+    values: list[str] = []
     for part in parts:
         if part.casefold() == "all":
-            found += map(str, range(_slices(image)))
+            values += map(str, range(_slices(image)))
         elif ends := re.fullmatch(r"(\d+)\s*-\s*(\d+)", part):
-            found += map(str, range(int(ends[1]), int(ends[2]) + 1))
+            values += map(str, range(int(ends[1]), int(ends[2]) + 1))
         else:
-            found.append(part)
-    return found or [text]
+            values.append(part)
+    return values or [text]
 
 
 def _slices(image: Path) -> int:
-    """Return the number of slices of an image, or 1 if unreadable: solving it reports the error."""
+    """Return the number of slices of an image; 1 if unreadable, as the solve reports the error."""
     try:
         file = read_image(image)
     except (HmrfError, OSError):
@@ -260,11 +262,11 @@ def _named_case(name: str, cells: dict[str, str], folder: Path, where: str) -> N
         files["confidence"] = "edges"
     if maps := cells.get("maps"):
         files["maps"] = tuple(folder / each.strip() for each in maps.split(";"))
-    ticked = {title: cells.get(title, "").casefold() for title in ("hold-edge", "forward")}
-    for title, said in ticked.items():
-        if said not in (*_YES, *_NO):
+    flags = {title: cells.get(title, "").casefold() for title in ("hold-edge", "forward")}
+    for title, text in flags.items():
+        if text not in (*_YES, *_NO):
             raise refuse(title, "yes or no")
-    for title in _ENERGY:
+    for title in _ENERGY_OPTIONS:
         if title in cells:
             try:
                 files[title] = read_energy(title, cells[title])
@@ -276,8 +278,8 @@ def _named_case(name: str, cells: dict[str, str], folder: Path, where: str) -> N
     case = Case(
         **files,
         slice=None if number is None else int(number),
-        hold_edge=ticked["hold-edge"] in _YES,
-        forward=ticked["forward"] in _YES,
+        hold_edge=flags["hold-edge"] in _YES,
+        forward=flags["forward"] in _YES,
     )
     changes: list[Change] = []
     for title in cells:
@@ -287,7 +289,7 @@ def _named_case(name: str, cells: dict[str, str], folder: Path, where: str) -> N
             if model is None:
                 raise refuse(title, ", ".join(MODELS))
             changes.insert(0, Change("model", model))
-        elif title == "poisson" or kind in _SWEEPS:
+        elif title == "poisson" or kind in _NUMBERS:
             try:
                 changes.append(Change(kind, value_of(kind, cells[title]), of))
             except ValueError as error:

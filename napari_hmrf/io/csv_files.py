@@ -14,6 +14,7 @@ from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.regular_file import read_at_most
 
+#: Ending of the files.
 ENDING = ".csv"
 #: First characters by which a spreadsheet recognises a formula.
 _FORMULA = "=+-@\t\r"
@@ -43,15 +44,15 @@ SYNONYMS = {
 
 
 class CsvFile(NamedTuple):
-    """Content of a file.
+    """Content of a .csv file.
 
     Attributes
     ----------
     titles : list of str
         Titles of the columns; "" for a column without a title.
     lines : list of (int, dict)
-        Number of each line, and its non-empty cells by title. Lines without such a cell are left
-        out.
+        Number of each line, and its non-empty cells by title. Lines with empty cells only are
+        left out.
     """
 
     titles: list[str]
@@ -59,14 +60,14 @@ class CsvFile(NamedTuple):
 
 
 def text_of(path: Path, largest: int) -> str:
-    """Read a file as text.
+    """Read a file as text, with the line ends of Unix.
 
     Raises
     ------
     FileFormatError
-        If it is larger than `largest` bytes, or is not in UTF-8.
+        If the file is larger than `largest` bytes, or is not UTF-8.
     OSError
-        If it cannot be opened.
+        If the file cannot be opened.
     """
     content = read_at_most(path, largest)
     if content is None:
@@ -75,31 +76,34 @@ def text_of(path: Path, largest: int) -> str:
         return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError:
         raise FileFormatError(
-            f"{path.name} is no text in UTF-8. Give a table of text, such as a .csv."
+            f"{path.name} is not text in UTF-8. Give a table as text, such as a .csv."
         ) from None
 
 
 def read_cells(path: Path, largest: int) -> list[tuple[int, list[str]]]:
-    """Read the number of each line, and its cells stripped of spaces.
+    """Read the number of each line, and its cells without surrounding spaces.
 
     Raises
     ------
     FileFormatError
-        If it is larger than `largest` bytes, or is no comma-separated text in UTF-8.
+        If the file is larger than `largest` bytes, or is not comma-separated text in UTF-8.
     OSError
-        If it cannot be opened.
+        If the file cannot be opened.
     """
     reader = csv.reader(io.StringIO(text_of(path, largest)), skipinitialspace=True)
     try:
-        return [(reader.line_num, [_as_meant(cell.strip()) for cell in cells]) for cells in reader]
+        return [
+            (reader.line_num, [_without_apostrophe(cell.strip()) for cell in cells])
+            for cells in reader
+        ]
     except csv.Error:
-        raise FileFormatError(f"{path.name} is no table of comma-separated text.") from None
+        raise FileFormatError(f"{path.name} is not a table of comma-separated text.") from None
 
 
 def unknown_column(
     file: str, line: int, title: str, known: Sequence[str], others: Mapping[str, str] | None = None
 ) -> FileFormatError:
-    """Return the error for a column without a meaning.
+    """Return the error for an unknown column.
 
     Parameters
     ----------
@@ -110,15 +114,15 @@ def unknown_column(
     title : str
         The title as written.
     known : sequence of str
-        Titles with a meaning.
+        Titles of the table's columns.
     others : mapping of str to str, optional
-        Kinds of tables that have other columns, by column title.
+        Columns of other kinds of tables: the kind by column title.
     """
     for separator, name in ((";", "semicolons"), ("\t", "tabs")):
         if separator in title:
             return FileFormatError(
-                f"{file}: line {line}: there are {name} between its cells. Save it with commas "
-                "between them."
+                f"{file}: line {line}: the cells are separated by {name}. Save the table with "
+                "commas between the cells."
             )
     hint = did_you_mean(title, known, SYNONYMS)
     if title in (others or {}):
@@ -135,13 +139,13 @@ def read_csv(
     largest: int,
     check: Callable[[list[str], int], list[str]] = lambda titles, line: titles,
 ) -> CsvFile:
-    """Read a file whose first line with text names its columns.
+    """Read a .csv file whose first non-empty line has the titles of the columns.
 
     Parameters
     ----------
     path : Path
     largest : int
-        In bytes.
+        Largest size of the file, in bytes.
     check : callable
         Called with the titles as written and the number of their line. Raises if a title is unknown
         or missing, and returns the normalised titles.
@@ -149,13 +153,13 @@ def read_csv(
     Raises
     ------
     FileFormatError
-        If it is no such file, has a column twice, or has a line with more cells than columns.
+        If the file is not a table, has a column twice, or has a line with more cells than columns.
     OSError
-        If it cannot be opened.
+        If the file cannot be opened.
     """
     rows = [(number, cells) for number, cells in read_cells(path, largest) if any(cells)]
-    line, written = rows[0] if rows else (1, [])
-    titles = check(written, line)
+    line, raw_titles = rows[0] if rows else (1, [])
+    titles = check(raw_titles, line)
     for title in filter(None, titles):
         if titles.count(title) > 1:
             raise FileFormatError(f"{path.name} has two columns {title!r}. Remove one of them.")
@@ -164,7 +168,7 @@ def read_csv(
         if any(cells[len(titles) :]):
             raise FileFormatError(
                 f"{path.name}: line {number} has more cells than there are columns. Write decimals "
-                "with a point, and text that holds a comma in quotation marks."
+                "with a point, and put text with a comma in quotation marks."
             )
         filled = {name: cell for name, cell in zip(titles, cells, strict=False) if name and cell}
         if filled:
@@ -181,46 +185,46 @@ def write_csv(
 ) -> Path:
     """Write rows under titles, atomically; None leaves a cell empty.
 
-    Text that a spreadsheet would take for a formula gets an apostrophe in front, which `read_cells`
-    removes again. Numbers stay numbers.
+    Text that a spreadsheet would read as a formula is written with a leading apostrophe, which
+    `read_cells` removes. Numbers stay numbers.
 
     Parameters
     ----------
     path : str or path-like
     titles : sequence of str
     rows : iterable of iterables
-        A cell for each title.
+        Cells of each row, one for each title.
     what : str
         Kind of content, for errors.
 
     Raises
     ------
     FileFormatError
-        If its name does not end in .csv.
+        If the name does not end in .csv.
     OSError
-        If it cannot be written.
+        If the file cannot be written.
     """
     target = Path(checked_path(path))
     if target.suffix.lower() != ENDING:
         raise FileFormatError(
-            f"{target.name}: {what} are saved as comma-separated text. End its name in {ENDING}."
+            f"{target.name}: {what} are saved as comma-separated text. End the name in {ENDING}."
         )
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
-    writer.writerow([_as_text(title) for title in titles])
-    writer.writerows([_as_text(cell) for cell in row] for row in rows)
+    writer.writerow([_with_apostrophe(title) for title in titles])
+    writer.writerows([_with_apostrophe(cell) for cell in row] for row in rows)
     write_whole(target, file.getvalue().encode())
     return target
 
 
-def _as_text(cell: Any) -> Any:
-    """Return a cell that no spreadsheet takes for a formula."""
+def _with_apostrophe(cell: Any) -> Any:
+    """Return a cell in a form that no spreadsheet reads as a formula."""
     if not isinstance(cell, str) or not cell.startswith((*_FORMULA, "'")) or _is_number(cell):
         return cell
-    return f"'{cell}" if _as_meant(f"'{cell}") == cell else cell
+    return f"'{cell}" if _without_apostrophe(f"'{cell}") == cell else cell
 
 
-def _as_meant(cell: str) -> str:
+def _without_apostrophe(cell: str) -> str:
     """Return a cell without the apostrophe that marks it as text."""
     rest = cell.lstrip("'")
     marked = cell.startswith("'") and rest.startswith((*_FORMULA,)) and not _is_number(rest)

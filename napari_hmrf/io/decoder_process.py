@@ -1,8 +1,8 @@
-"""Client of the decoder process: starts it, sends requests, and ends it when it hangs.
+"""Client of the decoder process: starts it, sends requests, and kills it when it hangs.
 
-A damaged file can crash the libraries that decode it, or keep them busy for ever, and HDF5 does not
-recover from a full disk. They run in another process (`itk_decoder`), which serves one request
-after the other and is restarted when a file has ended it.
+A damaged file can crash the libraries that decode it, or make them hang, and HDF5 does not recover
+from a full disk. The libraries therefore run in another process (`itk_decoder`), which serves one
+request at a time and is started again after a crash.
 """
 
 from __future__ import annotations
@@ -30,30 +30,30 @@ from napari_hmrf.io import itk_decoder
 
 #: Processor seconds for any file, however small.
 _LEAST_SECONDS = 0.4
-#: Processor seconds for each MB, so that a large file on a slow machine is never refused.
+#: Processor seconds per MB; generous, so that a large file on a slow machine is not refused.
 _SECONDS_PER_MB = 2.0
-#: Seconds for any file, and for each MB, on a disk or network that delays the decoder.
-_PATIENCE, _PATIENCE_PER_MB = 60.0, 5.0
+#: Elapsed seconds for any file, and per MB, on a slow disk or network.
+_LEAST_WAIT, _WAIT_PER_MB = 60.0, 5.0
 #: Memory for any file, in bytes, in addition to its largest expanded size.
 _LEAST_MEMORY = 512 * 2**20
-#: Copies of an expanded file that decoding holds at most.
+#: Largest number of copies of the expanded file in memory during decoding.
 _COPIES = 4
 #: Seconds between two checks of a busy decoder.
 _POLL = 0.05
-#: Parts of the names of programs that run a script; on macOS napari's Python is named "napari".
+#: Name parts of programs that can run a script; on macOS the Python of napari is named "napari".
 _INTERPRETERS = ("python", "pypy", "napari")
-#: Number of remembered files that ended a decoder; they are not tried again.
+#: Number of remembered files that were refused; they are not decoded again.
 _REMEMBERED = 32
 
 
 class Undecodable(Exception):
-    """Reason why a file is not decoded, as the end of a sentence; may be empty.
+    """A file was not decoded; the message is the reason, as the end of a sentence, or "".
 
     Parameters
     ----------
     reason : str
     fatal : bool
-        Whether the file ended the decoder.
+        True if the file crashed the decoder, or the decoder was killed because of it.
     """
 
     def __init__(self, reason: str, *, fatal: bool = False) -> None:
@@ -75,7 +75,7 @@ class _Watch:
         self.reason = ""
         self._process = process
         self._seconds = seconds
-        self._patience = _PATIENCE + _PATIENCE_PER_MB * size / 1e6
+        self._most_wait = _LEAST_WAIT + _WAIT_PER_MB * size / 1e6
         self._memory = _LEAST_MEMORY + _COPIES * itk_decoder.MOST_PACKED * size
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -96,8 +96,8 @@ class _Watch:
                 if used - before > self._seconds:
                     self.reason = "decoding it did not finish, so it is probably damaged"
                 elif decoder.memory_info().rss > self._memory:
-                    self.reason = "decoding it takes more memory than a file of its size should"
-                elif time.monotonic() - started > self._patience:
+                    self.reason = "decoding it needs more memory than a file of its size should"
+                elif time.monotonic() - started > self._most_wait:
                     self.reason = "its disk does not answer"
                 if self.reason:
                     self._process.kill()
@@ -125,7 +125,7 @@ class DecoderProcess:
         kind : {"head", "pixels", "series"}
             The header alone, the image, or the only series of a folder of DICOM files.
         vectors : bool
-            Whether a transform is read, as the field that it holds.
+            True to read a transform as the field that it holds.
 
         Raises
         ------
@@ -136,8 +136,8 @@ class DecoderProcess:
         OSError
             If the file does not exist.
         """
-        known, size = source.stat(), _bytes_in(source)
-        identity = (str(source), known.st_ino, known.st_mtime_ns, known.st_size, vectors)
+        status, size = source.stat(), _bytes_in(source)
+        identity = (str(source), status.st_ino, status.st_mtime_ns, status.st_size, vectors)
         with self._lock:
             if identity in self._refusals:
                 raise self._refusals[identity].with_traceback(None)
@@ -145,7 +145,7 @@ class DecoderProcess:
             path = os.path.abspath(source)
             request = {"path": path, "kind": kind, "vectors": vectors, "seconds": seconds}
             try:
-                return self._ask(request, size)
+                return self._send_request(request, size)
             except Undecodable as error:
                 self._refusals[identity] = error
                 if len(self._refusals) > _REMEMBERED:
@@ -164,12 +164,12 @@ class DecoderProcess:
             Components, spacing, origin, direction and metadata, as in `Decoded`.
         pixels : ndarray
         vectors : bool
-            Whether a transform is written.
+            True to write a transform.
 
         Raises
         ------
         Undecodable
-            If SimpleITK cannot write such pixels, or the disk is full; SimpleITK gives no reason.
+            If SimpleITK cannot write such pixels, or the disk is full; the reason is unknown.
         HmrfError
             As for `decode`.
         """
@@ -184,40 +184,40 @@ class DecoderProcess:
             "seconds": _LEAST_SECONDS + _SECONDS_PER_MB * values.nbytes / 1e6,
         }
         with self._lock:
-            self._ask(request, values.nbytes, values)
+            self._send_request(request, values.nbytes, values)
 
     def kill(self) -> None:
-        """Kill the decoder at once, even while it serves another thread."""
+        """Kill the decoder immediately, even during a request of another thread."""
         process = self._process
         if process is not None:
             process.kill()
             process.wait()
-        if self._lock.acquire(blocking=False):  # otherwise its thread detects the end
+        if self._lock.acquire(blocking=False):  # otherwise the requesting thread detects the end
             try:
                 self._end()
             finally:
                 self._lock.release()
 
     def forget_after_fork(self) -> None:
-        """Leave the decoder to the parent process, in a forked child."""
+        """Drop the decoder in a forked child, because it belongs to the parent process."""
         process = self._process
         if process is not None:
-            process.returncode = 0  # the decoder is no child of this process
+            process.returncode = 0  # the decoder is not a child of this process
             for stream in (process.stdin, process.stdout):
                 with suppress(OSError):
                     if stream is not None:
                         os.close(stream.fileno())
         self._reset()
 
-    def _ask(
+    def _send_request(
         self, request: dict[str, Any], size: int, pixels: npt.NDArray[Any] | None = None
     ) -> Decoded:
-        for fresh in (self._process is None, True):
+        for is_fresh in (self._process is None, True):
             process = self._running()
             watch = _Watch(process, request["seconds"], size)
             try:
                 answer = _exchange(process, request, size, pixels)
-            except BaseException:  # the rest of the answer is useless
+            except BaseException:  # the rest of the answer cannot be read
                 process.kill()
                 self._end()
                 raise
@@ -231,16 +231,16 @@ class DecoderProcess:
             self._end()
             if watch.reason:
                 raise Undecodable(watch.reason, fatal=True)
-            if code or fresh:
+            if code or is_fresh:
                 raise Undecodable("decoding it crashes, so it is probably damaged", fatal=True)
-            # An idle decoder exited while the request was on its way.
-        raise AssertionError("a fresh decoder answers or fails")
+            # An idle decoder exited before it received the request.
+        raise AssertionError("a new decoder either answers or raises an error")
 
     def _running(self) -> subprocess.Popen[bytes]:
         process = self._process
         if process is None or process.poll() is not None:
             self._end()
-            process = self._process = _started()
+            process = self._process = _start_decoder()
         return process
 
     def _end(self) -> None:
@@ -254,33 +254,39 @@ class DecoderProcess:
 
 
 def _bytes_in(source: Path) -> int:
-    """Return the size of a file; for a file in parts, that of the largest file in its folder."""
-    parted = source.suffix.lower() in itk_decoder.PARTED
-    if not (source.is_dir() or parted):
+    """Return the size of a file in bytes.
+
+    For a header with separate pixels it is the size of the largest file in the folder; for a
+    folder, that of all its files.
+    """
+    is_parted = source.suffix.lower() in itk_decoder.PARTED
+    if not (source.is_dir() or is_parted):
         return source.stat().st_size
-    folder = source.parent if parted else source
+    folder = source.parent if is_parted else source
     sizes = [file.stat().st_size for file in folder.iterdir() if file.is_file()]
-    return max(sizes, default=0) if parted else sum(sizes)
+    return max(sizes, default=0) if is_parted else sum(sizes)
 
 
-def _python() -> str:
-    """Return a Python that can run a script; the executable of a bundled program may not."""
+def _find_python() -> str:
+    """Return the path of a Python; the executable of a bundled program may not run scripts."""
     names = ("python.exe", "python3.exe") if os.name == "nt" else ("python3", "python")
     folders = [Path(sys.prefix), Path(sys.exec_prefix)]
-    found = [] if getattr(sys, "frozen", False) else [Path(sys.executable or "")]
-    found += [folder / part / name for folder in folders for part in (".", "bin") for name in names]
-    for each in found:
-        if each.is_file() and any(word in each.name.lower() for word in _INTERPRETERS):
-            return str(each)
+    candidates = [] if getattr(sys, "frozen", False) else [Path(sys.executable or "")]
+    candidates += [
+        folder / part / name for folder in folders for part in (".", "bin") for name in names
+    ]
+    for candidate in candidates:
+        if candidate.is_file() and any(word in candidate.name.lower() for word in _INTERPRETERS):
+            return str(candidate)
     raise HmrfError(
-        "This file is read in a process of its own, but this program comes without a Python that "
-        "could be started. Read it in a Python that has one."
+        "this file is read in a separate process, but no Python was found that can run it. Read "
+        "the file in an environment with a Python interpreter."
     )
 
 
-def _started() -> subprocess.Popen[bytes]:
+def _start_decoder() -> subprocess.Popen[bytes]:
     """Start a decoder and wait until it is ready."""
-    command = [_python(), "-I", itk_decoder.__file__]
+    command = [_find_python(), "-I", itk_decoder.__file__]
     try:
         process = subprocess.Popen(
             command,
@@ -291,7 +297,7 @@ def _started() -> subprocess.Popen[bytes]:
         )
     except OSError as error:
         raise HmrfError(
-            f"This file is read in a process of its own, which cannot be started: {error.strerror}."
+            f"this file is read in a separate process, which cannot be started: {error.strerror}."
         ) from error
     try:
         answer = _exchange(process, [os.path.abspath(each) for each in sys.path], 0)
@@ -304,12 +310,12 @@ def _started() -> subprocess.Popen[bytes]:
         process.wait()
         if answer is not None:
             raise missing_simpleitk()
-        raise HmrfError("This file is read in a process of its own, which ends as it starts.")
+        raise HmrfError("this file is read in a separate process, which ended while starting.")
     return process
 
 
 def missing_simpleitk() -> HmrfError:
-    """Return the error that says how to install SimpleITK."""
+    """Return the error for a missing SimpleITK, with the command that installs it."""
     return HmrfError(
         "medical files are read and written by SimpleITK, which is not installed: "
         f"{how_to_install('medical')}."
@@ -342,12 +348,12 @@ def _exchange(
     if math.prod(shape) * kind.itemsize > itk_decoder.MOST_PACKED * max(size, 1):
         raise Undecodable("it claims more pixels than it holds")
     pixels = np.empty(shape, kind)
-    left = memoryview(pixels.data).cast("B") if pixels.size else memoryview(b"")
-    while left:
-        count = process.stdout.readinto(left)  # type: ignore[attr-defined]
+    rest = memoryview(pixels.data).cast("B") if pixels.size else memoryview(b"")
+    while rest:
+        count = process.stdout.readinto(rest)  # type: ignore[attr-defined]
         if not count:
             return None
-        left = left[count:]
+        rest = rest[count:]
     return Decoded(header, pixels)
 
 

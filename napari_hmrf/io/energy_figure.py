@@ -1,4 +1,4 @@
-"""The mean energy after each sweep, coarse to fine, or after each cycle over all levels."""
+"""Plot of the mean energy after each sweep or multigrid cycle."""
 
 from __future__ import annotations
 
@@ -13,12 +13,15 @@ _LINE = "#4ea6dc"
 
 
 def draw_energy(axes: Any, solution: Solution) -> None:
-    """Draw a solution's energies, with a line where each level begins.
+    """Draw the mean energy of a solution after each iteration.
+
+    The energies of the paper's schedule are drawn over the sweeps, with a line where each level
+    begins; those of multigrid over its cycles, with the estimated error as the title.
 
     Parameters
     ----------
     axes : matplotlib.axes.Axes
-        Empty.
+        Empty axes.
     solution : Solution
     """
     axes.set_ylabel("mean energy (px²)")
@@ -31,8 +34,8 @@ def draw_energy(axes: Any, solution: Solution) -> None:
 
 
 def _draw_cycles(axes: Any, solution: Solution) -> None:
-    """Cycles go over all levels, and there are few: a point for each, and how near they led."""
-    # No energy leads to where the centred update ends: of that, the last is all that is known.
+    """Draw a point for each cycle over all levels, and the estimated error as the title."""
+    # The centred update records only its last energy, so only that point is drawn.
     energy = solution.energy
     cycles = np.arange(1, len(energy) + 1)
     known = slice(-1, None) if (energy == energy[-1]).all() else slice(None)
@@ -53,7 +56,7 @@ def _draw_levels(axes: Any, solution: Solution) -> None:
     begin, above = 0, axes.get_xaxis_transform()
     for level in solution.levels:
         axes.axvline(begin + 0.5, color="black", alpha=0.25, linewidth=0.6)
-        # Narrow levels get a line but no words.
+        # The number of a narrow level would overlap those of its neighbours.
         if level.iterations >= 0.07 * count:
             middle = begin + level.iterations / 2
             place = {"transform": above, "ha": "center", "va": "bottom"}

@@ -1,11 +1,11 @@
 """Displacement fields in files of other tools: NIfTI, MetaImage, NRRD, and ITK's HDF5.
 
 All of them follow ITK's convention: at each point P of the moved image, the vector u(P) leads back
-to P + u(P), the origin of the tissue seen at P. Vectors are in millimetres along the physical axes
-left, posterior, superior (LPS), not along the image's own. ITK's tools assume no motion outside the
-grid of a field.
+to P + u(P), the original position of the tissue seen at P. Vectors are in millimetres along the
+physical axes left, posterior, superior (LPS), not along the axes of the image. ITK's tools assume
+no motion outside the grid of a field.
 
-SimpleITK reads and writes the files; it is in the extra ``medical``.
+SimpleITK, in the extra ``medical``, reads and writes the files.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ from napari_hmrf.study.study import Grid
 #: Endings of the files that a field can be written to.
 FIELD_SUFFIXES = (".nii.gz", ".nii", ".mha", ".nrrd", ".h5")
 #: Slicer's key for the direction of a field, and its values for backward and forward.
-_SLICER, _BACK, _FORTH = "displacement field type", "resampling", "modeling"
-#: NIfTI has no keys, only a free text: its name as ITK writes it, and as ITK reads it.
+_SLICER, _BACKWARD, _FORWARD = "displacement field type", "resampling", "modeling"
+#: Name of NIfTI's free text, which replaces such keys, as ITK writes and as ITK reads it.
 _NOTES, _DESCRIPTION = "ITK_FileNotes", "descrip"
 _NIFTI = (".nii", ".nii.gz")
-#: Format without such metadata: all tools assume that its fields lead backward.
-_MUTE = ".h5"
+#: Format without such metadata: all tools assume that it holds a backward field.
+_NO_METADATA = ".h5"
 #: Relative tolerance within which spacings agree.
 _SAME_SPACING = 1e-4
 #: Largest deviation of a direction matrix from a rotation.
@@ -56,13 +56,13 @@ _ROUNDING = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A displacement field and where its grid lies.
+    """A displacement field and the place of its grid.
 
     Attributes
     ----------
     displacement : ndarray, shape (H, W, 2) or (D, H, W, 3), float64
-        Material: tissue at X moves to X + d(X). Components in the order of the axes, in mm along
-        them. A field that the file stores backward is inverted on first access.
+        Material displacement: tissue at X moves to X + d(X). Components in the order of the axes,
+        in mm along them. A field that the file stores backward is inverted on first access.
     residual : float
         Largest deviation, in pixels, of `displacement` from the exact inverse of the stored field;
         0 if the file stores the forward field.
@@ -73,7 +73,7 @@ class Field:
     origin : tuple of float, shape (n,)
         Middle of the first pixel, in mm, in ITK's convention: x, y[, z] in LPS.
     direction : ndarray, shape (n, n)
-        ITK's convention: its columns are the directions of the image's x, y[ and z].
+        In ITK's convention: the columns are the directions of the image's axes x, y[, z].
     """
 
     field: DisplacementField
@@ -112,9 +112,9 @@ def write_field(
 ) -> float:
     """Write a displacement field that ITK, SimpleITK, ANTs, elastix and Slicer read.
 
-    A field of one slice with three spacings lies in a volume. As .nii.gz it is written three times,
-    one above the other, because no tool reads a NIfTI field of one slice correctly; the other
-    formats hold the single slice.
+    A field of one slice with three spacings lies in a volume. As NIfTI it is written as three equal
+    slices, because no tool reads a NIfTI field of one slice correctly; the other formats hold the
+    single slice.
 
     Parameters
     ----------
@@ -122,19 +122,19 @@ def write_field(
         Ends in one of `FIELD_SUFFIXES`. An earlier file stays until the new one is complete. The
         file carries a digest, by which `read_field` detects damage; other tools skip it.
     displacement : array_like, shape (H, W, 2) or (D, H, W, 3)
-        Material: tissue at X moves to X + d(X). Components in the order of the axes, in mm along
-        them, as `Solution.displacement` has them.
+        Material displacement: tissue at X moves to X + d(X). Components in the order of the axes,
+        in mm along them, as in `Solution.displacement`.
     spacing : sequence of float, shape (n,), or of 3 for a slice of a volume
-        In mm; [z,] y, x.
+        Size of a pixel in mm; [z,] y, x.
     origin : sequence of float, optional
-        Middle of the first pixel, in ITK's convention: x, y[, z] in LPS. By default 0.
+        Middle of the first pixel, in mm, in ITK's convention: x, y[, z] in LPS. By default 0.
     direction : array_like, shape (n, n), optional
-        In ITK's convention. By default along the axes.
+        Directions of the image's axes as columns, in ITK's convention. By default the identity.
     forward : bool
-        Whether the file maps the tissue's old position to its new one, as transforms of points do,
-        instead of the reverse, which moves images.
+        True to write the forward field, which maps old positions of tissue to new ones and moves
+        points. By default the backward field is written, which moves images.
     tissue : array_like of bool, shape ([D,] H, W), optional
-        The tissue that moves, used by the inversion; `Solution.tissue`.
+        Mask of the moving tissue for the inversion, such as `Solution.tissue`.
 
     Returns
     -------
@@ -147,7 +147,7 @@ def write_field(
         Naming the invalid input.
     FileFormatError
         If the name has no ending of a field file; or for a forward field as .h5, which cannot store
-        the direction and would be taken for a field that moves images.
+        the direction, so that other tools would read it as a backward field.
     HmrfError
         If SimpleITK is not installed.
     OSError
@@ -157,15 +157,15 @@ def write_field(
     suffix = next((each for each in FIELD_SUFFIXES if target.name.lower().endswith(each)), "")
     if not suffix:
         raise FileFormatError(
-            f"{target.name}: no field is written as such a file. End its name in one of "
+            f"{target.name}: fields are not written in such a format. End the name in one of "
             f"{', '.join(FIELD_SUFFIXES)}."
         )
-    if forward and suffix == _MUTE:
+    if forward and suffix == _NO_METADATA:
         raise FileFormatError(
-            f"{target.name}: such a file cannot say that it moves points, and would be read as a "
-            "field that moves images. End its name in .mha, .nrrd or .nii.gz."
+            f"{target.name}: this format does not store the direction of a field, so a forward "
+            "field would be read as a backward one. End the name in .mha, .nrrd or .nii.gz."
         )
-    _refuse_beside(target, suffix)
+    _refuse_ambiguous_name(target, suffix)
     require_simpleitk()
     d = as_field(displacement).astype(np.float64)
     n = d.shape[-1]
@@ -184,17 +184,17 @@ def write_field(
     if suffix in _NIFTI and len(back) == 1 and len(size) == 3:
         back = np.repeat(back, 3, axis=0)
         start = start - turn[:, 2] * size[0]
-    leads = _FORTH if forward else _BACK
-    told = {_NOTES: f"{_SLICER}: {leads}"} if suffix in _NIFTI else {_SLICER: leads}
+    field_type = _FORWARD if forward else _BACKWARD
+    metadata = {_NOTES: f"{_SLICER}: {field_type}"} if suffix in _NIFTI else {_SLICER: field_type}
     image = ItkImage(
         back[..., ::-1] @ turn.T,
         len(size),
         tuple(size[::-1].tolist()),
         tuple(start.tolist()),
         turn,
-        {} if suffix == _MUTE else told,
+        {} if suffix == _NO_METADATA else metadata,
     )
-    content = encode(target, image, suffix, transform=suffix == _MUTE, sealed=True)
+    content = encode(target, image, suffix, transform=suffix == _NO_METADATA, sealed=True)
     write_whole(target, content)
     return residual
 
@@ -205,10 +205,10 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
     Parameters
     ----------
     path : str or path-like
-        A file of vectors: .nii.gz, .mha, .mhd, .nrrd; or a transform of ITK that holds a field.
+        An image of vectors (.nii.gz, .mha, .mhd, .nrrd), or an ITK transform that holds a field.
     forward : bool
-        Whether the file stores the forward field. By default it is read as the backward field that
-        registrations write, and is inverted. A direction stored in the file, as in those of
+        True if the file stores the forward field. By default it is read as a backward field, as
+        registration tools write it, and is inverted. A direction stored in the file, as by
         `write_field` and in Slicer's .nrrd, takes precedence.
 
     Returns
@@ -218,7 +218,7 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
     Raises
     ------
     FileFormatError
-        If the file is no displacement field, or is damaged.
+        If the file is not a displacement field, or is damaged.
     HmrfError
         If SimpleITK is not installed.
     OSError
@@ -229,26 +229,26 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
         image = read_itk_vectors(source)
     except Unreadable as error:
         raise FileFormatError(_not_a_field(source, error)) from None
-    leads = _leads(image.told) or (_FORTH if forward else _BACK)
+    field_type = _stated_type(image.metadata) or (_FORWARD if forward else _BACKWARD)
     n, vectors = image.ndim, image.pixels
     if n not in (2, 3) or image.components != n:
         raise FileFormatError(
-            f"{source.name}: not a displacement field: {n} axes need {n} numbers for each pixel, "
-            f"and it has {image.components}. Give a field, a study or a saved result."
+            f"{source.name}: not a displacement field: {n} axes need {n} numbers per pixel, but "
+            f"the file has {image.components}. Give a field, a study or a saved result."
         )
     if vectors.dtype != np.float32:
         vectors = vectors.astype(np.float64)
     if not np.isfinite(vectors).all():
-        raise FileFormatError(f"{source.name}: it holds values that are not numbers.")
+        raise FileFormatError(f"{source.name}: the field holds NaN or infinite values.")
     along = (vectors @ image.direction.astype(vectors.dtype))[..., ::-1]
-    field = DisplacementField(along, image.spacing[::-1], back=leads != _FORTH)
+    field = DisplacementField(along, image.spacing[::-1], back=field_type != _FORWARD)
     return Field(field, image.origin, image.direction)
 
 
 def is_field_file(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file holds a displacement field, or a damaged one.
+    """Return whether a file holds a displacement field.
 
-    A damaged file counts, so that `read_field` reports the error. False if SimpleITK is not
+    Also True for a damaged file, so that `read_field` reports the error; False if SimpleITK is not
     installed.
     """
     source = Path(path)
@@ -258,24 +258,34 @@ def is_field_file(path: str | os.PathLike[str]) -> bool:
 
 
 class Place(NamedTuple):
-    """Place of a field, as `write_field` takes it: in mm, or in pixels if no unit is known."""
+    """Place of a grid in ITK's convention: in mm, or in pixels if no unit is known.
+
+    Attributes
+    ----------
+    spacing : tuple of float, shape (n,)
+        Size of a pixel along each axis; [z,] y, x.
+    origin : tuple of float, shape (n,)
+        Middle of the first pixel; x, y[, z] in LPS.
+    direction : ndarray, shape (n, n)
+        Its columns are the directions of the image's axes x, y[, z].
+    """
 
     spacing: tuple[float, ...]
     origin: tuple[float, ...]
     direction: npt.NDArray[np.float64]
 
     def to_pixels(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Convert points (N, n), ([z,] y, x) of the patient in mm, to pixels of the grid."""
-        found: npt.NDArray[np.float64] = points - self.origin[::-1]
-        return found @ self.direction[::-1, ::-1] / self.spacing
+        """Convert points (N, n) in mm, ([z,] y, x) in the patient, to pixels of the grid."""
+        offsets: npt.NDArray[np.float64] = points - self.origin[::-1]
+        return offsets @ self.direction[::-1, ::-1] / self.spacing
 
     def to_space(self, pixels: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Convert pixels of the grid to points in mm; the inverse of `to_pixels`."""
-        found: npt.NDArray[np.float64] = (pixels * self.spacing) @ self.direction[::-1, ::-1].T
-        return found + self.origin[::-1]
+        offsets: npt.NDArray[np.float64] = (pixels * self.spacing) @ self.direction[::-1, ::-1].T
+        return offsets + self.origin[::-1]
 
     def frame(self, number: int = 0, unit: str = "millimeter", *, volume: bool = False) -> Frame:
-        """Return the place as a frame of layers; the inverse of `place_of`.
+        """Return the place as a frame of layers; inverts `place_of`.
 
         Parameters
         ----------
@@ -283,7 +293,7 @@ class Place(NamedTuple):
             Number of the slice of a volume.
         unit : str
         volume : bool
-            Whether the frame is that of a whole volume.
+            True for the frame of a whole volume.
         """
         n = len(self.spacing)
         turn = np.eye(n + 1)
@@ -301,7 +311,7 @@ class Place(NamedTuple):
 def place_of(solution: Solution) -> Place:
     """Return the place of a solution; for a slice of a volume, its place in the volume.
 
-    The world of its layers is assumed to be the patient's: its axes z, y, x run towards superior,
+    The world of its layers is assumed to be the patient: the axes z, y, x run towards superior,
     posterior and left, as in the medical files that this package opens.
 
     Raises
@@ -336,7 +346,7 @@ def place_of(solution: Solution) -> Place:
 
 
 def placed(solution: Solution) -> tuple[npt.NDArray[np.floating], Place]:
-    """Return the displacement of a solution in the unit of its `place_of`, and that place."""
+    """Return the displacement of a solution in the unit of its place, and the place."""
     place, n = place_of(solution), solution.tissue.ndim
     return solution.displacement * (np.array(place.spacing[-n:]) / solution.spacing), place
 
@@ -358,10 +368,10 @@ def export_field(
     solution : Solution
     grid : Grid, optional
         Grid of the image, as returned by `Grid.from_image`; needed if the solution has no place,
-        because it comes from a `Problem`, or from a study whose grid has none.
+        because it comes from a `Problem`, or from a study whose grid has no place.
     placed : bool
-        If False, a solution without a place is written at the origin, along the axes, with a unit
-        of its spacing as 1 mm: the place of a picture (.png, .tif) in other tools.
+        If False, a solution without a place is written at the origin, along the axes, with its
+        spacing in mm. Other tools place a picture (.png, .tif) in the same way.
 
     Returns
     -------
@@ -373,7 +383,7 @@ def export_field(
     ArgumentError
         If `solution` is not a Solution, or `grid` is not a Grid.
     ProblemError
-        If the place is unknown, or the file's format cannot hold it.
+        If the place is unknown, or the format of the file cannot hold it.
     HmrfError, OSError
         As for `write_field`.
     """
@@ -385,7 +395,7 @@ def export_field(
     require_kind(Solution, "solution", solution, "the result of solve()")
     if grid is not None:
         require_kind(Grid, "grid", grid, "Grid.from_image(image)")
-    displacement, place = _placed_as(solution, grid, placed)
+    displacement, place = _place_solution(solution, grid, placed)
     return write_field(
         path,
         displacement,
@@ -397,11 +407,11 @@ def export_field(
 
 def _not_a_field(source: Path, error: Unreadable) -> str:
     """Return the message for a file without a readable field, with the reason if known."""
-    why = f": {error}" if str(error) else ""
-    return f"{source.name}: not a displacement field that can be read{why}."
+    reason = f": {error}" if str(error) else ""
+    return f"{source.name}: not a displacement field that can be read{reason}."
 
 
-def _placed_as(
+def _place_solution(
     solution: Solution, grid: Grid | None, placed_only: bool
 ) -> tuple[npt.NDArray[np.floating], Place]:
     """Return the displacement and place of a solution, placed by a grid if it has no place."""
@@ -409,13 +419,13 @@ def _placed_as(
         if grid.shape != solution.tissue.shape:
             raise ProblemError(
                 "grid",
-                f"is {grid_in_words(grid.shape)}, but the field "
+                f"is {grid_in_words(grid.shape)}, but the field is "
                 f"{grid_in_words(solution.tissue.shape)}. Give the grid of its image.",
             )
         if not np.allclose(np.array(grid.spacing) / solution.spacing, 1, rtol=_SAME_SPACING):
             raise ProblemError(
                 "grid",
-                f"has pixels of {grid_in_words(grid.spacing)}, but the field of "
+                f"has pixels of {grid_in_words(grid.spacing)}, but the field has pixels of "
                 f"{grid_in_words(solution.spacing)}. Solve on the grid of the image.",
             )
         if grid.place is not None:
@@ -423,37 +433,37 @@ def _placed_as(
         elif placed_only and not solution.frame:
             raise ProblemError(
                 "grid",
-                "has no place, as that of a picture (.png, .tif). Give the grid of a medical "
-                "image; or placed=False, with which the field begins at the origin.",
+                "has no place, because a picture (.png, .tif) has none. Give the grid of a medical "
+                "image, or placed=False to place the field at the origin.",
             )
     if placed_only and not solution.frame:
         raise ProblemError(
             "displacement",
-            "has no place: nothing says where its image lies. Make the study with grid = "
-            "Grid.from_image(image), or export with grid= that grid. A picture (.png, .tif) has no "
-            "place either: give placed=False, with which the field begins at the origin.",
+            "has no place, because the place of its image is unknown. Make the study with "
+            "Grid.from_image(image), or give that grid here as grid=. For a picture (.png, .tif), "
+            "which has no place, give placed=False to place the field at the origin.",
         )
     return placed(solution)
 
 
-def _leads(told: Mapping[str, str]) -> str:
-    """Return the direction that a file itself states for its field; "" if none."""
-    if _SLICER in told:
-        return told[_SLICER].strip()
-    key, _, leads = told.get(_DESCRIPTION, "").partition(":")
-    return leads.strip() if key == _SLICER else ""
+def _stated_type(metadata: Mapping[str, str]) -> str:
+    """Return the type of a field (backward or forward) stated by its metadata; "" if none."""
+    if _SLICER in metadata:
+        return metadata[_SLICER].strip()
+    key, _, field_type = metadata.get(_DESCRIPTION, "").partition(":")
+    return field_type.strip() if key == _SLICER else ""
 
 
-def _refuse_beside(target: Path, suffix: str) -> None:
-    """Refuse a name under which ITK's NIfTI reader takes the vectors of another file."""
+def _refuse_ambiguous_name(target: Path, suffix: str) -> None:
+    """Refuse a name for which ITK's NIfTI reader would read the vectors of another file."""
     other = {".nii": ".nii.gz", ".nii.gz": ".nii"}.get(suffix)
     if other is None:
         return
-    beside = target.with_name(target.name[: -len(suffix)] + other)
-    if beside.exists():
+    twin = target.with_name(target.name[: -len(suffix)] + other)
+    if twin.exists():
         raise FileFormatError(
-            f"{target.name}: {beside.name} lies beside it, and ITK's tools would mistake the one "
-            "for the other. Take another name, or remove that file."
+            f"{target.name}: {twin.name} is in the same folder, and ITK's tools would read one "
+            "instead of the other. Choose another name, or remove that file."
         )
 
 
@@ -467,7 +477,7 @@ def _lengths(name: str, values: Sequence[float], counts: tuple[int, ...]) -> npt
 
 
 def check_rotation(direction: npt.ArrayLike, n: int) -> npt.NDArray[np.float64]:
-    """Return the directions of n axes as a matrix, or refuse them if they are no rotation."""
+    """Return the directions of n axes as a matrix; refuse a matrix that is not orthogonal."""
     turn = as_numbers("direction", direction).astype(np.float64)
     turn = turn.reshape(n, n) if turn.size == n * n else turn
     if turn.shape != (n, n) or not np.allclose(turn @ turn.T, np.eye(n), atol=_ROUNDING):

@@ -1,7 +1,7 @@
 """Pictures of a problem and its solution, for files and papers; drawn with matplotlib.
 
-Nothing needs a window or pyplot: each figure is created and returned, and belongs to the caller.
-matplotlib is imported by the first picture.
+The functions need neither a window nor pyplot: each figure is created and returned to the caller.
+matplotlib is imported when the first picture is drawn.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ GRID_LINES = 50
 _ARROW_COLOUR = "#e8590c"
 _FIXED_COLOUR = "#4dabf7"
 _GRID_COLOUR = "#0b7285"
-# Title of pictures whose colours, drawn at the tissue's position before it moves, show its motion.
-_BEFORE = "{}\n(drawn on the tissue before it moves)"
+# Title of pictures whose colours show the motion at the position of the tissue before it moves.
+_BEFORE_TITLE = "{}\n(drawn on the tissue before it moves)"
 
 
 def write_pictures(
@@ -50,7 +50,7 @@ def write_pictures(
     Parameters
     ----------
     folder : Path
-        Must exist; files of the same names are replaced.
+        Existing folder; files of the same names are replaced.
     image : array_like, shape (H, W)
         The image before the tissue moves.
     problem : Problem
@@ -69,7 +69,7 @@ def write_pictures(
         "grid": grid_picture(solution),
         "energy": energy_picture(solution),
     }
-    return _saved(folder, figures)
+    return _save_figures(folder, figures)
 
 
 def write_result_pictures(
@@ -84,14 +84,14 @@ def write_result_pictures(
     Parameters
     ----------
     folder : Path
-        Must exist; files of the same names are replaced.
+        Existing folder; files of the same names are replaced.
     solution : Solution
     image : array_like, shape (H, W) or (H, W, 3 or 4), optional
         The image before the tissue moves.
     unit : str
         Unit of the displacement and of spacing.
     own_folder : str, optional
-        Name of a new subfolder that takes the files.
+        Name of a new subfolder for the files.
 
     Returns
     -------
@@ -111,18 +111,18 @@ def write_result_pictures(
     figures["jacobian"] = jacobian_picture(solution, image)
     figures["strain"] = strain_picture(solution, image)
     figures["energy"] = energy_picture(solution)
-    return _saved(folder, figures)
+    return _save_figures(folder, figures)
 
 
 def write_volume_pictures(
     folder: Path, image: npt.ArrayLike, solution: Solution, at: Sequence[int], unit: str = "px"
 ) -> list[Path]:
-    """Draw three slices of a volume, across each other, into PNG files.
+    """Draw three perpendicular slices of a volume into PNG files.
 
     Parameters
     ----------
     folder : Path
-        Must exist; files of the same names are replaced.
+        Existing folder; files of the same names are replaced.
     image : array_like, shape (D, H, W)
         The image before the tissue moves.
     solution : Solution
@@ -138,48 +138,51 @@ def write_volume_pictures(
     """
     grey = np.asarray(image)
     moved = warp(grey, solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
-    far = coloured(solution, "magnitude")
+    magnitude = coloured(solution, "magnitude")
     figures = {
         "before": _slices_picture("before", grey, solution, at),
         "after": _slices_picture("after", moved, solution, at, greys_of=grey),
         "magnitude": _slices_picture(
-            _BEFORE.format(f"displacement / {unit}"), grey, solution, at, colours=far
+            _BEFORE_TITLE.format(f"displacement / {unit}"), grey, solution, at, colours=magnitude
         ),
     }
-    return _saved(folder, figures)
+    return _save_figures(folder, figures)
 
 
 def _new_folder(parent: Path, name: str) -> Path:
     """Create a folder with an unused name, so that no file is replaced."""
-    kept = "".join(letter if letter.isalnum() or letter in " -_." else "_" for letter in name)
-    folder, number = parent / kept, 1
+    safe_name = "".join(letter if letter.isalnum() or letter in " -_." else "_" for letter in name)
+    folder, number = parent / safe_name, 1
     while True:
         try:
             folder.mkdir()
         except FileExistsError:
             number += 1
-            folder = parent / f"{kept} {number}"
+            folder = parent / f"{safe_name} {number}"
         else:
             return folder
 
 
-def _saved(folder: Path, figures: Mapping[str, Figure]) -> list[Path]:
+def _save_figures(folder: Path, figures: Mapping[str, Figure]) -> list[Path]:
     """Save figures under their names, each atomically."""
     written = []
     for name, figure in figures.items():
-        drawn = io.BytesIO()
-        figure.savefig(drawn, format="png", dpi=150)
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="png", dpi=150)
         written.append(folder / f"{name}.png")
-        write_whole(written[-1], drawn.getvalue())
+        write_whole(written[-1], buffer.getvalue())
     return written
 
 
 def boundary_picture(image: npt.NDArray[Any], problem: Problem) -> Figure:
-    """Draw the image and the observed displacement where its confidence is above 0; dots: fixed."""
-    figure, (axes,) = _figure(problem.spacing, "what is given: the image, and how a boundary moves")
+    """Draw the image and the observed displacement where its confidence is above 0.
+
+    Dots mark fixed sites.
+    """
+    figure, (axes,) = _figure(problem.spacing, "input: the image and the motion of the boundary")
     _show(axes, image)
     known = problem.known.any(axis=-1)
-    # Every few boundary pixels: a boundary is thin, and a regular pattern would miss most of it.
+    # A boundary is thin, so a regular pattern would miss most of it; every nth site is drawn.
     starts = np.argwhere(known)[:: max(1, int(known.sum()) // BOUNDARY_ARROWS)]
     vectors = problem.observed[tuple(starts.T)] / np.array(problem.spacing)
     rows, cols = starts[~vectors.any(axis=-1)].T
@@ -228,19 +231,19 @@ def grid_picture(solution: Solution) -> Figure:
 def magnitude_picture(
     solution: Solution, unit: str = "px", image: npt.ArrayLike | None = None
 ) -> Figure:
-    """Draw the length of the displacement, at the position before the motion."""
-    return _map(solution, "magnitude", f"displacement / {unit}", image)
+    """Draw the length of the displacement at the position of the tissue before it moves."""
+    return _quantity_picture(solution, "magnitude", f"displacement / {unit}", image)
 
 
 def jacobian_picture(solution: Solution, image: npt.ArrayLike | None = None) -> Figure:
     """Draw the factor by which the area of the tissue changes; folds (0 or below) are yellow."""
-    return _map(solution, "jacobian", "area ratio (Jacobian)", image)
+    return _quantity_picture(solution, "jacobian", "area ratio (Jacobian)", image)
 
 
 def strain_picture(solution: Solution, image: npt.ArrayLike | None = None) -> Figure:
     """Draw the equivalent strain, elastic or in-plane as the title says."""
     title, unit = title_and_unit("equivalent", solution)
-    return _map(solution, "equivalent", f"{title} ({unit})", image)
+    return _quantity_picture(solution, "equivalent", f"{title} ({unit})", image)
 
 
 def energy_picture(solution: Solution) -> Figure:
@@ -252,27 +255,29 @@ def energy_picture(solution: Solution) -> Figure:
     return figure
 
 
-def _map(solution: Solution, quantity: Quantity, title: str, image: npt.ArrayLike | None) -> Figure:
+def _quantity_picture(
+    solution: Solution, quantity: Quantity, title: str, image: npt.ArrayLike | None
+) -> Figure:
     """Draw a quantity as colours on the image, with their scale, as the viewer does."""
-    figure, (axes,) = _figure(solution.spacing, _BEFORE.format(title))
+    figure, (axes,) = _figure(solution.spacing, _BEFORE_TITLE.format(title))
     if image is not None:
         _show(axes, np.asarray(image))
-    seen = coloured(solution, quantity)
-    _draw_colours(figure, [(axes, seen.values)], seen)
+    coloured_values = coloured(solution, quantity)
+    _draw_colours(figure, [(axes, coloured_values.values)], coloured_values)
     return figure
 
 
 def _draw_colours(
-    figure: Figure, parts: Sequence[tuple[Axes, npt.NDArray[Any]]], seen: Coloured
+    figure: Figure, parts: Sequence[tuple[Axes, npt.NDArray[Any]]], coloured_values: Coloured
 ) -> None:
     """Draw slices of a quantity as colours with one scale, each on its axes."""
     import matplotlib  # heavy: matplotlib
     from matplotlib.colors import ListedColormap  # heavy: matplotlib
 
     part = np.linspace(0, 1, 256)
-    colours = matplotlib.colormaps[DIVERGING if seen.signed else RISING](part)
-    colours[:, 3] = opacity(part, seen.signed)
-    low, high = seen.limits
+    colours = matplotlib.colormaps[DIVERGING if coloured_values.signed else RISING](part)
+    colours[:, 3] = opacity(part, coloured_values.signed)
+    low, high = coloured_values.limits
     for axes, values in parts:
         shown = axes.imshow(
             values,
@@ -282,10 +287,13 @@ def _draw_colours(
             vmin=low,
             vmax=high,
         )
-        if seen.folded:
+        if coloured_values.folded:
             marked = np.where(values <= 0, 1.0, np.nan)
             axes.imshow(marked, cmap=ListedColormap([FOLDED]), aspect=axes.get_aspect())
-    above, below = (seen.values > high).any(), (seen.values < low).any() and seen.signed
+    above, below = (
+        (coloured_values.values > high).any(),
+        (coloured_values.values < low).any() and coloured_values.signed,
+    )
     ends = "both" if above and below else "max" if above else "min" if below else "neither"
     figure.colorbar(shown, ax=[axes for axes, _ in parts], shrink=0.8, extend=ends)
 
@@ -299,14 +307,14 @@ def _slices_picture(
     greys_of: npt.NDArray[Any] | None = None,
     colours: Coloured | None = None,
 ) -> Figure:
-    """Draw the slices of a volume across each axis, the patient's head upward."""
+    """Draw the slices of a volume across each axis, with the head of the patient upward."""
     from matplotlib.figure import Figure  # heavy: matplotlib
 
     figure = Figure(figsize=(15.0, 6.2), layout="constrained")
     figure.suptitle(title, fontsize=11)
     frame = Frame.of_solution(solution)
-    slices = [_across(frame, axis, at[axis]) for axis in range(3)]
-    # All axes have the same scale.
+    slices = [_slice_frame(frame, axis, at[axis]) for axis in range(3)]
+    # The widths give all three slices the same scale.
     _, height, width = np.multiply(image.shape, solution.spacing)
     row = figure.subplots(1, 3, width_ratios=[width, width, height])
     for axis, (axes, place) in enumerate(zip(row, slices, strict=True)):
@@ -324,7 +332,7 @@ def _slices_picture(
     return figure
 
 
-def _across(frame: Frame, axis: int, number: int) -> Frame:
+def _slice_frame(frame: Frame, axis: int, number: int) -> Frame:
     """Return the place of a slice across an axis of a volume."""
     plane, index = list(frame.plane), list(frame.index)
     index[plane.pop(axis)] = number
@@ -332,11 +340,11 @@ def _across(frame: Frame, axis: int, number: int) -> Frame:
 
 
 def _figure(spacing: tuple[float, ...], *titles: str) -> tuple[Figure, list[Axes]]:
-    """Return a figure with a row of image axes in pixels, drawn in the pixels' true proportions."""
+    """Return a figure with a row of axes for images, with the true proportions of the pixels."""
     from matplotlib.figure import Figure  # heavy: matplotlib
 
     if len(spacing) != 2:
-        raise ProblemError("displacement", "is of a volume. Draw pictures of one of its slices.")
+        raise ProblemError("displacement", "belongs to a volume. Draw one of its slices.")
 
     figure = Figure(figsize=(6.0 * len(titles), 6.2), layout="constrained")
     row = list(figure.subplots(1, len(titles), squeeze=False)[0])
@@ -348,7 +356,7 @@ def _figure(spacing: tuple[float, ...], *titles: str) -> tuple[Figure, list[Axes
 
 
 def _show(axes: Axes, image: npt.NDArray[Any], greys_of: npt.NDArray[Any] | None = None) -> None:
-    """Show an image, optionally with the grey scale of another one, so that greys compare."""
+    """Show an image, optionally with the grey scale of another image for comparison."""
     levels = image if greys_of is None else greys_of
     axes.imshow(
         image,

@@ -1,9 +1,9 @@
 """Exclusive use of a folder by one process, also on a disk that several machines share.
 
-A process marks a folder by a file of its own, whose name has the process, the time it started and
-the machine. It then looks for the marks of others: of two processes that begin at the same time at
-least one sees the mark of the other. A mark of a process of this machine that has ended is removed;
-on another machine that cannot be seen, and its mark counts.
+A process marks a folder with a file, whose name states the process, its start time and its machine.
+It then searches for the marks of other processes: if two processes begin at the same time, at least
+one of them finds the mark of the other. The mark of an ended process of this machine is removed. A
+process of another machine cannot be checked, so its mark always counts.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import psutil
 
 from napari_hmrf.errors import HmrfError
 
-#: Clocks of two processes may differ by this much on when a third one started, in seconds.
+#: Largest difference between two readings of the start time of one process, in seconds.
 _SAME_START = 2
 _MARK = re.compile(r"\.batch-(\d+)-(\d+)-[0-9a-f]+@(.+)\.lock")
 
@@ -32,10 +32,13 @@ class Mark(NamedTuple):
     Attributes
     ----------
     path : Path
+        File of the mark.
     process : int
+        Identifier of the process.
     started : int
-        Time of the start, in seconds.
+        Start time of the process, in seconds since the epoch.
     machine : str
+        Name of the machine.
     """
 
     path: Path
@@ -62,18 +65,18 @@ class Mark(NamedTuple):
 
 @contextmanager
 def exclusive(folder: Path) -> Iterator[None]:
-    """Use a folder alone.
+    """Use a folder exclusively for the time of a context.
 
     Parameters
     ----------
     folder : Path
-        A folder that is there.
+        Existing folder.
 
     Raises
     ------
     HmrfError
-        If another process uses it: naming the process, its machine, and the file to delete if that
-        process has ended.
+        If another process uses the folder; the message names the process, its machine, and the
+        file to delete if the process has ended.
     OSError
         If the folder cannot be written.
     """
@@ -89,11 +92,11 @@ def exclusive(folder: Path) -> Iterator[None]:
                 with suppress(FileNotFoundError):
                     mark.path.unlink()
                 continue
-            where = "" if mark.machine == _machine() else f" on {mark.machine}"
+            machine = "" if mark.machine == _machine() else f" on {mark.machine}"
             raise HmrfError(
-                f"{folder}: another batch, process {mark.process}{where}, writes into this folder. "
-                "Wait until it ends, or take another folder. If it has ended, delete "
-                f"{mark.path.name} in it."
+                f"{folder}: another batch, process {mark.process}{machine}, writes into this "
+                "folder. Wait until it ends, or choose another folder. If it has ended, delete "
+                f"{mark.path.name} in the folder."
             )
         yield
     finally:
@@ -103,12 +106,12 @@ def exclusive(folder: Path) -> Iterator[None]:
 
 def marks_in(folder: Path) -> tuple[Mark, ...]:
     """Return the marks of all processes in a folder."""
-    found = ((path, _MARK.fullmatch(path.name)) for path in sorted(folder.glob(".batch-*.lock")))
+    matches = ((path, _MARK.fullmatch(path.name)) for path in sorted(folder.glob(".batch-*.lock")))
     return tuple(
-        Mark(path, int(parts[1]), int(parts[2]), parts[3]) for path, parts in found if parts
+        Mark(path, int(match[1]), int(match[2]), match[3]) for path, match in matches if match
     )
 
 
 def _machine() -> str:
-    """Return the name of this machine, as it can stand in the name of a file."""
+    """Return the name of this machine, with only characters that file names allow."""
     return re.sub(r"[^\w.-]+", "_", socket.gethostname()) or "machine"

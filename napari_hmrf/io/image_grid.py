@@ -1,4 +1,4 @@
-"""Grids of images: shape, spacing and place of the image of a study."""
+"""Grid of an image: its shape, spacing and place."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ def grid_of_image(
     slice : int, optional
         Number of a slice of a volume; by default the grid is that of the whole image.
     axis : int
-        The axis of the volume's array that is perpendicular to the slice.
+        Axis of the volume's array that is perpendicular to the slice.
 
     Raises
     ------
     ArgumentError
-        If `image` is of no such type, or has no such slice.
+        If `image` has another type, or has no such slice.
     ProblemError
-        If the image's axes are not at right angles.
+        If the axes of the image are not at right angles.
     HmrfError, OSError
         As for `read_image`, for a path.
     """
@@ -54,7 +54,8 @@ def grid_of_image(
     else:
         raise ArgumentError(
             f"image is {shown(image)}, of type {type(image).__name__}. Give a path, a SimpleITK "
-            "image or a nibabel image; of an array alone no place is known: Grid(shape, spacing)."
+            "image or a nibabel image. For an array, whose place is unknown, make "
+            "Grid(shape, spacing)."
         )
     n = len(shape)
     if place is None:
@@ -85,7 +86,7 @@ def _slice_of(grid: Grid, frame: Frame, number: int, axis: int) -> Grid:
         grid,
         shape=(*grid.shape[:axis], *grid.shape[axis + 1 :]),
         spacing=(*grid.spacing[:axis], *grid.spacing[axis + 1 :]),
-        # A stack without a place still keeps the number of its slice.
+        # A stack without a place also keeps the number of its slice.
         place=frame.plane_at(axis, int(number)),
     )
 
@@ -118,7 +119,7 @@ def _of_nibabel(image: Any) -> tuple[tuple[int, ...], Place]:
     steps: npt.NDArray[np.float64] = _TO_LPS @ affine
     spacing = np.linalg.norm(steps[:3, :3], axis=0)
     if not (np.isfinite(steps).all() and (spacing > 0).all()):
-        raise ProblemError("image", "has an affine that flattens space. Give it another affine.")
-    # Places count axes from the last, so the columns are reversed.
+        raise ProblemError("image", "has a singular affine. Give the image an invertible affine.")
+    # In a `Place` the first column belongs to the last axis of the array.
     turn = (steps[:3, :3] / spacing)[:, ::-1]
     return shape, Place(tuple(spacing.tolist()), tuple(steps[:3, 3].tolist()), turn)

@@ -1,6 +1,6 @@
-"""Decoder process: runs SimpleITK, so that a damaged file cannot end the calling process.
+"""Decoder process: runs SimpleITK, so that a damaged file cannot crash the calling process.
 
-`decoder_process` starts this file as a program. It imports nothing of this package, so that it
+`decoder_process` starts this file as a program. It imports nothing from this package, so that it
 starts in a tenth of a second. Standard input carries the search path and then one request per line,
 as JSON, followed by the pixels of an image to write; standard output carries one line of JSON for
 each request, followed by the pixels of an image that was read.
@@ -27,25 +27,28 @@ MOST_PACKED = 1032
 PARTED = (".mhd", ".nhdr", ".hdr")
 #: Suffixes of files that are read as transforms.
 TRANSFORMS = (".h5", ".hdf5", ".tfm", ".txt")
-#: Exit after this many seconds without a request.
+#: Time without a request after which the process exits, in seconds.
 _IDLE = 60.0
-#: Processor seconds beyond the request's own before the system ends this process.
+#: Processor time beyond that of the request before the system ends this process, in seconds.
 _GRACE = 2
 
 
 class Refused(Exception):
-    """Reason why a file is not read, as the end of a sentence."""
+    """A file was not read; the message is the reason, as the end of a sentence."""
 
 
 class Decoder:
-    """Reads files with SimpleITK; caches the last transform, which is often requested twice."""
+    """Reader and writer of files with SimpleITK.
+
+    The last transform is cached, because its header and its pixels are often requested in turn.
+    """
 
     def __init__(self, sitk: Any) -> None:
         self._sitk = sitk
         self._last: tuple[Any, Any] = (None, None)
 
     def answer(self, request: dict[str, Any]) -> tuple[dict[str, Any], Any]:
-        """Return the header that answers a request, and the image whose pixels follow it."""
+        """Return the header for a request, and the image to send with it, or None."""
         source, kind = Path(request["path"]), request["kind"]
         if kind == "series":
             return self._read_series(source)
@@ -67,7 +70,7 @@ class Decoder:
         image.SetSpacing(request["spacing"])
         image.SetOrigin(request["origin"])
         image.SetDirection(request["direction"])
-        for key, text in request["told"].items():
+        for key, text in request["metadata"].items():
             image.SetMetaData(key, text)
         if request["vectors"]:
             sitk.WriteTransform(sitk.DisplacementFieldTransform(image), request["path"])
@@ -76,17 +79,17 @@ class Decoder:
 
     def _head(self, image: Any, components: int = 0) -> dict[str, Any]:
         """Describe an image, or an image reader with the given number of components."""
-        told = {}
+        metadata = {}
         for key in image.GetMetaDataKeys():
-            with suppress(UnicodeError, RuntimeError):  # a damaged text
-                told[key] = image.GetMetaData(key)
+            with suppress(UnicodeError, RuntimeError):  # the text is damaged
+                metadata[key] = image.GetMetaData(key)
         return {
             "components": components or image.GetNumberOfComponentsPerPixel(),
             "spacing": image.GetSpacing(),
             "origin": image.GetOrigin(),
             "direction": image.GetDirection(),
             "pixel": self._sitk.GetPixelIDValueAsString(image.GetPixelID()),
-            "told": told,
+            "metadata": metadata,
         }
 
     def _read_series(self, folder: Path) -> tuple[dict[str, Any], Any]:
@@ -104,25 +107,25 @@ class Decoder:
         reader.SetFileName(str(source))
         reader.ReadImageInformation()
         pixel = self._sitk.Image([1, 1], reader.GetPixelID(), reader.GetNumberOfComponents())
-        each = pixel.GetSizeOfPixelComponent() * pixel.GetNumberOfComponentsPerPixel()
-        beside = source.parent.iterdir() if source.suffix.lower() in PARTED else [source]
-        there = max((file.stat().st_size for file in beside if file.is_file()), default=0)
-        packed = 1 if source.suffix.lower() == ".nii" else MOST_PACKED
-        if math.prod(reader.GetSize()) * each > there * packed:
+        pixel_size = pixel.GetSizeOfPixelComponent() * pixel.GetNumberOfComponentsPerPixel()
+        files = source.parent.iterdir() if source.suffix.lower() in PARTED else [source]
+        largest = max((file.stat().st_size for file in files if file.is_file()), default=0)
+        expansion = 1 if source.suffix.lower() == ".nii" else MOST_PACKED
+        if math.prod(reader.GetSize()) * pixel_size > largest * expansion:
             raise Refused("it claims more pixels than it holds")
         return reader
 
     def _field_of(self, source: Path) -> Any:
         """Read the displacement field of a transform."""
-        identity, kept = self._last
+        identity, cached = self._last
         if identity is not None and identity == _identity(source):
-            return kept
+            return cached
         sitk = self._sitk
         transform = sitk.ReadTransform(str(source))
         if transform.GetName() != "CompositeTransform":
             return sitk.DisplacementFieldTransform(transform).GetDisplacementField()
         # ANTs stores a warp and its affine map in one file. The last transform is applied first,
-        # so the grid of the last field is the grid of the picture.
+        # so the last field has the grid of the image.
         chain = sitk.CompositeTransform(transform)
         parts = [chain.GetNthTransform(number) for number in range(chain.GetNumberOfTransforms())]
         last = [part for part in parts if part.GetName() == "DisplacementFieldTransform"][-1:]
@@ -136,12 +139,12 @@ class Decoder:
 
 
 def _identity(source: Path) -> tuple[str, int, int]:
-    known = source.stat()
-    return str(source), known.st_mtime_ns, known.st_size
+    status = source.stat()
+    return str(source), status.st_mtime_ns, status.st_size
 
 
 def _limit_processor_time(seconds: float) -> None:
-    """Set a limit after which the system ends this process, in case its watcher has died."""
+    """Limit the processor time of this process, in case its client has ended."""
     if sys.platform == "win32":
         return
     with suppress(ValueError, OSError):
@@ -199,9 +202,9 @@ def main() -> None:
         if request["kind"] == "write":
             try:
                 decoder.write(request, _receive(sys.stdin.buffer, request))
-            except Exception:  # noqa: BLE001 - libraries give no reason for a failure
+            except Exception:  # noqa: BLE001 - the libraries raise many types of errors
                 _send(out, {"refused": ""})
-                os._exit(0)  # HDF5 keeps a file open that it could not write
+                os._exit(0)  # HDF5 keeps the file open when writing it fails
             _send(out, {"written": True})
             continue
         try:

@@ -1,7 +1,7 @@
 """Reading and writing with SimpleITK: NIfTI, MetaImage, NRRD, DICOM and ITK's transforms.
 
-SimpleITK runs in the decoder process, which a damaged file may crash or hang. A file is written
-next to its target, read back and compared; only then does it replace the target.
+SimpleITK runs in the decoder process, because a damaged file may crash it or make it hang. A file
+is written next to its target, read back and compared; only then does it replace the target.
 """
 
 from __future__ import annotations
@@ -25,21 +25,22 @@ from napari_hmrf.regular_file import refuse_irregular
 
 #: Suffix of transforms that are written.
 _TRANSFORM = ".h5"
+#: Suffixes of transforms in text form.
 _TEXTS = (".tfm", ".txt")
 _NIFTI = (".nii", ".nii.gz")
 _FIELD = "DisplacementFieldTransform_"
-#: Reason for a NIfTI file with fewer bytes than it claims; damage to a .gz looks the same.
+#: Reason for refusing a NIfTI file with fewer bytes than its header states, or a damaged .gz.
 _CUT_SHORT = "it is damaged or cut short"
 #: Relative and absolute rounding of places, which NIfTI stores in single precision.
 _CLOSE = (1e-4, 1e-4)
 
 
 class Unreadable(Exception):
-    """Reason why a file is not read, as the end of a sentence; may be empty."""
+    """A file was not read; the message is the reason, as the end of a sentence, or ""."""
 
 
 class Damaged(Unreadable):
-    """Reason why a certainly damaged file is not read."""
+    """A file was not read because it is certainly damaged."""
 
 
 class ItkImage(NamedTuple):
@@ -53,8 +54,8 @@ class ItkImage(NamedTuple):
     spacing, origin : tuple of float, shape (n,)
         In mm; x, y[, z] in LPS.
     direction : ndarray, shape (n, n)
-        Its columns are the directions of the image's x, y[ and z].
-    told : dict of str to str
+        Its columns are the directions of the image's axes x, y[, z].
+    metadata : dict of str to str
         Metadata in the file.
     """
 
@@ -63,7 +64,7 @@ class ItkImage(NamedTuple):
     spacing: tuple[float, ...]
     origin: tuple[float, ...]
     direction: npt.NDArray[np.float64]
-    told: dict[str, str]
+    metadata: dict[str, str]
 
     @property
     def ndim(self) -> int:
@@ -77,13 +78,14 @@ def read_itk_image(source: Path) -> ItkImage:
     Raises
     ------
     Unreadable
-        If it is no image, is cut short, claims more pixels than it holds, or crashes the decoder.
+        If the file is not an image, is cut short, claims more pixels than it holds, or crashes the
+        decoder.
     HmrfError
         If SimpleITK is not installed.
     OSError
         If the file cannot be opened.
     """
-    _open_once(source)
+    _check_openable(source)
     if not _is_sealed(source) and source.name.lower().endswith(_NIFTI) and is_cut_short(source):
         raise Unreadable(_CUT_SHORT)
     return _image(_decode(source, "pixels"))
@@ -99,11 +101,11 @@ def read_itk_series(folder: Path) -> ItkImage:
     HmrfError
         If SimpleITK is not installed.
     """
-    found = _decode(folder, "series")
-    if (count := found.header.get("series")) is not None:
-        held = f"{count} series" if count else "no DICOM file"
-        raise Unreadable(f"the folder holds {held}. Give one with one series")
-    return _image(found)
+    decoded = _decode(folder, "series")
+    if (count := decoded.header.get("series")) is not None:
+        content = f"{count} series" if count else "no DICOM file"
+        raise Unreadable(f"the folder holds {content}. Give a folder with one series")
+    return _image(decoded)
 
 
 def read_itk_vectors(source: Path) -> ItkImage:
@@ -116,7 +118,7 @@ def read_itk_vectors(source: Path) -> ItkImage:
     HmrfError, OSError
         As for `read_itk_image`.
     """
-    _open_once(source)
+    _check_openable(source)
     is_sealed = _is_sealed(source)
     name = source.name.lower()
     if name.endswith(_TEXTS):
@@ -130,9 +132,10 @@ def read_itk_vectors(source: Path) -> ItkImage:
 
 
 def holds_vectors(source: Path) -> bool:
-    """Return whether a file holds a field, or is damaged so that reading it reports the error.
+    """Return whether a file holds a field.
 
-    False if SimpleITK is not installed.
+    Also True for a damaged file, so that reading it reports the error; False if SimpleITK is not
+    installed.
 
     Raises
     ------
@@ -153,18 +156,19 @@ def holds_vectors(source: Path) -> bool:
 def encode(
     target: Path, image: ItkImage, suffix: str, *, transform: bool = False, sealed: bool = False
 ) -> bytes:
-    """Return the bytes of a file, which were written next to its target and read back.
+    """Return the bytes of an image file, after writing a temporary file and reading it back.
 
     Parameters
     ----------
     target : Path
-        Its folder takes the temporary file, so that only one disk needs free space.
+        The temporary file is written into its folder, so that only one disk needs free space.
     image : ItkImage
     suffix : str
+        Ending that selects the format.
     transform : bool
-        Whether to write a transform.
+        True to write a transform.
     sealed : bool
-        Whether the file gets a seal, which reveals damage.
+        True to add a seal, which reveals damage.
 
     Raises
     ------
@@ -176,18 +180,18 @@ def encode(
     ValueError
         If SimpleITK cannot write such pixels.
     """
-    plain = ".nii" if sealed and suffix == ".nii.gz" else suffix  # the seal is compressed with it
+    plain = ".nii" if sealed and suffix == ".nii.gz" else suffix  # `seal` compresses the file
     with temporary_beside(target, plain) as file:
         try:
             decoder.write(file, _header(image), image.pixels, vectors=transform)
             is_written = True
         except Undecodable:
             is_written = False
-        if not (is_written and _was_kept(file, image, transform=transform)):
+        if not (is_written and _reads_back(file, image, transform=transform)):
             file.unlink(missing_ok=True)
             raise_for_space(target, image.pixels.nbytes)
             if not is_written:
-                raise ValueError(f"no such pixels are written as {suffix}")
+                raise ValueError(f"such pixels cannot be written as {suffix}")
             raise OSError(errno.EIO, f"{CANNOT_SAVE}{os.strerror(errno.EIO)}", str(target))
         content = file.read_bytes()
     return seal(content, suffix) if sealed else content
@@ -203,7 +207,7 @@ def require_simpleitk() -> None:
     """
     try:
         is_missing = importlib.util.find_spec("SimpleITK") is None
-    except ValueError:  # something else stands in `sys.modules` under this name
+    except ValueError:  # `sys.modules` holds an object without a spec under this name
         is_missing = True
     if is_missing:
         raise missing_simpleitk()
@@ -221,29 +225,29 @@ def _is_sealed(source: Path) -> bool:
         return check_seal(source)
     except BrokenSeal:
         raise Damaged(
-            "it is damaged, or was edited after it was written. Take a copy of it, or export it "
+            "it is damaged, or was edited after it was written. Use another copy, or export it "
             "again"
         ) from None
 
 
-def _open_once(source: Path) -> None:
-    """Raise the system's own error for a file that cannot be opened."""
+def _check_openable(source: Path) -> None:
+    """Raise the error of the system for a file that cannot be opened."""
     refuse_irregular(source)
     with open(source, "rb"):
         pass
 
 
-def _image(found: Decoded) -> ItkImage:
-    header = found.header
-    assert found.pixels is not None
+def _image(decoded: Decoded) -> ItkImage:
+    header = decoded.header
+    assert decoded.pixels is not None
     n = len(header["spacing"])
     return ItkImage(
-        found.pixels,
+        decoded.pixels,
         header["components"],
         tuple(header["spacing"]),
         tuple(header["origin"]),
         np.array(header["direction"]).reshape(n, n),
-        header["told"],
+        header["metadata"],
     )
 
 
@@ -256,17 +260,19 @@ def _header(image: ItkImage) -> dict[str, Any]:
     }
 
 
-def _was_kept(file: Path, image: ItkImage, *, transform: bool) -> bool:
-    """Return whether a file that was just written holds the image."""
+def _reads_back(file: Path, image: ItkImage, *, transform: bool) -> bool:
+    """Return whether a written file holds the image."""
     try:
         read = _image(_decode(file, "pixels", vectors=transform))
     except (Unreadable, OSError):
         return False
-    kept, meant = read.pixels, np.asarray(image.pixels)
+    read_pixels, pixels = read.pixels, np.asarray(image.pixels)
     # NIfTI drops an axis of one pixel.
-    if kept.dtype != meant.dtype or kept.size != meant.size:
+    if read_pixels.dtype != pixels.dtype or read_pixels.size != pixels.size:
         return False
-    is_same = np.array_equal(kept.ravel(), meant.ravel(), equal_nan=meant.dtype.kind in "fc")
+    is_same = np.array_equal(
+        read_pixels.ravel(), pixels.ravel(), equal_nan=pixels.dtype.kind in "fc"
+    )
     return is_same and (
         read.ndim != image.ndim or np.allclose(_place(read), _place(image), *_CLOSE)
     )
@@ -292,7 +298,7 @@ def _in_volume(plane: ItkImage, source: Path) -> ItkImage:
 
 
 def _check_text(source: Path) -> None:
-    """Refuse incomplete texts of fields, which ITK would fill up with made-up values."""
+    """Refuse incomplete text files of fields, which ITK would fill with arbitrary values."""
     try:
         text = source.read_text(encoding="ascii")
         n, count = 0, -1
@@ -305,7 +311,7 @@ def _check_text(source: Path) -> None:
             elif key == "FixedParameters" and n:
                 fixed = np.array(value.split(), float)
                 if len(fixed) != n * (n + 3) or n * fixed[:n].prod() != count:
-                    raise Unreadable("its numbers are not as many as it says")
+                    raise Unreadable("the count of its numbers differs from the one it states")
                 n = 0
     except ValueError:
         raise Unreadable("it is damaged") from None

@@ -1,14 +1,14 @@
-"""Landmarks in files that other tools read and write.
+"""Files of landmarks that other tools read and write.
 
 ==============  =============================================================================
 BigWarp .csv    pairs: ``Pt-0,true,moving x,y[,z],target x,y[,z]``, in the images' units
 Slicer .mrk.json one list of points, with its coordinate system, LPS or RAS
-Slicer .fcsv    the same, in the format of older versions
+Slicer .fcsv    one list of points, in the format of older versions
 napari .csv     one list of points: ``index,axis-0,axis-1[,axis-2]``, in pixels
 ==============  =============================================================================
 
-All points here are in the order of the axes, ([z,] y, x); in files with patient coordinates they
-are in mm towards superior, posterior and left, as in layers with a patient's place.
+All points in this module are in the order of the axes, ([z,] y, x). Points from files with patient
+coordinates are in mm towards superior, posterior and left, as in layers placed in the patient.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Points = npt.NDArray[np.float64]
 POINT_SUFFIXES = (".csv", ".mrk.json", ".fcsv")
 #: Largest size of a file, in bytes; a larger file is not read.
 _LARGEST = 2**26
-#: From right, anterior, superior to left, posterior, superior.
+#: Factors that convert coordinates of each system to left, posterior, superior.
 _TO_LPS = {
     "LPS": (1.0, 1.0, 1.0),
     "1": (1.0, 1.0, 1.0),
@@ -60,7 +60,7 @@ class LandmarkFile(NamedTuple):
         Target positions of the same landmarks, if the file has them.
     names : tuple of str
     unit : {"mm", "pixel", ""}
-        "" if the file does not say.
+        "" if the file states no unit.
     """
 
     points: Points
@@ -75,7 +75,7 @@ class LandmarkFile(NamedTuple):
 
 
 def read_points(path: str | os.PathLike[str]) -> LandmarkFile:
-    """Read landmarks.
+    """Read a file of landmarks.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def read_points(path: str | os.PathLike[str]) -> LandmarkFile:
     Raises
     ------
     FileFormatError
-        If it is no such file; the message names the error and its place.
+        If it is not a file of landmarks; the message names the error and its place.
     OSError
         If the file cannot be opened.
     """
@@ -101,20 +101,26 @@ def read_points(path: str | os.PathLike[str]) -> LandmarkFile:
         raise FileFormatError(f"{name} is too large to be a file of landmarks.")
     try:
         text = content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
-        found = {".csv": _of_csv, ".mrk.json": _of_markups, ".fcsv": _of_fiducials}[suffix](text)
+        landmarks = {".csv": _parse_csv, ".mrk.json": _parse_markups, ".fcsv": _parse_fiducials}[
+            suffix
+        ](text)
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
-        said = str(error) if isinstance(error, _Wrong) else "it is damaged, or of another kind"
-        raise FileFormatError(f"{name}: not a file of landmarks: {said}.") from None
-    for points in (found.points, found.targets):
+        reason = (
+            str(error)
+            if isinstance(error, _InvalidContent)
+            else "it is damaged, or of another format"
+        )
+        raise FileFormatError(f"{name}: not a file of landmarks: {reason}.") from None
+    for points in (landmarks.points, landmarks.targets):
         if points is not None and not np.isfinite(points).all():
             raise FileFormatError(
-                f"{name}: not a file of landmarks: it holds no numbers somewhere."
+                f"{name}: not a file of landmarks: it holds NaN or infinite values."
             )
-    return found
+    return landmarks
 
 
 def is_landmark_file(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file is of Slicer by its name, or of BigWarp by its first line."""
+    """Return whether a file has the ending of a Slicer file or the first line of a BigWarp file."""
     name = os.fsdecode(path).lower()
     if not name.endswith(".csv"):
         return name.endswith(POINT_SUFFIXES)
@@ -133,15 +139,15 @@ def write_points(
     *,
     names: Sequence[str] = (),
 ) -> Path:
-    """Write landmarks, atomically, in the format of the name's ending.
+    """Write landmarks, atomically, in the format given by the ending of the name.
 
     Parameters
     ----------
     path : str or path-like
-        ``.csv`` with `targets` is BigWarp's format, without them napari's; Slicer's files hold one
-        list.
+        A ``.csv`` is written in BigWarp's format if there are `targets`, and otherwise in napari's;
+        Slicer's files hold one list.
     points : array_like, shape (N, 2) or (N, 3)
-        ([z,] y, x); for Slicer in mm, as `read_points` gives them.
+        In the order ([z,] y, x); for Slicer in mm, as returned by `read_points`.
     targets : array_like, shape (N, 2) or (N, 3), optional
         Target positions of the same landmarks.
     names : sequence of str, optional
@@ -156,43 +162,46 @@ def write_points(
     ProblemError
         Naming the invalid input.
     FileFormatError
-        If the ending is unknown, or its format holds no pairs.
+        If the ending is unknown, or the format holds no pairs.
     OSError
         If the file cannot be written.
     """
     target = Path(checked_path(path))
     suffix = _suffix(target)
-    at = _checked("points", points)
-    to = None if targets is None else _checked("targets", targets)
-    if to is not None and to.shape != at.shape:
+    starts = _checked("points", points)
+    ends = None if targets is None else _checked("targets", targets)
+    if ends is not None and ends.shape != starts.shape:
         raise ProblemError(
-            "targets", f"have shape {to.shape}, but the points {at.shape}. Give as many of each."
+            "targets",
+            f"have shape {ends.shape}, but the points have shape {starts.shape}. Give one target "
+            "for each point.",
         )
-    called = [*names, *(f"Pt-{number}" for number in range(len(names), len(at)))]
+    labels = [*names, *(f"Pt-{number}" for number in range(len(names), len(starts)))]
     if suffix == ".csv":
-        text = _as_csv(at, to, called)
-    elif to is not None:
+        text = _as_csv(starts, ends, labels)
+    elif ends is not None:
         raise FileFormatError(
-            f"{target.name}: such a file holds one list of points. Save where things are and where "
-            "they should be in two files, or as .csv."
+            f"{target.name}: such a file holds one list of points. Save the landmarks and their "
+            "targets in two files, or as .csv."
         )
     else:
-        text = (_as_markups if suffix == ".mrk.json" else _as_fiducials)(_in_space(at), called)
+        text = (_as_markups if suffix == ".mrk.json" else _as_fiducials)(_in_space(starts), labels)
     write_whole(target, text.encode())
     return target
 
 
-class _Wrong(ValueError):
-    """Error in a file, in words for the user."""
+class _InvalidContent(ValueError):
+    """A file has an error; the message describes it to the user."""
 
 
 def _suffix(path: Path) -> str:
-    found = next((each for each in POINT_SUFFIXES if path.name.lower().endswith(each)), "")
-    if not found:
+    suffix = next((each for each in POINT_SUFFIXES if path.name.lower().endswith(each)), "")
+    if not suffix:
         raise FileFormatError(
-            f"{path.name}: landmarks are in files that end in {', '.join(POINT_SUFFIXES)}."
+            f"{path.name}: not a file of landmarks. End the name in one of "
+            f"{', '.join(POINT_SUFFIXES)}."
         )
-    return found
+    return suffix
 
 
 def _checked(name: str, values: npt.ArrayLike) -> Points:
@@ -207,65 +216,67 @@ def _in_space(points: Points) -> Points:
     return np.pad(points, ((0, 0), (3 - points.shape[1], 0)))
 
 
-def _of_csv(text: str) -> LandmarkFile:
+def _parse_csv(text: str) -> LandmarkFile:
     rows = [row for row in csv.reader(io.StringIO(text)) if row]
     if not rows:
-        raise _Wrong("it is empty")
+        raise _InvalidContent("it is empty")
     if rows[0][0].strip().casefold() == "index":  # napari's
         titles = [title.strip().casefold() for title in rows[0][1:]]
         axes = [f"axis-{axis}" for axis in range(3)]
-        strange = next((title for title in titles if title not in axes), None)
-        if strange is not None:
-            hint = did_you_mean(strange, axes)
-            raise _Wrong(
-                f"line 1: there is no column {strange!r}.{hint} The columns are index, axis-0, "
+        unknown = next((title for title in titles if title not in axes), None)
+        if unknown is not None:
+            hint = did_you_mean(unknown, axes)
+            raise _InvalidContent(
+                f"line 1: there is no column {unknown!r}.{hint} The columns are index, axis-0, "
                 "axis-1 and, in a volume, axis-2"
             )
         if titles != axes[: len(titles)] or len(titles) < 2:
-            raise _Wrong("line 1: the columns are index, axis-0, axis-1 and, in a volume, axis-2")
+            raise _InvalidContent(
+                "line 1: the columns are index, axis-0, axis-1 and, in a volume, axis-2"
+            )
         return LandmarkFile(
             np.array([row[1:] for row in rows[1:]], float).reshape(len(rows) - 1, -1), unit="pixel"
         )
     n = (len(rows[0]) - 2) // 2
     if n not in (2, 3) or any(len(row) != 2 * n + 2 for row in rows):
-        raise _Wrong(
-            "it has neither napari's first line nor BigWarp's columns, name, active, and 2 x 2 or "
-            "2 x 3 numbers"
+        raise _InvalidContent(
+            "it has neither the first line of napari's format nor the columns of BigWarp's: name, "
+            "active, and 2 x 2 or 2 x 3 numbers"
         )
     for number, row in enumerate(rows, 1):
         if row[1].strip().casefold() not in ("true", "false"):
-            raise _Wrong(
-                f"landmark {number}: the second column is {row[1][:40]!r}, and should be true or "
+            raise _InvalidContent(
+                f"landmark {number}: the second column is {row[1][:40]!r}, but should be true or "
                 "false. BigWarp's files have no line with titles"
             )
-    used = [row for row in rows if row[1].strip().casefold() == "true"]
-    numbers = np.array([row[2:] for row in used], float).reshape(len(used), 2, n)[..., ::-1]
-    return LandmarkFile(numbers[:, 0], numbers[:, 1], tuple(row[0] for row in used))
+    active = [row for row in rows if row[1].strip().casefold() == "true"]
+    numbers = np.array([row[2:] for row in active], float).reshape(len(active), 2, n)[..., ::-1]
+    return LandmarkFile(numbers[:, 0], numbers[:, 1], tuple(row[0] for row in active))
 
 
 def _as_csv(points: Points, targets: Points | None, names: Sequence[str]) -> str:
     file = io.StringIO()
-    write = csv.writer(file, lineterminator="\n")
+    writer = csv.writer(file, lineterminator="\n")
     if targets is None:
-        write.writerow(["index", *(f"axis-{axis}" for axis in range(points.shape[1]))])
-        write.writerows([number, *point] for number, point in enumerate(points.tolist()))
+        writer.writerow(["index", *(f"axis-{axis}" for axis in range(points.shape[1]))])
+        writer.writerows([number, *point] for number, point in enumerate(points.tolist()))
     else:
         pairs = np.concatenate([points[:, ::-1], targets[:, ::-1]], axis=1).tolist()
-        write.writerows([name, "true", *pair] for name, pair in zip(names, pairs, strict=True))
+        writer.writerows([name, "true", *pair] for name, pair in zip(names, pairs, strict=True))
     return file.getvalue()
 
 
-def _of_markups(text: str) -> LandmarkFile:
+def _parse_markups(text: str) -> LandmarkFile:
     lists = json.loads(text)["markups"]
     if len(lists) != 1:
-        raise _Wrong(f"it holds {len(lists)} lists of points; save one of them alone")
+        raise _InvalidContent(f"it holds {len(lists)} lists of points; save one of them alone")
     markups: Mapping[str, Any] = lists[0]
     points = [
         (str(each.get("label", "")), each["position"])
         for each in markups["controlPoints"]
         if each.get("positionStatus", "defined") == "defined"
     ]
-    return _of_slicer(points, markups["coordinateSystem"])
+    return _slicer_landmarks(points, markups["coordinateSystem"])
 
 
 def _as_markups(points: Points, names: Sequence[str]) -> str:
@@ -282,7 +293,7 @@ def _as_markups(points: Points, names: Sequence[str]) -> str:
     return json.dumps({"@schema": _SLICER_SCHEMA, "markups": [markups]}, indent=1) + "\n"
 
 
-def _of_fiducials(text: str) -> LandmarkFile:
+def _parse_fiducials(text: str) -> LandmarkFile:
     system, columns, points = "RAS", ["id", "x", "y", "z"], []
     for line in text.splitlines():
         key, _, value = line.lstrip("# ").partition("=")
@@ -294,7 +305,7 @@ def _of_fiducials(text: str) -> LandmarkFile:
         elif line.strip():
             row = dict(zip(columns, next(csv.reader([line])), strict=False))
             points.append((row.get("label", ""), [row["x"], row["y"], row["z"]]))
-    return _of_slicer(points, system)
+    return _slicer_landmarks(points, system)
 
 
 def _as_fiducials(points: Points, names: Sequence[str]) -> str:
@@ -306,15 +317,15 @@ def _as_fiducials(points: Points, names: Sequence[str]) -> str:
     ]
     file = io.StringIO()
     file.writelines(f"{line}\n" for line in head)
-    write = csv.writer(file, lineterminator="\n")
+    writer = csv.writer(file, lineterminator="\n")
     for number, (name, (z, y, x)) in enumerate(zip(names, points.tolist(), strict=True)):
-        write.writerow([number + 1, x, y, z, 0, 0, 0, 1, 1, 1, 0, name, "", ""])
+        writer.writerow([number + 1, x, y, z, 0, 0, 0, 1, 1, 1, 0, name, "", ""])
     return file.getvalue()
 
 
-def _of_slicer(points: Sequence[tuple[str, Sequence[Any]]], system: str) -> LandmarkFile:
+def _slicer_landmarks(points: Sequence[tuple[str, Sequence[Any]]], system: str) -> LandmarkFile:
     if system not in _TO_LPS:
-        raise _Wrong(f"its points are in {system!r}, not in LPS or RAS")
+        raise _InvalidContent(f"its points are in {system!r}, not in LPS or RAS")
     places = np.array([place for _, place in points], float).reshape(len(points), 3)
     return LandmarkFile(
         (places * _TO_LPS[system])[:, ::-1], names=tuple(n for n, _ in points), unit="mm"

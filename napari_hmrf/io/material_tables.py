@@ -1,4 +1,4 @@
-"""Tables of materials in small, human-readable files.
+"""Files of materials, human-readable and in JSON.
 
 A file is JSON::
 
@@ -7,18 +7,16 @@ A file is JSON::
       "version": 1,
       "name": "Liver",
       "unit": "kPa",
-      "source": "whose values these are",
+      "source": "origin of the values",
       "materials": [
         {"label": 1, "name": "liver", "stiffness": 5.4, "poisson": 0.49}
       ]
     }
 
-The stiffness of bone or an implant, which moves as a rigid body, is the word ``"rigid"``. Tissue
-that grows has a ``"growth"``: 0.1 is a tenth longer; a list has a value for each axis of the image.
-A file with such a material is of version 3, one with rigid tissue of version 2; all others are of
-version 1, which earlier versions of this package read.
-
-This module does not need napari.
+The stiffness of bone or of an implant, which moves as a rigid body, is the word ``"rigid"``. Tissue
+that grows has a ``"growth"``: 0.1 means a tenth longer; a list has a value for each axis of the
+image. A file with growth has version 3 of the format, one with rigid tissue version 2, and all
+others version 1, which earlier versions of this package read.
 """
 
 from __future__ import annotations
@@ -39,28 +37,31 @@ from napari_hmrf.tissue.boundary_rules import USUAL_POISSON, Material
 from napari_hmrf.tissue.material_presets import Preset
 
 _Format = Literal["napari-hmrf materials"]
+#: Name of the format, which each file states.
 FORMAT: _Format = "napari-hmrf materials"
+#: Newest version of the format.
 VERSION = 3
 #: Versions of files with neither rigid tissue nor growth, and of files with rigid tissue.
 _FIRST, _RIGID = 1, 2
+#: Ending of the files.
 ENDING = ".json"
 #: Largest size of a file, in bytes; a larger file is not read.
 _LARGEST = 2**20
 
 
 def write_preset(path: str | Path, preset: Preset) -> Path:
-    """Write materials to a file, atomically, to use them with other images and to share them.
+    """Write materials to a file, atomically, to reuse or share them.
 
     Parameters
     ----------
     path : str or Path
-        ``.json`` is added if it has no ending; a file of that name is replaced.
+        ``.json`` is added to a name without an ending; an existing file is replaced.
     preset : Preset
 
     Returns
     -------
     Path
-        The file written.
+        The written file.
 
     Raises
     ------
@@ -80,13 +81,13 @@ def write_preset(path: str | Path, preset: Preset) -> Path:
     try:
         text = _File.model_validate(values).model_dump_json(indent=2)
     except pydantic.ValidationError as error:
-        raise _bad(target, error) from error
+        raise _format_error(target, error) from error
     write_whole(target, f"{text}\n".encode())
     return target
 
 
 def read_preset(path: str | Path) -> Preset:
-    """Read a file that was written by `write_preset` or by hand.
+    """Read a file of materials, written by `write_preset` or by hand.
 
     Parameters
     ----------
@@ -95,7 +96,7 @@ def read_preset(path: str | Path) -> Preset:
     Returns
     -------
     Preset
-        Named after the file if the file gives no name.
+        Materials; named after the file if the file states no name.
 
     Raises
     ------
@@ -111,7 +112,7 @@ def read_preset(path: str | Path) -> Preset:
     try:
         file = _File.model_validate_json(content)
     except pydantic.ValidationError as error:
-        raise _bad(source, error) from error
+        raise _format_error(source, error) from error
     materials = tuple(Material.of_row(**row.model_dump()) for row in file.materials)
     return Preset(file.name or source.stem, file.unit, file.source, materials)
 
@@ -131,7 +132,7 @@ class _Row(pydantic.BaseModel, strict=True, extra="forbid"):
 
     label: int = pydantic.Field(ge=0)
     name: str = ""
-    # Only the word means rigid: JSON has no infinity, and a number such as 1e999 is a slip.
+    # JSON has no infinity, so rigid tissue has a word; a number such as 1e999 is an error.
     stiffness: Annotated[
         Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)] | Literal["rigid"],
         pydantic.BeforeValidator(lambda v: v.strip().casefold() if isinstance(v, str) else v),
@@ -152,54 +153,56 @@ class _File(pydantic.BaseModel, strict=True, extra="forbid"):
 
     @pydantic.field_validator("version")
     @classmethod
-    def _is_known(cls, version: int) -> int:
-        # Checked before the rows, as a newer version may use other words in them.
+    def _check_version(cls, version: int) -> int:
+        # Checked before the rows, because a newer version may have other keys in them.
         if version > VERSION:
             newer = f"was written by a newer napari-hmrf (version {version})"
-            raise ValueError(f"{newer}. Install the newest one")
+            raise ValueError(f"{newer}. Install the newest version")
         return version
 
     @pydantic.model_validator(mode="after")
-    def _go_together(self) -> _File:
+    def _check_rows(self) -> _File:
         labels = [row.label for row in self.materials]
         for label in labels:
             if labels.count(label) > 1:
                 raise ValueError(f"has two materials for label {label}. Remove one")
         if not any(row.stiffness for row in self.materials):
-            raise ValueError("has no material with a stiffness above 0. Write one that is tissue")
+            raise ValueError("has no material with a stiffness above 0. Add a material of tissue")
         return self
 
 
-def _bad(path: Path, error: pydantic.ValidationError) -> FileFormatError:
-    """Return an error with the first fault of a file, its place, and valid values."""
-    found = error.errors(include_url=False)
-    # A misspelt word is also reported as missing; the misspelt word is the better message.
-    unknown = [each for each in found if each["type"] == "extra_forbidden"]
+def _format_error(path: Path, error: pydantic.ValidationError) -> FileFormatError:
+    """Return an error that describes the first fault of a file, its place, and valid values."""
+    errors = error.errors(include_url=False)
+    # pydantic reports a misspelt key as missing, too; naming the misspelt key is clearer.
+    unknown = [each for each in errors if each["type"] == "extra_forbidden"]
     first = (
-        unknown[0] if unknown and found[0]["type"] in ("missing", unknown[0]["type"]) else found[0]
+        unknown[0]
+        if unknown and errors[0]["type"] in ("missing", unknown[0]["type"])
+        else errors[0]
     )
-    kind, message = first["type"], first["msg"]
+    kind, reported = first["type"], first["msg"]
     place = " ".join(
         str(part + 1) if isinstance(part, int) else part.replace("materials", "material")
         for part in first["loc"][:3]
     )
     if kind == "value_error":
-        said = message.removeprefix("Value error, ")
+        message = reported.removeprefix("Value error, ")
     elif kind == "json_invalid":
-        said = message.replace("Invalid JSON", "is no JSON")
+        message = reported.replace("Invalid JSON", "is not valid JSON")
     elif place in ("", "format"):
-        said = f'is no file of materials: it does not say "format": "{FORMAT}"'
+        message = f'is not a file of materials: it lacks "format": "{FORMAT}"'
     elif kind == "extra_forbidden":
         word, in_row = str(first["loc"][-1])[:40], len(first["loc"]) > 1
         known = [*(_Row if in_row else _File).model_fields]
         where = f" in material {int(first['loc'][1]) + 1}" if in_row else ""
         hint = did_you_mean(word, known, SYNONYMS)
-        said = f"has an unknown word {word!r}{where}.{hint} The words are {', '.join(known)}"
+        message = f"has an unknown key {word!r}{where}.{hint} The keys are {', '.join(known)}"
     elif kind == "missing":
-        said = f"lacks {place}"
+        message = f"lacks {place}"
     else:
-        right = message.removeprefix("Input should be ").removeprefix("a valid ")
+        valid = reported.removeprefix("Input should be ").removeprefix("a valid ")
         if "stiffness" in place:
-            right = 'a number, 0 or more, or "rigid"'
-        said = f"says {place} is {str(first['input'])[:40]!r}. It should be: {right}"
-    return FileFormatError(f"{path.name} {said}.")
+            valid = 'a number, 0 or more, or "rigid"'
+        message = f"is invalid: {place} is {str(first['input'])[:40]!r}. It should be: {valid}"
+    return FileFormatError(f"{path.name} {message}.")

@@ -1,4 +1,4 @@
-"""Animations of a deformation: from rest to its end, and back."""
+"""Animations of a deformation: from rest to the full displacement, and back."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from napari_hmrf.field.moved_pictures import MovedPictures
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.solution import Solution
 
-#: Endings of the files that are written.
+#: Endings of the files of animations.
 MOVING_SUFFIXES = (".gif", ".mp4")
 #: Percentile of the grey levels that is shown as white.
 _WHITE = 99.9
-#: Disk space to reserve for a frame of a film, in bytes.
+#: Disk space that a frame of a film needs at most, in bytes.
 _LARGEST_FRAME = 2**20
 
 
@@ -38,7 +38,7 @@ def write_movie(
     per_second: int = 12,
     number: int | None = None,
 ) -> Path:
-    """Write an animation of an image that moves forth and back in a loop.
+    """Write an animation of an image that moves back and forth in a loop.
 
     Parameters
     ----------
@@ -48,10 +48,11 @@ def write_movie(
     image : array_like, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
         The image before it moves.
     frames : int
-        Number of frames from rest to the end.
+        Number of frames from rest to the full displacement.
     per_second : int
+        Number of frames shown per second.
     number : int, optional
-        Number of the slice to show, along the first axis of a volume.
+        Index of the slice to show, along the first axis of a volume.
 
     Returns
     -------
@@ -63,7 +64,7 @@ def write_movie(
     FileFormatError
         If the name has no ending of an animation.
     ArgumentError
-        If `solution` is not a Solution, there are fewer than two frames, or less than one per
+        If `solution` is not a Solution, or there are fewer than two frames or less than one per
         second.
     ProblemError
         If the solution is of a volume and no slice is given.
@@ -76,69 +77,69 @@ def write_movie(
     require_kind(Solution, "solution", solution, "the result of solve()")
     if target.suffix.lower() not in MOVING_SUFFIXES:
         raise FileFormatError(
-            f"{target.name}: no picture that moves is written as such a file. End its name in "
+            f"{target.name}: animations are not written in such a format. End the name in "
             f"{' or '.join(MOVING_SUFFIXES)}."
         )
     refuse_unless(frames >= 2, "frames", frames, "at least 2")
     refuse_unless(per_second >= 1, "per_second", per_second, "at least 1")
     if solution.tissue.ndim == 2 and number is not None:
-        raise ProblemError("displacement", "is of one slice. Leave out which (`number`).")
+        raise ProblemError("displacement", "is that of a slice. Leave out its index (`number`).")
     if solution.tissue.ndim != 2 and number is None:
         raise ProblemError(
-            "displacement", "is of a volume. Write a picture of one of its slices (`number`)."
+            "displacement", "is that of a volume. Select one of its slices (`number`)."
         )
     steps = [moment / (frames - 1) for moment in range(frames)]
     if number is None:
         motion = Motion(solution, np.asarray(image))
-        there = [_seen(motion, step) for step in steps]
+        pictures = [_frame_at(motion, step) for step in steps]
     else:
         count = len(solution.tissue)
         refuse_unless(0 <= number < count, "number", number, f"from 0 to {count - 1}")
-        there = _slices_seen(solution, np.asarray(image), number, steps)
-    forth = _in_proportion(_as_bytes(np.stack(there)), solution.spacing[-2:])
-    shown = np.concatenate([forth, forth[-2:0:-1]])
+        pictures = _slice_frames(solution, np.asarray(image), number, steps)
+    forward_frames = _square_pixels(_to_bytes(np.stack(pictures)), solution.spacing[-2:])
+    loop = np.concatenate([forward_frames, forward_frames[-2:0:-1]])
     if target.suffix.lower() == ".gif":
-        write_whole(target, _gif(shown, per_second))
+        write_whole(target, _encode_gif(loop, per_second))
     else:
-        write_whole(target, _film(target, shown, per_second))
+        write_whole(target, _encode_film(target, loop, per_second))
     return target
 
 
-def _slices_seen(
+def _slice_frames(
     solution: Solution, image: npt.NDArray[np.generic], number: int, steps: Sequence[float]
 ) -> list[npt.NDArray[np.generic]]:
     """Return a slice of a volume at each step of the motion."""
     pictures, d = MovedPictures(), solution.displacement
 
-    def seen(step: float) -> npt.NDArray[np.generic]:
+    def picture_at(step: float) -> npt.NDArray[np.generic]:
         part = d * np.float32(step)
         return pictures.plane(image, 0, number, part, solution.tissue, solution.spacing, every=1)
 
-    return [compute_thread.result_of(partial(seen, step), "drawing") for step in steps]
+    return [compute_thread.result_of(partial(picture_at, step), "drawing") for step in steps]
 
 
-def _seen(motion: Motion, fraction: float) -> npt.NDArray[np.generic]:
+def _frame_at(motion: Motion, fraction: float) -> npt.NDArray[np.generic]:
     moment = compute_thread.result_of(lambda: motion.at(fraction), "drawing")
     assert moment.image is not None
     return moment.image
 
 
-def _as_bytes(pictures: npt.NDArray[np.generic]) -> npt.NDArray[np.uint8]:
-    """Scale all pictures alike to 0..255; colours lose their opacity."""
+def _to_bytes(pictures: npt.NDArray[np.generic]) -> npt.NDArray[np.uint8]:
+    """Scale all pictures alike to 0..255; the opacity of colours is dropped."""
     values = pictures[..., :3] if pictures.ndim > 3 else pictures
     if values.dtype == np.uint8:
         return values.astype(np.uint8)
     finite = np.nan_to_num(values.astype(float))
     low, high = float(finite.min()), float(np.percentile(finite, _WHITE))
     scaled = (finite - low) / max(high - low, np.finfo(float).tiny)
-    found: npt.NDArray[np.uint8] = np.rint(255 * scaled.clip(0, 1)).astype(np.uint8)
-    return found
+    levels: npt.NDArray[np.uint8] = np.rint(255 * scaled.clip(0, 1)).astype(np.uint8)
+    return levels
 
 
-def _in_proportion(
+def _square_pixels(
     pictures: npt.NDArray[np.uint8], spacing: Sequence[float]
 ) -> npt.NDArray[np.uint8]:
-    """Return pictures with square pixels; no original pixel is left out."""
+    """Return pictures with square pixels; the pictures are enlarged, never reduced."""
     from PIL import Image  # heavy: PIL
 
     rows, cols = (
@@ -152,7 +153,7 @@ def _in_proportion(
     return np.stack([np.asarray(each) for each in stretched])
 
 
-def _gif(pictures: npt.NDArray[np.uint8], per_second: int) -> bytes:
+def _encode_gif(pictures: npt.NDArray[np.uint8], per_second: int) -> bytes:
     from PIL import Image  # heavy: PIL
 
     first, *others = (Image.fromarray(picture) for picture in pictures)
@@ -162,7 +163,7 @@ def _gif(pictures: npt.NDArray[np.uint8], per_second: int) -> bytes:
     return file.getvalue()
 
 
-def _film(target: Path, pictures: npt.NDArray[np.uint8], per_second: int) -> bytes:
+def _encode_film(target: Path, pictures: npt.NDArray[np.uint8], per_second: int) -> bytes:
     try:
         import imageio_ffmpeg  # optional: imageio_ffmpeg
     except ImportError as error:
@@ -181,7 +182,7 @@ def _film(target: Path, pictures: npt.NDArray[np.uint8], per_second: int) -> byt
                 writer.send(np.ascontiguousarray(picture))
             writer.close()
             is_whole = imageio_ffmpeg.count_frames_and_secs(str(file))[0] == len(colours)
-        except (OSError, RuntimeError):  # ffmpeg gives no reason for its end
+        except (OSError, RuntimeError):  # ffmpeg ended; its reason is unknown
             is_whole = False
         if not is_whole:
             file.unlink(missing_ok=True)

@@ -1,8 +1,8 @@
-"""Header of a NIfTI file, which ITK's reader does not respect.
+"""Header of a NIfTI file, for two cases in which ITK's reader ignores a part of it.
 
-ITK reads vectors on one slice of a volume as vectors of a plane, and loses the third axis with its
-length and the place of the slice; ANTs and elastix write such files for one slice. And it fills up
-a file that was cut short with arbitrary values.
+ITK reads a vector field on one slice of a volume as a field in a plane: it drops the third axis,
+and with it the thickness and the place of the slice. ANTs and elastix write such files. ITK also
+fills a file that was cut short with arbitrary values.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-#: Parts of the header, by offsets.
+#: Fields of the header that are used here, with their offsets.
 _HEADER = np.dtype(
     {
         "names": [
@@ -31,14 +31,24 @@ _HEADER = np.dtype(
         "itemsize": 348,
     }
 )
-#: Bytes that are unpacked at once.
+#: Number of bytes decompressed at once.
 _PIECE = 2**20
-#: From right, anterior, superior to left, posterior, superior.
+#: Factors from right, anterior, superior (NIfTI) to left, posterior, superior (ITK).
 _TO_LPS = np.array([-1.0, -1.0, 1.0])
 
 
 class NiftiPlace(NamedTuple):
-    """Sizes, first pixel's middle and directions of x, y, z, as ITK states them."""
+    """Place of a NIfTI image in ITK's convention, with axes in the order x, y, z, in LPS.
+
+    Attributes
+    ----------
+    spacing : ndarray, shape (3,)
+        Size of a voxel, in mm.
+    origin : ndarray, shape (3,)
+        Middle of the first voxel, in mm.
+    direction : ndarray, shape (3, 3)
+        Its columns are the directions of the axes.
+    """
 
     spacing: npt.NDArray[np.float64]
     origin: npt.NDArray[np.float64]
@@ -46,7 +56,7 @@ class NiftiPlace(NamedTuple):
 
 
 def place_in_nifti(path: Path) -> NiftiPlace | None:
-    """Read where a .nii or .nii.gz of the first version of the format lies; None of other files."""
+    """Read the place of a .nii or .nii.gz of version 1; None for other files."""
     header = _header(path)
     if header is None:
         return None
@@ -64,7 +74,7 @@ def place_in_nifti(path: Path) -> NiftiPlace | None:
 
 
 def is_cut_short(path: Path) -> bool:
-    """Return whether a .nii or .nii.gz (version 1) has fewer sound bytes than its header says."""
+    """Return whether a .nii or .nii.gz of version 1 has fewer intact bytes than it should."""
     header = _header(path)
     if header is None:
         return False
@@ -73,18 +83,18 @@ def is_cut_short(path: Path) -> bool:
     needed = int(header["start"]) + count * int(header["bits"]) // 8
     if not path.name.lower().endswith(".gz"):
         return bool(path.stat().st_size < needed)
-    there = 0
+    count_read = 0
     try:
         with gzip.open(path, "rb") as file:
             while piece := file.read(_PIECE):
-                there += len(piece)
+                count_read += len(piece)
     except (OSError, EOFError, zlib.error):
         return True
-    return bool(there < needed)
+    return bool(count_read < needed)
 
 
 def _header(path: Path) -> Any:
-    """The header, in the order of its bytes; None of another kind of file."""
+    """Return the header, read in the byte order of the file; None for another kind of file."""
     opened: Any = gzip.open if path.name.lower().endswith(".gz") else open
     try:
         with opened(path, "rb") as file:
@@ -101,7 +111,7 @@ def _header(path: Path) -> Any:
 
 
 def _rotation(vector: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the rotation of a unit quaternion without its real part, which is not negative."""
+    """Return the rotation matrix of a unit quaternion, given without its non-negative real part."""
     real = math.sqrt(max(0.0, 1.0 - float(vector @ vector)))
     cross = np.cross(np.eye(3), vector)
     turn: npt.NDArray[np.float64] = (

@@ -1,4 +1,4 @@
-"""Types of options of the command line, which read and check their text."""
+"""Types of options of the command line: functions that read and check text."""
 
 from __future__ import annotations
 
@@ -11,7 +11,12 @@ from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 
 
 def energy_option(name: str) -> Callable[[str], Any]:
-    """Return the reader of an option of the energy."""
+    """Return a function that reads an option of the energy.
+
+    Parameters
+    ----------
+    name : {"plane", "tolerance", "penalty", "weight"}
+    """
 
     def read(text: str) -> Any:
         try:
@@ -30,7 +35,7 @@ def count_option(text: str) -> int:
 
 
 def lengths_option(text: str) -> float | tuple[float, float]:
-    """Read a length, or two with a dash between them."""
+    """Read a length, or two lengths with a dash between them."""
     try:
         return float(text)
     except ValueError:
@@ -39,12 +44,12 @@ def lengths_option(text: str) -> float | tuple[float, float]:
     try:
         return float(low), float(high)
     except ValueError:
-        said = f"{text!r} is not a length such as 3, or two such as 1-4"
-        raise argparse.ArgumentTypeError(said) from None
+        message = f"{text!r} is not a length such as 3, or a range such as 1-4"
+        raise argparse.ArgumentTypeError(message) from None
 
 
 def size_option(smallest: int) -> Callable[[str], int]:
-    """Return the reader of the size of a sample in pixels."""
+    """Return a function that reads the size of a sample, in pixels."""
 
     def read(text: str) -> int:
         try:

@@ -1,4 +1,4 @@
-"""Files that are there already are not written over unless the user says so."""
+"""Check that existing files are overwritten only on request."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from napari_hmrf.errors import HmrfError
 
 
 def refuse_overwriting(paths: Iterable[Path], *, overwrite: bool = False) -> None:
-    """Refuse to write over files, unless they may be replaced.
+    """Refuse to overwrite existing files, unless this is allowed.
 
     Parameters
     ----------
     paths : iterable of Path
-        Files to be written. A device is written into, and a folder in place of a file is for the
-        writer to refuse.
+        Files to be written. Devices are not refused; nor are folders, because writing to a folder
+        raises an error anyway.
     overwrite : bool
-        Whether files may be replaced.
+        True if files may be replaced.
 
     Raises
     ------
     HmrfError
-        Naming the first file that is there.
+        Naming the first existing file.
     """
     if overwrite:
         return
-    there = [path for path in paths if path.exists() and not (path.is_dir() or is_stream(path))]
-    if there:
-        more = f" (and {len(there) - 1} more)" if len(there) > 1 else ""
+    existing = [path for path in paths if path.exists() and not (path.is_dir() or is_stream(path))]
+    if existing:
+        more = f" (and {len(existing) - 1} more)" if len(existing) > 1 else ""
         raise HmrfError(
-            f"{there[0]} is there already{more}. Give another name, or write over it "
+            f"{existing[0]} already exists{more}. Give another name, or overwrite it "
             "(`overwrite=True`)."
         )

@@ -1,4 +1,8 @@
-"""Files of work that nobody has saved yet, and those that a process left behind as it ended."""
+"""Autosaved files of unsaved work, and recovery of those of ended processes.
+
+Several machines may share the folder, so the name of a file states the machine and the process that
+owns it.
+"""
 
 from __future__ import annotations
 
@@ -14,42 +18,51 @@ from napari_hmrf.io.study_file import SUFFIX
 
 
 def new_file(folder: Path) -> Path:
-    """A name for a file of this process; the folder is made, for its owner alone."""
+    """Return the path of a new file of this process.
+
+    The folder is created if it does not exist, with access for its owner only.
+    """
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     return folder / f"{_machine()}-{os.getpid()}-{secrets.token_hex(4)}{SUFFIX}"
 
 
 def left_behind(folder: Path) -> tuple[Path, ...]:
-    """The files of processes of this machine that live no more, the newest first."""
-    # Folders are shared by machines, whose processes nobody here can see.
-    found = [file for file in folder.glob(f"{_machine()}-*{SUFFIX}") if not _is_alive(file)]
-    return tuple(sorted(found, key=_written, reverse=True))
+    """Return the files of ended processes of this machine, newest first.
+
+    Files of other machines are left out, because their processes cannot be checked.
+    """
+    files = [file for file in folder.glob(f"{_machine()}-*{SUFFIX}") if not _is_alive(file)]
+    return tuple(sorted(files, key=_modified, reverse=True))
 
 
 def take_over(file: Path) -> Path:
-    """Have a file that was left behind be one of this process; its new name."""
-    own = new_file(file.parent)
+    """Rename a file of an ended process to a file of this process; return the new path."""
+    new_path = new_file(file.parent)
     os.utime(file)
-    return file.replace(own)
+    return file.replace(new_path)
 
 
 def _machine() -> str:
+    """Return the name of this machine, with only letters, digits and underscores."""
     return re.sub(r"\W", "_", platform.node()) or "here"
 
 
-def _written(file: Path) -> float:
+def _modified(file: Path) -> float:
     try:
         return file.stat().st_mtime
-    except OSError:  # somebody has just taken it
+    except OSError:  # another process has taken over the file
         return 0.0
 
 
 def _is_alive(file: Path) -> bool:
-    """Whether the process that wrote a file lives; another that was given its number is younger."""
+    """Return whether the process that wrote a file is running.
+
+    A process that was created after the file is another one with a reused identifier.
+    """
     try:
         process = psutil.Process(int(file.stem.split("-")[-2]))
-        over = process.status() == psutil.STATUS_ZOMBIE
-        return not over and bool(process.create_time() <= _written(file))
+        is_zombie = process.status() == psutil.STATUS_ZOMBIE
+        return not is_zombie and bool(process.create_time() <= _modified(file))
     except psutil.AccessDenied:
         return True
     except (psutil.Error, ValueError, IndexError):

@@ -1,4 +1,4 @@
-"""Results in files: measurements, labels and images that go with their fields."""
+"""Results read from files: measurements of tissue, labels, and images with their fields."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class Measured(NamedTuple):
     unit : str
         Unit of lengths.
     of_volume : bool
-        Whether the tissue is measured as volume instead of area.
+        True if the size of tissue is a volume instead of an area.
     note : str
-        Reason why the strain is not the elastic one, as a clause; "" if it is.
+        Reason why the strain is not the elastic strain, as a clause; "" if it is.
     """
 
     rows: tuple[Measurement, ...]
@@ -47,13 +47,14 @@ def measured(path: Path, labels: Path | None = None) -> Measured:
     Parameters
     ----------
     path : Path
+        A study with its field, or a saved result.
     labels : Path, optional
-        An image of labels; by default those of the study.
+        An image of labels; by default those of the study, or one label for all tissue.
 
     Raises
     ------
     HmrfError, OSError
-        If a file cannot be read; or if it has no field, or no labels and none are given.
+        If a file cannot be read, or has no field.
     """
     study, solution = read_solved(path)
     tissue = None if study is None else study.tissue
@@ -63,7 +64,7 @@ def measured(path: Path, labels: Path | None = None) -> Measured:
         given = _on_grid(labels, solution)
         refuse_colours(given, labels)
         image = as_labels(given.pixels, labels)
-    if image is None:  # without labels all tissue is one
+    if image is None:  # without labels, all tissue has one label
         image, names = np.ones(solution.tissue.shape, np.int32), {1: "tissue"}
     unit = unit_symbol(Frame.of_solution(solution).unit)
     rows, of_volume = solution.measure(image, names=names), solution.tissue.ndim == 3
@@ -71,7 +72,7 @@ def measured(path: Path, labels: Path | None = None) -> Measured:
 
 
 def labels_in(path: Path) -> tuple[int, ...]:
-    """Return the labels that occur in an image.
+    """Return the different labels in an image file.
 
     Raises
     ------
@@ -84,12 +85,12 @@ def labels_in(path: Path) -> tuple[int, ...]:
 
 
 def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArray[Any]]:
-    """Return the field of a study or result, and its image, or another image if given.
+    """Return the field of a study or result, and its image or the given image.
 
     Raises
     ------
     HmrfError, OSError
-        If a file cannot be read; or if it has no field, or no image and none is given.
+        If a file cannot be read or has no field, or if there is no image.
     """
     study, solution = read_solved(path)
     pixels = None if study is None else study.pictures.image
@@ -102,16 +103,16 @@ def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArr
 
 def _on_grid(path: Path, solution: Solution) -> ImageFile:
     """Return the image in a file; a volume in the order of the solution's axes."""
-    unknown = Frame.of_solution(solution).unit == "pixel"
-    image, place = read_image(path), None if unknown else place_of(solution)
+    is_unplaced = Frame.of_solution(solution).unit == "pixel"
+    image, place = read_image(path), None if is_unplaced else place_of(solution)
     if solution.tissue.ndim == 3:
         image = image.laid_as(place)
     sizes, shape = image.pixels.shape[: image.ndim], solution.tissue.shape
     if sizes != shape:
         raise ProblemError(
             path.name,
-            f"is {grid_in_words(sizes)}, but the field {grid_in_words(shape)}. Give an image of "
-            "the same pixels.",
+            f"is {grid_in_words(sizes)}, but the field is {grid_in_words(shape)}. Give an image of "
+            "the same size.",
         )
     image.refuse_elsewhere(place, path.name, "the field")
     return image

@@ -1,9 +1,8 @@
 """Seals of exchange files: digests that reveal damage.
 
-A sealed file carries one line twice, at its beginning and at its end as far as the format allows:
-a mark and the SHA-256 of the whole file, computed with zeros for the digits of both digests. Other
-tools skip the lines, and drop them when they save the field again; such a file has no seal and is
-read without a check.
+A sealed file contains the same line twice, near its beginning and its end: a mark and the SHA-256
+of the whole file, computed with zeros in place of both digests. Other tools ignore the lines, and
+drop them when they save the field again; a file without a seal is read without a check.
 
 =================  ==============================================================
 .mha               comments, in the second line of the header and before its last
@@ -33,32 +32,32 @@ _SEAL = re.compile(re.escape(_MARK) + rb"([0-9a-f]{%d})" % _DIGITS)
 _BLANK = _MARK + b"0" * _DIGITS
 #: Number of seals in a file.
 _COUNT = 2
-#: Length of a seal where a format has no lines, in bytes: a multiple of 16, as NIfTI needs.
+#: Length of a seal in formats without lines, in bytes; NIfTI needs a multiple of 16.
 _BLOCK = 128
-#: Bytes in which the first and the last seal are searched for.
+#: Numbers of bytes at the beginning and at the end that are searched for seals.
 _HEAD, _TAIL = 2**14, 2**10
 #: Number of bytes read at once.
 _PIECE = 2**20
-#: Share of a mark's bytes that reveals a damaged seal; other text shares less than a third.
-_BETRAYING = 0.6
+#: Share of matching bytes from which text counts as a damaged mark; other text has below a third.
+_DAMAGED_SHARE = 0.6
 _GZIP, _HDF5 = b"\x1f\x8b", b"\x89HDF\r\n\x1a\n"
 #: Compression level of .nii.gz: vectors hardly compress, and higher levels take longer.
 _LEVEL = 2
-#: Length of NIfTI's header, and offset of the number that says where the vectors begin.
+#: Length of NIfTI's header, and offset of the number that states where the vectors begin.
 _NIFTI_HEADER, _NIFTI_START = 352, 108
 
 
 class BrokenSeal(Exception):
-    """The file differs from what was written: damaged, or edited by hand."""
+    """A sealed file was changed after it was written, by damage or by an edit."""
 
 
 def seal(content: bytes, suffix: str) -> bytes:
-    """Return a file's content with seals.
+    """Return the content of a file with seals.
 
     Parameters
     ----------
     content : bytes
-        Written by SimpleITK; for .nii.gz before compression.
+        Content as written by SimpleITK; for .nii.gz before compression.
     suffix : {".mha", ".nrrd", ".nii", ".nii.gz", ".h5"}
     """
     block = (_BLANK + b"\n").ljust(_BLOCK, b"\n")
@@ -79,12 +78,12 @@ def seal(content: bytes, suffix: str) -> bytes:
 
 
 def check_seal(path: Path) -> bool:
-    """Return whether a file has a seal; a file of another program has none.
+    """Return whether a file has a valid seal; files of other programs have no seal.
 
     Raises
     ------
     BrokenSeal
-        If the seal does not match, or is damaged itself.
+        If the seal does not match the file, or is itself damaged.
     OSError
         If the file cannot be opened.
     """
@@ -94,54 +93,54 @@ def check_seal(path: Path) -> bool:
             file.seek(0)
             if start.startswith(_GZIP):
                 with gzip.open(file) as stream:
-                    found = _read_seals(stream)
+                    is_sealed = _read_seals(stream)
             else:
-                found = _read_seals(file)
+                is_sealed = _read_seals(file)
     except (EOFError, zlib.error, gzip.BadGzipFile):
-        return False  # the decoder refuses the file
-    if not found and _hdf5_ends_early(start, path.stat().st_size):
+        return False  # the decoder then reports the damage
+    if not is_sealed and _hdf5_ends_early(start, path.stat().st_size):
         raise BrokenSeal
-    return found
+    return is_sealed
 
 
 def _read_seals(stream: BinaryIO | gzip.GzipFile) -> bool:
-    digest, remains = hashlib.sha256(), 0.0
-    told: list[str] = []
+    digest, likeness = hashlib.sha256(), 0.0
+    digests: list[str] = []
     for part, is_end in _parts(stream):
         if is_end:
-            told += [match[1].decode() for match in _SEAL.finditer(part)]
-            remains = max(remains, _likeness(part))
+            digests += [match[1].decode() for match in _SEAL.finditer(part)]
+            likeness = max(likeness, _likeness(part))
             part = _SEAL.sub(_BLANK, part)
         digest.update(part)
-    if remains < _BETRAYING:
+    if likeness < _DAMAGED_SHARE:
         return False
-    if told != [digest.hexdigest()] * _COUNT:
+    if digests != [digest.hexdigest()] * _COUNT:
         raise BrokenSeal
     return True
 
 
 def _parts(stream: BinaryIO | gzip.GzipFile) -> Iterator[tuple[bytes, bool]]:
-    """Yield the content in pieces, and whether each is the beginning or the end."""
+    """Yield pieces of the content, each with True if it is the beginning or the end."""
     head = stream.read(_HEAD)
-    held = stream.read(_PIECE)
-    if len(held) < 2 * _TAIL:  # keeps a seal from lying across two parts
-        yield head + held, True
-        held = b""
+    pending = stream.read(_PIECE)
+    if len(pending) < 2 * _TAIL:  # a seal must not be split between two pieces
+        yield head + pending, True
+        pending = b""
     else:
         yield head, True
-    while held:
+    while pending:
         piece = stream.read(_PIECE)
         if not piece:
-            yield held[:-_TAIL], False
-            yield held[-_TAIL:], True
+            yield pending[:-_TAIL], False
+            yield pending[-_TAIL:], True
             return
-        held += piece
-        yield held[: -2 * _TAIL], False
-        held = held[-2 * _TAIL :]
+        pending += piece
+        yield pending[: -2 * _TAIL], False
+        pending = pending[-2 * _TAIL :]
 
 
 def _likeness(part: bytes) -> float:
-    """Return the largest share of a mark's bytes that match at any one position."""
+    """Return the largest share of the mark's bytes that match, over all positions."""
     if len(part) < len(_MARK):
         return 0.0
     windows: Any = np.lib.stride_tricks.sliding_window_view(

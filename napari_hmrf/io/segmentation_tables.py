@@ -1,4 +1,4 @@
-"""Tables of label names of segmentations, as other tools write them.
+"""Tables with the label names of segmentations, as written by other tools.
 
 ========================  ====================================================================
 TotalSegmentator, nnU-Net  .json: a class map, or a `dataset.json` with its `labels`
@@ -30,25 +30,26 @@ from napari_hmrf.tissue.tissue_names import NamedMaterials, materials_by_name
 
 #: Largest size of a table, in bytes; also the longest header of an image.
 _LARGEST = 2**22
-#: Number of names that an error lists.
-_FEW = 4
-#: Titles of columns of a .csv, in lower case.
+#: Largest number of names listed in an error.
+_LISTED = 4
+#: Titles of the columns of labels and of names in a .csv, in lower case.
 _LABELS = "label", "labelvalue", "label value", "value", "index", "id", "no.", "key", "intensity"
 _NAMES = "name", "label name", "labelname", "structure", "segment", "tissue", "region", "class"
-#: Columns that mark a table of materials.
+#: Columns by which a table of materials is recognised.
 _OF_MATERIALS = tuple(name for name in MATERIAL_COLUMNS if name not in ("label", "name"))
-#: Columns that other tools write beside names: colours, and terms of 3D Slicer.
-_BESIDE = re.compile(
+#: Other columns that tools write into lists of names: colours, and terms of 3D Slicer.
+_OTHER_COLUMNS = re.compile(
     r"(colou?r[ _]?)?(r|g|b|a|red|green|blue|alpha)|colou?r|hex|opacity|visib(le|ility)"
     r"|[a-z]+_(codingscheme|codevalue|codemeaning)|(description|comment|abbreviation|acronym)s?"
 )
-# A label, its name, red, green, blue and alpha, and the tissue type of newer tables of FreeSurfer;
-# or the numbers that ITK-SNAP has between label and name.
+# FreeSurfer, 3D Slicer: a label, its name, four numbers of a colour, and in newer tables of
+# FreeSurfer a tissue type. ITK-SNAP: a label, six numbers, and the name in quotation marks.
 _COLOUR_ROW = re.compile(r'\s*(\d+)\s+"?(\S.*?)"?((?:\s+[\d.]+){4,5})\s*$')
 _SNAP_ROW = re.compile(r'\s*(\d+)((?:\s+[\d.]+){6})\s+"([^"]*)"\s*$')
 _NUMBERED = re.compile(r"\s*\d+\s+\S")
 _SEGMENT = re.compile(r"Segment(\d+)_(LabelValue|Name|Layer):=(.*)")
 
+#: Endings of the files.
 ENDINGS = ".csv", ".json", ".txt", ".ctbl", ".nrrd"
 
 
@@ -59,9 +60,8 @@ def read_label_names(path: str | os.PathLike[str]) -> dict[int, str]:
     ----------
     path : str or path-like
         A class map of TotalSegmentator or a `dataset.json` of nnU-Net (.json); a .csv with a column
-        of labels and one of names; FreeSurfer's `FreeSurferColorLUT.txt`, label descriptions of
-        ITK-SNAP (.txt), a colour table of 3D Slicer (.ctbl, .txt), or its segmentation itself
-        (.seg.nrrd).
+        of labels and a column of names; FreeSurfer's `FreeSurferColorLUT.txt`; label descriptions
+        of ITK-SNAP (.txt); a colour table (.ctbl, .txt) or a segmentation (.seg.nrrd) of 3D Slicer.
 
     Returns
     -------
@@ -71,8 +71,8 @@ def read_label_names(path: str | os.PathLike[str]) -> dict[int, str]:
     Raises
     ------
     FileFormatError
-        If it is no such table, has an unknown column or an unreadable line, or has a label
-        twice.
+        If the file is not such a table, has an unknown column or an unreadable line, or has a
+        label twice.
     OSError
         If the file cannot be opened.
     """
@@ -90,52 +90,52 @@ def read_label_names(path: str | os.PathLike[str]) -> dict[int, str]:
     for label, name in rows:
         if names.setdefault(label, name) != name:
             raise FileFormatError(
-                f"{source.name}: label {label} is there twice, as {names[label]!r} and {name!r}. "
+                f"{source.name}: label {label} occurs twice, as {names[label]!r} and {name!r}. "
                 "Remove one of them."
             )
     if not names:
         raise FileFormatError(
-            f"{source.name} names no labels. Give a file of materials that was saved here, a class "
-            "map (.json), a .csv with the columns label and name, a colour table of FreeSurfer or "
-            "3D Slicer, label descriptions of ITK-SNAP, or a .seg.nrrd."
+            f"{source.name} holds no label names. Give a file of materials saved by napari-hmrf, a "
+            "class map (.json), a .csv with the columns label and name, a colour table of "
+            "FreeSurfer or 3D Slicer, label descriptions of ITK-SNAP, or a .seg.nrrd."
         )
     return names
 
 
 def tissue_table(path: str | os.PathLike[str]) -> NamedMaterials | Preset:
-    """Read materials from any table: with their stiffness, or by the label names.
+    """Read materials from a table of materials, or look them up by label names.
 
     Parameters
     ----------
     path : str or path-like
-        A file of `write_preset` or a .csv with a column `stiffness`; otherwise a file for
+        A file of `write_preset`, a .csv with a column `stiffness`, or a file for
         `read_label_names`. A .csv is a list of names only if all of its columns are labels, names,
-        or colours and terms that other tools write beside them.
+        or colours and terms that other tools write.
 
     Returns
     -------
     Preset or NamedMaterials
-        A preset if the file itself gives the stiffness of each tissue.
+        A preset if the file states the stiffness of each tissue.
 
     Raises
     ------
     FileFormatError, OSError
-        As for `read_materials`, `read_preset` and `read_label_names`; or if none of the names
-        has a known stiffness.
+        As for `read_materials`, `read_preset` and `read_label_names`; or if the stiffness of none
+        of the names is known.
     """
     source = Path(checked_path(path))
     ending = source.suffix.lower()
     if ending == ".csv" and not _is_of_names(source):
         return Preset(source.stem, "", f"the file {source.name}", read_materials(source))
-    if ending == ".json" and (source.stat().st_size > _LARGEST or _is_ours(source)):
+    if ending == ".json" and (source.stat().st_size > _LARGEST or _is_preset_file(source)):
         return read_preset(source)
     found = materials_by_name(read_label_names(source), name=source.stem)
     if not any(row.stiffness for row in found.materials):
         names = list(dict.fromkeys(found.unknown.values()))
-        some = ", ".join(names[:_FEW]) + " ..." * (len(names) > _FEW)
+        listed = ", ".join(names[:_LISTED]) + " ..." * (len(names) > _LISTED)
         raise FileFormatError(
-            f"{source.name} gives no stiffness, and none of its names ({some}) is a tissue with a "
-            "published one. Give a .csv with the columns label, name and stiffness."
+            f"{source.name} states no stiffness, and none of its names ({listed}) is a tissue with "
+            "a published stiffness. Give a .csv with the columns label, name and stiffness."
         )
     return found
 
@@ -150,27 +150,27 @@ def _text(source: Path, ending: str) -> str:
 
 
 def _header(source: Path) -> tuple[int, list[str], list[tuple[int, list[str]]]]:
-    """Return the line number and the titles of a .csv, and its other non-empty lines."""
+    """Return the line number and the titles of a .csv, and its other lines that are not empty."""
     rows = [(line, cells) for line, cells in read_cells(source, _LARGEST) if any(cells)]
     line, titles = rows[0] if rows else (1, [])
     return line, [title.casefold() for title in titles], rows[1:]
 
 
 def _is_of_names(source: Path) -> bool:
-    """Return whether all columns of a .csv fit a list of names."""
+    """Return whether a .csv is a list of names, judged by its columns."""
     _, titles, _ = _header(source)
-    there = [any(title in titles for title in known) for known in (_LABELS, _NAMES)]
-    return all(there) and not any(map(_is_strange, titles))
+    has_columns = [any(title in titles for title in known) for known in (_LABELS, _NAMES)]
+    return all(has_columns) and not any(map(_is_foreign_column, titles))
 
 
-def _is_strange(title: str) -> bool:
-    """Return whether a list of names cannot have such a column."""
-    known = not title or title in (*_LABELS, *_NAMES) or _BESIDE.fullmatch(title) is not None
+def _is_foreign_column(title: str) -> bool:
+    """Return whether no list of names has a column with this title."""
+    known = not title or title in (*_LABELS, *_NAMES) or _OTHER_COLUMNS.fullmatch(title) is not None
     return not known
 
 
-def _is_ours(source: Path) -> bool:
-    """Return whether a .json is a file of materials, or unreadable."""
+def _is_preset_file(source: Path) -> bool:
+    """Return whether a .json is a file of materials; also True if it is unreadable."""
     try:
         content = json.loads(read_at_most(source, _LARGEST) or b"")
     except ValueError:
@@ -182,7 +182,7 @@ def _is_ours(source: Path) -> bool:
 
 def _of_cells(source: Path) -> Iterable[tuple[int, str]]:
     line, titles, rows = _header(source)
-    for title in filter(_is_strange, titles):
+    for title in filter(_is_foreign_column, titles):
         if title in _OF_MATERIALS:
             raise FileFormatError(
                 f"{source.name}: line {line}: a list of names has no column {title!r}. Use the "
@@ -196,7 +196,7 @@ def _of_cells(source: Path) -> Iterable[tuple[int, str]]:
     if label_at is None or name_at is None:
         return
     for number, cells in rows:
-        label = _whole(cells[label_at]) if len(cells) > label_at else None
+        label = _as_label(cells[label_at]) if len(cells) > label_at else None
         if label is None:
             written = cells[label_at] if len(cells) > label_at else ""
             raise FileFormatError(
@@ -207,7 +207,7 @@ def _of_cells(source: Path) -> Iterable[tuple[int, str]]:
 
 
 def _of_json(text: str, file: str) -> Iterable[tuple[int, str]]:
-    """Return labels and names from a mapping in either direction, alone or under a key."""
+    """Return labels and names from a mapping in either direction, which may be under a key."""
     try:
         content = json.loads(text)
     except ValueError:
@@ -230,22 +230,22 @@ def _of_mapping(content: Any, file: str) -> Iterable[tuple[int, str]]:
     if understood or inner:
         key = next(key for key, row in zip(content, rows, strict=True) if row is None)
         raise FileFormatError(
-            f"{file}: {key!r} is {json.dumps(content[key])[:40]}. Give each label a name, as in "
-            '{"1": "liver"}, or each name a label.'
+            f"{file}: {key!r} is {json.dumps(content[key])[:40]}. Give a name for each label, as "
+            'in {"1": "liver"}, or a label for each name.'
         )
     return ()
 
 
 def _of_pair(key: str, value: Any) -> tuple[int, str] | None:
-    """Return a label and its name, in either order; None if it is no such pair."""
+    """Return a label and its name, given in either order; None if it is not such a pair."""
     if isinstance(value, bool) or not isinstance(value, str | int):
         return None
-    label, name = (_whole(key), str(value)) if _is_name(value) else (_whole(value), key)
+    label, name = (_as_label(key), str(value)) if _is_name(value) else (_as_label(value), key)
     return None if label is None or not _is_name(name) else (label, name)
 
 
 def _is_name(value: Any) -> bool:
-    return isinstance(value, str) and _whole(value) is None
+    return isinstance(value, str) and _as_label(value) is None
 
 
 def _of_lines(text: str, file: str) -> Iterable[tuple[int, str]]:
@@ -259,24 +259,24 @@ def _of_lines(text: str, file: str) -> Iterable[tuple[int, str]]:
         elif _NUMBERED.match(line):
             raise FileFormatError(
                 f"{file}: line {number} is {line.strip()[:40]!r}. Give a label, its name and four "
-                "numbers of a colour, or begin it with #."
+                "numbers of a colour, or begin the line with #."
             )
 
 
 def _of_segments(text: str) -> Iterable[tuple[int, str]]:
-    """Yield the segments of the first layer, the only one that is an image of labels."""
+    """Yield the segments of the first layer; other layers are not read as labels."""
     segments: dict[str, dict[str, str]] = {}
     for line in takewhile(str, text.splitlines()):
-        if found := _SEGMENT.match(line):
-            segments.setdefault(found[1], {})[found[2]] = found[3].strip()
+        if match := _SEGMENT.match(line):
+            segments.setdefault(match[1], {})[match[2]] = match[3].strip()
     for each in segments.values():
-        label = _whole(each.get("LabelValue", ""))
+        label = _as_label(each.get("LabelValue", ""))
         if label is not None and each.get("Layer", "0") == "0":
             yield label, each.get("Name", "")
 
 
-def _whole(value: Any) -> int | None:
-    """Return a label, which some tools write as text; None if it is no label."""
+def _as_label(value: Any) -> int | None:
+    """Return a value as a label, also from text; None if it is not a whole number from 0 on."""
     try:
         number = float(value)
     except (TypeError, ValueError):

@@ -1,7 +1,7 @@
 """File of a study: all inputs of a field and the field itself, so that it can be reproduced.
 
-It is an archive of plain arrays and one text (`napari_hmrf.array_file`): it cannot run code, and it
-is written atomically.
+The file is an archive of plain arrays and one text (`napari_hmrf.array_file`). Reading it cannot
+run code, and it is written atomically.
 """
 
 from __future__ import annotations
@@ -36,12 +36,14 @@ from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
 #: Ending of the files of studies.
 SUFFIX = ".study"
-#: Data types of labels, and of numbers of any kind.
+#: Data types of labels in a file.
 LABEL_TYPES = ("|u1", "<u2", "<u4", "<u8", "|i1", "<i2", "<i4", "<i8")
+#: Data types of other arrays in a file.
 _NUMBERS = ("|b1", *LABEL_TYPES, "<f2", "<f4", "<f8")
+#: Prefix of the names of a solution's arrays.
 _OF_SOLUTION = "solution_"
-#: Penalties of an elastic prior that files write as words. "inf" has meant confidence-based
-#: penalties since the first version of the file.
+#: Penalties of an elastic prior that are stored as words. Since the first version of the file,
+#: "inf" stands for penalties derived from confidence.
 _PENALTIES = {None: "inf", math.inf: "exact"}
 #: Validators for the types in a file.
 _MATERIALS = TypeAdapter(tuple[Material, ...])
@@ -51,7 +53,7 @@ _LENGTHS = TypeAdapter(tuple[float, ...])
 
 
 class StudyFile(NamedTuple):
-    """Content of the file of a study.
+    """Content of a study file.
 
     Attributes
     ----------
@@ -71,7 +73,7 @@ def write_study(
     *,
     image: bool = True,
 ) -> Path:
-    """Write a study, and its field if there is one, to one file, atomically.
+    """Write a study, optionally with its field, to one file, atomically.
 
     The display settings of layers, such as colormaps, are not saved.
 
@@ -83,8 +85,8 @@ def write_study(
     study : Study
     solution : Solution, optional
     image : bool
-        Whether to save the image itself. Otherwise its name and digest are saved, and the image
-        must be given to `read_study`.
+        If True, save the image. Otherwise only its name and digest are saved, and the image must be
+        given to `read_study`.
 
     Returns
     -------
@@ -110,13 +112,13 @@ def write_study(
 
 
 def read_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> StudyFile:
-    """Read the file of a study, in this or an earlier version of the format.
+    """Read a study file, in this or an earlier version of the format.
 
     Parameters
     ----------
     path : str or path-like
     image : ndarray, optional
-        The image, if the file only refers to it.
+        The image, if the file has only its name and digest.
 
     Returns
     -------
@@ -126,8 +128,7 @@ def read_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None =
     Raises
     ------
     FileFormatError
-        If it is no file of a study, or damaged; or if it refers to another image than the given
-        one.
+        If the file is not a study, or is damaged; or if the given image is not that of the study.
     OSError
         If the file cannot be opened.
     """
@@ -136,8 +137,8 @@ def read_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None =
     if content.digest and study.pictures.image is None and image is not None:
         if _digest(image) != content.digest:
             raise FileFormatError(
-                f"{Path(path).name}: it was made from another image than the one given. Give "
-                f"'{study.pictures.name}' as it was."
+                f"{Path(path).name}: the study was made from another image. Give "
+                f"'{study.pictures.name}' unchanged."
             )
         study = replace(study, pictures=replace(study.pictures, image=image))
     return StudyFile(study, content.solution)
@@ -149,7 +150,7 @@ def read_solved(path: str | os.PathLike[str]) -> tuple[Study | None, Solution]:
     Raises
     ------
     FileFormatError
-        If it is neither, or damaged; or if the study was saved without its field.
+        If the file is neither of them, or is damaged; or if the study was saved without its field.
     OSError
         If the file cannot be opened.
     """
@@ -169,7 +170,7 @@ def read_solved(path: str | os.PathLike[str]) -> tuple[Study | None, Solution]:
 
 
 def is_study_file(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file is marked as a study; reads only its beginning.
+    """Return whether a file is marked as a study; only its beginning is read.
 
     Parameters
     ----------
@@ -183,7 +184,7 @@ def is_study_file(path: str | os.PathLike[str]) -> bool:
 
 
 def image_named_in(path: str | os.PathLike[str]) -> str:
-    """Return the name of a study's image, read from the header; "" if unreadable."""
+    """Return the name of a study's image from the header of its file; "" if unreadable."""
     pictures = array_file.header_of(path).get("pictures")
     return str(pictures.get("name", "")) if isinstance(pictures, dict) else ""
 
@@ -196,10 +197,10 @@ def replay(
 ) -> Solution:
     """Solve a saved study again, on the backend that computed its field.
 
-    On the same machine and version, a field from a cold start, as by `solve_study` or *Deform*, is
-    reproduced bit by bit, with any number of threads. A field that followed edits in the window
-    came from a warm start: it is the same within the `convergence.error` of both. A field that was
-    solved while loops were still being compiled differs in the last digits.
+    On the same machine and version, a field from a cold start, as from `solve_study` or *Deform*,
+    is reproduced bit by bit, with any number of threads. A field that followed edits in the window
+    came from a warm start: both fields agree within the sum of their `convergence.error`. A field
+    that was solved before the loops were compiled differs in the last digits.
 
     Parameters
     ----------
@@ -215,8 +216,8 @@ def replay(
     Raises
     ------
     HmrfError
-        As for `read_study` and `solve_study`; or if the file only refers to its image, from which
-        the tissue is derived, and the image is not given.
+        As for `read_study` and `solve_study`; or if the tissue is derived from the image, which is
+        neither in the file nor given.
     """
     study, solution = read_study(path, image=image)
     tissue = study.tissue
@@ -226,7 +227,7 @@ def replay(
         and (tissue.curve is not None or tissue.without_border or _is_of_image(tissue))
     ):
         raise HmrfError(
-            f"{Path(path).name}: its tissue is derived from '{study.pictures.name}', which is not "
+            f"{Path(path).name}: the tissue is derived from '{study.pictures.name}', which is not "
             "in the file. Give the image."
         )
     backend = "auto" if solution is None else solution.provenance.backend
@@ -234,7 +235,7 @@ def replay(
 
 
 class _Content(NamedTuple):
-    """Content of a file: study, field, whether the image is included, and the image's digest."""
+    """Content of a file: study, field, a flag for an included image, and the image's digest."""
 
     study: Study
     solution: Solution | None = None
@@ -294,7 +295,7 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
         "poisson": poisson if np.ndim(poisson) else None,
         "boundary_labels": motion.labels,
         "observed": motion.observed,
-        "counts": motion.confidence,  # the key in files since the first version
+        "counts": motion.confidence,  # name of the confidence since the first version of the file
         "image": image if content.image else None,
         "labels": pictures.labels,
     }
@@ -359,7 +360,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
         }
         solution = SOLUTION_FORMAT.parse(header["solution"], of_solution)
         if solution.tissue.shape != study.grid.shape:
-            raise Invalid("its study and its field are of different size")
+            raise Invalid("its study and its field have different sizes")
         solution = replace(solution, unit=study.grid.unit)
     return _Content(study, solution, "image" in arrays, str(pictures["digest"]))
 
@@ -380,7 +381,7 @@ def _prior_from_dict(values: Mapping[str, Any], poisson: Any) -> Prior:
 
 
 def _name_in(kept: Any) -> str:
-    """Return the name of a study's part; earlier versions stored a mapping."""
+    """Return the name of a part of a study; earlier versions of the file stored a mapping."""
     return str(kept["name"] if isinstance(kept, Mapping) else kept)
 
 
@@ -393,17 +394,17 @@ def _preset_from_dict(values: Mapping[str, Any]) -> Preset:
 
 
 def materials_of(rows: Any) -> tuple[Material, ...]:
-    """Convert the rows of `Material.as_row`, as stored in files, to materials.
+    """Convert rows of `Material.as_row`, as stored in files, to materials.
 
     Raises
     ------
     KeyError, TypeError, ValueError
-        If the rows are something else.
+        If the rows are not of that form.
     """
     return _MATERIALS.validate_python([asdict(Material.of_row(**row)) for row in rows])
 
 
-#: The file that `write_study` writes.
+#: Format of the file that `write_study` writes.
 STUDY_FORMAT: array_file.Format[_Content] = array_file.Format(
     name="napari-hmrf study",
     schema=1,

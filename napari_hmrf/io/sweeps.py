@@ -1,4 +1,4 @@
-"""Variation of single numbers of a study, for sweeps over parameters."""
+"""Changes of single numbers of a study, for sweeps over parameters."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ from napari_hmrf.tissue.boundary_rules import (
 )
 from napari_hmrf.tissue.tissue_names import lookup_tissue
 
-#: Properties of a tissue, and of a boundary, that can be changed.
+#: Properties of a tissue that can be changed.
 OF_TISSUES = "growth", "stiffness", "poisson"
+#: Properties of a boundary that can be changed.
 OF_BOUNDARIES = ("amount",)
 
 
@@ -31,11 +32,11 @@ class Change(NamedTuple):
     ----------
     what : {"growth", "stiffness", "poisson", "amount", "model"}
     value : float, tuple of float or str
-        In the form of a `Material` or a `BoundaryRule`. An amount is the distance by which the
-        boundary expands, or its pressure; for moved or pulled boundaries the length of the vector.
+        New value, as in a `Material` or a `BoundaryRule`. An amount is the distance by which the
+        boundary expands, or its pressure; for moved or pulled boundaries, the length of the vector.
     of : str
-        The label or the name of a tissue or a boundary, or the name of the known tissue that it
-        is recognised as; "" for all tissue.
+        Label or name of a tissue or boundary, or name of the known tissue that a name stands for;
+        "" for all tissue.
     """
 
     what: str
@@ -49,7 +50,7 @@ def changed(study: Study, changes: Iterable[Change]) -> Study:
     Raises
     ------
     HmrfError
-        If there is no such tissue or boundary, or the change does not apply to it.
+        If there is no such tissue or boundary, or the change is not possible for it.
     """
     for change in changes:
         study = _changed(study, change)
@@ -61,10 +62,10 @@ def _changed(study: Study, change: Change) -> Study:
         prior, optimizer = chosen(change.value)
         return replace(study, prior=prior, optimizer=optimizer)
     if change.what == "poisson" and not isinstance(study.prior, Elastic):
-        raise HmrfError("poisson is for elastic tissue: the paper's has no Poisson's ratio")
+        raise HmrfError("poisson is for elastic tissue: the paper's model has no Poisson's ratio")
     if change.what in OF_BOUNDARIES:
         motion = study.motion
-        rules = _edited(motion.rules, change, lambda rule: _moved_by(rule, change.value))
+        rules = _edited(motion.rules, change, lambda rule: _with_amount(rule, change.value))
         return replace(study, motion=replace(motion, rules=rules))
     if not change.of and study.tissue.labels is None:
         return replace(study, prior=replace(study.prior, poisson=change.value))
@@ -77,7 +78,7 @@ def _changed(study: Study, change: Change) -> Study:
 
 
 def with_ratio(tissue: Tissue, ratio: float) -> Tissue:
-    """Return tissue by labels with a single Poisson's ratio, also for labels without a row."""
+    """Return tissue with the same Poisson's ratio for all labels, also for those without a row."""
     if tissue.labels is None:
         return tissue
     known = tissue.materials
@@ -86,27 +87,27 @@ def with_ratio(tissue: Tissue, ratio: float) -> Tissue:
 
 
 def _edited(rows: Sequence[Any], change: Change, edit: Callable[[Any], Any]) -> tuple[Any, ...]:
-    """Return the rows of a table; those that a change refers to are edited."""
-    meant = _meant(rows, change.of)
-    if not meant:
+    """Return the rows of a table, with the rows that a change refers to edited."""
+    matching = _matching_rows(rows, change.of)
+    if not matching:
         kind = "boundary" if change.what in OF_BOUNDARIES else "tissue"
         known = ", ".join(f"{row.label} {row.name}".strip() for row in rows) or "none"
-        raise HmrfError(f"{change.what}:{change.of}: there is no such {kind}. There is: {known}")
-    return tuple(edit(row) if row in meant else row for row in rows)
+        raise HmrfError(f"{change.what}:{change.of}: there is no such {kind}. Give one of: {known}")
+    return tuple(edit(row) if row in matching else row for row in rows)
 
 
-def _meant(rows: Sequence[Any], of: str) -> list[Any]:
-    """Return the rows with a label, else those with a name, else those of a known tissue."""
-    wanted = of.casefold()
+def _matching_rows(rows: Sequence[Any], of: str) -> list[Any]:
+    """Return the rows that match a label, else a name, else the name of a known tissue."""
+    name = of.casefold()
     if not of:
         return list(rows)
-    for means in (
-        lambda row: str(row.label) == wanted,
-        lambda row: row.name.casefold() == wanted,
-        lambda row: isinstance(row, Material) and _tissue_name(row) == wanted,
+    for matches in (
+        lambda row: str(row.label) == name,
+        lambda row: row.name.casefold() == name,
+        lambda row: isinstance(row, Material) and _tissue_name(row) == name,
     ):
-        if found := [row for row in rows if means(row)]:
-            return found
+        if matching := [row for row in rows if matches(row)]:
+            return matching
     return []
 
 
@@ -115,13 +116,13 @@ def _tissue_name(row: Material) -> str:
     return tissue.name if tissue is not None else ""
 
 
-def _moved_by(rule: BoundaryRule, amount: float) -> BoundaryRule:
+def _with_amount(rule: BoundaryRule, amount: float) -> BoundaryRule:
     if rule.action in ("expand", "press"):
         return replace(rule, amount=amount)
     length = math.hypot(*rule.vector)
     if not length:
         raise HmrfError(
-            f"amount:{rule.name or rule.label}: the boundary does not move, so that there is no "
-            "way for it to go. Give it row and col in the table of rules."
+            f"amount:{rule.name or rule.label}: the boundary does not move, so it has no "
+            "direction. Give row and col in the table of rules."
         )
     return replace(rule, vector=tuple(step * amount / length for step in rule.vector))

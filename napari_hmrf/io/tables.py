@@ -1,11 +1,11 @@
-"""Tables of materials and of boundary rules as comma-separated text, as spreadsheets write it.
+"""Tables of materials and of boundary rules as comma-separated text.
 
 Materials have the columns ``label,stiffness`` and, optionally, ``name``, ``poisson``, ``growth``
-(0.1: a tenth longer; ``0.1/0``: along rows only) and ``source``, which is for the reader; rigid
+(0.1: a tenth longer; ``0.1/0``: along rows only) and ``source``, a comment that is not read; rigid
 tissue has the word ``rigid`` as its stiffness. Rules have ``label,action`` and, optionally,
 ``name``, ``row`` and ``col`` (the displacement of "move", or the force of "pull"; in a volume also
-``plane``), ``amount`` (the growth of "expand", or the pressure) and ``confidence``. A rule has no
-number in a column that its action does not use.
+``plane``), ``amount`` (the distance of "expand", or the pressure of "press") and ``confidence``. A
+rule has no number in a column that its action does not use.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ from napari_hmrf.tissue.tissue_names import KnownTissue, NamedMaterials
 
 #: Largest size of a table, in bytes; a larger file is not read.
 _LARGEST = 2**20
-#: Columns of measurements that are named by what an image or a volume has.
+#: Titles of columns of measurements that differ between slices and volumes.
 _OF_IMAGES = {"size": "area", "size_change": "area_change"}
 _OF_VOLUMES = {"pixels": "voxels", "size": "volume", "size_change": "volume_change"}
-#: Measurements in per cent, which the titles of their columns state.
+#: Measurements in per cent; the titles of their columns state the unit.
 _PER_CENT = ("size_change", "mean_strain", "largest_strain")
 #: Components below this share of a force are shown as 0.
 _NOISE = 1e-3
 
 
 class _Column(NamedTuple):
-    """Reader of a cell, which raises ValueError, and the description of a valid cell."""
+    """Function that reads a cell or raises ValueError, and the description of a valid cell."""
 
     read: Callable[[str], Any]
     right: str
@@ -67,7 +67,7 @@ def _number(low: float = -math.inf, high: float = math.inf) -> Callable[[str], f
 
 def _label(first: int) -> _Column:
     def read(text: str) -> int:
-        value = float(text)  # some spreadsheets write 1.0
+        value = float(text)  # some spreadsheets write a label as 1.0
         if not value.is_integer() or value < first:
             raise ValueError
         return int(value)
@@ -87,7 +87,7 @@ def _action(text: str) -> str:
 
 
 def _growth(text: str) -> float | tuple[float, ...]:
-    # A fraction, or in per cent if marked with %.
+    # A fraction, or a percentage if marked with %.
     parts = tuple(
         _number()(part.strip().removesuffix("%")) / (100 if "%" in part else 1)
         for part in text.split("/")
@@ -107,7 +107,7 @@ _OF_MATERIALS = {
         _number(*POISSON_RANGE), "a number from {:g} to {:g}".format(*POISSON_RANGE)
     ),
     "growth": _Column(_growth, "0.2 or 20% (a fifth longer; up to 10), or one for each axis"),
-    "source": _Column(str, "where the numbers are from"),
+    "source": _Column(str, "the source of the numbers"),
 }
 _OF_RULES = {
     "label": _label(1),
@@ -116,7 +116,7 @@ _OF_RULES = {
     **dict.fromkeys(("plane", "row", "col", "amount"), _LENGTH),
     "confidence": _Column(_number(0, 1), "a number from 0 to 1"),
 }
-#: Columns that each action uses; all but plane and confidence must be filled in.
+#: Columns that each action uses; all of them except plane and confidence are required.
 _USED: dict[Action, tuple[str, ...]] = {
     "fixed": ("confidence",),
     "move": ("plane", "row", "col", "confidence"),
@@ -124,10 +124,10 @@ _USED: dict[Action, tuple[str, ...]] = {
     "press": ("amount",),
     "pull": ("plane", "row", "col"),
 }
-#: Values of unused cells, which change nothing.
-_USUAL = {"plane": 0.0, "row": 0.0, "col": 0.0, "amount": 0.0, "confidence": 1.0}
-#: Columns that belong to one kind of table only, with that kind.
-_OTHERS = {
+#: Values without an effect, which are allowed in unused cells.
+_NEUTRAL = {"plane": 0.0, "row": 0.0, "col": 0.0, "amount": 0.0, "confidence": 1.0}
+#: Kind of table to which a column belongs, for columns of only one kind.
+_OTHER_TABLES = {
     **{title: "a table of rules" for title in _OF_RULES if title not in _OF_MATERIALS},
     **{title: "a table of materials" for title in _OF_MATERIALS if title not in _OF_RULES},
 }
@@ -141,7 +141,7 @@ def value_of(column: str, text: str) -> Any:
     Raises
     ------
     ValueError
-        Describing a valid cell.
+        If the cell is invalid; the message describes a valid cell.
     """
     kind = {**_OF_RULES, **_OF_MATERIALS}[column]
     try:
@@ -163,7 +163,7 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
     rows = _read(path, _OF_MATERIALS, needed=("label", "stiffness"))
     if not any(row["stiffness"] for _, row in rows):
         raise FileFormatError(
-            f"{Path(path).name} has no stiffness above 0. Give one to what is tissue."
+            f"{Path(path).name} has no stiffness above 0. Give each tissue a stiffness."
         )
     for _, row in rows:
         row.pop("source", None)
@@ -214,7 +214,7 @@ def read_rules(path: str | os.PathLike[str]) -> tuple[BoundaryRule, ...]:
 
 
 def _rule(row: dict[str, Any], where: str) -> BoundaryRule:
-    """Return the rule of a row; refuse a row with cells that are missing or have no effect."""
+    """Return the rule of a row; refuse missing cells, and cells without an effect."""
     action, label = row["action"], row["label"]
     used = _USED[action]
     needed = [title for title in used if title in ("row", "col", "amount")]
@@ -222,18 +222,18 @@ def _rule(row: dict[str, Any], where: str) -> BoundaryRule:
     if missing:
         if missing == needed:
             raise FileFormatError(
-                f"{where}: label {label} is to {action}, but not by how much. Give "
-                f"{' and '.join(needed)}."
+                f"{where}: the action of label {label} is {action}, but its amount is missing. "
+                f"Give {' and '.join(needed)}."
             )
         raise FileFormatError(
-            f"{where}: {action} has nothing under {missing[0]!r}. Give 0 if there is none along it."
+            f"{where}: {action} has no value in {missing[0]!r}. Give 0 for no motion along it."
         )
-    idle = [title for title, usual in _USUAL.items() if title not in used]
-    for title in idle:
-        if row.pop(title, _USUAL[title]) != _USUAL[title]:
-            takes = f"takes {' and '.join(needed)}" if needed else "takes no length"
+    unused = [title for title, neutral in _NEUTRAL.items() if title not in used]
+    for title in unused:
+        if row.pop(title, _NEUTRAL[title]) != _NEUTRAL[title]:
+            usage = f"uses {' and '.join(needed)}" if needed else "uses no length"
             raise FileFormatError(
-                f"{where}: {title} has no effect on {action}, which {takes}. Leave the cell "
+                f"{where}: {title} has no effect on {action}, which {usage}. Leave the cell "
                 "empty, or give another action."
             )
     vector: tuple[float, ...] = (row.pop("row", 0.0), row.pop("col", 0.0))
@@ -244,7 +244,7 @@ def _rule(row: dict[str, Any], where: str) -> BoundaryRule:
 
 
 def named_materials_in_words(found: NamedMaterials) -> str:
-    """Return lines on which labels were taken for which tissue, and which ones are unknown."""
+    """Return lines of text with the labels recognised as each tissue, and the unknown labels."""
     of_tissue: dict[KnownTissue, list[str]] = {}
     for row in found.materials:
         of_tissue.setdefault(found.tissues[row.label], []).append(f"{row.label} {row.name}")
@@ -270,12 +270,12 @@ def measurement_table(
     ----------
     rows : sequence of Measurement
     volume : bool
-        Whether the measurements are of a volume.
+        True if the measurements are of a volume.
 
     Returns
     -------
     titles : list of str
-        Titles of the columns; those of strain name its kind: "mean_elastic_strain_percent".
+        Titles of the columns; those of strain state its kind, as "mean_elastic_strain_percent".
     cells : list of tuple
         Cells of each row.
     """
@@ -288,7 +288,7 @@ def measurement_table(
 
 
 def _strain_of(rows: Sequence[Measurement]) -> StrainKind:
-    """Return the kind of strain of measurements, which is the same for a whole solution."""
+    """Return the kind of strain of measurements, which is the same for all of a solution."""
     return rows[0].strain if rows else "elastic"
 
 
@@ -303,7 +303,7 @@ def measurements_in_words(
     unit : str
         Unit of lengths.
     volume : bool
-        Whether the measurements are of a volume, which changes the titles.
+        True if the measurements are of a volume, which changes the titles.
 
     Returns
     -------
@@ -338,9 +338,11 @@ def forces_in_words(
     ----------
     rows : sequence of HeldForce
     ways : Directions
-        Directions along which forces are given.
-    stiffness, unit : str
-        Unit of stiffness, "" if unknown, and unit of lengths.
+        Directions of the components of a force.
+    stiffness : str
+        Unit of stiffness; "" if unknown.
+    unit : str
+        Unit of lengths.
 
     Returns
     -------
@@ -365,7 +367,7 @@ def forces_in_words(
 
 
 def _in_words(row: Measurement, name: str, axes: int) -> str:
-    """Format a number with four digits; large areas in full, and lengths too small to see as 0."""
+    """Format a value with four digits; large sizes in full, and negligible values as 0."""
     value = getattr(row, name)
     if not isinstance(value, float):
         return str(value)
@@ -389,9 +391,9 @@ def write_measurements(
     path : str or path-like
     rows : sequence of Measurement
     unit : str
-        Unit of lengths, for a last column; without a unit there is no such column.
+        Unit of lengths, written into a last column; "" leaves the column out.
     volume : bool
-        Whether the measurements are of a volume, which changes the titles.
+        True if the measurements are of a volume, which changes the titles.
 
     Raises
     ------
@@ -411,36 +413,36 @@ def _read(
 ) -> list[tuple[int, dict[str, Any]]]:
     """Return the rows of a table with their line numbers; empty cells are left out."""
     source = Path(checked_path(path))
-    file, called = source.name, ", ".join(columns)
+    file, known = source.name, ", ".join(columns)
 
     def check(written: list[str], line: int) -> list[str]:
         titles = [title.casefold() for title in written]
         unknown = [title for title in titles if title and title not in columns]
         if unknown:
-            raise unknown_column(file, line, unknown[0], [*columns], _OTHERS)
+            raise unknown_column(file, line, unknown[0], [*columns], _OTHER_TABLES)
         missing = [name for name in needed if name not in titles]
         if missing:
             raise FileFormatError(
-                f"{file}: line {line} lacks the column {missing[0]!r}. It names the columns, with "
-                f"commas between them: {called}."
+                f"{file}: line {line} lacks the column {missing[0]!r}. Give the column titles, "
+                f"with commas between them: {known}."
             )
         return titles
 
     lines = read_csv(source, largest=_LARGEST, check=check).lines
     if not lines:
-        raise FileFormatError(f"{file} has no line below the names of its columns. Write one.")
+        raise FileFormatError(f"{file} has no line below the column titles. Add one.")
     rows = [(number, _values(line, f"{file}: line {number}", columns)) for number, line in lines]
     labels = []
     for number, row in rows:
         lacking = [name for name in needed if name not in row]
         if lacking:
             raise FileFormatError(
-                f"{file}: line {number} has nothing under {lacking[0]!r}. Give "
+                f"{file}: line {number} has no value in {lacking[0]!r}. Give "
                 f"{columns[lacking[0]].right}."
             )
         if row["label"] in labels:
             raise FileFormatError(
-                f"{file}: line {number}: label {row['label']} is there twice. Remove one of them."
+                f"{file}: line {number}: label {row['label']} occurs twice. Remove one of them."
             )
         labels.append(row["label"])
     return rows

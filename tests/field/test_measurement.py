@@ -193,7 +193,9 @@ def test_a_moving_picture_of_oblong_pixels_has_the_image_s_proportions(tmp_path)
 def test_what_is_no_moving_picture_is_refused(solved, tmp_path):
     study, solution = read_study(solved)
     photo = study.pictures.image
-    with pytest.raises(FileFormatError, match=r"a\.png: no picture that moves .* \.gif or \.mp4"):
+    with pytest.raises(
+        FileFormatError, match=r"a\.png: animations are not written .* \.gif or \.mp4"
+    ):
         write_movie(tmp_path / "a.png", solution, photo)
     with pytest.raises(ArgumentError, match=r"frames must be at least 2, not 1"):
         write_movie(tmp_path / "a.gif", solution, photo, frames=1)

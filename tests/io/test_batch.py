@@ -110,13 +110,13 @@ def test_values_that_a_cell_has_several_of_are_a_case_each(files):
     ("text", "sentence"),
     [
         ("", r"t\.csv: line 1 lacks the column 'image'"),
-        ("image\n", r"t\.csv has no line below the names"),
+        ("image\n", r"t\.csv has no line below the column titles"),
         ("image,growth\na.tif,1\n", r"line 1: there is no column 'growth'\. Did you mean 'growth:"),
         ("image,lables\na.tif,b\n", r"there is no column 'lables'\. Did you mean 'labels'\? The"),
         ("image,image\na.tif,b\n", r"t\.csv has two columns 'image'"),
-        ("image\na.tif\na.png\n", r"line 3: there is a case 'a' already\. Give each a name"),
-        ("name,image\na/b,a.tif\n", r"line 2: 'a/b' is no name for a folder"),
-        ("name,image\n..,a.tif\n", r"line 2: '\.\.' is no name for a folder"),
+        ("image\na.tif\na.png\n", r"line 3: there is already a case 'a'\. Give each case a"),
+        ("name,image\na/b,a.tif\n", r"line 2: 'a/b' is not a valid folder name"),
+        ("name,image\n..,a.tif\n", r"line 2: '\.\.' is not a valid folder name"),
         ("image,labels\n,b\n", r"line 2: give an image, or a study"),
         ("image,study\na.tif,b\n", r"line 2: give an image, or a study"),
         ("image,slice\na.tif,x\n", r"line 2: slice is 'x'\. Give a whole number, 3-7, or all"),
@@ -124,9 +124,9 @@ def test_values_that_a_cell_has_several_of_are_a_case_each(files):
         ("image,poisson\na.tif,0.7\n", r"line 2: poisson is '0\.7'\. Give a number from 0 to"),
         ("image,growth:1\na.tif,-2\n", r"growth:1 is '-2'\. Give "),
         ("image,amount:1\na.tif,;\n", r"amount:1 is ';'\. Give a number, a length"),
-        ("name,image\nSummary.csv,a.tif\n", r"line 2: 'Summary\.csv' is the name of another file"),
-        ("name,image\na b,a.tif\nA_B,b.tif\n", r"line 3: there is a case 'a_b' already"),
-        ("name,image\n=,a.tif\n_,b.tif\n", r"line 3: there is a case '_' already"),
+        ("name,image\nSummary.csv,a.tif\n", r"line 2: 'Summary\.csv' is a reserved file name"),
+        ("name,image\na b,a.tif\nA_B,b.tif\n", r"line 3: there is already a case 'a_b'"),
+        ("name,image\n=,a.tif\n_,b.tif\n", r"line 3: there is already a case '_'"),
         ("image,plane\na.tif,bulge\n", r"line 2: plane is 'bulge'\. Give stress or strain"),
         ("image,penalty\na.tif,-1\n", r"line 2: penalty is '-1'\. Give a number above 0"),
         ("image,weight\na.tif,0.1\n", r"line 2: weight is '0\.1'\. Give a number for each axis"),
@@ -182,7 +182,7 @@ def test_a_sweep_changes_how_far_what_moves_does_and_the_model():
     [
         (
             Change("growth", 0.1, "bowel"),
-            "growth:bowel: there is no such tissue. There is: 1",
+            "growth:bowel: there is no such tissue. Give one of: 1",
         ),
         (Change("amount", 3.0, "brain"), "amount:brain: there is no such boundary. There is:"),
         (Change("amount", 3.0, "1"), "amount:1: the boundary does not move"),
@@ -234,7 +234,7 @@ def test_one_case_that_fails_stops_no_other_and_is_named(files, capsys):
     assert read_study(out / "study" / "own.study").solution is not None
     # What is there is not written over, nor done again, but for what the table says otherwise.
     assert main(["batch", str(table), "out"]) == 1
-    assert "'a_amount-rim-4' is there already. Resume the batch" in capsys.readouterr().err
+    assert "'a_amount-rim-4' already exists. Resume the batch" in capsys.readouterr().err
     before = (out / "study").stat().st_ino
     write_table(files, "a,image.tif,4", "broken,image.tif,6", more=",amount:rim")
     text = table.read_text().replace("a,image", '"a_amount-rim-5",image')
@@ -275,7 +275,7 @@ def test_a_case_whose_files_changed_is_solved_again(files, caplog):
     (files / "c.tif").unlink()
     told = []
     again = solve_cases(cases, files / "out", jobs=1, resume=True, tell=told.append)
-    assert told == ["solved again, as files it is read from have changed: b, c"]
+    assert told == ["solved again, as input files have changed: b, c"]
     assert again[0] == first[0]
     assert [each.state for each in again] == ["done", "done", "failed"]
     assert "(the folder c still has an earlier result, which is not counted)" in again[2].error

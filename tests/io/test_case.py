@@ -89,12 +89,12 @@ def test_tables_are_read_as_spreadsheets_write_them(files):
             r"t\.csv: line 2: stiffness is 'stiff'\. Give a number",
         ),
         ("label,stiffness\n1,3\nx,3\n", r"t\.csv: line 3: label is 'x'\. Give a whole"),
-        ("label,stiffness\n1,\n", r"t\.csv: line 2 has nothing under 'stiffness'"),
+        ("label,stiffness\n1,\n", r"t\.csv: line 2 has no value in 'stiffness'"),
         ("label,stiffness\n1,0\n", r"t\.csv has no stiffness above 0"),
-        ("label,stiffness\n", r"t\.csv has no line below the names"),
-        ("label,stiffness\n\n1,3\n\n1,4\n", r"t\.csv: line 5: label 1 is there twice"),
+        ("label,stiffness\n", r"t\.csv has no line below the column titles"),
+        ("label,stiffness\n\n1,3\n\n1,4\n", r"t\.csv: line 5: label 1 occurs twice"),
         ("label,stiffness\n1,3,4\n", r"t\.csv: line 2 has more cells than there are columns"),
-        ("label;stiffness\n1;3\n", r"t\.csv: line 1: there are semicolons between its cells"),
+        ("label;stiffness\n1;3\n", r"t\.csv: line 1: the cells are separated by semicolons"),
         (
             "label,stiffness,poison\n1,3,.4\n",
             r"t\.csv: line 1: there is no column 'poison'\. Did you mean 'poisson'\? The columns",
@@ -214,25 +214,31 @@ def test_a_slice_of_a_stack_that_lies_nowhere_knows_its_number_too(tmp_path):
         ("label,action,row\n1,move,nan\n", r"line 2: row is 'nan'\. Give a number"),
         (
             "label,action\n1,move\n",
-            r"line 2: label 1 is to move, but not by how much\. Give row",
+            r"line 2: the action of label 1 is move, but its amount is missing\. Give row",
         ),
-        ("label,action\n1,expand\n", r"label 1 is to expand, but not by how much\. Give amount"),
-        ("label,action\n1,press\n", r"label 1 is to press, but not by how much\. Give amount"),
+        (
+            "label,action\n1,expand\n",
+            r"the action of label 1 is expand, but its amount is missing\. Give amount",
+        ),
+        (
+            "label,action\n1,press\n",
+            r"the action of label 1 is press, but its amount is missing\. Give amount",
+        ),
         (
             "label,action,row,col\n1,move,3,\n",
-            r"line 2: move has nothing under 'col'\. Give 0 if there is none along it",
+            r"line 2: move has no value in 'col'\. Give 0 for no motion",
         ),
         (
             "label,action,amount\n1,fixed,3\n",
-            r"line 2: amount has no effect on fixed, which takes no length\. Leave the cell empty",
+            r"line 2: amount has no effect on fixed, which uses no length\. Leave the cell empty",
         ),
         (
             "label,action,row,col,amount\n1,move,1,0,3\n",
-            r"line 2: amount has no effect on move, which takes row and col\. Leave the cell",
+            r"line 2: amount has no effect on move, which uses row and col\. Leave the cell",
         ),
         (
             "label,action,amount,confidence\n1,press,1,0.5\n",
-            r"confidence has no effect on press, which takes amount\. Leave the cell empty",
+            r"confidence has no effect on press, which uses amount\. Leave the cell empty",
         ),
         (
             "label,action,row,row2\n1,move,1,\n",
@@ -256,23 +262,26 @@ def test_a_rule_may_fill_the_columns_it_does_not_use_with_what_they_are_anyway(t
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ("", "nothing says how the tissue moves. Give --boundary with what moves"),
+        ("", "no motion of the tissue is given. Give a --boundary that moves"),
         ("--hold-edge --materials m.csv", "--materials is for the tissues of --labels or --maps"),
-        ("--hold-edge --labels labels.png --maps rim.png", "--labels is given beside --maps"),
+        ("--hold-edge --labels labels.png --maps rim.png", "--labels cannot be used with --maps"),
         ("--hold-edge --rules r.csv", "--rules is for a --boundary that is an image of labels"),
         ("--boundary pairs.csv --rules r.csv", "--rules is for a --boundary that is an image of"),
         ("--hold-edge --confidence edges", "--confidence is for a --boundary that is a field"),
         ("--hold-edge --slice 1", "--slice is for volumes, and rim.png is none"),
         ("--boundary labels.png", "If it is an image of labels, give --rules, too."),
         ("--boundary zero.png --rules r.csv", "'zero.png' is 0 everywhere: nothing determines how"),
-        ("--boundary labels.png --rules plane.csv", "plane.csv: has a column 'plane', but what"),
-        ("--hold-edge --labels colours.png", "colours.png: is in colours. Give an image of one"),
-        ("--boundary none.csv", "none.csv: holds no landmarks in use. Give a pair, and have it"),
+        ("--boundary labels.png --rules plane.csv", "plane.csv: has a column 'plane', but the"),
+        ("--hold-edge --labels colours.png", "colours.png: is in colours. Give an image with one"),
+        ("--boundary none.csv", "none.csv: holds no active landmarks. Give at least one"),
         ("--boundary two.csv", "two.csv: has two landmarks in one pixel (12 10). Keep one for"),
         ("--hold-edge --labels complex.tif", "complex.tif: an image of complex64 values. Give one"),
         ("--boundary pairs.csv", "pairs.csv: has 1 of 2 landmarks outside the image. Give them in"),
         ("--hold-edge --labels gone.png", "gone.png: there is no such file or folder. Check its"),
-        ("--hold-edge --labels .", "the folder holds no DICOM file. Give one with one series."),
+        (
+            "--hold-edge --labels .",
+            "the folder holds no DICOM file. Give a folder with one series.",
+        ),
         ("--hold-edge --labels labels.png --materials .", "it is a folder. Name a file in it."),
         ("--hold-edge --labels empty.png", "it is empty. Images end in .png"),
     ],
@@ -313,7 +322,7 @@ def test_a_study_says_itself_what_to_compute_and_what_was_guessed_is_said(files,
     assert "rim.study holds its own image. Leave out --image." in capsys.readouterr().err
     assert main(["measure", study, "-o", str(folder / "t.xlsx")]) == 1
     said = capsys.readouterr().err
-    assert "t.xlsx: measurements are saved as comma-separated text. End its name in .csv." in said
+    assert "t.xlsx: measurements are saved as comma-separated text. End the name in .csv." in said
     write_image(folder / "small.png", ImageFile(np.ones((4, 5), np.uint8)))
     for what in (["measure", study, "--labels"], ["play", study, str(folder / "a.gif"), "--image"]):
         assert main([*what, str(folder / "small.png")]) == 1
@@ -522,7 +531,7 @@ def test_an_edge_is_where_the_image_is_steep():
     [
         ({"slice": 3}, r"scan\.nii\.gz: is a volume of 3 slices\. Give --slice 0 to 2"),
         ({"labels": "small.png"}, r"small\.png: is 4 x 5, but the image 30 x 36"),
-        ({"boundary": "one.csv"}, r"one\.csv: says where things are, not where they should be"),
+        ({"boundary": "one.csv"}, r"one\.csv: holds landmarks without target positions"),
     ],
 )
 def test_what_does_not_fit_is_said_by_the_file_s_name(files, more, sentence):

@@ -72,7 +72,7 @@ def test_a_file_that_is_read_for_ever_is_refused_and_the_next_is_read(hanging, t
 def test_a_file_that_is_read_for_ever_is_tried_once(hanging, monkeypatch):
     with pytest.raises(FileFormatError):
         read_field(hanging)
-    monkeypatch.setattr(decoder, "_ask", None)
+    monkeypatch.setattr(decoder, "_send_request", None)
     for _ in range(2):
         assert is_field_file(hanging), "reading it says what is wrong"
         with pytest.raises(FileFormatError, match="did not finish"):
@@ -148,7 +148,7 @@ def test_a_decoder_that_fails_gives_a_reason(program, reason, tmp_path, monkeypa
     monkeypatch.setattr(itk_decoder, "__file__", str(script))
     monkeypatch.setattr(decoder_process, "_LEAST_MEMORY", 2**27)
     if "answer" in reason:
-        monkeypatch.setattr(decoder_process, "_PATIENCE", 0.1)
+        monkeypatch.setattr(decoder_process, "_LEAST_WAIT", 0.1)
     if "memory" in reason:
         monkeypatch.setattr(decoder_process, "_LEAST_SECONDS", 60.0)
     process = DecoderProcess()
@@ -282,5 +282,5 @@ def test_a_program_without_a_python_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
     monkeypatch.setattr(sys, "exec_prefix", str(tmp_path))
     (tmp_path / "file").write_bytes(b"some")
-    with pytest.raises(itk_files.HmrfError, match="comes without a Python"):
+    with pytest.raises(itk_files.HmrfError, match="no Python was found"):
         DecoderProcess().decode(tmp_path / "file", "pixels")

@@ -193,16 +193,18 @@ def test_pictures_have_pixels_and_no_place(tmp_path):
     assert grid == Grid((5, 6), (1.0, 1.0))
     pull = Motion(hold_edge=True, drawing=Drawing((Arrow((2, 3), (0, 1), 1),)))
     solution = solve_study(Study(grid, Tissue(stiffness=np.ones((5, 6))), pull), backend="cpu")
-    with pytest.raises(ProblemError, match=r"A picture \(.png, .tif\) has no place either: give"):
+    with pytest.raises(
+        ProblemError, match=r"For a picture \(.png, .tif\), which has no place, give"
+    ):
         export_field(tmp_path / "a.mha", solution)
-    with pytest.raises(ProblemError, match="grid: has no place, as that of a picture"):
+    with pytest.raises(ProblemError, match="grid: has no place, because a picture"):
         export_field(tmp_path / "a.mha", solution, grid=grid)
 
 
 def test_what_is_no_image_or_has_no_such_slice_is_refused():
     image = scan()
     for wrong, said in (
-        (np.zeros((3, 4)), r"of an array alone no place is known"),
+        (np.zeros((3, 4)), r"For an array, whose place is unknown"),
         (SimpleNamespace(affine=np.eye(4), dataobj=np.zeros((2, 3, 4, 5))), "has shape"),
     ):
         with pytest.raises(ArgumentError, match=said):

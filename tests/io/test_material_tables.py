@@ -64,8 +64,8 @@ def spoilt(**changes):
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ([], "no file of materials"),
-        ({"format": "something else"}, "no file of materials"),
+        ([], "not a file of materials"),
+        ({"format": "something else"}, "not a file of materials"),
         (spoilt(version=4), "newer napari-hmrf"),
         (spoilt(version="1"), "version is '1'. It should be: integer"),
         (spoilt(version=True), "version is 'True'"),

@@ -143,17 +143,21 @@ def test_other_tools_tables_name_labels(tmp_path, file, content, expected):
 @pytest.mark.parametrize(
     ("file", "content", "sentence"),
     [
-        ("a.txt", "a letter to a friend\n", r"a\.txt names no labels\. Give a file of materials"),
-        ("a.json", "{]", r"a\.json names no labels"),
+        (
+            "a.txt",
+            "a letter to a friend\n",
+            r"a\.txt holds no label names\. Give a file of materials",
+        ),
+        ("a.json", "{]", r"a\.json holds no label names"),
         (
             "a.ctbl",
             "1 bone 1 2 3 4\n1 fat 1 2 3 4\n",
-            "label 1 is there twice, as 'bone' and 'fat'",
+            "label 1 occurs twice, as 'bone' and 'fat'",
         ),
         (
             "a.txt",
             b"\xff\xfe1",
-            r"a\.txt is no text in UTF-8\. Give a table of text",
+            r"a\.txt is not text in UTF-8\. Give a table as text",
         ),
     ],
 )
@@ -180,14 +184,14 @@ def test_what_is_wrong_with_a_table_of_names_is_said(tmp_path, file, content, se
                 "The columns are label, name, "
             ),
         ),
-        ("a.csv", "label;name\n1;brain\n", r"line 1: there are semicolons between its cells"),
+        ("a.csv", "label;name\n1;brain\n", r"line 1: the cells are separated by semicolons"),
         ("a.csv", "label,name\nx,brain\n", r"a\.csv: line 2: label is 'x'\. Give a whole number"),
         (
             "a.json",
             '{"brain": {"label": 1, "young": 3}, "fat": {"label": 2, "young": 1}}',
-            r"""a\.json: 'brain' is \{"label": 1.*Give each label a name""",
+            r"""a\.json: 'brain' is \{"label": 1.*Give a name for each label""",
         ),
-        ("a.json", '{"1": "brain", "young": 2.5}', r"a\.json: 'young' is 2\.5\. Give each label"),
+        ("a.json", '{"1": "brain", "young": 2.5}', r"a\.json: 'young' is 2\.5\. Give a name"),
         ("a.txt", "1 bone 1 2 3 4\n2 fat 1 2\n", r"a\.txt: line 2 is '2 fat 1 2'\. Give a label"),
     ],
 )
@@ -210,10 +214,10 @@ def test_a_table_of_materials_is_no_list_of_names(tmp_path):
         tissue_table(path)
     words = '{"format": "napari-hmrf materials", "version": 1, "materials": [{"label": 1, %s}]}'
     for written, sentence in (
-        ('"young": 3', r"m\.json has an unknown word 'young' in material 1\. Did you mean 'stiff"),
+        ('"young": 3', r"m\.json has an unknown key 'young' in material 1\. Did you mean 'stiff"),
         (
             '"stiffness": 3, "poison": 0.3',
-            r"unknown word 'poison' in material 1\. Did you mean 'po",
+            r"unknown key 'poison' in material 1\. Did you mean 'po",
         ),
     ):
         (tmp_path / "m.json").write_text(words % written)
@@ -297,7 +301,7 @@ def test_the_shell_writes_a_table_to_correct_and_says_what_is_unknown(files, cap
     assert "brain (1.642 kPa, nu 0.45): 90 brain\n" in said
     assert "air (0 kPa): 16 trachea\n" in said
     assert "unknown, to be filled in or removed: 20 colon\n" in said
-    with pytest.raises(FileFormatError, match=r"m\.csv: line 3 has nothing under 'stiffness'"):
+    with pytest.raises(FileFormatError, match=r"m\.csv: line 3 has no value in 'stiffness'"):
         read_materials("m.csv")
     text = (files / "m.csv").read_text()
     (files / "m.csv").write_text(text.replace("20,colon,,,", "20,colon,7,0.4,my own"))
@@ -326,7 +330,7 @@ def test_the_shell_solves_with_the_names_of_a_segmentation(files, capsys):
     command = "solve image.png --labels labels.png --materials none.json --hold-edge -o out"
     assert main(command.split()) == 1
     said = capsys.readouterr().err
-    assert "none.json gives no stiffness, and none of its names (a, b) is a tissue" in said
+    assert "none.json states no stiffness, and none of its names (a, b) is a tissue" in said
     assert "Give a .csv with the columns label, name and stiffness." in said
 
 

@@ -276,10 +276,10 @@ def test_measurements_of_a_volume_are_called_so(solution, tmp_path):
 
 
 def test_pictures_are_of_a_slice(solution, tmp_path):
-    with pytest.raises(ProblemError, match="displacement: is of a volume"):
+    with pytest.raises(ProblemError, match="displacement: belongs to a volume"):
         write_result_pictures(tmp_path, solution, smooth_image())
     assert not list(tmp_path.iterdir())
-    with pytest.raises(ProblemError, match="displacement: is of a volume"):
+    with pytest.raises(ProblemError, match="displacement: is that of a volume"):
         write_movie(tmp_path / "a.gif", solution, smooth_image())
 
 

@@ -298,7 +298,7 @@ def test_the_field_is_saved_from_the_menu_each_way(result, asked, wait_for, tmp_
     asked(path)
     screen.entry("More", "Save field for images").trigger()
     wait_for(lambda: not dock.busy)
-    assert dock.status.startswith(f"Saved back{ending}: it moves images, and is an inverse to ")
+    assert dock.status.startswith(f"Saved back{ending}: the backward field, which moves images. ")
     solution = dock.solution
     back = inverse_displacement(
         solution.displacement, spacing=solution.spacing, tissue=solution.tissue
@@ -310,9 +310,9 @@ def test_the_field_is_saved_from_the_menu_each_way(result, asked, wait_for, tmp_
     screen.entry("More", "Save field for points").trigger()
     wait_for(lambda: not dock.busy)
     if ending == ".h5":
-        assert dock.status.startswith("forth.h5: such a file cannot say that it moves points")
+        assert dock.status.startswith("forth.h5: this format does not store the direction")
         return
-    assert dock.status == f"Saved forth{ending}: it says where tissue goes, which moves points."
+    assert dock.status == f"Saved forth{ending}: the forward field, which moves points."
     read = read_field(path).displacement
     np.testing.assert_allclose(read, solution.displacement, atol=1e-5)
 
@@ -352,6 +352,6 @@ def test_what_cannot_be_saved_is_said(result, asked, wait_for, tmp_path, widget)
     asked(tmp_path / "field.txt")
     Screen(dock).entry("More", "Save field for images").trigger()
     wait_for(lambda: not dock.busy)
-    assert dock.status.startswith("field.txt: no field is written as such a file")
+    assert dock.status.startswith("field.txt: fields are not written in such a format")
     with pytest.raises(HmrfError, match="There is no result to look at yet"):
         widget.more.measure()
