@@ -146,7 +146,7 @@ def test_no_command_writes_over_a_file_unless_it_is_told_to(files, capsys):
         code, out, err = run(line, capsys)
         assert code == 1, line
         assert f"{name} already exists" in err
-        assert "Give another name, or write over it (--force)" in err
+        assert "Give another name, or overwrite it (--force)" in err
         assert out == ""
         assert (path.stat().st_ino, path.read_bytes()) == before
         assert run(f"{line} --force", capsys)[0] == 0, line

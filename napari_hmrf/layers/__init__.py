@@ -1,4 +1,4 @@
-"""Layers of napari: inputs that are read as a study, and results that are shown.
+"""Conversion between napari layers and the solver: layers to a study, a solution to layers.
 
-Nothing here needs a window, and no layer is kept: pixels that are read are copied.
+Nothing in this package needs a window. The data of layers are copied when they are read.
 """

@@ -1,6 +1,6 @@
-"""How drawn arrows look: as lines, of which a Vectors layer can hold any number.
+"""Lines that show drawn arrows and landmarks in a Vectors layer.
 
-A landmark has a cross at its base, too, and what is selected has another colour.
+A landmark also has a cross at its base, and the selected mark has another colour.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ from napari_hmrf.layers.label_colours import DRAWN, SELECTED
 from napari_hmrf.layers.result_layers import LayerData, layer_on
 from napari_hmrf.tissue.drawing import Drawing, Landmark, Stroke
 
+#: Name of the layer.
 NAME = "Motion"
 
 
 def arrow_lines(
     drawing: Drawing, spacing: Sequence[float], selected: int | None = None, across: int = 0
 ) -> Lines:
-    """Lines that show a drawing's arrows and landmarks.
+    """Return the lines that show the arrows and landmarks of a drawing.
 
     Parameters
     ----------
@@ -29,16 +30,16 @@ def arrow_lines(
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
     selected : int, optional
-        The number of the mark that is highlighted.
+        Index of the mark that is highlighted.
     across : int
-        Of a volume: the axis across the slices that are looked at.
+        For a volume, the axis across the visible slices.
 
     Returns
     -------
     lines : ndarray, shape (N, 2, n), float32
         (start, step) in pixels.
     colours : ndarray, shape (N, 4), float32
-        Red, green, blue and opacity of each, 0 to 1.
+        Red, green, blue and opacity of each line, 0 to 1.
     """
     parts = []
     for number, mark in enumerate(drawing.marks):
@@ -58,13 +59,13 @@ def arrow_lines(
 
 
 def arrow_layer(frame: Frame, shape: tuple[int, ...]) -> LayerData:
-    """A Vectors layer to show arrows in, still without any."""
+    """Return an empty Vectors layer for arrows, on the pixels of a frame."""
     look = {
         "vector_style": "line",
         "opacity": 1.0,
         "edge_color": np.array(DRAWN),
         "edge_width": max(shape) / 220,
-        "ndim": frame.ndim,  # napari cannot tell how many axes no arrows have
+        "ndim": frame.ndim,  # napari cannot derive it from an empty array
     }
     known = {"kind": "drawing", "slice": frame.slice_name}
     return layer_on(frame, np.zeros((0, 2, len(frame.plane))), NAME, known, look, "vectors")

@@ -1,6 +1,7 @@
-"""What we need of napari and vispy and they do not offer, and what napari has moved.
+"""Access to private parts of napari and vispy, and to parts that differ between versions of napari.
 
-Private names of others stand here and nowhere else; a test of each says when it can go.
+All private names of other packages are used in this module only. Each has a test that fails when
+the workaround is no longer needed.
 """
 
 from __future__ import annotations
@@ -15,53 +16,71 @@ import numpy.typing as npt
 
 
 def unwrapped(viewer: Any) -> Any:
-    """The viewer itself: plugins get a proxy, whose layers are other objects at every look."""
+    """Return the viewer behind the proxy that plugins receive.
+
+    The proxy returns another object for a layer at each access, so layers cannot be compared.
+    """
     return getattr(viewer, "__wrapped__", viewer)
 
 
 def camera_of(viewer: Any) -> Any:
-    """A viewer's camera; napari 0.9 has moved it to the scene."""
+    """Return the camera of a viewer, which belongs to the scene since napari 0.9."""
     return getattr(viewer, "scene", viewer).camera
 
 
 def text_of(viewer: Any) -> Any:
-    """The text in a corner of the canvas; napari 0.9 has moved it to the canvas."""
+    """Return the text in a corner of the canvas, which belongs to the canvas since napari 0.9."""
     overlay = _overlay(viewer, "text")
     return viewer.text_overlay if overlay is None else overlay
 
 
 def show_name(layer: Any, corner: str) -> None:
-    """Have a layer's name be read on the canvas, beside its bar; napari before 0.9 has no such."""
+    """Show the name of a layer on the canvas, next to its colour bar; needs napari 0.9.
+
+    Parameters
+    ----------
+    layer : napari.layers.Layer
+    corner : str
+        Position on the canvas, such as "top_left".
+    """
     title = getattr(layer, "name_overlay", None)
     if title is not None:
         title.position, title.visible = corner, True
 
 
 def clear_middle(viewer: Any) -> None:
-    """Let what is pointed at be seen through the circle around the cursor."""
-    # Private: napari 0.9 puts a small square there, in the colour of the canvas and meant for the
-    # background of words; it stays behind when the circle goes. Others of its overlays are public.
+    """Remove the square in the middle of the circle around the cursor, which covers the image."""
+    # Private: napari 0.9 draws a small square there in the colour of the canvas, meant as the
+    # background of text; it stays when the circle is hidden. No public attribute removes it.
     circle = _overlay(viewer, "_brush_circle")
     if getattr(circle, "box", False):
         circle.box = False
 
 
 def paint_steps(layer: Any, name: str) -> Collection[Any] | None:
-    """What a Labels layer can "undo" or "redo" of what was painted; None if it does not say."""
-    # Private: the keys are shared with our edits, and napari does not say if it has any to undo.
+    """Return the strokes that a Labels layer can undo or redo; None if napari does not store them.
+
+    Parameters
+    ----------
+    layer : napari.layers.Labels
+    name : {"undo", "redo"}
+    """
+    # Private: the keys are shared with the edits of the study, and napari has no public way to
+    # find out whether there is a stroke to undo.
     steps: Collection[Any] | None = getattr(layer, f"_{name}_history", None)
     return steps
 
 
 def thin_thumbnail(layer: Any, most: int) -> None:
-    """Draw so many lines in a Vectors layer's thumbnail at most."""
-    # Private: a thumbnail of all lines takes longer to draw than they do, and none can be had.
+    """Limit the number of lines in the thumbnail of a Vectors layer to `most`."""
+    # Private: a thumbnail of all lines takes longer to draw than the lines, and it cannot be
+    # switched off.
     layer._max_vectors_thumbnail = most
 
 
 def drawn_node(viewer: Any, layer: Any) -> Any:
-    """What draws a layer in vispy; None without a window, or where there is no such way."""
-    # Private: napari's window does not offer its canvas, nor the canvas' nodes.
+    """Return the vispy node that draws a layer; None without a window, or if it is not found."""
+    # Private: the window of napari has no public access to its canvas and nodes.
     try:
         return viewer.window._qt_viewer.canvas.layer_to_visual[layer].node
     except (AttributeError, KeyError):
@@ -69,10 +88,10 @@ def drawn_node(viewer: Any, layer: Any) -> Any:
 
 
 class CanvasContext:
-    """Has the textures of a layer that goes be deleted where they are drawn.
+    """Makes the canvas' OpenGL context current before the textures of a removed layer are deleted.
 
-    Of a viewer there is one (`shared`). vispy deletes them in whichever OpenGL context is current,
-    which may be Qt's own, and Mesa's software rasteriser then crashes in what it draws next.
+    A viewer has one instance (`shared`). vispy deletes textures in whichever OpenGL context is
+    current. If that is the context of Qt, Mesa's software rasteriser crashes when it draws next.
 
     Parameters
     ----------
@@ -84,28 +103,29 @@ class CanvasContext:
         viewer.layers.events.removing.connect(self._make_current)
 
     def _make_current(self, _: Any) -> None:
-        # Private: as for `drawn_node`.
-        with suppress(AttributeError, RuntimeError):  # there is no window, or no more
+        # Private: for the reason given in `drawn_node`.
+        with suppress(AttributeError, RuntimeError):  # there is no window, or it was closed
             self._viewer().window._qt_viewer.canvas.native.makeCurrent()  # type: ignore[union-attr]
 
 
 def compile_once(mesh: Any) -> bool:
-    """Have a mesh of vispy's keep its program when it is given other data; whether it does."""
-    # Private: meshes make the function that takes up their colours anew with all data they are
-    # given, and so have their program composed, compiled and linked again.
+    """Make a vispy mesh keep its shader program when its data change; return whether it does."""
+    # Private: with new data, a mesh also builds a new function for its colours, so that its
+    # program is composed, compiled and linked again.
     build = getattr(mesh, "_build_color_transform", None)
     if build is None:
         return False
-    made: dict[tuple[int, ...], Any] = {}
+    functions: dict[tuple[int, ...], Any] = {}
 
     def build_once(colours: npt.NDArray[np.float32]) -> Any:
-        # One function for a colour of all, and one for a colour of each; values are none of ours.
+        # One function for a common colour, and one for a colour per vertex. Meshes here have no
+        # scalar values, so those are not cached.
         kind = (colours.ndim, colours.shape[-1])
         if kind[1] != 4:
             return build(colours)
-        if kind not in made:
-            made[kind] = build(colours)
-        return made[kind]
+        if kind not in functions:
+            functions[kind] = build(colours)
+        return functions[kind]
 
     mesh.unfreeze()
     mesh._build_color_transform = build_once
@@ -114,19 +134,20 @@ def compile_once(mesh: Any) -> bool:
 
 
 def is_quitting(window: Any) -> bool:
-    """Whether a window of napari's is closed to quit, which closes all others as well."""
-    # Private: the others are closed without being asked, so that all have to be asked before.
+    """Return whether a closing napari window quits the application, which closes all windows."""
+    # Private: the other windows are closed without a question, so unsaved work of all windows is
+    # checked before.
     return bool(getattr(window, "_quit_app", False))
 
 
 def stop_quitting(window: Any) -> None:
-    """Have a window that stays after all not quit when it is closed the next time."""
-    # Private: napari asks before it decides to quit, and has no way back from there.
+    """Reset the quit request of a window that stays open; else closing it later would quit."""
+    # Private: napari sets the request before the window is closed and never resets it.
     if is_quitting(window):
         window._quit_app = False
 
 
 def _overlay(viewer: Any, name: str) -> Any:
-    """One of the canvas' overlays; None before napari 0.9, which has no such."""
+    """Return an overlay of the canvas; None before napari 0.9, where the canvas has none."""
     overlays = getattr(getattr(viewer, "canvas", None), "overlays", None)
     return getattr(overlays, name, None)

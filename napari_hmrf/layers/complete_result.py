@@ -1,4 +1,4 @@
-"""All layers of a deformation at rest, with notes on it."""
+"""Layers of a finished deformation, with notes on it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from napari_hmrf.study.shortcomings import shortcomings
 
 
 class CompleteResult(NamedTuple):
-    """A deformation at rest: its layers, and notes that users should know, as clauses."""
+    """Finished deformation with its layers, and notes to the user, as clauses."""
 
     moved: Deformation
     outputs: Outputs
@@ -34,15 +34,15 @@ def complete_result(
     Parameters
     ----------
     moved : Deformation
-        With a solution.
+        Deformation with a solution.
     checkpoint : callable
-        Called between the steps; raises to stop the work.
+        Called between the steps; raises an exception to stop the work.
     """
     study, ground, stated, solved = moved.study, moved.ground, moved.stated, moved.solution
     assert ground is not None
     assert stated is not None
     assert solved is not None
-    kept = _to_be_kept(moved, ground)
+    kept = _solution_to_keep(moved, ground)
     place, pictures = study.grid.place, study.pictures
     if stated.labels is not None:
         pictures = replace(pictures, labels=stated.labels)
@@ -50,12 +50,12 @@ def complete_result(
     if isinstance(stated.prior, Elastic):
         forces = partial(held_forces, stated.problem, solved, stated.prior)
     outputs = result_layers(kept, place, pictures, checkpoint, stated.problem, forces)
-    short = shortcomings(solved, study.grid.unit, folds=0)  # the warning chip counts folds
-    return CompleteResult(moved, outputs, tuple(filter(None, (*short, *ground.notes_on(stated)))))
+    caveats = shortcomings(solved, study.grid.unit, folds=0)  # the warning chip counts folds
+    return CompleteResult(moved, outputs, tuple(filter(None, (*caveats, *ground.notes_on(stated)))))
 
 
-def _to_be_kept(moved: Deformation, ground: Ground) -> Solution:
-    """Return the solution to keep: without air, and with the drawing and the tissue's record."""
+def _solution_to_keep(moved: Deformation, ground: Ground) -> Solution:
+    """Return the solution to keep: without air, and with the drawing and a record of the tissue."""
     study, solution = moved.study, moved.solution
     assert solution is not None
     body = solution.tissue & ground.body

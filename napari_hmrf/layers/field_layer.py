@@ -1,7 +1,8 @@
-"""Layers that hold a field, of a result or of a file, and what else lies where a result does.
+"""Layers that hold a displacement field, and layers that can be moved with a result.
 
-Of a field a few arrows are drawn, and the layer holds all of it. A result is found by what its
-layer's metadata say; images, labels, points and shapes on the same tissue can be moved with it.
+A layer draws a few arrows of its field and holds the whole field in its metadata, either as a
+result or as a field from a file. Images, labels, points and shapes on the same tissue can be moved
+with a result.
 """
 
 from __future__ import annotations
@@ -25,46 +26,46 @@ from napari_hmrf.layers.result_layers import ARROWS, Answer, LayerData
 from napari_hmrf.layers.slice_view import View, copy_slice, frame_of, full_resolution, layer_extents
 
 Array = npt.NDArray[Any]
-#: What the metadata of a layer say that was moved.
+#: Kind, in the metadata, of a layer that was moved with a result.
 MOVED = "moved"
 
 
 def result_of(layer: Any) -> Answer | None:
-    """The result that a layer of arrows holds; None if it holds none."""
+    """Return the result that a layer of arrows holds; None if it holds none."""
     answer = known_of(layer).get("answer")
     return answer if isinstance(answer, Answer) else None
 
 
 def holds_field(layer: Any) -> bool:
-    """Whether a layer holds a field: one that was opened, or a result."""
+    """Return whether a layer holds a field, from a file or of a result."""
     return layer is not None and ("field" in known_of(layer) or result_of(layer) is not None)
 
 
 def field_of(layer: Any) -> PixelField | None:
-    """The field that a layer holds; None if it holds none."""
+    """Return the field that a layer holds; None if it holds none."""
     if not holds_field(layer):
         return None
     answer, frame = result_of(layer), frame_of(layer)
     if answer is None:
         return PixelField(known_of(layer)["field"], frame)
-    there = replace(frame, plane=answer.frame.plane, index=answer.frame.index)
-    return PixelField.of(answer.solution, there)
+    slice_frame = replace(frame, plane=answer.frame.plane, index=answer.frame.index)
+    return PixelField.of(answer.solution, slice_frame)
 
 
 def field_layer(
     field: DisplacementField, place: Mapping[str, Any], name: str, role: str | None = None
 ) -> LayerData:
-    """Have a layer hold a field, and draw some of its arrows.
+    """Make a layer that holds a field and draws some of its arrows.
 
     Parameters
     ----------
     field : DisplacementField
         In pixels, along all axes.
     place : mapping
-        Where the first pixel and the others lie, as a new layer takes it.
+        Place of the pixels in the world, as keyword arguments of a new layer.
     name : str
     role : str, optional
-        What the layer is for.
+        Role of the layer, for its metadata.
     """
     arrows, step = field.arrows(ARROWS)
     known = {"field": field, **({} if role is None else {"role": role})}
@@ -75,7 +76,7 @@ def field_layer(
 
 
 def source_of(layers: Iterable[Any], result: Answer) -> Any:
-    """Find the image that a result deforms: by its name, else one that lies where it does."""
+    """Find the image that a result deforms: by its name, else any image on the same pixels."""
     images = (layer for layer in layers if can_be_source(layer, result))
 
     def likeness(image: Any) -> tuple[bool, bool]:
@@ -85,19 +86,19 @@ def source_of(layers: Iterable[Any], result: Answer) -> Any:
 
 
 def can_be_source(layer: Any, result: Answer) -> bool:
-    """Whether a layer is an image on the pixels of a result, and not itself made of one."""
-    own = isinstance(layer, Image) and "kind" not in known_of(layer)
-    return own and frame_in(layer, result) is not None
+    """Return whether a layer is an image on the pixels of a result, and not itself a result."""
+    is_plain_image = isinstance(layer, Image) and "kind" not in known_of(layer)
+    return is_plain_image and frame_in(layer, result) is not None
 
 
 def tissue_labels(layers: Iterable[Any], result: Answer) -> Any:
-    """Find the topmost layer of labels that says what the tissue of a result is, or None."""
+    """Find the topmost Labels layer of tissue on the pixels of a result, or None."""
     tissues = [layer for layer in layers if isinstance(layer, Labels) and rows_of(layer, TISSUE)]
     return next((each for each in reversed(tissues) if frame_in(each, result)), None)
 
 
 def frame_in(layer: Any, result: Answer) -> Frame | None:
-    """The frame of the slice of a layer that lies on a result's pixels; None if none does."""
+    """Return the frame of a layer's slice on the pixels of a result; None if there is none."""
     try:
         return result.frame.slice_in(frame_of(layer), layer_extents(layer), result.shape)
     except (ProblemError, ValueError, IndexError):
@@ -105,34 +106,35 @@ def frame_in(layer: Any, result: Answer) -> Frame | None:
 
 
 def picture_of(layer: Any, result: Answer) -> npt.NDArray[Any] | None:
-    """Copy what a layer shows on a result's pixels, rows first; None if it lies elsewhere.
+    """Copy the slice of a layer on the pixels of a result; None if the layer lies elsewhere.
 
     Raises
     ------
     ProblemError
-        If it cannot be read.
+        If the layer cannot be read.
     """
-    own = frame_in(layer, result)
-    return None if own is None else copy_slice(layer, own)
+    slice_frame = frame_in(layer, result)
+    return None if slice_frame is None else copy_slice(layer, slice_frame)
 
 
 def place_at(layer: Any, result: Answer, position: Any, view: View) -> tuple[float, ...] | None:
-    """Where a point of the world lies on the pixels of a result; None beside it or its slice.
+    """Convert a point of the world to the pixels of a result.
 
     Parameters
     ----------
     layer : napari.layers.Layer
-        That holds the result.
+        Layer that holds the result.
     result : Answer
     position : sequence of float
-        World coordinates, as of a viewer's cursor.
+        World coordinates, such as those of a viewer's cursor.
     view : View
-        What the viewer shows.
+        Visible slice of the viewer.
 
     Returns
     -------
     tuple of float or None
-        ([depth,] row, col), whole numbers at the middle of a pixel.
+        ([depth,] row, col), with whole numbers at the middle of a pixel; None outside the pixels
+        or the slice of the result.
     """
     if len(position) < layer.ndim:
         return None
@@ -140,20 +142,20 @@ def place_at(layer: Any, result: Answer, position: Any, view: View) -> tuple[flo
 
 
 def can_move(layer: Any) -> bool:
-    """Whether a layer can be moved with a result, and is not itself made of one."""
+    """Return whether a layer can be moved with a result, and is not itself a result."""
     return isinstance(layer, Image | Labels | Points | Shapes) and "kind" not in known_of(layer)
 
 
 def mover(layer: Any, answer: Answer) -> Callable[[], LayerData]:
-    """Get ready to move a layer with a result: what is returned does, on any thread.
+    """Return a function that moves a layer with a result; it can be called on any thread.
 
-    The layer may have other pixels than the result, and more axes, as of `OtherGrid.of`. Labels get
-    no new values.
+    The layer may have other pixels than the result, and more axes, as described in `OtherGrid.of`.
+    Labels are not interpolated.
 
     Raises
     ------
     LayerError
-        As of `OtherGrid.of`.
+        As for `OtherGrid.of`.
     """
     with naming(observed=layer):
         grid = OtherGrid.of(answer.solution, answer.frame, frame_of(layer))
@@ -167,6 +169,8 @@ def mover(layer: Any, answer: Answer) -> Callable[[], LayerData]:
         return lambda: LayerData(grid.moved_pixels(pixels, order=order), attributes, kind)
     if kind == "points":
         return lambda: LayerData(grid.moved_points(data), attributes, kind)
-    bent = [bendable(corners, each) for corners, each in zip(data, layer.shape_type, strict=True)]
-    attributes["shape_type"] = [each for _, each in bent]
-    return lambda: LayerData([grid.moved_points(each) for each, _ in bent], attributes, kind)
+    bent_shapes = [
+        bendable(corners, each) for corners, each in zip(data, layer.shape_type, strict=True)
+    ]
+    attributes["shape_type"] = [each for _, each in bent_shapes]
+    return lambda: LayerData([grid.moved_points(each) for each, _ in bent_shapes], attributes, kind)

@@ -1,4 +1,4 @@
-"""Which of several images somebody looks at: the one that is selected, or lies in front."""
+"""Choice of an image among the layers of a viewer: the selected one, or the topmost visible one."""
 
 from __future__ import annotations
 
@@ -13,71 +13,73 @@ from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, known_of, role_of
 from napari_hmrf.layers.slice_view import View, fits, full_resolution
 
-#: Ways of drawing an image that leave nothing to be seen of what lies beneath.
+#: Blending modes in which an image hides the layers below it.
 _OPAQUE = ("opaque", "translucent", "translucent_no_depth")
-#: Along each axis it is asked of so many places whether they are seen.
-_ALONG = 5
+#: Number of places along each axis that are checked for visibility.
+_SAMPLES = 5
 
 
 def image_in_front(viewer: Any, images: Iterable[Any], worked_on: Iterable[Any] = ()) -> Any:
-    """Find the image that somebody means who says nothing.
+    """Find the image to deform if the user has not chosen one.
 
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
     images : iterable of napari.layers.Image
-        Those it may be, lowest first.
+        Candidates, lowest first.
     worked_on : iterable of napari.layers.Layer
-        If there are any among `images`, it is one of these.
+        Layers with edits; candidates among them take precedence.
 
     Returns
     -------
     napari.layers.Image or None
-        The active one, or else the topmost that is selected, or visible, or there.
+        The active image, or else the topmost selected, visible or other one, in this order.
     """
-    known, selection = set(worked_on), viewer.layers.selection
+    preferred, selection = set(worked_on), viewer.layers.selection
 
     def likelihood(image: Any) -> tuple[bool, ...]:
-        return image in known, image is selection.active, image in selection, image.visible
+        return image in preferred, image is selection.active, image in selection, image.visible
 
     return max(reversed([*images]), key=likelihood, default=None)
 
 
 def painted_on(image: Any, layers: Iterable[Any], view: View | None = None) -> list[Any]:
-    """Those of some layers, lowest first, that are tissues or boundaries on an image's pixels.
+    """Return the layers of tissue or boundaries on the pixels of an image, lowest first.
 
-    What came with the image of a sample lies above it, and goes with no other.
+    The layers of a sample belong to the image of the sample below them, and not to other images.
     """
-    found, there = list[Any](), list(layers)
-    for at, layer in enumerate(there):
+    painted, ordered = list[Any](), list(layers)
+    for at, layer in enumerate(ordered):
         if role_of(layer) in (TISSUE, BOUNDARY) and fits(layer, image, view):
-            below = (each for each in reversed(there[:at]) if role_of(each) == IMAGE)
+            below = (each for each in reversed(ordered[:at]) if role_of(each) == IMAGE)
             if next((each for each in below if fits(layer, each, view)), image) is image:
-                found.append(layer)
-    return found
+                painted.append(layer)
+    return painted
 
 
 def image_covering(viewer: Any, image: Any, places: Iterable[Sequence[float]] = ()) -> Any:
-    """Find the topmost image that hides places of another one; else None.
+    """Find the topmost image that hides all given places of another image, or None.
 
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
     image : napari.layers.Image
-        In the viewer.
+        Image in the viewer.
     places : iterable of sequence of float
-        In the world, that must all be hidden; by default some all over the image.
+        Places in world coordinates; by default, places spread over the whole image.
     """
-    there, layers = tuple(places) or _places(viewer, image), list(viewer.layers)
+    targets, layers = tuple(places) or _sample_places(viewer, image), list(viewer.layers)
     above = filter(_is_opaque, reversed(layers[layers.index(image) + 1 :]))
     view = View.of(viewer.dims)
-    return next((each for each in above if all(_holds(each, at, view) for at in there)), None)
+    return next(
+        (each for each in above if all(_has_pixel_at(each, at, view) for at in targets)), None
+    )
 
 
 def uncover(viewer: Any, image: Any) -> list[Any]:
-    """Show an image, and hide all images that hide any of it; returns these."""
+    """Show an image, and hide all images that cover a part of it; return the hidden images."""
     image.visible, hidden = True, list[Any]()
-    for place in _places(viewer, image):
+    for place in _sample_places(viewer, image):
         while (other := image_covering(viewer, image, [place])) is not None:
             other.visible = False
             hidden.append(other)
@@ -85,32 +87,32 @@ def uncover(viewer: Any, image: Any) -> list[Any]:
 
 
 def in_middle(viewer: Any, image: Any) -> bool:
-    """Whether the middle of what a viewer shows lies on an image."""
+    """Return whether the middle of the canvas lies on an image."""
     place, shown = list(viewer.dims.point), viewer.dims.displayed
     for axis, at in zip(shown, camera_of(viewer).center[-len(shown) :], strict=True):
         place[axis] = at
-    return _holds(image, place, View.of(viewer.dims))
+    return _has_pixel_at(image, place, View.of(viewer.dims))
 
 
-def _places(viewer: Any, image: Any) -> list[tuple[float, ...]]:
-    """The corners of an image as a viewer shows it, and places between, in the world."""
+def _sample_places(viewer: Any, image: Any) -> list[tuple[float, ...]]:
+    """Return a grid of places over the visible slice of an image, in world coordinates."""
     extent, missing = image.extent.world, viewer.dims.ndim - image.ndim
     ends: list[Any] = [[at] for at in viewer.dims.point]
     for axis in viewer.dims.displayed:
         low, high = extent[:, axis - missing] if axis >= missing else viewer.dims.range[axis][:2]
-        ends[axis] = np.linspace(low, high, _ALONG)
+        ends[axis] = np.linspace(low, high, _SAMPLES)
     return list(product(*ends))
 
 
 def _is_opaque(layer: Any) -> bool:
-    plain = isinstance(layer, Image) and "kind" not in known_of(layer)  # that is a result
-    seen = plain and layer.visible and layer.blending in _OPAQUE
-    # Of colours the fourth is how much is seen through them.
-    return seen and layer.opacity == 1 and not (layer.rgb and layer.data.shape[-1] == 4)
+    is_image = isinstance(layer, Image) and "kind" not in known_of(layer)  # not a result
+    hides = is_image and layer.visible and layer.blending in _OPAQUE
+    # A fourth colour channel is an opacity.
+    return hides and layer.opacity == 1 and not (layer.rgb and layer.data.shape[-1] == 4)
 
 
-def _holds(layer: Any, place: Sequence[float], view: View) -> bool:
-    """Whether a viewer shows one of a layer's pixels at a place in the world."""
+def _has_pixel_at(layer: Any, place: Sequence[float], view: View) -> bool:
+    """Return whether a layer has a pixel at a place in world coordinates."""
     if layer.ndim > len(place):
         return False
     pixel = np.rint(view.pixel(layer, place))

@@ -1,4 +1,4 @@
-"""The results that a viewer shows: of an image and a slice there is one, the newest."""
+"""Layers of the results in a viewer: the newest result of each image and slice."""
 
 from __future__ import annotations
 
@@ -18,276 +18,288 @@ from napari_hmrf.layers.metadata import BOUNDARY, METADATA, TISSUE, add_known, k
 from napari_hmrf.layers.result_layers import Kind, LayerData
 from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
 
-#: The confidence that was painted, and all that was.
+#: Kind of the layer of the painted confidence.
 CONFIDENCE: Literal["painted confidence"] = "painted confidence"
+#: Kind of the layer of all other paint.
 PAINTED: Literal["painted"] = "painted"
-#: A layer of a result: what was made with it, what was painted, or what it is looked at with, one
-#: thing at a time.
+#: Part of a result that has a layer: the image and arrows of a solution, the paint, or an overlay.
 Part = Kind | Literal["overlay", "painted confidence", "painted"]
-#: Looks that belong to the numbers that are shown, of an overlay and of what was painted.
+#: Display settings that change with the data of an overlay or of paint.
 _LOOKS = {"overlay": ("colormap", "contrast_limits"), PAINTED: ("colormap",)}
+#: Percentage of the complete deformation.
 _WHOLE = 100
 
 
 @dataclass(eq=False)
-class _Held:
-    """A layer of a result."""
+class _PartState:
+    """Layer of a part of a result, and its state."""
 
-    #: Returns it, as long as it is kept anywhere.
+    #: Weak reference to the layer.
     layer: Callable[[], Any]
-    #: What napari made of the name meant for it.
+    #: Name of the layer as set by napari; it differs from the layer's name if the user renamed it.
     name: str
-    #: Whether somebody wants to see it.
+    #: True if the user wants to see the layer.
     wanted: bool = True
-    #: Whether it is of the newest result, and does not wait for what that will have.
+    #: True if the layer belongs to the newest result, rather than waiting for a later one.
     current: bool = True
-    #: Whether it was seen when we looked last: if it is otherwise now, that was done by hand.
+    #: Visibility that was set last; if the layer's differs, the user has changed it.
     seen: bool = True
-    #: Its data, if nobody else holds them: they can be written to.
-    own: Any = None
-    #: Its data while it shows a part of the deformation, and those of all of it.
+    #: Data of the layer if no other object uses the array, so that it can be written to.
+    writable: Any = None
+    #: Data of the layer while it shows a part of the deformation.
     part: Any = None
-    whole: Any = None
+    #: Data of the layer at the complete deformation, while it shows a part.
+    complete: Any = None
 
 
 class Result:
-    """The layers of one result.
+    """Layers of one result.
 
-    A layer is seen if somebody wants to see it, if it is of the newest result, if the image is not
-    looked at as it was before it moved, and if no other extent of it is worked on.
+    A layer is visible if the user has not hidden it, it belongs to the newest result, the image is
+    not shown before its motion, and the user works on the same extent (slice or volume).
 
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
-        Or a weak proxy of it.
+        The viewer, or a weak proxy of it.
     anchor : napari.layers.Layer
-        What was deformed; of a result from a file the layer of arrows that holds it.
+        Deformed layer; for a result from a file, the layer of arrows that holds the result.
     where : str
-        The slice, as in the layers' metadata.
+        Name of the slice, as in the layers' metadata.
 
     Attributes
     ----------
     is_before : bool
-        Whether the image is seen as it was.
+        True while the image is shown before its motion.
     is_away : bool
-        Whether it is hidden, as another extent of the image is worked on.
+        True while the result is hidden because the user works on another extent of the image.
     """
 
-    #: Whether all of the deformation is seen.
+    #: True if the complete deformation is shown.
     _is_whole = True
-    #: Whether more will follow soon than what was shown last.
+    #: True if another state will follow soon.
     moving = False
 
     def __init__(self, viewer: Any, anchor: Any, where: str) -> None:
         self._viewer = viewer
-        #: Returns what was deformed, as long as it is kept anywhere.
+        #: Weak reference to the deformed layer.
         self.anchor: Callable[[], Any] = weakref.ref(anchor)
         self.where = where
         self.is_before = self.is_away = False
         self._frame: Frame | None = None
-        self._held: dict[Part, _Held] = {}
+        self._states: dict[Part, _PartState] = {}
 
-    # What there is
+    # Queries
 
     def layer(self, part: Part) -> Any:
-        """The layer of a part, if it is in the viewer."""
-        held = self._held.get(part)
-        return still_there(self._viewer, None if held is None else held.layer())
+        """Return the layer of a part, or None if it is not in the viewer."""
+        state = self._states.get(part)
+        return still_there(self._viewer, None if state is None else state.layer())
 
     def part_of(self, layer: Any) -> Part | None:
-        """Which part a layer is, or was until somebody removed it; None if it is none of these."""
-        return next((part for part, held in self._held.items() if held.layer() is layer), None)
+        """Return the part that a layer shows, or showed until it was removed; None if no part."""
+        return next((part for part, state in self._states.items() if state.layer() is layer), None)
 
     def wants(self, part: Part) -> bool:
-        """Whether a part is seen, or will be with what comes next."""
+        """Return whether the user wants to see a part; it may be hidden at present."""
         layer = self.layer(part)
         if layer is None:
             return False
-        held = self._held[part]
-        return bool(layer.visible if layer.visible != held.seen else held.wanted)
+        state = self._states[part]
+        return bool(layer.visible if layer.visible != state.seen else state.wanted)
 
     def holds(self, part: Part) -> bool:
-        """Whether the newest result has a part; tissue that is at rest has no arrows."""
-        return part in self._held and self._held[part].current
+        """Return whether the newest result has a part; undeformed tissue has no arrows."""
+        return part in self._states and self._states[part].current
 
     @property
     def visible(self) -> bool:
-        """Whether anything of it is seen."""
-        return any(layer.visible for _, layer, _ in self._there())
+        """True if any layer of the result is visible."""
+        return any(layer.visible for _, layer, _ in self._present_layers())
 
     @property
     def percent(self) -> int:
-        """How much of the deformation is seen."""
-        pictures = (layer for part, layer, _ in self._there() if part in ("image", "overlay"))
+        """Percentage of the deformation that is shown; 0 if no picture is visible."""
+        pictures = (
+            layer for part, layer, _ in self._present_layers() if part in ("image", "overlay")
+        )
         return next((_percent_of(layer) for layer in pictures if layer.visible), 0)
 
-    # What is shown
+    # Display
 
     def take(self, part: Part, layer: Any) -> None:
-        """Have a layer that somebody else made."""
+        """Use an existing layer for a part."""
         seen = layer.visible
-        self._held[part] = _Held(weakref.ref(layer), layer.name, seen, seen=seen)
-        self._set_eyes()
+        self._states[part] = _PartState(weakref.ref(layer), layer.name, seen, seen=seen)
+        self._update_visibility()
 
     def put(self, part: Part, made: LayerData, source: Any = None, show: bool = True) -> None:
-        """Have a layer be one of the result there is.
+        """Add or update the layer of a part of the current result.
 
         Parameters
         ----------
         part : Part
         made : LayerData
         source : napari.layers.Layer, optional
-            The image that is moved, where that is not what was deformed.
+            Image that was moved, if it is not the deformed layer.
         show : bool
-            Whether it is shown though somebody has hidden it; it is to be seen without paint then.
+            True to show the layer even if the user has hidden it; for an overlay, layers of tissue
+            and boundaries are then hidden.
         """
         if part != PAINTED or not self._overwrite(part, made):
-            self._put(part, made, source)
+            self._update_or_replace(part, made, source)
         if show and part == "overlay" and not self.is_before:
             for each in self._viewer.layers:
                 each.visible = each.visible and role_of(each) not in (TISSUE, BOUNDARY)
-        self._held[part].current = True
+        self._states[part].current = True
         self.want(part, show or self.wants(part))
 
     def show(self, frame: Frame, layers: Mapping[Part, LayerData], moving: bool = False) -> None:
-        """Show another state of the result; as of `ResultLayers.show`."""
+        """Show another state of the result; see `ResultLayers.show`."""
         quick = moving and frame == self._frame
         self._frame, self.moving, self._is_whole = frame, moving, True
         for part, made in layers.items():
             if not (quick and self._overwrite(part, made)):
-                self._put(part, made)
-        for part, held in self._held.items():
-            held.current = part in layers
+                self._update_or_replace(part, made)
+        for part, state in self._states.items():
+            state.current = part in layers
         arrows = self.layer("arrows")
         if arrows is not None and not (moving or self.holds("arrows")):
-            add_known(arrows, answer=None, solution=None)  # tissue is at rest again
-        self._set_eyes()
+            add_known(arrows, answer=None, solution=None)  # the tissue is undeformed again
+        self._update_visibility()
 
     def show_part(self, percent: int, parts: Mapping[Part, Any]) -> None:
         """Show a part of the deformation, until `show_whole` or a newer result.
 
-        What was painted lies where all of it has led, and is not seen with less.
+        Paint is drawn at the end of the deformation, so it is hidden meanwhile.
+
+        Parameters
+        ----------
+        percent : int
+            Percentage of the deformation.
+        parts : mapping of Part to ndarray
+            Data of the layers at that percentage.
         """
         self._is_whole = percent == _WHOLE
         for part, data in parts.items():
             layer = self.layer(part)
             if layer is None:
                 continue
-            held = self._held[part]
+            state = self._states[part]
             if _percent_of(layer) == _WHOLE:
-                held.whole = layer.data
-            layer.data = held.part = data
-            held.own = None
-            # Whoever saves the layer now can tell what it is.
+                state.complete = layer.data
+            layer.data = state.part = data
+            state.writable = None
+            # A layer that is saved now states which part of the deformation it shows.
             add_known(layer, percent=percent)
-        self._set_eyes()
+        self._update_visibility()
 
     def show_whole(self) -> None:
-        """Put back what was there before a part was shown, where nobody else has drawn since."""
+        """Restore the layers that `show_part` changed, unless their data have changed since."""
         self._is_whole = True
-        for part, layer, held in self._there():
-            if held.part is not None and layer.data is held.part:
-                if held.whole is not None:
-                    layer.data = held.whole
+        for part, layer, state in self._present_layers():
+            if state.part is not None and layer.data is state.part:
+                if state.complete is not None:
+                    layer.data = state.complete
                     add_known(layer, percent=_WHOLE)
                 elif _percent_of(layer) != _WHOLE:
                     self.want(part, False)
-            held.part = held.whole = None
-        self._set_eyes()
+            state.part = state.complete = None
+        self._update_visibility()
 
-    # What is hidden
+    # Visibility
 
     def want(self, part: Part, wanted: bool) -> None:
-        """Have a part be seen, or not; no result brings back what nobody wants to see."""
+        """Show or hide a part; a hidden part stays hidden in later results."""
         if (layer := self.layer(part)) is not None:
-            held = self._held[part]
-            held.wanted, held.seen = wanted, layer.visible
-            held.current = held.current or wanted
-            self._set_eyes()
+            state = self._states[part]
+            state.wanted, state.seen = wanted, layer.visible
+            state.current = state.current or wanted
+            self._update_visibility()
 
     def drop(self, part: Part) -> None:
-        """Take a part out of the viewer; one that somebody has named is theirs, and hidden."""
-        layer, held = self.layer(part), self._held.pop(part, None)
-        if held is not None and layer is not None:
-            if layer.name == held.name:
+        """Remove a part from the viewer; a layer that the user has renamed is hidden instead."""
+        layer, state = self.layer(part), self._states.pop(part, None)
+        if state is not None and layer is not None:
+            if layer.name == state.name:
                 self._viewer.layers.remove(layer)
             else:
                 layer.visible = False
 
     def drop_paint(self, besides: Collection[Part] = ()) -> None:
-        """Take what was painted out of the viewer, but for some parts."""
+        """Remove the layers of paint from the viewer, except some parts."""
         for part in (PAINTED, CONFIDENCE):
             if part not in besides:
                 self.drop(part)
 
     def leave(self) -> None:
-        """Hide what was put there to be looked at, as another result is."""
+        """Hide the overlay, because another result is selected."""
         self.want("overlay", False)
-        if self.anchor() is self.layer("arrows"):  # of a file: its image was not made with it
+        if self.anchor() is self.layer("arrows"):  # from a file; its image was made separately
             self.want("image", False)
 
     def show_before(self, before: bool) -> None:
-        """Show nothing of the result, so that the image is seen as it was; or show it again."""
+        """Hide the result, so that the image is visible before its motion; or show it again."""
         before = before and (self.is_before or self.visible)
         if before != self.is_before:
             self.is_before = before
-            self._set_eyes()
+            self._update_visibility()
 
     def make_way(self, place: Frame) -> None:
-        """Be hidden if this would be seen through a place that is worked on; else be seen again."""
+        """Hide the result if the user works on another extent of the image; else show it again."""
         self.is_away = self._frame is not None and self._frame.plane != place.plane
-        self._set_eyes()
+        self._update_visibility()
 
     def remove(self) -> None:
-        """Take the layers out of the viewer, but for those that somebody has named."""
-        for part, layer, held in self._there():
-            if layer.name == held.name:
+        """Remove the layers from the viewer, except those that the user has renamed."""
+        for part, layer, state in self._present_layers():
+            if layer.name == state.name:
                 self.drop(part)
 
-    # How it is done
+    # Implementation
 
-    def _there(self) -> Iterator[tuple[Part, Any, _Held]]:
-        """The layers that are in the viewer."""
-        for part, held in [*self._held.items()]:
+    def _present_layers(self) -> Iterator[tuple[Part, Any, _PartState]]:
+        """Yield the layers that are in the viewer, each with its part and state."""
+        for part, state in [*self._states.items()]:
             if (layer := self.layer(part)) is not None:
-                yield part, layer, held
+                yield part, layer, state
 
-    def _set_eyes(self) -> None:
-        """Have each layer be seen or not, as it should."""
-        for part, layer, held in self._there():
-            held.wanted = self.wants(part)
+    def _update_visibility(self) -> None:
+        """Update the visibility of each layer."""
+        for part, layer, state in self._present_layers():
+            state.wanted = self.wants(part)
             partly = not self._is_whole and part in (PAINTED, CONFIDENCE)
             hidden = self.is_before or self.is_away or partly
-            held.seen = held.wanted and held.current and not hidden
-            if layer.visible != held.seen:
-                layer.visible = held.seen
+            state.seen = state.wanted and state.current and not hidden
+            if layer.visible != state.seen:
+                layer.visible = state.seen
 
     def _overwrite(self, part: Part, made: LayerData) -> bool:
-        """Give a layer other pixels where nothing else of it is another; whether that is so."""
-        layer, held = self.layer(part), self._held.get(part)
-        if layer is None or held is None or held.part is not None or not _fits(layer, made):
+        """Write new pixels into a layer if nothing else has changed; return whether this worked."""
+        layer, state = self.layer(part), self._states.get(part)
+        if layer is None or state is None or state.part is not None or not _fits(layer, made):
             return False
         if part == PAINTED and layer.colormap is not made.attributes["colormap"]:
             return False
-        if layer.data is not held.own or not overwrite(self._viewer, layer, made.data):
-            layer.data = held.own = np.array(made.data)
+        if layer.data is not state.writable or not overwrite(self._viewer, layer, made.data):
+            layer.data = state.writable = np.array(made.data)
         return True
 
-    def _put(self, part: Part, made: LayerData, source: Any = None) -> None:
-        """Have a layer show this: the one that is there, or a new one."""
-        layers, layer, held = self._viewer.layers, self.layer(part), self._held.get(part)
+    def _update_or_replace(self, part: Part, made: LayerData, source: Any = None) -> None:
+        """Update the layer of a part, or replace it with a new layer."""
+        layers, layer, state = self._viewer.layers, self.layer(part), self._states.get(part)
         name, is_scale = made.attributes["name"], part != "image" and made.kind == "image"
         is_overlaid = part == "overlay" and made.kind != "vectors"
         with same_selection(self._viewer):
-            if held is None or layer is None or not _fits(layer, made):
+            if state is None or layer is None or not _fits(layer, made):
                 wanted = layer is None or self.wants(part)
                 self.drop(part)
                 layer = Layer.create(*made)
-                # Who hears that it comes can ask whose it is.
-                held = self._held[part] = _Held(weakref.ref(layer), name, wanted)
+                # Registered before it is inserted, so that callbacks of the insertion find it.
+                state = self._states[part] = _PartState(weakref.ref(layer), name, wanted)
                 layers.insert(self._index(part, made, source), layer)
-                held.name = layer.name
-                # Two bars in one corner would be read as one, under one title.
+                state.name = layer.name
+                # Two colour bars in the same corner would look like one.
                 corner = "top_left" if part == CONFIDENCE else "top_right"
                 if is_scale:
                     layer.colorbar.position, layer.colorbar.visible = corner, True
@@ -299,25 +311,25 @@ class Result:
                 for look in _LOOKS.get(part, ()):
                     if look in made.attributes:
                         setattr(layer, look, made.attributes[look])
-                if layer.name == held.name:
+                if layer.name == state.name:
                     layer.name = name
-                    held.name = layer.name
+                    state.name = layer.name
                 now, at = layers.index(layer), self._index(part, made, source)
-                if is_overlaid and now + 1 < at:  # paint has come since
+                if is_overlaid and now + 1 < at:  # paint was added above it
                     layers.move(now, at)
-        held.own = held.part = held.whole = None
+        state.writable = state.part = state.complete = None
 
     def _index(self, part: Part, made: LayerData, source: Any) -> int:
-        """Pictures go directly above what was deformed and has moved, lines and marks on top."""
+        """Return the index for a layer: pictures above deformed layers, lines on top."""
         layers = self._viewer.layers
-        if made.kind == "vectors" or _kind_of(made) in MARKS:  # as lines often lie where folds are
+        if made.kind == "vectors" or _kind_of(made) in MARKS:  # folds often lie below lines
             return len(layers)
-        if part in (PAINTED, CONFIDENCE):  # below what else is drawn on it
+        if part in (PAINTED, CONFIDENCE):  # below the lines that are drawn on the image
             lowest = self._above(self.layer("image"), self.anchor())
             drawn = (at for at, each in enumerate(layers) if at >= lowest and _is_drawn(each))
             return next(drawn, len(layers))
         below = [] if part == "image" else [self.layer("image")]
-        if part == "overlay":  # through paint its colours would be read as others
+        if part == "overlay":  # paint above it would change its colours
             below += [each for each in layers if _is_paint(each)]
         if source is None:
             below.append(self.anchor())
@@ -326,7 +338,7 @@ class Result:
         return self._above(*below)
 
     def _above(self, *below: Any) -> int:
-        """Where a layer lies directly above others."""
+        """Return the index directly above some layers."""
         layers = self._viewer.layers
         return max((layers.index(each) + 1 for each in below if each in layers), default=0)
 
@@ -340,7 +352,7 @@ def _kind_of(made: LayerData) -> Any:
 
 
 def _fits(layer: Any, made: LayerData) -> bool:
-    """Whether a layer can show this: other pixels or another scale, but no other sort of thing."""
+    """Return whether a layer can show new data: its type, axes and kind must be the same."""
     axes, rgb = len(made.attributes["scale"]), made.attributes.get("rgb", False)
     same = made.kind == "image" or known_of(layer).get("kind") == _kind_of(made)
     same = same and made.kind == type(layer).__name__.lower()
@@ -348,27 +360,27 @@ def _fits(layer: Any, made: LayerData) -> bool:
 
 
 def _is_drawn(layer: Any) -> bool:
-    """Whether a layer is of lines, or shows what brushes have painted."""
+    """Return whether a layer shows lines or paint."""
     return isinstance(layer, Vectors) or known_of(layer).get("kind") == PAINTED
 
 
 def _is_paint(layer: Any) -> bool:
-    """Whether a layer says what tissue is, what holds it, or how sure that is."""
+    """Return whether a layer shows paint, or holds tissue or boundaries."""
     painted = known_of(layer).get("kind") in (CONFIDENCE, PAINTED)
     return painted or role_of(layer) in (TISSUE, BOUNDARY)
 
 
 def _is_moved(layer: Any, where: str) -> bool:
-    """Whether a layer shows an image of a slice where its tissue has moved to."""
+    """Return whether a layer shows the deformed image of a slice."""
     known = known_of(layer)
     return known.get("kind") == "image" and known.get("slice") == where
 
 
 class ResultLayers:
-    """The results that a viewer shows.
+    """Results that a viewer shows.
 
-    A newer result of the same image and slice takes the place of the one before. What is hidden or
-    named by hand stays so. The results of an image go with it.
+    A newer result of the same image and slice replaces the previous one. Layers that the user has
+    hidden or renamed stay so. The results of an image are removed together with it.
 
     Parameters
     ----------
@@ -377,7 +389,7 @@ class ResultLayers:
     Attributes
     ----------
     changed : Signal(Result)
-        Another result, or none, is seen in a place.
+        Emitted when another result, or none, is shown for an image and slice.
     """
 
     changed = Signal(object)
@@ -388,11 +400,11 @@ class ResultLayers:
 
     @property
     def sources(self) -> list[Any]:
-        """The layers of which a result is seen."""
+        """Layers with a visible result."""
         return [result.anchor() for result in self._results if result.visible]
 
     def at(self, source: Any, where: str) -> Result:
-        """The result of a layer and a slice, which need not be there yet."""
+        """Return the result of a layer and a slice; it is created if it does not exist."""
         for result in self._results:
             if result.anchor() is source and result.where == where:
                 return result
@@ -400,12 +412,12 @@ class ResultLayers:
         return self._results[-1]
 
     def pictures_of(self, source: Any) -> list[Any]:
-        """The layers that show a layer as it has moved, of all slices."""
+        """Return the layers of the deformed image of a layer, of all slices."""
         own = (result for result in self._results if result.anchor() is source)
         return [layer for result in own if (layer := result.layer("image")) is not None]
 
     def of(self, arrows: Any) -> Result:
-        """The result that a layer of arrows holds, be it from a file."""
+        """Return the result of a layer of arrows, which may come from a file."""
         for result in self._results:
             if result.part_of(arrows) is not None:
                 return result
@@ -414,7 +426,7 @@ class ResultLayers:
         return result
 
     def stand_on(self, source: Any, place: Frame) -> None:
-        """Have the result of a place be seen, if there is one, and none of another extent."""
+        """Show the result of the slice or volume that the user works on, and hide other extents."""
         for result in [each for each in self._results if each.anchor() is source]:
             result.make_way(place)
             if result.is_away or result.where == place.slice_name:
@@ -423,21 +435,21 @@ class ResultLayers:
     def show(
         self, source: Any, frame: Frame, layers: Mapping[Part, LayerData], *, moving: bool = False
     ) -> None:
-        """Show a result in place of the one there is of the same layer and slice.
+        """Show a result in place of the previous one of the same layer and slice.
 
-        What that had and this does not is hidden until there is a result that has it. Nothing is
-        shown if what was deformed is gone.
+        A part that the new result lacks is hidden until a later result has it. Nothing is shown if
+        the deformed layer was removed.
 
         Parameters
         ----------
         source : napari.layers.Layer
-            What was deformed.
+            Deformed layer.
         frame : Frame
-            Where.
+            Place of the result.
         layers : dict of part to LayerData
             In stacking order.
         moving : bool
-            Whether more will follow soon, and only the canvas counts.
+            True if another state will follow soon, so that only the canvas needs an update.
         """
         if source in self._viewer.layers:
             result = self.at(source, frame.slice_name)
@@ -445,13 +457,13 @@ class ResultLayers:
             self.changed.emit(result)
 
     def show_only(self, source: Any) -> None:
-        """Show what came of a layer, and what came of no other; what is of a file stays."""
+        """Show the results of a layer and hide those of other layers; results from files stay."""
         for result in self._results:
             if not isinstance(result.anchor(), Vectors):
                 result.show_before(result.anchor() is not source)
 
     def remove_orphans(self) -> None:
-        """Remove what is left of images that are gone, once napari is done with its own layers."""
+        """Remove the results of removed images; called after napari has removed their layers."""
         for result in [*self._results]:
             if result.anchor() not in self._viewer.layers:
                 self._results.remove(result)

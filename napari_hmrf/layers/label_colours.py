@@ -1,4 +1,4 @@
-"""Colours that set boundaries apart from tissues and from what they do."""
+"""Colours and display settings of layers: boundaries, quantities, confidence and stiffness."""
 
 from __future__ import annotations
 
@@ -10,43 +10,43 @@ from napari.utils.colormaps.standardize_color import transform_color
 
 from napari_hmrf.field.colormaps import DIVERGING, FOLDED, OPACITY, RISING, opacity
 
-#: How a quantity lies over an image.
+#: Display settings of a quantity above an image.
 OVER = {"blending": "translucent", "opacity": OPACITY}
-#: Of the arrows that show what is known of the motion.
+#: Colour of the arrows of the given motion.
 OBSERVED = "magenta"
-#: Of the arrows of a result: seen on black, grey and white.
+#: Colour of the arrows of a result; visible on black, grey and white.
 ARROWS = "#ff6000"
-#: Of stiffness: evenly ever lighter, and of other colours than what is measured of a result.
+#: Colormap of stiffness: its lightness rises evenly, and its colours differ from those of results.
 _STIFF = "viridis"
-#: Of arrows that are drawn by hand, and of the one that is selected: red, green, blue and opacity.
-#: Told apart by those who are blind to colours, too, as one is much brighter.
+#: Red, green, blue and opacity of drawn arrows.
 DRAWN = (0.0, 0.62, 1.0, 1.0)
+#: The same of a selected arrow; it is much brighter, so that colour-blind users see the difference.
 SELECTED = (1.0, 0.9, 0.1, 1.0)
-#: Of boundary labels 1, 2, ...; napari's own would repeat the colours of the tissues.
-#: The first two, which hold and push in new layers, differ from the arrows on them.
+#: Colours of boundary labels 1, 2, ...; the colours of napari would repeat those of the tissues.
+#: The first two, which hold and push in new layers, differ from the colours of arrows on them.
 _BOUNDARY = ("#7ee081", "#f4f482", "#ff4fd8", "#a78bfa", "#ff5a5f", "#ff9f1c")
 
 
 def boundary_colours() -> Any:
-    """The colormap of a Labels layer of boundaries."""
+    """Return the colormap of a Labels layer of boundaries."""
     return colormaps.CyclicLabelColormap(colors=["transparent", *_BOUNDARY])
 
 
 def mark_look() -> dict[str, Any]:
-    """How a Labels layer of sites that are marked lies over an image, as that of folds."""
+    """Return the display settings of a Labels layer of marked sites, such as folds."""
     colours = {None: "transparent", 0: "transparent", 1: "red"}
     return {"colormap": colormaps.DirectLabelColormap(color_dict=colours), "opacity": 1.0}
 
 
 def quantity_colours(signed: bool, folds: bool = False) -> Any:
-    """The colormap of an Image layer of a quantity; what says nothing lets the image through.
+    """Return the colormap of an Image layer of a quantity, transparent where nothing changes.
 
     Parameters
     ----------
     signed : bool
-        Whether no change is in the middle, and not at the lower end.
+        True if the middle of the colormap stands for no change, instead of the lower end.
     folds : bool
-        Whether what reaches the lower limit is folded.
+        True to draw values at or below the lower limit in the colour of folds.
     """
     name = DIVERGING if signed else RISING
     part = np.linspace(0, 1, 256)
@@ -57,11 +57,11 @@ def quantity_colours(signed: bool, folds: bool = False) -> Any:
 
 
 def confidence_look() -> dict[str, Any]:
-    """How an Image layer of how sure that is lies over an image."""
+    """Return the display settings of an Image layer of confidence."""
     return {"colormap": quantity_colours(signed=False), "contrast_limits": (0.0, 1.0), **OVER}
 
 
 def stiffness_colours() -> Any:
-    """The colormap of an Image layer of stiffness; what is no tissue lets the image through."""
+    """Return the colormap of an Image layer of stiffness, transparent outside tissue."""
     colours = np.array(colormaps.ensure_colormap(_STIFF).map(np.linspace(0, 1, 256)))
     return colormaps.Colormap(colours, name=f"{_STIFF}, clear", low_color=(0.0, 0.0, 0.0, 0.0))

@@ -1,4 +1,4 @@
-"""Landmarks from layers of points or lines: where things are, and where they should be."""
+"""Landmarks read from layers of points or lines: positions and target positions."""
 
 from __future__ import annotations
 
@@ -28,28 +28,29 @@ def read_landmarks(
     radius: float | None = None,
     confidence: float = 1.0,
 ) -> tuple[Landmark, ...]:
-    """Pair the points of two layers by their order, or the ends of lines, as they lie in the world.
+    """Read landmarks from two layers of points, paired by order, or from a layer of lines.
+
+    Points are compared in world coordinates.
 
     Parameters
     ----------
     where : napari.layers.Points or napari.layers.Shapes
-        Where things are; or lines and paths that begin there, and end where they should be. Of a
-        stack, the pairs of other slices do not count; those without an axis lie on each of its
-        slices.
+        Positions; or lines and paths from positions to target positions. Pairs on other slices of a
+        stack are left out; a layer that lacks an axis of the image lies on all its slices.
     should : napari.layers.Points or None
-        Where they should be; none beside lines.
+        Target positions; None with lines.
     frame : Frame
-        The slice of the image.
+        Slice of the image.
     shape : (int, int)
-        Of the image.
+        Shape of the image.
     view : View, optional
-        What is shown, for points with more axes than the image: those of other slices do not
-        count then.
+        Visible slice, for points with more axes than the image: points on other slices are left
+        out.
     radius : float, optional
-        Of the patch of tissue that goes with each landmark, in the unit of the image; by default
-        `usual_radius`. Patches that would overlap are made smaller.
+        Radius of the patch of tissue that moves with each landmark, in the unit of the image; by
+        default `usual_radius`. It is reduced where patches would overlap.
     confidence : float
-        How sure that is, from above 0 to 1 (certain).
+        Confidence of the landmarks, above 0, up to 1 (certain).
 
     Returns
     -------
@@ -59,8 +60,8 @@ def read_landmarks(
     Raises
     ------
     ProblemError
-        Naming the layer: if the layers do not hold as many points, or none, or a shape is no line,
-        or a landmark cannot be placed, lies outside the image, or contradicts another.
+        Naming the layer: if the layers hold different numbers of points or none, a shape is not a
+        line, or a landmark cannot be placed, lies outside the image, or contradicts another.
     """
     pairs = landmark_pairs(where, should, frame, shape, view)
     wanted = usual_radius(shape, frame.spacing) if radius is None else radius
@@ -75,91 +76,91 @@ def read_landmarks(
 def landmark_pairs(
     where: Any, should: Any, frame: Frame, shape: tuple[int, ...], view: View | None = None
 ) -> LandmarkPairs:
-    """Find the pairs on a slice; arguments and errors are those of `read_landmarks`."""
-    what: Literal["point", "line"] = "line" if isinstance(where, Shapes) else "point"
-    begins, ends = _ends_of_lines(where) if what == "line" else _paired(where, should)
-    should = where if what == "line" else should
-    sources, here = _placed(where, begins, what, frame, view)
-    targets, there = _placed(should, ends, what, frame, view)
-    numbers = np.flatnonzero(here)
+    """Return the pairs of positions on a slice; arguments and errors as for `read_landmarks`."""
+    kind: Literal["point", "line"] = "line" if isinstance(where, Shapes) else "point"
+    begins, ends = _ends_of_lines(where) if kind == "line" else _point_pairs(where, should)
+    should = where if kind == "line" else should
+    sources, on_slice = _place_on_image(where, begins, kind, frame, view)
+    targets, target_on_slice = _place_on_image(should, ends, kind, frame, view)
+    numbers = np.flatnonzero(on_slice)
     if not len(numbers):
-        here_said = frame.slice_seen or "this slice"
-        raise LayerError(where, f"has no {what}s on {here_said}. Add some, or go to one that has.")
-    if not there[here].all():
+        slice_name = frame.slice_seen or "this slice"
+        raise LayerError(where, f"has no {kind}s on {slice_name}. Add some, or show another slice.")
+    if not target_on_slice[on_slice].all():
         raise LayerError(
             should,
-            f"has {what} {numbers[~there[here]][0]}, which leads to another slice: tissue moves "
-            "within a slice. Move it, or remove it.",
+            f"has {kind} {numbers[~target_on_slice[on_slice]][0]} with its target on another "
+            f"slice, but tissue moves within a slice. Move the {kind}, or remove it.",
         )
-    at, to = (places[here][:, list(frame.plane)] for places in (sources, targets))
+    at, to = (places[on_slice][:, list(frame.plane)] for places in (sources, targets))
     outside = ((at < -0.5) | (at > np.array(shape) - 0.5)).any(axis=1)
     if outside.any():
         raise LayerError(
-            where, f"has {what} {numbers[outside][0]} outside the image. Move it, or remove it."
+            where, f"has {kind} {numbers[outside][0]} outside the image. Move it, or remove it."
         )
     pairs = LandmarkPairs(numbers, at, to)
     if (contradiction := pairs.contradiction) is not None:
         one, other = contradiction
         raise LayerError(
             where,
-            f"has {what}s {one} and {other} in one pixel, which lead to different places. "
+            f"has {kind}s {one} and {other} in one pixel, but with different targets. "
             "Remove one of them.",
         )
     return pairs
 
 
-def _placed(
-    layer: Any, places: FloatArray, what: str, frame: Frame, view: View | None
+def _place_on_image(
+    layer: Any, places: FloatArray, kind: str, frame: Frame, view: View | None
 ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-    """Places of a layer in the pixels of the image, (N, D), and which of them lie on its slice."""
-    bad = np.flatnonzero(~np.isfinite(places).all(axis=1))
-    if len(bad):
-        raise LayerError(layer, f"has NaN or infinity in {what} {bad[0]}. Remove it.")
-    to = frame.from_pixels_of(frame_of(layer))  # where they lack an axis they lie on the slice
+    """Convert places of a layer to pixels of the image, (N, D); return also a mask of its slice."""
+    invalid = np.flatnonzero(~np.isfinite(places).all(axis=1))
+    if len(invalid):
+        raise LayerError(layer, f"has NaN or infinity in {kind} {invalid[0]}. Remove it.")
+    to = frame.from_pixels_of(frame_of(layer))  # a missing axis puts them on the slice
     if to is None:
         raise LayerError(
             layer,
-            "is not in the image's unit. If its numbers are, type in napari's console: "
-            f"viewer.layers['{layer.name}'].units = '{frame.unit}'.",
+            "has another unit than the image. If its numbers are in the unit of the image, type in "
+            f"napari's console: viewer.layers['{layer.name}'].units = '{frame.unit}'.",
         )
     pixels = places @ to[:, :-1].T + to[:, -1]
-    here = frame.has(pixels)
+    on_slice = frame.has(pixels)
     extra = layer.ndim - frame.ndim
-    if extra > 0 and view is not None:  # and on that shown, on axes that the image has not
+    if extra > 0 and view is not None:  # axes that the image lacks: only the visible slice counts
         shown = np.array(frame_of(layer, view).index)[:extra]
-        here &= (np.rint(places[:, :extra]) == shown).all(axis=1)
-    return pixels, here
+        on_slice &= (np.rint(places[:, :extra]) == shown).all(axis=1)
+    return pixels, on_slice
 
 
-def _paired(where: Any, should: Any) -> tuple[FloatArray, FloatArray]:
-    """The points of two layers."""
+def _point_pairs(where: Any, should: Any) -> tuple[FloatArray, FloatArray]:
+    """Return the points of two layers, which must be equally many."""
     if should is None or where is should:
         raise LayerError(
             where,
-            "says where things are: choose another Points layer as 'should be at', or a Shapes "
-            "layer of lines.",
+            "holds positions without targets. Choose another Points layer as 'should be at', or a "
+            "Shapes layer of lines.",
         )
     count, other = len(where.data), len(should.data)
     if count != other:
         points = "1 point" if other == 1 else f"{other} points"
         raise LayerError(
             should,
-            f"has {points}, but '{where.name}' has {count}: they are paired by their "
-            "order. Add or remove some.",
+            f"has {points}, but '{where.name}' has {count}. Points are paired by their order, so "
+            "add or remove some.",
         )
     return np.asarray(where.data, dtype=float), np.asarray(should.data, dtype=float)
 
 
 def _ends_of_lines(layer: Any) -> tuple[FloatArray, FloatArray]:
-    """The first and the last place of every line."""
+    """Return the first and the last point of each line."""
     for number, kind in enumerate(layer.shape_type):
         if kind not in ("line", "path"):
             raise LayerError(
                 layer,
-                f"has shape {number} ({kind}), which leads nowhere. Draw lines, from "
-                "where things are to where they should be; what a whole region does is painted in "
-                "a Labels layer (its key 3 draws an outline).",
+                f"has shape {number} ({kind}), which is not a line. Draw lines from positions to "
+                "their targets; the motion of a whole region is painted in a Labels layer (its key "
+                "3 draws an outline).",
             )
     ends = np.array([line[[0, -1]] for line in layer.data], dtype=float)
-    ends = ends.reshape(-1, 2, layer.ndim)  # without any, too
+    ends = ends.reshape(-1, 2, layer.ndim)  # also for no lines
     return ends[:, 0], ends[:, 1]

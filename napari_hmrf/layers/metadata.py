@@ -13,6 +13,7 @@ from napari_hmrf.tissue.row_table import Row, RowTable
 #: Key of the package's entry in a layer's metadata.
 METADATA = "napari-hmrf"
 
+#: Role of a layer in a study.
 Role = Literal["image", "tissue", "boundary"]
 IMAGE: Literal["image"] = "image"
 TISSUE: Literal["tissue"] = "tissue"
@@ -49,16 +50,18 @@ def described(
     rows : iterable of Material or BoundaryRule
     unit : str
         Unit of stiffness.
-    preset, whose : str
-        Name of the preset, and source of its values.
+    preset : str
+        Name of the preset.
+    whose : str
+        Source of the values of the preset.
     """
     known: dict[str, Any] = {"role": role}
     if role in _TABLES:
         known[_TABLES[role][0]] = [
             row.as_row() if isinstance(row, Material) else asdict(row) for row in rows
         ]
-    said = {"unit": unit, "preset": preset, "whose": whose}
-    return {METADATA: {**known, **{name: words for name, words in said.items() if words}}}
+    texts = {"unit": unit, "preset": preset, "whose": whose}
+    return {METADATA: {**known, **{name: words for name, words in texts.items() if words}}}
 
 
 def tissue_record(layer: Any, materials: Iterable[Material]) -> dict[str, Any]:
@@ -94,7 +97,7 @@ def tissue_recorded(layer: Any) -> tuple[tuple[Material, ...] | None, str]:
 
 
 def role_of(layer: Any) -> Role | None:
-    """Return the role that a layer's metadata give it; None if they give none."""
+    """Return the role of a layer from its metadata; None if it has no role."""
     role = known_of(layer).get("role")
     return role if role in (IMAGE, TISSUE, BOUNDARY) else None
 
@@ -124,9 +127,9 @@ def table_of(layer: Any, role: Literal["boundary"]) -> RowTable[BoundaryRule]: .
 @overload
 def table_of(layer: Any, role: Role) -> RowTable[Any]: ...
 def table_of(layer: Any, role: Role) -> RowTable[Any]:
-    """Return the table that a layer's metadata hold; an empty one if they hold none."""
-    said = (str(known_of(layer).get(name, "")) for name in RowTable._fields[1:])
-    return RowTable(rows_of(layer, role), *said)
+    """Return the table in a layer's metadata; an empty table if there is none."""
+    texts = (str(known_of(layer).get(name, "")) for name in RowTable._fields[1:])
+    return RowTable(rows_of(layer, role), *texts)
 
 
 def store_table(table: RowTable[Row], layer: Any, role: Role) -> None:

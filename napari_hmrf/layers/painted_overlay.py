@@ -17,7 +17,7 @@ from napari_hmrf.tissue.drawing.canvas import Box
 
 
 class Seen(NamedTuple):
-    """A deformation with the marks that show what is painted on it.
+    """Deformation with the marks of its paint.
 
     Attributes
     ----------
@@ -31,12 +31,12 @@ class Seen(NamedTuple):
 
     @property
     def confidence(self) -> npt.NDArray[np.float32] | None:
-        """Painted confidence of what is held or moved, 0 to 1; None if none was painted."""
+        """Painted confidence of the motion, 0 to 1; None if none was painted."""
         return self.moved.overlay[1] if len(self.moved.overlay) > 1 else None
 
 
 class PaintedOverlay:
-    """Overlay of an `Engine` that shows what is painted; used on the compute thread only."""
+    """Overlay of an `Engine` that shows paint; used on the compute thread only."""
 
     def __init__(self) -> None:
         self._canvas: Canvas | None = None
@@ -44,7 +44,24 @@ class PaintedOverlay:
     def __call__(
         self, ground: Ground, drawing: Drawing, canvas: Canvas, window: Box | None, over: Pictures
     ) -> Pictures:
-        """Update the pictures: one of the paint, and one of its confidence if that is painted."""
+        """Update the pictures: one of the paint, and one of the painted confidence if there is any.
+
+        Parameters
+        ----------
+        ground : Ground
+            Study without its drawing.
+        drawing : Drawing
+        canvas : Canvas
+            Canvas with the paint of the drawing.
+        window : Box, optional
+            Pixels that have changed; None if none have.
+        over : Pictures
+            Pictures of the previous drawing, which are updated in place.
+
+        Returns
+        -------
+        Pictures
+        """
         self._canvas = canvas
         actions = {mark.action for mark in drawing.marks if isinstance(mark, Stroke)}
         if not over and actions:
@@ -52,7 +69,7 @@ class PaintedOverlay:
         if "confidence" not in actions:
             over = over if len(over) < 2 else over[:1]
         elif len(over) < 2:
-            # Not interpolated, so that sites without confidence stay without it.
+            # Order 0, so that no confidence is interpolated into sites without it.
             confidence = Picture(np.zeros(canvas.shape, np.float32), order=0)
             over, window = (*over, confidence), canvas.whole
         if over and window is not None:
@@ -60,7 +77,7 @@ class PaintedOverlay:
         return over
 
     def on(self, moved: Deformation) -> Seen:
-        """Return the newest deformation with the marks of what is painted on it."""
+        """Return a deformation with the marks of the newest paint."""
         if self._canvas is None or not moved.overlay or not moved.overlay[0].any():
             return Seen(moved)
         return Seen(moved, painted_marks(self._canvas))

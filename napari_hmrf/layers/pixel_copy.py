@@ -1,4 +1,4 @@
-"""Copying the same pixels out of several layers, and again only where one has changed since."""
+"""Cache of copies of layer data; a layer is copied again only after a change."""
 
 from __future__ import annotations
 
@@ -15,43 +15,45 @@ from napari_hmrf.layers.slice_view import copy_slice
 from napari_hmrf.study.study import is_same
 
 T = TypeVar("T")
-#: Of each layer so many copies are kept: what is painted and taken back is the same as it was.
-_KEPT = 4
-#: The events after which a layer's data may be others. A layer draws itself anew for many other
-#: reasons, too, but a script that has changed its array in place can say so in no other way.
+#: Number of copies kept of each layer, so that undoing paint returns to an earlier object.
+_MOST_COPIES = 4
+#: Events after which the data of a layer may have changed. "set_data" is also emitted for many
+#: other reasons, but it is the only one after a script has changed an array in place.
 CHANGES = ("data", "labels_update", "paint", "set_data")
 
 
 class LayerCopies:
-    """Remembers copies. What did not change is the same object as before: nobody needs compare.
+    """Cache of copies of layer data.
+
+    The same object is returned for unchanged data, so that callers can compare by identity.
 
     Parameters
     ----------
     viewer : object, optional
-        Whose layers they are; there is one of these for each.
+        Viewer of the layers; ignored, as each viewer has its own cache (`shared`).
     """
 
     def __init__(self, viewer: Any = None) -> None:
         self._known: weakref.WeakKeyDictionary[Any, _Copies] = weakref.WeakKeyDictionary()
 
     def of(self, layer: Any, own: Frame | None = None) -> npt.NDArray[Any]:
-        """Copy a slice of a layer, or all of it.
+        """Return a copy of a slice of a layer, or of all of it.
 
         Parameters
         ----------
         layer : napari.layers.Layer
         own : Frame, optional
-            The slice of the layer.
+            Slice of the layer; by default all of its data are copied.
 
         Returns
         -------
         ndarray
-            Read-only.
+            Read-only copy.
 
         Raises
         ------
         ProblemError
-            If it cannot be read.
+            If the layer cannot be read.
         """
         known = self._known.get(layer)
         if known is None:
@@ -59,56 +61,57 @@ class LayerCopies:
         return known.slice(layer, own)
 
     def made(self, layer: Any, of: tuple[Any, ...], make: Callable[[], T]) -> T:
-        """Make something of a layer's copy, or find what was made of the same things last.
+        """Return a value derived from a copy of a layer, cached until one of its inputs changes.
 
         Parameters
         ----------
         layer : napari.layers.Layer
-            Copied before.
+            Layer that was copied before.
         of : tuple
-            What it depends on: arrays that are compared by identity, and values.
+            Inputs of the value: arrays, which are compared by identity, and other values.
         make : callable
+            Computes the value.
         """
         known = self._known[layer]
-        if known.made is None or not all(map(is_same, known.made[0], of)):
-            known.made = (of, make())
-        found: T = known.made[1]
-        return found
+        if known.derived is None or not all(map(is_same, known.derived[0], of)):
+            known.derived = (of, make())
+        value: T = known.derived[1]
+        return value
 
     def forget(self) -> None:
-        """Look at every layer anew: an array may have been changed in place, and nobody told."""
+        """Mark all copies as stale, as arrays may have been changed in place without an event."""
         for known in self._known.values():
-            known.doubt()
+            known.mark_stale()
 
 
 class _Copies:
-    """The copies of one layer."""
+    """Copies of one layer."""
 
     def __init__(self, layer: Any) -> None:
-        self._known: deque[tuple[Any, npt.NDArray[Any]]] = deque(maxlen=_KEPT)
+        self._known: deque[tuple[Any, npt.NDArray[Any]]] = deque(maxlen=_MOST_COPIES)
         self._fresh: set[Any] = set()
-        self.made: tuple[tuple[Any, ...], Any] | None = None
+        self.derived: tuple[tuple[Any, ...], Any] | None = None
         for name in CHANGES:
             if hasattr(layer.events, name):
-                getattr(layer.events, name).connect(self.doubt)
+                getattr(layer.events, name).connect(self.mark_stale)
 
     def slice(self, layer: Any, own: Frame | None) -> npt.NDArray[Any]:
         key = None if own is None else (own.plane, own.index)
         known = [copy for at, copy in self._known if at == key]
         if known and key in self._fresh:
             return known[-1]
-        now = np.array(layer.data) if own is None else copy_slice(layer, own)
-        now.setflags(write=False)
-        found = next((each for each in known if _same(each, now)), now)
-        others = [each for each in self._known if each[1] is not found]
-        self._known = deque([*others, (key, found)], maxlen=_KEPT)
+        copy = np.array(layer.data) if own is None else copy_slice(layer, own)
+        copy.setflags(write=False)
+        kept = next((each for each in known if _is_equal(each, copy)), copy)
+        others = [each for each in self._known if each[1] is not kept]
+        self._known = deque([*others, (key, kept)], maxlen=_MOST_COPIES)
         self._fresh.add(key)
-        return found
+        return kept
 
-    def doubt(self, *_: Any) -> None:
+    def mark_stale(self, *_: Any) -> None:
         self._fresh.clear()
 
 
-def _same(one: npt.NDArray[Any], other: npt.NDArray[Any]) -> bool:
+def _is_equal(one: npt.NDArray[Any], other: npt.NDArray[Any]) -> bool:
     same_type = one.dtype == other.dtype
     return same_type and np.array_equal(one, other, equal_nan=one.dtype.kind == "f")

@@ -39,14 +39,14 @@ from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
-#: Choice of confidence: complete where the image has edges.
+#: Choice of confidence that is complete where the image has edges, and 0 elsewhere.
 EDGES = "edges"
-#: Pixels sheared by less than this many degrees pass for rectangles.
+#: Shear below which pixels count as rectangles, in degrees.
 _RIGHT_ANGLE = 0.1
-#: A field that leads out of its slice by less than this part of a pixel leads along it.
-_OUT = 0.1
-#: More arrows than this are a field, of which some are drawn.
-_MANY = 2000
+#: Displacement out of the slice below which it is ignored without a note, in pixels.
+_NEGLIGIBLE = 0.1
+#: Largest number of arrows in a layer; more become a field, of which only some are drawn.
+_MOST_ARROWS = 2000
 
 
 @dataclass(frozen=True)
@@ -56,34 +56,35 @@ class Request:
     Attributes
     ----------
     tissue : napari.layers.Labels or napari.layers.Image, optional
-        Labels, each with a stiffness in `materials`; or the stiffness itself. Without it tissue is
-        what is in the image.
+        Labels, each with a stiffness in `materials`; or an image of the stiffness. By default the
+        tissue is derived from the image.
     boundary : napari.layers.Labels or napari.layers.Vectors, optional
-        Labels, each with a rule in `rules`; or the observed displacements: arrows on the pixels, or
-        a layer that holds a field, wherever that lies.
+        Labels, each with a rule in `rules`; or the observed displacements: arrows on the pixels of
+        the image, or a layer that holds a field on any grid.
     image : napari.layers.Image, optional
-        The picture to deform; its place is the reference, else that of `tissue`.
+        Image to deform. Its grid is the reference; without an image it is that of `tissue`.
     materials : tuple of Material, optional
-        By default those that the tissue layer carries.
+        By default those in the metadata of the tissue layer.
     rules : tuple of BoundaryRule, optional
-        Lengths in the unit of the image; by default those that the boundary layer carries.
+        Rules with lengths in the unit of the image; by default those in the metadata of the
+        boundary layer.
     confidence : napari.layers.Image, napari.layers.Labels or "edges", optional
-        Confidence of the observed displacements, 0 to 1; labels are a mask. "edges": complete
-        where the image has its steepest edges. By default it is complete everywhere.
+        Confidence of the observed displacements, 0 to 1; labels are a mask. With "edges" it is 1
+        at the steepest edges of the image. By default it is 1 everywhere.
     view : View, optional
-        The visible slice; by default the first, of the last two axes.
+        Visible slice; by default the first slice, along the last two axes.
     hold_edge : bool
-        Whether the outer edge of the tissue stays where it is.
+        True if the outer edge of the tissue stays in place.
     drawing : Drawing, optional
-        Marks drawn with a pointer, which take precedence; None if there is no drawing.
+        Drawn and painted marks, which take precedence; None if there is no drawing.
     preset : Preset, optional
-        The tissues that can be painted where the layer has no table of its own.
+        Tissues that can be painted if the layer has no table.
     without_border : bool
-        Whether what is dark around the image is no tissue where its label is 0.
+        True if the dark border of the image is not tissue where its label is 0.
     curve : StiffnessCurve, optional
-        Curve from the image's intensity to stiffness; used with `image`, in place of `tissue`.
+        Curve from the intensity of `image` to stiffness; replaces `tissue`.
     weight : tuple of float
-        As of `Motion`.
+        Body force along each axis, as in `Motion`.
     """
 
     tissue: Any = None
@@ -108,9 +109,9 @@ class Request:
         ----------
         model : StudyModel
         view : View
-            The visible slice.
+            Visible slice.
         preset : Preset, optional
-            Tissues that can be painted where the layer has no table of its own.
+            Tissues that can be painted if the layer has no table.
         """
         choice = model.choice
         tissue, boundary = choice.tissue_layer, choice.boundary
@@ -134,31 +135,33 @@ class Request:
 
     @property
     def layers(self) -> tuple[Any, ...]:
-        """The layers that have the same pixels, the reference first."""
+        """Layers that must have the same pixels, the reference first."""
         arrows = None if holds_field(self.boundary) else self.boundary
         chosen = (self.image, self.tissue, arrows, self.confidence)
         return tuple(layer for layer in chosen if isinstance(layer, Layer))
 
 
 def study_from_layers(request: Request, copies: LayerCopies | None = None) -> Study:
-    """Read the visible slice of every layer into a study; quick, as the window waits for it.
+    """Read the visible slice of every layer into a study.
+
+    This runs on the GUI thread, so it must be quick.
 
     Parameters
     ----------
     request : Request
     copies : LayerCopies, optional
-        Of a viewer: a layer that did not change since is not read again.
+        Cache of a viewer, from which unchanged layers are taken.
 
     Raises
     ------
     ProblemError
-        Naming the layer that lies elsewhere, is of another size or cannot be read.
+        Naming the layer that lies elsewhere, has another size or cannot be read.
     """
     return _Reader(request, copies or LayerCopies()).study()
 
 
 class _Reader:
-    """State while layers are read."""
+    """Reader of the layers of a request."""
 
     def __init__(self, request: Request, copies: LayerCopies) -> None:
         self._request = request
@@ -172,8 +175,8 @@ class _Reader:
             self._notes.append(sheared)
         if request.view is not None and request.view.tilts(self._frame):
             self._notes.append(
-                f"napari draws '{reference.name}' as if it did not lean out of its slices, and "
-                "so it says places; directions, lengths and what is saved are the true ones"
+                f"napari draws '{reference.name}' as if it were not tilted out of its slices, and "
+                "shows positions accordingly; directions, lengths and saved files are correct"
             )
         if any(layer.multiscale for layer in request.layers):
             self._notes.append(f"computed on the finest level, {grid_in_words(self._shape)}")
@@ -209,7 +212,7 @@ class _Reader:
         )
 
     def _slice(self, layer: Any) -> npt.NDArray[Any]:
-        """The pixels of a layer that are the reference's."""
+        """Return the pixels of a layer on the grid of the reference."""
         own = frame_of(layer, self._request.view)
         check_size(layer, own, self._reference, self._frame, self._shape)
         return self._copies.of(layer, own)
@@ -250,26 +253,28 @@ class _Reader:
         request, layer = self._request, self._request.boundary
         drawing = request.drawing or Drawing()
         if isinstance(layer, Vectors):
-            observed, counts = self._observed(layer)
-            return Motion(request.hold_edge, observed=observed, confidence=counts, drawing=drawing)
+            observed, confidence = self._observed(layer)
+            return Motion(
+                request.hold_edge, observed=observed, confidence=confidence, drawing=drawing
+            )
         if layer is None:
             return Motion(request.hold_edge, drawing=drawing)
         labels = self._slice(layer)
         if request.drawing is None and not labels.any():
-            here = frame_of(layer, request.view).slice_seen
+            slice_name = frame_of(layer, request.view).slice_seen
             raise LayerError(
                 layer,
-                f"has no paint{f' in {here}' if here else ' yet'}: choose a row, then paint a wall "
-                "or something that moves.",
+                f"has no paint{f' in {slice_name}' if slice_name else ' yet'}. Choose a row, then "
+                "paint a region that is fixed or moves.",
             )
         rules = request.rules
         rules = rows_of(layer, BOUNDARY) if rules is None else tuple(rules)
         return Motion(request.hold_edge, labels, rules, drawing=drawing)
 
     def _observed(self, layer: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """Return the displacements that arrows or a field observe, and their confidence."""
+        """Return the observed displacements of arrows or a field, and their confidence."""
         request, frame, shape = self._request, self._frame, self._shape
-        data, sure, field = self._copies.of(layer), self._sure(), field_of(layer)
+        data, confidence, field = self._copies.of(layer), self._read_confidence(), field_of(layer)
         own = frame if field else frame_of(layer, request.view)
         if field is None:
             check_size(layer, own, self._reference, frame, shape)
@@ -281,24 +286,24 @@ class _Reader:
                 else:
                     arrows = np.array(data, float)
                     y, known, out, note = arrow_observation(arrows, own, frame.spacing, shape)
-            c = np.where(known, 1 if sure is None else sure, 0).astype(np.float32)
+            c = np.where(known, 1 if confidence is None else confidence, 0).astype(np.float32)
             if known.any() and not c.any():
                 raise LayerError(
                     request.confidence,
-                    f"is 0 wherever '{layer.name}' says how tissue moves, so that nothing of that "
-                    "counts. Paint where it is sure, or choose ----- in 'confidence'.",
+                    f"is 0 wherever '{layer.name}' has a displacement, so no displacement counts. "
+                    "Paint where it is certain, or choose ----- in 'confidence'.",
                 )
             return y, np.repeat(c[..., None], len(shape), axis=-1), out, note
 
-        of = (data, sure, own, frame.spacing, shape, *(field or ()))
+        of = (data, confidence, own, frame.spacing, shape, *(field or ()))
         y, c, out, note = self._copies.made(layer, of, observe)
         if note:
             self._notes.append(f"'{layer.name}' {note}")
-        if out > (0 if field is None else _OUT * max(frame.spacing)):
-            self._notes.append(f"'{layer.name}' leads out of the slice, too, which did not count")
+        if out > (0 if field is None else _NEGLIGIBLE * max(frame.spacing)):
+            self._notes.append(f"'{layer.name}' also leads out of the slice, which is ignored")
         return y, c
 
-    def _sure(self) -> npt.NDArray[Any] | None:
+    def _read_confidence(self) -> npt.NDArray[Any] | None:
         """Return the confidence of the observed displacements."""
         chosen, image = self._request.confidence, self._request.image
         if chosen is None:
@@ -308,10 +313,12 @@ class _Reader:
             if isinstance(chosen, Labels):
                 return self._copies.made(chosen, (pixels,), lambda: pixels > 0)
             if pixels.ndim != len(self._shape):
-                raise LayerError(chosen, "is a colour image. Choose a grey image of values 0 to 1.")
+                raise LayerError(
+                    chosen, "is a colour image. Choose a grey image with values from 0 to 1."
+                )
             return pixels
         if image is None:
-            raise LayerError(self._reference, "has no edges: choose an image.")
+            raise LayerError(self._reference, "is no image with edges. Choose an image.")
         pixels = self._slice(image)
         return self._copies.made(
             image, (pixels,), lambda: edge_confidence(pixels, axes=len(self._shape))
@@ -332,31 +339,30 @@ def look_of(layer: Any) -> dict[str, Any]:
 
 
 def study_layers(study: Study) -> dict[str, Any]:
-    """Make the layers that are read as a study, where it lies, or from the origin on.
+    """Make the layers of a study, at its place or at the origin; inverts `study_from_layers`.
 
     Parameters
     ----------
     study : Study
-        Of which all but its drawing, its model and what holds the edge becomes layers.
+        Its drawing, its model and `hold_edge` do not become layers.
 
     Returns
     -------
     dict of str to napari.layers.Layer
-        By "image", "tissue", "boundary" and "confidence", those there are; in the order in which
-        they lie above each other.
+        Existing layers among "image", "tissue", "boundary" and "confidence", in stacking order.
     """
     grid, tissue, motion, pictures = study.grid, study.tissue, study.motion, study.pictures
     n = len(grid.shape)
     frame = grid.place or Frame.at(grid.spacing, (grid.unit,) * n, volume=n == 3)
-    made: dict[str, Any] = {}
+    layers: dict[str, Any] = {}
 
     def add(
         part: str, name: str, data: Any, look: Mapping[str, Any], sort: str = "image", **what: Any
     ) -> None:
-        """Make a layer, by the name that it had."""
+        """Make a layer, with the name that it had in the study."""
         name = study.names.get(part, name)
         known = described(**what)[METADATA] if what else {}
-        made[part] = Layer.create(*layer_on(frame, data, name, known, look, sort))
+        layers[part] = Layer.create(*layer_on(frame, data, name, known, look, sort))
 
     if pictures.image is not None:
         add("image", pictures.name or "image", pictures.image, pictures.look, role=IMAGE)
@@ -370,19 +376,19 @@ def study_layers(study: Study) -> dict[str, Any]:
         look, rules = {"colormap": boundary_colours()}, motion.rules
         add("boundary", "Boundary", motion.labels, look, "labels", role=BOUNDARY, rows=rules)
     elif motion.observed is not None and motion.confidence is not None:
-        counts = motion.confidence
-        counts = counts if counts.ndim == n else counts.max(axis=-1)
-        starts, steps = np.argwhere(counts > 0), motion.observed / grid.spacing
-        if len(starts) > _MANY:
+        confidence = motion.confidence
+        confidence = confidence if confidence.ndim == n else confidence.max(axis=-1)
+        starts, steps = np.argwhere(confidence > 0), motion.observed / grid.spacing
+        if len(starts) > _MOST_ARROWS:
             field = DisplacementField.in_pixels(frame.put_field(steps))
             name = study.names.get("boundary", "Observed")
             place = frame.placement(image=True)
-            made["boundary"] = Layer.create(*field_layer(field, place, name, BOUNDARY))
+            layers["boundary"] = Layer.create(*field_layer(field, place, name, BOUNDARY))
         else:
             arrows = np.stack([starts, steps[tuple(starts.T)]], axis=1)
             add("boundary", "Observed", arrows, {}, "vectors", role=BOUNDARY)
         look = {"contrast_limits": (0, 1), "opacity": 0.3}
-        add("confidence", "Confidence", counts, look)
-    for part, layer in made.items():  # paint would tint the picture that has moved
-        layer.visible = not study.moves or part == ("image" if "image" in made else "tissue")
-    return made
+        add("confidence", "Confidence", confidence, look)
+    for part, layer in layers.items():  # layers of paint would tint the deformed image
+        layer.visible = not study.moves or part == ("image" if "image" in layers else "tissue")
+    return layers

@@ -50,8 +50,7 @@ Facts = Mapping[str, Any]
 #: The layers that are made of each result.
 Kind = Literal["image", "arrows"]
 
-#: Approximate number of arrows: enough to show the motion, few enough to see the image and each
-#: arrow.
+#: Approximate number of arrows: enough to show the motion, but few enough to see the image.
 ARROWS = 250
 #: Names of the overlays on the image.
 Name = (
@@ -62,7 +61,17 @@ _ACROSS = 40
 
 
 class LayerData(NamedTuple):
-    """Layer data tuple, as napari's readers and sample functions return it."""
+    """Layer data tuple of napari, as returned by readers and sample functions.
+
+    Attributes
+    ----------
+    data : object
+        Data of the layer.
+    attributes : dict
+        Keyword arguments of the new layer.
+    kind : str
+        Type of the layer, such as "image".
+    """
 
     data: Any
     attributes: dict[str, Any]
@@ -84,8 +93,8 @@ class Answer:
     frame : Frame
         Position of the solution in the world.
     pictures : Pictures
-        Pictures that move with the solution; of the image only the name. Empty for a result from a
-        file.
+        Pictures that move with the solution, without the pixels of the image. Empty for a result
+        from a file.
     problem : Problem, optional
         Problem that was solved; None for a result from a file.
     forces : callable, optional
@@ -113,7 +122,7 @@ class Answer:
     def layer(
         self, kind: str, data: Array, what: str, look: Facts, sort: str = "image", source: str = ""
     ) -> LayerData:
-        """Make a layer of part of the result, at the position of its tissue.
+        """Make a layer of a part of the result, at the position of its tissue.
 
         Parameters
         ----------
@@ -128,7 +137,7 @@ class Answer:
         """
         provenance = self.solution.provenance
         known = {
-            **_whence(self.frame, self.pictures),
+            **_origin_facts(self.frame, self.pictures),
             "kind": kind,
             "model": in_words(provenance.parameters),
             "provenance": asdict(provenance),
@@ -214,10 +223,10 @@ def result_layers(
     answer = Answer(solution, frame, replace(shown, image=None, look={}), problem, forces)
     layers: dict[Kind, LayerData] = {}
     overlaps = 0
-    if pictures is not None:  # opening a file must not wait for the loops to be compiled
+    if pictures is not None:  # without pictures, as for a file, no compiled loops are needed
         checkpoint()
-        origin, covered, twice = inverse_map_and_overlaps(*field)
-        overlaps, fullest["overlaps"] = int(twice.sum()), fullest_planes(twice)
+        origin, covered, overlapping = inverse_map_and_overlaps(*field)
+        overlaps, fullest["overlaps"] = int(overlapping.sum()), fullest_planes(overlapping)
         if (image := pictures.image) is not None:
             checkpoint()
             fill = emptiness(image, solution.tissue.ndim)
@@ -232,12 +241,12 @@ def _arrow_layer(answer: Answer) -> LayerData:
     """Make the arrows of the displacement; the layer holds the answer, in memory only."""
     solution = answer.solution
     d, spacing, tissue = solution.displacement, solution.spacing, solution.tissue
-    picked = arrows_apart if tissue.ndim == 2 else arrows_in_slices
-    found = picked(d, spacing=spacing, tissue=tissue, about=ARROWS)
+    pick_arrows = arrows_apart if tissue.ndim == 2 else arrows_in_slices
+    arrows = pick_arrows(d, spacing=spacing, tissue=tissue, about=ARROWS)
     fullest = tissue.sum(axis=(-2, -1)).max()
     width = max(1.0, math.sqrt(fullest / ARROWS)) / 8
     look = {"vector_style": "arrow", "edge_color": label_colours.ARROWS, "edge_width": width}
-    made = answer.layer("arrows", found, "arrows", look, "vectors")
+    made = answer.layer("arrows", arrows, "arrows", look, "vectors")
     made.attributes["metadata"][METADATA]["answer"] = answer
     return made
 
@@ -255,7 +264,7 @@ def picture_layer(frame: Frame, pictures: Pictures, picture: Array, parameters: 
     parameters : mapping
         Parameters in the solution's provenance.
     """
-    known = {**_whence(frame, pictures), "kind": "image"}
+    known = {**_origin_facts(frame, pictures), "kind": "image"}
     name = _result_name(pictures.name, "deformed", parameters, frame.slice_seen)
     return layer_on(frame, picture, name, known, pictures.look)
 
@@ -286,7 +295,7 @@ def layer_on(
     return LayerData(placed, attributes, sort)
 
 
-def _whence(frame: Frame, pictures: Pictures) -> dict[str, Any]:
+def _origin_facts(frame: Frame, pictures: Pictures) -> dict[str, Any]:
     """Return the source, slice and unit of a result, for the metadata."""
     return {"source": pictures.name, "slice": frame.slice_name, "unit": frame.unit}
 
@@ -324,8 +333,8 @@ class Overlay(NamedTuple):
 def overlay_of(answer: Answer, name: Name, compared: Comparison | None = None) -> Overlay | None:
     """Make an overlay on the image of a result; on the compute thread only.
 
-    Every overlay moves with the tissue, including the difference from the `compared` result. Only
-    the arrows of the given motion begin at the original position of the tissue, as their name says.
+    Every overlay moves with the tissue, including the difference from the `compared` result, except
+    for the arrows of the given motion, which begin at the original position of the tissue.
 
     Signed quantities are drawn from purple (less) to orange (more), others from dark to light, and
     the image shows through where values are close to zero. Folds are yellow, the colour of values
@@ -334,8 +343,7 @@ def overlay_of(answer: Answer, name: Name, compared: Comparison | None = None) -
     Returns
     -------
     Overlay or None
-        None if the result lacks the content of that name: no folds, no overlaps, no labels, no
-        reference, or no problem.
+        None if the result has no such content: no folds, overlaps, labels, reference or problem.
     """
     if name == "grid":
         look = {"vector_style": "line", "edge_color": "cyan", "edge_width": max(answer.shape) / 500}
@@ -365,9 +373,9 @@ def _pixels_of(answer: Answer, name: Name, compared: Comparison | None) -> tuple
         look, source = pictures.labels_look, pictures.labels_name
         return pictures.labels, "deformed", look, "labels", source
     if name == "difference" and compared is not None:
-        far = compared.difference
-        shown = Coloured(far, (0.0, reach_of(far)), signed=False)
-        return far, f"difference from {compared.reference} ({answer.unit})", _colours(shown)
+        difference = compared.difference
+        shown = Coloured(difference, (0.0, reach_of(difference)), signed=False)
+        return difference, f"difference from {compared.reference} ({answer.unit})", _colours(shown)
     if name == "confidence" and problem is not None:
         c = problem.confidence.max(axis=-1)
         return c, "confidence (0 to 1)", label_colours.confidence_look()
@@ -396,7 +404,7 @@ def _motion_layer(answer: Answer) -> LayerData | None:
     """Make arrows of the given motion of the tissue (y); return None without a problem."""
     if (problem := answer.problem) is None:
         return None
-    y, known = problem.observed, problem.known  # arrows of held sites are dots
+    y, known = problem.observed, problem.known  # the arrows of fixed sites are dots
     apart = pixels_between(_ACROSS, answer.shape, problem.spacing)
     cell = (1, apart, apart)[-len(answer.shape) :]
     starts = spread(np.asarray(known.any(axis=-1)), cell)

@@ -1,4 +1,4 @@
-"""Which way rows and columns run in a viewer, and which side of the patient is at each edge."""
+"""Directions of rows and columns in a viewer, and sides of the patient at the canvas' edges."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from napari_hmrf.layers.compat import camera_of
 
 
 def ways_of(frame: Frame, viewer: Any) -> Directions:
-    """The directions of a slice in a viewer, which may itself be turned upside down.
+    """Return the directions of a slice in a viewer, including flips by the camera.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def ways_of(frame: Frame, viewer: Any) -> Directions:
 
 
 class Sides(NamedTuple):
-    """The side of the patient beyond each edge of the canvas: a letter, or "" if unknown."""
+    """Side of the patient at each edge of the canvas: a letter, or "" if unknown."""
 
     top: str = ""
     bottom: str = ""
@@ -34,7 +34,7 @@ class Sides(NamedTuple):
 
     @classmethod
     def of(cls, image: Any, viewer: Any) -> Sides:
-        """Those of the slice of an image that a viewer shows, however it is turned; none in 3-D."""
+        """Return the sides for the visible slice of an image; all are "" in a 3-D view."""
         dims = viewer.dims
         if image is None or dims.ndisplay != 2:
             return cls()

@@ -1,4 +1,4 @@
-"""Which slice of a layer a viewer shows, where that lies, and its pixels."""
+"""Visible slice of a layer in a viewer: its place and its pixels."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from napari_hmrf.field.units import unit_factor
 
 @dataclass(frozen=True)
 class View:
-    """What a viewer shows: a copy of the parts of its `Dims` that pick a slice.
+    """Visible slice of a viewer: a copy of the parts of its `Dims` that select a slice.
 
     Attributes
     ----------
     displayed : tuple of int
-        World axes drawn, in the order (rows, columns).
+        Displayed world axes, in the order (rows, columns).
     point : tuple of float
-        World coordinates of the slice on every axis.
+        World coordinates of the slice, along every axis.
     units : tuple of str, optional
-        Of `point`, if the viewer has them.
+        Units of `point`, if the viewer has units.
     sliders : tuple of (float, float)
-        Where the slider of each axis begins, and its step; it counts steps. None, if nobody looks.
+        Start and step of the slider of each axis; empty without a viewer.
     volume : bool
-        Whether all of a volume is meant, and not the slice of it that is drawn.
+        True if the whole volume is selected, instead of the visible slice.
     """
 
     displayed: tuple[int, ...]
@@ -41,7 +41,7 @@ class View:
 
     @classmethod
     def of(cls, dims: Any, volume: bool = False) -> View:
-        """Copy a viewer's dims."""
+        """Return the view of a viewer's dims."""
         units = getattr(dims, "units", None)
         return cls(
             tuple(int(axis) for axis in dims.displayed),
@@ -52,30 +52,33 @@ class View:
         )
 
     def factors(self, layer: Any) -> npt.NDArray[np.float64]:
-        """How many units of a layer, or frame, make one of the viewer's, along its axes."""
+        """Return the factors from the viewer's units to those of a layer or frame, by axis."""
         if self.units is None:
             return np.ones(layer.ndim)
         units = zip(self.units[-layer.ndim :], layer.units, strict=True)
         return np.array([unit_factor(unit, str(to)) for unit, to in units])
 
     def sliders_of(self, layer: Any) -> tuple[tuple[float, float], ...]:
-        """Where the slider of each of a layer's axes begins, and its step, in its units."""
-        found = zip(self.sliders[-layer.ndim :], self.factors(layer).tolist(), strict=False)
-        return tuple((start * factor, step * factor) for (start, step), factor in found)
+        """Return start and step of the slider of each axis of a layer, in the layer's units."""
+        sliders = zip(self.sliders[-layer.ndim :], self.factors(layer).tolist(), strict=False)
+        return tuple((start * factor, step * factor) for (start, step), factor in sliders)
 
     def pixel(self, layer: Any, position: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Which pixel of a layer, or frame, is drawn at a place of the world."""
+        """Return the pixel of a layer or frame that is drawn at a position in world coordinates."""
         world = np.nan_to_num(np.asarray(position)[-layer.ndim :] * self.factors(layer))
         return pixel_drawn(matrix_of(layer), self._drawn(layer), world)
 
     def point_at(self, layer: Any, pixel: npt.ArrayLike) -> dict[int, float]:
-        """Where the sliders of the axes that are not drawn show a pixel of a layer, or frame."""
-        found = sliders_at(matrix_of(layer), self._drawn(layer), pixel)
+        """Return the slider positions, by world axis, that show a pixel of a layer or frame.
+
+        Only axes that are not displayed have a slider.
+        """
+        positions = sliders_at(matrix_of(layer), self._drawn(layer), pixel)
         missing, factors = len(self.point) - layer.ndim, self.factors(layer)
-        return {axis + missing: at / factors[axis] for axis, at in found.items()}
+        return {axis + missing: at / factors[axis] for axis, at in positions.items()}
 
     def tilts(self, layer: Any) -> bool:
-        """Whether a layer, or frame, is turned out of its slices, which napari does not draw."""
+        """Return whether a layer or frame is tilted out of its slices, which napari ignores."""
         linear, drawn = matrix_of(layer)[:-1, :-1], self._drawn(layer)
         others = [axis for axis in range(layer.ndim) if axis not in drawn]
         mixed = np.abs(linear[np.ix_(others, drawn)]).max(initial=0)
@@ -87,7 +90,7 @@ class View:
 
 
 def matrix_of(layer: Any) -> npt.NDArray[np.float64]:
-    """From the pixels of a layer, or frame, to the world, homogeneous."""
+    """Return the homogeneous matrix from the pixels of a layer or frame to the world."""
     if isinstance(layer, Frame):
         return np.array(layer.matrix)
     ndim = int(layer.ndim)
@@ -100,26 +103,26 @@ def matrix_of(layer: Any) -> npt.NDArray[np.float64]:
 
 
 def frame_of(layer: Any, view: View | None = None) -> Frame:
-    """The slice of a layer that a viewer shows, or all of the volume in which it lies.
+    """Return the frame of the visible slice of a layer, or of its whole volume.
 
     Parameters
     ----------
     layer : napari.layers.Layer
     view : View, optional
-        By default the last two axes, first slice.
+        Visible slice; by default the first slice, along the last two axes.
 
     Raises
     ------
     ProblemError
-        If the transform holds no numbers, or the viewer shows the layer at an angle, across
-        an axis it lacks, or beyond its ends.
+        If the transform of the layer is invalid; or if the viewer shows the layer at an angle,
+        along an axis that the layer lacks, or beyond its ends.
     """
     matrix = matrix_of(layer)
     if not np.isfinite(matrix).all() or is_flat(matrix[:-1, :-1]):
         raise LayerError(
             layer,
-            "has a scale, translation, rotation or affine that holds NaN or infinity, or "
-            "flattens it. Set numbers that keep its axes apart.",
+            "has a scale, translation, rotation or affine that holds NaN or infinity, or is "
+            "singular. Set an invertible transform.",
         )
     plane = _axes_of(layer, view)
     index = _index_on(layer, matrix, plane, view)
@@ -146,20 +149,20 @@ def frame_of(layer: Any, view: View | None = None) -> Frame:
 
 
 def _axes_of(layer: Any, view: View | None) -> tuple[int, ...]:
-    """The layer's axes that are those of a volume, or that a viewer draws as rows and columns."""
+    """Return the axes of a layer that form its volume, or that are shown as rows and columns."""
     ndim = int(layer.ndim)
     if view is None:
         return ndim - 2, ndim - 1
     if view.volume:
         if ndim < 3:
-            raise LayerError(layer, "is no volume. Choose one, or deform one slice at a time.")
+            raise LayerError(layer, "is not a volume. Choose one, or deform one slice at a time.")
         return ndim - 3, ndim - 2, ndim - 1
     missing = len(view.point) - ndim
     rows, cols = (axis - missing for axis in view.displayed[-2:])
     if min(rows, cols) < 0:
         raise LayerError(
             layer,
-            f"has {ndim} axes, and not the one the viewer shows as world axis "
+            f"has {ndim} axes, but lacks the one that the viewer shows as world axis "
             f"{min(view.displayed[-2:])}. Show its own axes (the roll button below the canvas).",
         )
     return rows, cols
@@ -168,7 +171,7 @@ def _axes_of(layer: Any, view: View | None) -> tuple[int, ...]:
 def _index_on(
     layer: Any, matrix: npt.NDArray[np.float64], plane: tuple[int, ...], view: View | None
 ) -> tuple[int, ...]:
-    """Where what a viewer shows lies on the layer's other axes."""
+    """Return the index of the visible slice along the other axes of a layer; 0 along `plane`."""
     ndim = int(layer.ndim)
     index, others = [0] * ndim, [axis for axis in range(ndim) if axis not in plane]
     if view is None or not others:
@@ -179,7 +182,7 @@ def _index_on(
         raise LayerError(
             layer,
             "is shown at an angle: its rotation or affine mixes the axes of the slice with the "
-            f"others. To deform it, {whole}show the axes it was taken in, or resample it.",
+            f"others. To deform it, {whole}show the axes of its acquisition, or resample it.",
         )
     pixel = view.pixel(layer, view.point)
     for axis in others:
@@ -187,19 +190,19 @@ def _index_on(
         if extents and not 0 <= index[axis] < extents[axis]:
             raise LayerError(
                 layer,
-                f"does not reach the slice shown: it would be slice {index[axis]} of its axis "
-                f"{axis}, which has {extents[axis]}. Move the slider to where it is visible.",
+                f"does not reach the visible slice, which would be slice {index[axis]} along axis "
+                f"{axis}, but it has {extents[axis]}. Move the slider to a slice of this layer.",
             )
     return tuple(index)
 
 
 def plane_shown(frame: Frame, view: View) -> tuple[int, int]:
-    """Across which axis of a volume a viewer shows it in slices, and at which of these it is.
+    """Return the axis of a volume across which a viewer shows slices, and the visible index.
 
     Parameters
     ----------
     frame : Frame
-        Of the volume.
+        Frame of the volume.
     view : View
     """
     missing = len(view.point) - frame.ndim
@@ -209,19 +212,19 @@ def plane_shown(frame: Frame, view: View) -> tuple[int, int]:
 
 
 def full_resolution(layer: Any) -> Any:
-    """The data of an Image or Labels layer, the finest level of a multiscale one."""
+    """Return the data of an Image or Labels layer, at the finest level if it is multiscale."""
     return layer.data[0] if getattr(layer, "multiscale", False) else layer.data
 
 
 def layer_extents(layer: Any) -> tuple[int, ...]:
-    """Pixels of an image-like layer along its axes; nothing for vectors, points and shapes."""
+    """Return the number of pixels along each axis; () for vectors, points and shapes."""
     if isinstance(layer, Vectors | Points | Shapes):
         return ()
     return tuple(full_resolution(layer).shape[: layer.ndim])
 
 
 def plane_shape(layer: Any, frame: Frame) -> tuple[int, ...]:
-    """Rows and columns of a layer's slice; of a volume its planes, too."""
+    """Return the shape of a layer's slice or volume: ([planes,] rows, columns)."""
     extents = layer_extents(layer)
     if not extents:
         raise LayerError(
@@ -233,7 +236,7 @@ def plane_shape(layer: Any, frame: Frame) -> tuple[int, ...]:
 def check_size(
     layer: Any, own: Frame, reference: Any, frame: Frame, shape: tuple[int, ...]
 ) -> None:
-    """Refuse a layer that lies elsewhere than the reference, or has other pixels."""
+    """Refuse a layer that lies elsewhere than the reference, or has another size."""
     own_shape = shape if isinstance(layer, Vectors) else plane_shape(layer, own)
     if own_shape != shape or not frame.same_place(own, shape):
         own_size, size = (" x ".join(map(str, each)) for each in (own_shape, shape))
@@ -241,38 +244,38 @@ def check_size(
             layer,
             f"lies elsewhere than '{reference.name}': it has {own_size} pixels, that has {size}; "
             "or their scale, translation, rotation, shear, affine or units differ. Choose another "
-            "in its menu, or ----- for none; or resample one.",
+            "layer in its menu, or ----- for none; or resample one of them.",
         )
 
 
 def copy_slice(layer: Any, own: Frame) -> npt.NDArray[Any]:
-    """Copy a slice of a layer, wherever it is read from.
+    """Copy a slice of a layer, which may be loaded lazily.
 
     Raises
     ------
     ProblemError
-        If it could not be read, or pixels of it are masked.
+        If the slice cannot be read, or has masked pixels.
     """
     try:
         picture = own.take(full_resolution(layer))
     except Exception as error:
-        # A lazy layer runs the code of whoever reads it, which may raise anything.
+        # A lazy layer runs the code of its reader plugin, which may raise any exception.
         reason = str(error).rstrip(".") or type(error).__name__
         raise LayerError(
-            layer, f"could not be read: {reason}. Check the file it comes from."
+            layer, f"could not be read: {reason}. Check the file of the layer."
         ) from error
     hidden = int(np.ma.getmaskarray(picture).sum()) if isinstance(picture, np.ma.MaskedArray) else 0
     if hidden:
         raise LayerError(
             layer,
-            f"is a masked array with {hidden} masked values in this slice, and a mask would be "
-            "lost. Fill them with a value (0 is where there is no tissue).",
+            f"is a masked array with {hidden} masked values in this slice, and the mask would be "
+            "lost. Fill them with a value (0 stands for no tissue).",
         )
     return np.asarray(picture)
 
 
 def fits(layer: Any, reference: Any, view: View | None = None) -> bool:
-    """Whether a layer has the pixels of a reference: of the slice shown, or else of the first."""
+    """Return whether a layer has the pixels of a reference in the visible, else the first slice."""
     try:
         own, frame = frame_of(layer, view), frame_of(reference, view)
     except (HmrfError, ValueError):

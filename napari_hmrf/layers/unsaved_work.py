@@ -1,4 +1,4 @@
-"""Register of the slices with unsaved edits."""
+"""Register of slices with unsaved edits."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from napari_hmrf.study.study_model import Part
 
 
 class UnsavedWork:
-    """Register of the slices with edits that no file holds; `shared` returns that of a viewer.
+    """Register of slices with unsaved edits; `shared` returns the one of a viewer.
 
     Parameters
     ----------
@@ -19,9 +19,9 @@ class UnsavedWork:
     Attributes
     ----------
     paths : dict of Part to Path
-        File from which a slice was opened, or to which it was saved.
+        File from which each slice was opened, or to which it was saved.
     kept : dict of Part to Path
-        Recovery file of a slice.
+        Recovery file of each slice.
     """
 
     def __init__(self, viewer: Any) -> None:
@@ -32,7 +32,7 @@ class UnsavedWork:
 
     @property
     def slices(self) -> tuple[Part, ...]:
-        """Drawings of the slices with edits that no file holds."""
+        """Drawings of the slices with unsaved edits."""
         now = {part: self._model.get(part) for part in self._model.parts}
         return tuple(
             here
@@ -48,13 +48,13 @@ class UnsavedWork:
         here : Part
             Drawing of the slice.
         part : Part, optional
-            The edited part; without it, the slice stays unsaved even if its edits are undone.
+            Edited part; without it, the slice counts as unsaved even after its edits are undone.
         before : object
-            Earlier value of the part.
+            Value of the part before the edit.
         """
-        held = object() if part is None else before
-        self._before.setdefault(here, {}).setdefault(part or here, held)
+        value = object() if part is None else before
+        self._before.setdefault(here, {}).setdefault(part or here, value)
 
     def save(self, here: Part) -> None:
-        """Record that a file holds the slice, or that it is discarded."""
+        """Record that a slice was saved or discarded."""
         self._before.pop(here, None)

@@ -1,4 +1,4 @@
-"""Layers that come, change and go in the viewer while the user is at work with others."""
+"""Adding, updating and finding layers without disturbing the user's work in the viewer."""
 
 from __future__ import annotations
 
@@ -15,48 +15,48 @@ from napari_hmrf.layers.result_layers import LayerData
 
 
 def still_there(viewer: Any, layer: Any) -> Any:
-    """A layer if it is in the viewer; None if somebody removed it, or there is none."""
+    """Return a layer if it is in the viewer; None if it was removed, or is None."""
     return layer if layer is not None and layer in viewer.layers else None
 
 
 def update_layer(layer: Any, made: LayerData) -> None:
-    """Give a layer other data and place; how the user had it drawn stays."""
+    """Set the data and the place of a layer; the user's display settings stay."""
     layer.data = made.data
     for name in PLACE:
-        # napari measures and draws all anew for each that is set, be it what it was.
+        # Each assignment makes napari update extents and redraw, even for an equal value.
         if not np.array_equal(getattr(layer, name), made.attributes[name]):
             setattr(layer, name, made.attributes[name])
     layer.metadata = made.attributes["metadata"]
 
 
 def overwrite(viewer: Any, layer: Any, data: npt.NDArray[Any]) -> bool:
-    """Show other data in place of a layer's, whose array is written to.
+    """Write new data into the array of a layer, and refresh only the canvas.
 
-    napari is told of new data as of any others: the viewer's axes are measured anew, a thumbnail is
-    drawn, the list of layers is painted. Of a picture that is moved about none of that changes, and
-    without it an update takes the window's thread a third of the time.
+    Setting the data of a layer makes napari also update the viewer's axes, the thumbnail and the
+    layer list. During a drag none of these change, and without them an update takes a third of the
+    time on the GUI thread.
 
-    The layer's `data` event is not emitted and its thumbnail stays: set its data when things have
-    come to rest.
+    The layer's `data` event is not emitted, and its thumbnail is not updated: set the data of the
+    layer after the last update.
 
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
     layer : napari.layers.Layer
-        Whose data are an array that nobody else holds.
+        Layer whose data are an array that no other object uses.
     data : ndarray
-        Copied.
+        New data, which are copied.
 
     Returns
     -------
     bool
-        Whether they fitted; if not, nothing was done.
+        False if shape or type differ, or the array is read-only; then nothing is changed.
     """
     shown = layer.data
     if (shown.shape, shown.dtype) != (data.shape, data.dtype) or not shown.flags.writeable:
         return False
     np.copyto(shown, data)
-    # What the list of layers hears of a layer, it paints; nothing of what it shows is new.
+    # The layer list repaints after every event of a layer, although nothing in it changes here.
     with viewer.layers.events.blocker_all():
         layer.refresh(thumbnail=False, highlight=False, extent=False)
     return True
@@ -64,7 +64,7 @@ def overwrite(viewer: Any, layer: Any, data: npt.NDArray[Any]) -> bool:
 
 @contextmanager
 def same_selection(viewer: Any) -> Iterator[None]:
-    """Add layers without taking the brush out of the user's hand."""
+    """Keep the selection and the active layer while layers are added or removed."""
     layers = viewer.layers
     selected, active = set(layers.selection), layers.selection.active
     with layers.selection.events.active.blocker():
@@ -81,16 +81,18 @@ _shared: weakref.WeakKeyDictionary[Any, dict[Any, Any]] = weakref.WeakKeyDiction
 
 
 def shared(viewer: Any, kind: Callable[[Any], _Shared]) -> _Shared:
-    """The one object of a kind in a viewer, for a dock that is closed and for the next that comes.
+    """Return the object of a class that belongs to a viewer; it is created on first use.
+
+    The object is shared by all docks of the viewer, also after one is closed.
 
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
     kind : type
-        Made of the viewer; must not keep it alive.
+        Class, called with the viewer; its objects must not hold a reference to the viewer.
     """
-    known = _shared.setdefault(viewer, {})
-    if kind not in known:
-        known[kind] = kind(viewer)
-    found: _Shared = known[kind]
-    return found
+    objects = _shared.setdefault(viewer, {})
+    if kind not in objects:
+        objects[kind] = kind(viewer)
+    shared_object: _Shared = objects[kind]
+    return shared_object

@@ -35,7 +35,7 @@ class ViewerUndo:
     ----------
     model : StudyModel
     said : Signal(str, object)
-        Emitted with a sentence on what was undone or redone, and its `Step`, or None if there was
+        Emitted after undo or redo with a sentence about the step, and the `Step`; None if there was
         none.
     """
 
@@ -46,7 +46,7 @@ class ViewerUndo:
         self._viewer = weakref.proxy(viewer)
         # Docks that use the keys.
         self._owners: weakref.WeakSet[object] = weakref.WeakSet()
-        # Restore the keys of the viewer, and of the active layer.
+        # Stacks that restore the keys of the viewer, and of the active layer.
         self._keys, self._of_layer = ExitStack(), ExitStack()
         self.model.changed.connect(self._on_changed)
         viewer.layers.events.removed.connect(self._on_removed)
@@ -54,12 +54,12 @@ class ViewerUndo:
     def undo(self) -> None:
         """Undo the last step, and show the slice that it was on."""
         if not self._undo_older_paint("undo", self.model.next_undo):
-            self._tell("undo", "Took back", self.model.undo(), "There is nothing to take back.")
+            self._report("undo", "Took back", self.model.undo(), "There is nothing to take back.")
 
     def redo(self) -> None:
         """Redo the step that was undone last, and show the slice that it is on."""
         if not self._undo_older_paint("redo", self.model.next_redo):
-            self._tell("redo", "Did again", self.model.redo(), "There is nothing to do again.")
+            self._report("redo", "Did again", self.model.redo(), "There is nothing to do again.")
 
     @property
     def tooltips(self) -> tuple[str, str]:
@@ -68,15 +68,15 @@ class ViewerUndo:
         return f"{_tip('take back', undo)} (Ctrl+Z)", f"{_tip('do again', redo)} (Ctrl+Shift+Z)"
 
     def bind_keys(self, owner: object) -> None:
-        """Bind undo and redo to their keys, unless a layer uses these keys.
+        """Bind undo and redo to their keys.
 
-        napari binds them to the undo of paint if a Labels layer is active; strokes in such a layer
-        become steps of the model.
+        While a Labels layer is active, napari binds these keys to the undo of paint; they are
+        replaced, and strokes in the layer become steps of the model.
 
         Parameters
         ----------
         owner : object
-            User of the keys; they stay bound until the last one releases them.
+            User of the keys; they stay bound until the last owner calls `unbind_keys`.
         """
         bound = bool(self._owners)
         self._owners.add(owner)
@@ -117,19 +117,19 @@ class ViewerUndo:
         """Make a stroke of napari's brush a step."""
         part = Part("paint", event.source)
         self.model.setdefault(part, 0)
-        # A count would be the same again after undo and another stroke.
+        # Unlike a count per layer, this number differs after undo and another stroke.
         self.model.do(part, next(_strokes), f"painted in '{event.source.name}'")
 
     def _undo_older_paint(self, name: str, step: Step | None) -> bool:
-        """Undo or redo paint of the active layer that is older than all steps; return whether."""
+        """Undo or redo paint that is older than all steps; return whether there was such paint."""
         layer = self._viewer.layers.selection.active
-        known = step is None and bool(paint_steps(layer, name))
-        if known:
+        has_paint = step is None and bool(paint_steps(layer, name))
+        if has_paint:
             getattr(layer, name)()
-        return known
+        return has_paint
 
-    def _tell(self, name: str, what: str, step: Step | None, nothing: str) -> None:
-        """Show and report what was undone or redone; napari undoes paint."""
+    def _report(self, name: str, what: str, step: Step | None, nothing: str) -> None:
+        """Show the slice of an undone or redone step and report it; napari undoes its paint."""
         if step is not None and isinstance(part := step.part, Part):
             if part.kind == "paint" and paint_steps(part.layer, name):  # napari keeps 100 at most
                 getattr(part.layer, name)()
@@ -144,7 +144,14 @@ class ViewerUndo:
         return f" on '{part.layer.name}'" if said and part.layer else ""
 
     def go_to(self, part: Part, turn: bool = False) -> None:
-        """Show the slice of a part; if other axes are displayed, only with `turn`."""
+        """Show the slice of a part.
+
+        Parameters
+        ----------
+        part : Part
+        turn : bool
+            True to also change the displayed axes; otherwise nothing is done if they differ.
+        """
         if part.place is None or len(part.place.plane) == 3:  # a volume is shown in any slice
             return
         plane, index = part.place.plane, part.place.index

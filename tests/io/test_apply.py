@@ -217,7 +217,7 @@ def test_one_file_that_fails_stops_no_other_and_is_said(solved, tmp_path, capsys
     files = [str(tmp_path / name) for name in ("small.png", "right.png")]
     assert main(["apply", str(path), *files, "-o", str(tmp_path / "out")]) == 1
     assert [file.name for file in (tmp_path / "out").iterdir()] == ["right.png"]
-    assert "small.png: is 4 x 5, but the field 40 x 48" in capsys.readouterr().err
+    assert "small.png: is 4 x 5, but the field is 40 x 48" in capsys.readouterr().err
 
 
 def test_two_files_of_one_name_and_a_field_for_an_image_are_refused(solved, tmp_path, capsys):

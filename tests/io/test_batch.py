@@ -117,8 +117,8 @@ def test_values_that_a_cell_has_several_of_are_a_case_each(files):
         ("image\na.tif\na.png\n", r"line 3: there is already a case 'a'\. Give each case a"),
         ("name,image\na/b,a.tif\n", r"line 2: 'a/b' is not a valid folder name"),
         ("name,image\n..,a.tif\n", r"line 2: '\.\.' is not a valid folder name"),
-        ("image,labels\n,b\n", r"line 2: give an image, or a study"),
-        ("image,study\na.tif,b\n", r"line 2: give an image, or a study"),
+        ("image,labels\n,b\n", r"line 2: give either an image or a study"),
+        ("image,study\na.tif,b\n", r"line 2: give either an image or a study"),
         ("image,slice\na.tif,x\n", r"line 2: slice is 'x'\. Give a whole number, 3-7, or all"),
         ("image,model\na.tif,soft\n", r"line 2: model is 'soft'\. Give elastic, large-motion"),
         ("image,poisson\na.tif,0.7\n", r"line 2: poisson is '0\.7'\. Give a number from 0 to"),
@@ -184,7 +184,7 @@ def test_a_sweep_changes_how_far_what_moves_does_and_the_model():
             Change("growth", 0.1, "bowel"),
             "growth:bowel: there is no such tissue. Give one of: 1",
         ),
-        (Change("amount", 3.0, "brain"), "amount:brain: there is no such boundary. There is:"),
+        (Change("amount", 3.0, "brain"), "amount:brain: there is no such boundary. Give one of:"),
         (Change("amount", 3.0, "1"), "amount:1: the boundary does not move"),
     ],
 )
@@ -338,7 +338,7 @@ def test_a_second_batch_on_a_folder_is_refused_and_a_dead_one_is_taken_over(file
     assert main(["batch", str(table), "out", "--jobs", "1", "--resume"]) == 1
     said = capsys.readouterr().err
     assert "on elsewhere, writes into this folder" in said
-    assert f"delete {there.name} in it" in said
+    assert f"delete {there.name} in the" in said
     assert there.exists()
 
 

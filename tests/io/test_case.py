@@ -274,8 +274,8 @@ def test_a_rule_may_fill_the_columns_it_does_not_use_with_what_they_are_anyway(t
         ("--boundary labels.png --rules plane.csv", "plane.csv: has a column 'plane', but the"),
         ("--hold-edge --labels colours.png", "colours.png: is in colours. Give an image with one"),
         ("--boundary none.csv", "none.csv: holds no active landmarks. Give at least one"),
-        ("--boundary two.csv", "two.csv: has two landmarks in one pixel (12 10). Keep one for"),
-        ("--hold-edge --labels complex.tif", "complex.tif: an image of complex64 values. Give one"),
+        ("--boundary two.csv", "two.csv: has two landmarks in one pixel (12 10). Keep one per"),
+        ("--hold-edge --labels complex.tif", "complex.tif: an image of complex64 values. Give an"),
         ("--boundary pairs.csv", "pairs.csv: has 1 of 2 landmarks outside the image. Give them in"),
         ("--hold-edge --labels gone.png", "gone.png: there is no such file or folder. Check its"),
         (
@@ -326,7 +326,7 @@ def test_a_study_says_itself_what_to_compute_and_what_was_guessed_is_said(files,
     write_image(folder / "small.png", ImageFile(np.ones((4, 5), np.uint8)))
     for what in (["measure", study, "--labels"], ["play", study, str(folder / "a.gif"), "--image"]):
         assert main([*what, str(folder / "small.png")]) == 1
-        assert "small.png: is 4 x 5, but the field 30 x 36" in capsys.readouterr().err
+        assert "small.png: is 4 x 5, but the field is 30 x 36" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -530,7 +530,7 @@ def test_an_edge_is_where_the_image_is_steep():
     ("more", "sentence"),
     [
         ({"slice": 3}, r"scan\.nii\.gz: is a volume of 3 slices\. Give --slice 0 to 2"),
-        ({"labels": "small.png"}, r"small\.png: is 4 x 5, but the image 30 x 36"),
+        ({"labels": "small.png"}, r"small\.png: is 4 x 5, but the image is 30 x 36"),
         ({"boundary": "one.csv"}, r"one\.csv: holds landmarks without target positions"),
     ],
 )

@@ -157,7 +157,9 @@ def test_a_confidence_that_is_nowhere_is_said_and_so_is_an_edge_that_is_let_go(
     assert "The edge is no longer held, as 'warp' sets the motion" in dock.status
     dock.confidence = empty
     wait_for(lambda: not dock.busy)
-    assert "'mask' is 0 wherever 'warp' says how tissue moves, so that nothing of" in dock.status
+    assert (
+        "'mask' is 0 wherever 'warp' has a displacement, so no displacement counts" in dock.status
+    )
     empty.data = np.ones(SHAPE, np.uint8)
     wait_for(lambda: not dock.busy)
     assert "is 0 wherever" not in dock.status

@@ -156,7 +156,7 @@ def test_the_menus_appear_with_points_and_know_the_other_layer(chosen):
     widget._viewer.layers.remove(should)
     assert found.should.value is None
     found.take.changed.emit(True)
-    assert "'is' says where things are: choose another Points layer" in widget.status
+    assert "'is' holds positions without targets. Choose another Points layer" in widget.status
 
 
 def test_without_points_there_are_no_menus_for_them(widget):

@@ -40,7 +40,7 @@ def test_only_the_pairs_of_the_slice_that_is_shown_count():
     assert landmarks(where, should, image, view) == (Landmark((1, 2), (2, 2), 3.0, 0.5),)
     on_all = landmarks([[1, 2]], [[2, 2]], image, view)
     assert on_all == (Landmark((1, 2), (2, 2), 3.0, 0.5),)
-    with pytest.raises(ProblemError, match="'ought' has point 0, which leads to another slice"):
+    with pytest.raises(ProblemError, match="'ought' has point 0 with its target on another slice"):
         landmarks([[3, 1, 2]], [[4, 2, 2]], image, view)
     with pytest.raises(ProblemError, match="no points on slice 3"):
         landmarks([[2, 1, 2]], [[2, 2, 2]], image, view)

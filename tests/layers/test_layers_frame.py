@@ -99,7 +99,7 @@ def test_a_place_that_is_no_number_is_refused(attribute, value):
 
 def test_an_affine_that_flattens_the_image_is_refused():
     layer = Image(np.zeros(SHAPE), name="MR", affine=[[1, 1, 0], [1, 1, 0], [0, 0, 1]])
-    with pytest.raises(ProblemError, match=r"'MR'.*flattens"):
+    with pytest.raises(ProblemError, match=r"'MR'.*singular"):
         frame_of(layer)
 
 

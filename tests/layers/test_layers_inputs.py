@@ -300,7 +300,7 @@ def test_an_extreme_stiffness_ratio_is_refused():
 def test_no_boundary_at_all_is_refused_by_layer():
     error = refusal(request(boundary=Labels(np.zeros(SHAPE, np.uint8), name="Boundary")))
     assert str(error) == (
-        "'Boundary' has no paint yet: choose a row, then paint a wall or something that moves."
+        "'Boundary' has no paint yet. Choose a row, then paint a region that is fixed or moves."
     )
 
 
@@ -540,7 +540,7 @@ def test_arrows_out_of_the_slice_do_not_hold_the_tissue_but_are_counted():
     assert inputs.problem.confidence[6, 3].all()
     np.testing.assert_array_equal(inputs.problem.observed[6, 3], (1, 0))
     assert inputs.problem.confidence[7, 3].all()
-    assert inputs.notes == ("'arrows' leads out of the slice, too, which did not count",)
+    assert inputs.notes == ("'arrows' also leads out of the slice, which is ignored",)
 
 
 def test_arrows_that_agree_merge():

@@ -63,7 +63,7 @@ def test_a_volume_in_time_is_read_at_the_moment_that_is_shown():
 
 def test_an_image_is_no_volume(viewer):
     flat = Image(np.zeros(SHAPE[1:]))
-    with pytest.raises(ProblemError, match="no volume"):
+    with pytest.raises(ProblemError, match="not a volume"):
         frame_of(flat, whole(viewer))
 
 
