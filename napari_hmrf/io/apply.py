@@ -60,9 +60,9 @@ class FieldFile:
     Attributes
     ----------
     field : DisplacementField
-        In the unit of the place's spacing.
+        The field, in the unit of the place's spacing.
     place : Place
-        For a slice of a volume, the place in the volume, with three spacings.
+        Place of the grid; for a slice of a volume, its place in the volume, with three spacings.
     tissue : ndarray of bool or None
         Mask of the moving tissue; None if the file has no mask, so that everything moves.
     unit : {"millimeter", "pixel"}
@@ -88,12 +88,12 @@ class FieldFile:
 
     @property
     def in_patient(self) -> Place | None:
-        """The place, if it is in patient coordinates."""
+        """Place in patient coordinates; None if the size of the pixels is unknown."""
         return self.place if self.unit == "millimeter" else None
 
     @property
     def in_pixels(self) -> PixelField:
-        """The field along all axes of its place, in pixels, as in layers and observations."""
+        """Field in pixels, with a component for each axis of its place, as layers hold it."""
         field, frame = self.field.to_pixels(), self.place.frame(unit=self.unit)
         if len(field.shape) == 2:
             field = DisplacementField.in_pixels(frame.put_field(field.displacement))
@@ -337,7 +337,9 @@ def _move_landmarks(
     outside = np.count_nonzero(in_slice & beyond.any(axis=1))
     at[in_slice, -n:] += field.field.at(at[in_slice, -n:]) / field.spacing
     elsewhere = np.count_nonzero(~in_slice)
-    notes = [f"{elsewhere} of {len(at)} points lie in other slices, and stay"] * bool(elsewhere)
+    notes = [f"{elsewhere} of {len(at)} points lie in other slices, and are not moved"] * bool(
+        elsewhere
+    )
     if outside:
         notes.append(f"{outside} of {len(at)} points lie outside the image, and move like its edge")
     written = write_points(target, place.to_space(at), file.targets, names=file.names)

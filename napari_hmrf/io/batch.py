@@ -251,7 +251,7 @@ def _publish(unfinished: Path, target: Path) -> None:
 
 
 class _Batch:
-    """Outcomes of the finished cases, and their summary file."""
+    """Outcomes of all cases of a batch, and their summary file."""
 
     def __init__(
         self, cases: Sequence[NamedCase], finished: dict[str, CaseOutcome], folder: Path
@@ -328,7 +328,7 @@ class _Worker:
 
     def submit(self, case: NamedCase) -> None:
         self.case = case
-        with suppress(OSError):  # if the process has ended, `answer` reports it
+        with suppress(OSError):  # if the process has ended, `receive` reports it
             self.pipe.send(case)
 
     def receive(self) -> CaseOutcome:

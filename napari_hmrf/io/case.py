@@ -107,10 +107,10 @@ def _refuse_unused(case: Case, is_planar: bool) -> None:
         (path is None or marks, "--rules", "is for a --boundary that is an image of labels"),
         (not field, "--confidence", "is for a --boundary that is a field"),
         (not field, "--forward", "is for a --boundary that is a field"),
-        (is_planar, "--slice", f"is for volumes, and {case.image.name} is none"),
+        (is_planar, "--slice", f"is for volumes, and {case.image.name} is not a volume"),
     ):
         if unused and option in case.options:
-            raise HmrfError(f"{option} {why}. Leave {option} out, or give what it needs.")
+            raise HmrfError(f"{option} {why}. Leave {option} out, or give the input that it needs.")
 
 
 def _names(case: Case) -> dict[str, str]:
@@ -282,13 +282,13 @@ def _most_likely(case: Case, whole: ImageFile) -> tuple[npt.NDArray[np.integer],
 
 
 def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> npt.NDArray[Any]:
-    """Return a grey image on the same pixels; from a volume, the same slice."""
+    """Return the pixels of a grey image or of labels; from a volume, the slice of the case."""
     pixels = _on_pixels(case, path, whole, read_image(path))
     return as_labels(pixels, path) if labels else pixels
 
 
 def _on_pixels(case: Case, path: Path, whole: ImageFile, image: ImageFile) -> npt.NDArray[Any]:
-    """Return the pixels of a grey image; from a volume, the slice of the case."""
+    """Return the pixels of an image, or of its slice; refuse colours and another grid."""
     reference, place = _part(whole, case)
     if reference.ndim == 3 and image.place is None:
         image = image._replace(place=whole.place)
@@ -362,7 +362,7 @@ def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Mo
 def _refuse_unruled(
     labels: npt.NDArray[Any], rules: Sequence[BoundaryRule], image: str, table: str
 ) -> None:
-    """Refuse painted labels without a rule, and rules for labels that are not painted."""
+    """Refuse painted labels without a rule."""
     missing = [label for label in unlisted(labels, rules) if label]
     if missing:
         listed = ", ".join(map(str, missing[:_LISTED]))
@@ -399,7 +399,9 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
     if file_place is not None and place is not None and n == 3:
         ends = [place.to_pixels(file_place.to_space(at)) for at in ends]
     if point_place is not file_place and n == 2 and case.slice is not None:
-        ends = [at - [*[case.slice] * (at.shape[1] - 2), 0, 0] for at in ends]  # in the volume
+        ends = [
+            at - [*[case.slice] * (at.shape[1] - 2), 0, 0] for at in ends
+        ]  # from the volume to the slice
     if any((abs(at[:, :-n]) > 0.5).any() for at in ends):
         raise ProblemError(path.name, "holds points that lie in other slices than the image.")
     sources, last = ends[0][:, -n:], np.array(grid.shape) - 1

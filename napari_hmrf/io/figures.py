@@ -45,7 +45,7 @@ _BEFORE_TITLE = "{}\n(drawn on the tissue before it moves)"
 def write_pictures(
     folder: Path, image: npt.ArrayLike, problem: Problem, solution: Solution
 ) -> list[Path]:
-    """Draw a solve into PNG files.
+    """Draw a problem and its solution into PNG files.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def boundary_picture(image: npt.NDArray[Any], problem: Problem) -> Figure:
     figure, (axes,) = _figure(problem.spacing, "input: the image and the motion of the boundary")
     _show(axes, image)
     known = problem.known.any(axis=-1)
-    # A boundary is thin, so a regular pattern would miss most of it; every nth site is drawn.
+    # A regular pattern would miss most of a thin boundary, so every nth boundary site is drawn.
     starts = np.argwhere(known)[:: max(1, int(known.sum()) // BOUNDARY_ARROWS)]
     vectors = problem.observed[tuple(starts.T)] / np.array(problem.spacing)
     rows, cols = starts[~vectors.any(axis=-1)].T
@@ -193,7 +193,7 @@ def boundary_picture(image: npt.NDArray[Any], problem: Problem) -> Figure:
 
 def displacement_picture(image: npt.NDArray[Any], solution: Solution) -> Figure:
     """Draw the displacement as arrows of true length on the image before it moves."""
-    figure, (axes,) = _figure(solution.spacing, "where the tissue goes")
+    figure, (axes,) = _figure(solution.spacing, "displacement of the tissue")
     _show(axes, image)
     shown = arrows(
         solution.displacement, spacing=solution.spacing, tissue=solution.tissue, about=ARROWS

@@ -65,7 +65,7 @@ class Mark(NamedTuple):
 
 @contextmanager
 def exclusive(folder: Path) -> Iterator[None]:
-    """Use a folder exclusively for the time of a context.
+    """Return a context in which only this process uses a folder.
 
     Parameters
     ----------

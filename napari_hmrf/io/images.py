@@ -147,6 +147,14 @@ def read_image(path: str | os.PathLike[str]) -> ImageFile:
 
     A volume of one slice is read as that slice, with its place in the volume.
 
+    Parameters
+    ----------
+    path : str or path-like
+
+    Returns
+    -------
+    ImageFile
+
     Raises
     ------
     FileFormatError
@@ -209,6 +217,16 @@ def _is_dicom(file: Path) -> bool:
 
 def write_image(path: str | os.PathLike[str], image: ImageFile) -> Path:
     """Write an image, atomically, in the format given by the ending of the name.
+
+    Parameters
+    ----------
+    path : str or path-like
+    image : ImageFile
+
+    Returns
+    -------
+    Path
+        The written file.
 
     Raises
     ------

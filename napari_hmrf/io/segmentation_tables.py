@@ -164,7 +164,7 @@ def _is_of_names(source: Path) -> bool:
 
 
 def _is_foreign_column(title: str) -> bool:
-    """Return whether no list of names has a column with this title."""
+    """Return whether a column cannot belong to a list of names."""
     known = not title or title in (*_LABELS, *_NAMES) or _OTHER_COLUMNS.fullmatch(title) is not None
     return not known
 

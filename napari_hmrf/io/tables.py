@@ -153,6 +153,15 @@ def value_of(column: str, text: str) -> Any:
 def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
     """Read a table of materials from a .csv.
 
+    Parameters
+    ----------
+    path : str or path-like
+
+    Returns
+    -------
+    tuple of Material
+        In the order of the table.
+
     Raises
     ------
     FileFormatError
@@ -179,6 +188,7 @@ def write_named_materials(path: str | os.PathLike[str], found: NamedMaterials) -
     ----------
     path : str or path-like
     found : NamedMaterials
+        Materials and unknown labels of the segmentation.
 
     Raises
     ------
@@ -203,6 +213,15 @@ def write_named_materials(path: str | os.PathLike[str], found: NamedMaterials) -
 
 def read_rules(path: str | os.PathLike[str]) -> tuple[BoundaryRule, ...]:
     """Read a table of boundary rules from a .csv.
+
+    Parameters
+    ----------
+    path : str or path-like
+
+    Returns
+    -------
+    tuple of BoundaryRule
+        In the order of the table.
 
     Raises
     ------

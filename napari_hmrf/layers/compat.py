@@ -88,10 +88,11 @@ def drawn_node(viewer: Any, layer: Any) -> Any:
 
 
 class CanvasContext:
-    """Makes the canvas' OpenGL context current before the textures of a removed layer are deleted.
+    """Guard for the OpenGL textures of removed layers.
 
-    A viewer has one instance (`shared`). vispy deletes textures in whichever OpenGL context is
-    current. If that is the context of Qt, Mesa's software rasteriser crashes when it draws next.
+    It makes the context of the canvas current before the textures of a layer are deleted. Without
+    it, vispy deletes them in whichever context is current. If that is the context of Qt, Mesa's
+    software rasteriser crashes when it draws next. `shared` returns the guard of a viewer.
 
     Parameters
     ----------
@@ -135,8 +136,8 @@ def compile_once(mesh: Any) -> bool:
 
 def is_quitting(window: Any) -> bool:
     """Return whether a closing napari window quits the application, which closes all windows."""
-    # Private: the other windows are closed without a question, so unsaved work of all windows is
-    # checked before.
+    # Private: napari closes the other windows without a question, so the unsaved work of all
+    # windows must be checked first.
     return bool(getattr(window, "_quit_app", False))
 
 

@@ -97,7 +97,7 @@ class Result:
         return still_there(self._viewer, None if state is None else state.layer())
 
     def part_of(self, layer: Any) -> Part | None:
-        """Return the part that a layer shows, or showed until it was removed; None if no part."""
+        """Return the part of a layer, which may have been removed; None for other layers."""
         return next((part for part, state in self._states.items() if state.layer() is layer), None)
 
     def wants(self, part: Part) -> bool:

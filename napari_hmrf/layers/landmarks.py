@@ -133,7 +133,7 @@ def _place_on_image(
 
 
 def _point_pairs(where: Any, should: Any) -> tuple[FloatArray, FloatArray]:
-    """Return the points of two layers, which must be equally many."""
+    """Return the points of two layers; refuse layers with different numbers of points."""
     if should is None or where is should:
         raise LayerError(
             where,

@@ -47,7 +47,7 @@ from napari_hmrf.study.study import Pictures
 Array = npt.NDArray[Any]
 #: Metadata or display settings, by name.
 Facts = Mapping[str, Any]
-#: The layers that are made of each result.
+#: Layers that are made of each result.
 Kind = Literal["image", "arrows"]
 
 #: Approximate number of arrows: enough to show the motion, but few enough to see the image.
@@ -184,7 +184,7 @@ def result_layers(
     problem: Problem | None = None,
     forces: Forces | None = None,
 ) -> Outputs:
-    """Turn a solution into layer data; needs neither a window nor a layer.
+    """Turn a solution into layer data, without a window or a layer.
 
     All layers of results are made here.
 

@@ -35,8 +35,8 @@ class ViewerUndo:
     ----------
     model : StudyModel
     said : Signal(str, object)
-        Emitted after undo or redo with a sentence about the step, and the `Step`; None if there was
-        none.
+        Emitted after undo or redo, with a sentence about the step, and the `Step` itself or None if
+        there was none.
     """
 
     said = Signal(str, object)

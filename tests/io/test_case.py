@@ -268,7 +268,7 @@ def test_a_rule_may_fill_the_columns_it_does_not_use_with_what_they_are_anyway(t
         ("--hold-edge --rules r.csv", "--rules is for a --boundary that is an image of labels"),
         ("--boundary pairs.csv --rules r.csv", "--rules is for a --boundary that is an image of"),
         ("--hold-edge --confidence edges", "--confidence is for a --boundary that is a field"),
-        ("--hold-edge --slice 1", "--slice is for volumes, and rim.png is none"),
+        ("--hold-edge --slice 1", "--slice is for volumes, and rim.png is not"),
         ("--boundary labels.png", "If it is an image of labels, give --rules, too."),
         ("--boundary zero.png --rules r.csv", "'zero.png' is 0 everywhere: nothing determines how"),
         ("--boundary labels.png --rules plane.csv", "plane.csv: has a column 'plane', but the"),
