@@ -223,7 +223,7 @@ def _seconds_since(started: float) -> float:
 
 
 def _in_digits(value: Any) -> Any:
-    """Round a number to the digits that a table shows; single precision has no more."""
+    """Round a float to the digits of the summary; single precision has no more."""
     return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
 
 

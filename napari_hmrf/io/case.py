@@ -43,8 +43,9 @@ from napari_hmrf.tissue.usual_lengths import usual_radius
 
 #: Number of labels that a sentence lists.
 _LISTED = 6
-#: An image is no label image if it has more values than this, and more than this part of the pixels
-#: differ from their neighbour. Photographs have 40 % to 90 %, label images up to 10 %.
+#: Limits of label images: an image with more values than the first, in which more than the second
+#: part of the pixels differ from their neighbour, is no label image. For photographs that part is
+#: 40 % to 90 %, for label images at most 10 %.
 _MANY, _UNEVEN = 64, 0.3
 
 
@@ -305,9 +306,9 @@ def _on_pixels(case: Case, path: Path, whole: ImageFile, image: ImageFile) -> np
 
 
 def refuse_colours(image: ImageFile, path: Path) -> None:
-    """Refuse an image in colours where one value for each pixel is needed."""
+    """Refuse an image in colours, where one value per pixel is needed."""
     if image.colours:
-        raise ProblemError(path.name, "is in colours. Give an image of one value for each pixel.")
+        raise ProblemError(path.name, "is in colours. Give an image with one value per pixel.")
 
 
 def as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:

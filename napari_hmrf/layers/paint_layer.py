@@ -1,9 +1,8 @@
-"""Look of painted strokes: a Labels layer of their effects, and marks that need no colour.
+"""Display of paint: a Labels layer coloured by action, and marks that need no colour.
 
-Hues are those of Okabe and Ito, which no colour blindness confuses. Freed pixels are striped, and
-so is painted tissue that replaces other tissue.
-Crosses mark pinned tissue, arrows moved tissue, double arrows tissue that is observed in one
-direction only.
+The hues are those of Okabe and Ito, which colour-blind users can distinguish. Freed tissue is drawn
+in stripes, and so is painted tissue that also has an action. Crosses mark fixed sites, arrows moved
+ones, and double arrows sites where only one direction is prescribed.
 """
 
 from __future__ import annotations
@@ -33,7 +32,9 @@ Places = npt.NDArray[np.float64]
 #: Red, green and blue, 0 to 1.
 Colour = tuple[float, float, float]
 
+#: Name of the layer of paint.
 NAME = "Motion, painted"
+#: Red, green and blue of each action, 0 to 1.
 COLOURS: dict[str, Colour] = {
     "pin": (0.90, 0.62, 0.0),
     "free": (1.0, 1.0, 1.0),
@@ -41,21 +42,21 @@ COLOURS: dict[str, Colour] = {
     "expand": (0.80, 0.47, 0.65),
     "confidence": (0.0, 0.62, 0.45),
 }
-#: Colours of tissues without a layer of their own.
+#: Colours of painted tissues whose colour is not defined by a Labels layer.
 _HUES = (
     (0.95, 0.9, 0.26), (0.0, 0.45, 0.70), (0.84, 0.37, 0.0), (0.6, 0.95, 0.6), (0.5, 0.3, 0.9),
     (0.95, 0.7, 0.8), (0.3, 0.85, 0.85),
 )  # fmt: skip
-#: First number of a tissue in the picture, and the count of such numbers.
+#: Pixel value of the first painted tissue, and number of values for tissues.
 _TISSUE, _TISSUES = 64, 128
-#: Opacity of painted motion, and of painted tissue.
+#: Opacity of actions, and of painted tissue.
 _OPACITY, _TISSUE_OPACITY = 0.55, 0.6
-#: Marks that fit across the shorter side of a picture.
+#: Number of marks that fit across the shorter side of a picture.
 _ACROSS = 32
 
 
 def number_of(action: Action, label: int = 0) -> int:
-    """Return the value of a painted pixel in the picture."""
+    """Return the pixel value of a painted action, or of a painted tissue with a label."""
     return _TISSUE + label % _TISSUES if action == "tissue" else KINDS[action]
 
 
@@ -66,20 +67,20 @@ def show_painted(
     picture: npt.NDArray[np.uint8],
     confidence: FloatArray | None = None,
 ) -> None:
-    """Update the pictures of painted strokes in a window, in place.
+    """Update the pictures of paint in a window, in place.
 
     Parameters
     ----------
     canvas : Canvas
-        With the strokes.
+        Canvas with the paint.
     base : Canvas
-        Without them.
+        Canvas without the paint.
     window : Box
         Pixels to update.
     picture : ndarray of uint8, shape ([D,] H, W)
-        0 where nothing, or only confidence, was painted; else as `number_of`.
+        Values as returned by `number_of`; 0 where nothing is painted, or confidence only.
     confidence : ndarray of float32, shape ([D,] H, W), optional
-        Confidence in observed motion; the larger of its components.
+        Confidence of the motion, the largest of its components.
     """
     kinds = canvas.kinds[window]
     shown = kinds.copy()
@@ -96,12 +97,15 @@ def show_painted(
 
 
 def tissue_colours(palette: Palette, layer: Any = None) -> dict[int, Colour]:
-    """Return the colour of each tissue: that of its layer, if the palette is the layer's."""
-    if palette.own and isinstance(layer, Labels):  # another layer may be selected by now
-        found = {row.label: layer.get_color(row.label) for row in palette.materials}
+    """Return the colour of each tissue, by label.
+
+    The colours are those of the layer if it holds the table of the palette.
+    """
+    if palette.own and isinstance(layer, Labels):  # the user may have chosen an Image layer since
+        colours = {row.label: layer.get_color(row.label) for row in palette.materials}
         return {
             label: (0.5, 0.5, 0.5) if colour is None else _colour(colour)
-            for label, colour in found.items()
+            for label, colour in colours.items()
         }
     rows = [row for row in palette.materials if row.stiffness > 0]
     hues = {row.label: _HUES[at % len(_HUES)] for at, row in enumerate(rows)}
@@ -114,7 +118,7 @@ def _colour(rgba: Sequence[float]) -> Colour:
 
 
 def painted_colours(tissues: dict[int, Colour]) -> CyclicLabelColormap:
-    """Return the colormap of painted pixels; the same object for the same tissues.
+    """Return the colormap of paint; the same object for the same tissues.
 
     Parameters
     ----------
@@ -126,8 +130,8 @@ def painted_colours(tissues: dict[int, Colour]) -> CyclicLabelColormap:
 
 @lru_cache(maxsize=4)
 def _colours(tissues: tuple[tuple[float, ...], ...]) -> CyclicLabelColormap:
-    # One colour for each value of a pixel: for a colormap of some values, napari would first
-    # compile the mapping, for seconds.
+    # A cyclic colormap with a colour for each of the 256 values. For a colormap of only some
+    # values, napari would first compile the mapping, which takes seconds.
     colours = np.zeros((256, 4))
     for action, kind in KINDS.items():
         colours[kind] = (*COLOURS[action], _OPACITY)
@@ -139,58 +143,58 @@ def _colours(tissues: tuple[tuple[float, ...], ...]) -> CyclicLabelColormap:
 def painted_layer(
     frame: Frame, picture: npt.NDArray[np.uint8], tissues: dict[int, Colour]
 ) -> LayerData:
-    """Return a Labels layer of painted strokes."""
+    """Return the Labels layer of paint."""
     known = {"kind": PAINTED, "slice": frame.slice_name}
     look = {"opacity": 1.0, "colormap": painted_colours(tissues)}
     return layer_on(frame, picture, NAME, known, look, "labels")
 
 
 def confidence_layer(frame: Frame, confidence: FloatArray) -> LayerData:
-    """Return an Image layer of the confidence in observed motion."""
+    """Return the Image layer of painted confidence."""
     known = {"kind": CONFIDENCE, "slice": frame.slice_name}
     return layer_on(frame, confidence, "Confidence", known, confidence_look())
 
 
 def painted_marks(canvas: Canvas) -> Lines:
-    """Return crosses in pinned tissue and arrows in moved tissue; thin strokes have some, too.
+    """Return crosses for pinned tissue, and arrows for moved tissue; thin strokes are included.
 
-    Tissue that is observed in one direction only has a double arrow along it instead of a cross.
-    In a volume each slice along the first axis has marks, which lie in it.
+    Where only one direction is prescribed, a double arrow along it replaces a cross. In a volume,
+    each slice along the first axis has its own marks, which lie in the slice.
 
     Parameters
     ----------
     canvas : Canvas
-        With the strokes.
+        Canvas with the paint.
 
     Returns
     -------
     lines : ndarray, shape (N, 2, n), float32
         (start, step) in pixels.
     colours : ndarray, shape (N, 4), float32
-        Red, green, blue and opacity of each, 0 to 1.
+        Red, green, blue and opacity of each line, 0 to 1.
     """
     kinds, size = canvas.kinds, np.array(canvas.spacing)
     n = len(size)
     shorter = min(extent * step for extent, step in zip(canvas.shape, size, strict=True))
-    apart = max(shorter / _ACROSS, 4 * float(size.max()))
+    distance = max(shorter / _ACROSS, 4 * float(size.max()))
     marked = np.isin(kinds, [KINDS[each] for each in _MARKED])
-    counts = marked & (canvas.confidence > 0).any(axis=-1)
-    places = spread(counts, np.where(np.arange(n) < n - 2, 1, apart / size))
+    is_marked = marked & (canvas.confidence > 0).any(axis=-1)
+    places = spread(is_marked, np.where(np.arange(n) < n - 2, 1, distance / size))
     parts: list[tuple[npt.NDArray[Any], Sequence[float]]] = []
     for action in _MARKED:
         at = places[kinds[tuple(places.T)] == KINDS[action]]
         by, known = canvas.observed[tuple(at.T)], canvas.confidence[tuple(at.T)] > 0
         colour = (*(0.6 + 0.4 * part for part in COLOURS[action]), 1.0)
-        parts.append((motion_marks(at * size, by, known, apart) / size, colour))
+        parts.append((motion_marks(at * size, by, known, distance) / size, colour))
     return coloured(parts, n)
 
 
-#: Actions that have marks beside their colour.
+#: Actions that are marked in addition to their colour.
 _MARKED: tuple[Action, ...] = ("pin", "move", "expand")
 
 
 def way_of(stroke: Stroke, spacing: Sequence[float], goes_to: Callable[[Places], Places]) -> Lines:
-    """Return the path of the brush in a selected stroke, from a circle to a circle.
+    """Return the path of the brush in a selected stroke, with a circle at each end.
 
     Parameters
     ----------
@@ -198,10 +202,10 @@ def way_of(stroke: Stroke, spacing: Sequence[float], goes_to: Callable[[Places],
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
     goes_to : callable
-        Maps places, (N, n) in pixels, to the places where they are seen.
+        Maps places, (N, n) in pixels, to the positions at which they are shown.
     """
-    ways = [np.array(line) for line in stroke.lines]
+    paths = [np.array(line) for line in stroke.lines]
     circle = stroke.radius * CIRCLE @ np.eye(len(spacing))[-2:] / spacing
-    ends = [way[at] + circle for way in ways for at in (0, -1)]
-    seen = [goes_to(places) for places in (*ways, *ends)]
+    ends = [path[at] + circle for path in paths for at in (0, -1)]
+    seen = [goes_to(places) for places in (*paths, *ends)]
     return coloured(((along(places), SELECTED) for places in seen), len(spacing))

@@ -272,7 +272,7 @@ def test_a_rule_may_fill_the_columns_it_does_not_use_with_what_they_are_anyway(t
         ("--boundary labels.png", "If it is an image of labels, give --rules, too."),
         ("--boundary zero.png --rules r.csv", "'zero.png' is 0 everywhere: nothing determines how"),
         ("--boundary labels.png --rules plane.csv", "plane.csv: has a column 'plane', but the"),
-        ("--hold-edge --labels colours.png", "colours.png: is in colours. Give an image of one"),
+        ("--hold-edge --labels colours.png", "colours.png: is in colours. Give an image with one"),
         ("--boundary none.csv", "none.csv: holds no active landmarks. Give at least one"),
         ("--boundary two.csv", "two.csv: has two landmarks in one pixel (12 10). Keep one per"),
         ("--hold-edge --labels complex.tif", "complex.tif: an image of complex64 values. Give an"),
@@ -334,10 +334,7 @@ def test_a_study_says_itself_what_to_compute_and_what_was_guessed_is_said(files,
     [
         (("export", "gone.study", "f.mha"), "gone.study: there is no such file or folder. Check"),
         (("export", ".", "f.mha"), "it is a folder. Name a file in it."),
-        (
-            ("export", "f.mha", "no/f.nrrd"),
-            "cannot save the file: its folder does not exist. Create",
-        ),
+        (("export", "f.mha", "no/f.nrrd"), "cannot save the file: its folder is not there. Make"),
         (("export", "f.mha", "folder.mha"), "cannot save the file: it is a folder. Give the name"),
         (
             ("apply", "f.mha", "rim.png", "-o", "rim.png"),
