@@ -26,6 +26,6 @@ def cold(monkeypatch, tmp_path):
     monkeypatch.setattr(loops._State, "pictures", loops._Part())
     monkeypatch.setattr(loops._State, "alone", False)
     monkeypatch.setattr(compiler._State, "compiler", None)
-    monkeypatch.setattr(compiler, "_started", Compiler)
+    monkeypatch.setattr(compiler, "_start_process", Compiler)
     monkeypatch.setattr(loader, "_loader", loader._Loader())
     return started

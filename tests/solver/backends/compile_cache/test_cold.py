@@ -202,7 +202,7 @@ def test_the_compiler_leaves_what_nobody_waits_for_any_more(cold, monkeypatch):
         def run():
             done.append(f"{name} begun")
             if name == "schedule" and done.count("schedule begun") == 1:
-                compiler._wanted_file().write_text("converged")
+                compiler._request_file().write_text("converged")
             current[0](compiler.Stage(name, 1, 2, 1.0))
             done.append(name)
 
@@ -216,7 +216,7 @@ def test_the_compiler_leaves_what_nobody_waits_for_any_more(cold, monkeypatch):
 
     monkeypatch.setattr(compiling, "run", run)
     monkeypatch.setattr(compiler, "give_way", lambda: done.append("gives way"))
-    compiler._wanted_file().write_text("schedule")
+    compiler._request_file().write_text("schedule")
     todo = [job(name) for name in ("elastic", "schedule", "converged")]
     while todo:
         compiling._run_next(todo)
@@ -249,7 +249,7 @@ def test_where_there_is_no_opengl_the_loops_that_are_needed_come_first(cold, mon
 
 def test_where_no_other_process_can_compile_this_one_does(cold, monkeypatch):
     monkeypatch.setattr(
-        compiler, "_started", lambda command: subprocess.Popen([sys.executable, "-c", ""])
+        compiler, "_start_process", lambda command: subprocess.Popen([sys.executable, "-c", ""])
     )
     assert Waiting(*MODELS["elastic"]).answer.result(LONG).provenance.backend == "cpu"
     assert loops.compile_here()
@@ -274,7 +274,7 @@ def test_a_request_that_an_ending_compiler_has_missed_is_repeated(cold, monkeypa
         return Ending()
 
     monkeypatch.setattr(compiler._State, "compiler", Ending())
-    monkeypatch.setattr(compiler, "_started", started)
+    monkeypatch.setattr(compiler, "_start_process", started)
     compiler.provide("volume", lambda stage: None)
     assert kept.compiled("volume")
     assert not loops.compile_here()
@@ -285,7 +285,7 @@ def test_one_process_compiles_at_a_time(cold, tmp_path):
     compiler.end(compiled=False)
     assert not kept.mark().exists()
     parent = os.getppid()
-    compiler._status_file().write_text(json.dumps([parent, compiler._begun(parent)]))
+    compiler._status_file().write_text(json.dumps([parent, compiler._start_time(parent)]))
     assert not compiler.begin()
     compiler.compile_meanwhile()
     assert cold == []
@@ -428,7 +428,7 @@ def test_loops_for_volumes_are_compiled_only_for_who_waits_for_them(cold, monkey
     assert done == ["elastic"]
     assert kept.compiled("")
     assert not kept.compiled("volume")
-    compiler._wanted_file().write_text("volume", encoding="utf-8")
+    compiler._request_file().write_text("volume", encoding="utf-8")
     assert compiling.main() == 0
     assert done == ["elastic", "volume"]
     assert kept.compiled("volume")

@@ -131,7 +131,7 @@ from napari_hmrf.solver.backends.compile_cache import watch
 from napari_hmrf.solver.backends.thread import compute_thread
 for job in compiling.jobs():
     compute_thread.submit(lambda: compiling.run(job, lambda stage: None)).result()
-    print(job.name, watch._there())
+    print(job.name, watch._count_loops())
 """
 
 
