@@ -44,8 +44,8 @@ from napari_hmrf.tissue.usual_lengths import usual_radius
 #: Number of labels that a sentence lists.
 _LISTED = 6
 #: Limits of label images: an image with more values than the first, in which more than the second
-#: part of the pixels differ from their neighbour, is no label image. For photographs that part is
-#: 40 % to 90 %, for label images at most 10 %.
+#: part of the pixels differ from their neighbour, is not a label image. That part is 40 % to 90 %
+#: in photographs, and at most 10 % in label images.
 _MANY, _UNEVEN = 64, 0.3
 
 

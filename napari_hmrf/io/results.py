@@ -102,7 +102,7 @@ def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArr
 
 
 def _on_grid(path: Path, solution: Solution) -> ImageFile:
-    """Return the image in a file; a volume in the order of the solution's axes."""
+    """Return the image in a file; a volume has the order of the solution's axes."""
     is_unplaced = Frame.of_solution(solution).unit == "pixel"
     image, place = read_image(path), None if is_unplaced else place_of(solution)
     if solution.tissue.ndim == 3:

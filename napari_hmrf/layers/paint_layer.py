@@ -2,7 +2,7 @@
 
 The hues are those of Okabe and Ito, which colour-blind users can distinguish. Freed tissue is drawn
 in stripes, and so is painted tissue that also has an action. Crosses mark fixed sites, arrows moved
-ones, and double arrows sites where only one direction is prescribed.
+ones, and double arrows sites that are observed in one direction only.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ def confidence_layer(frame: Frame, confidence: FloatArray) -> LayerData:
 def painted_marks(canvas: Canvas) -> Lines:
     """Return crosses for pinned tissue, and arrows for moved tissue; thin strokes are included.
 
-    Where only one direction is prescribed, a double arrow along it replaces a cross. In a volume,
+    Where only one direction is observed, a double arrow along it replaces a cross. In a volume,
     each slice along the first axis has its own marks, which lie in the slice.
 
     Parameters
