@@ -81,6 +81,18 @@ def turned(text: str, source: str, page: str) -> str:
     return _LINK.sub(turn, text)
 
 
+def offer_files(text: str, page: str) -> str:
+    """Rewrite links to Markdown outside this folder as downloads: they are no pages of the site."""
+
+    def offer(link: re.Match[str]) -> str:
+        opening, target, anchor, closing = link.groups()
+        there = os.path.normpath(PurePosixPath("docs", page).parent / target)
+        is_page = Path(there).parts[0] == "docs" or not target.endswith(".md")
+        return link.group() if is_page else f"{opening}path:{target}{anchor or ''}{closing}"
+
+    return _LINK.sub(offer, text)
+
+
 def contents(text: str) -> str:
     """Return the menu of a folder: the pages that its first page links."""
     linked = dict.fromkeys(re.findall(r"\]\(([\w-]+)\.(?:md|ipynb)", text))
@@ -142,7 +154,7 @@ def show(_app, page, content):
     text = (ROOT / source).read_text(encoding="utf-8") if page in SHOWN else content[0]
     if page.startswith("notebooks/") and text.startswith("{"):
         text = notebook_page(text)
-    content[0] = turned(text, source, page)
+    content[0] = offer_files(turned(text, source, page), page)
     if page.endswith("/README"):
         content[0] += contents(text)
     if page == SHELL_PAGE:

@@ -69,6 +69,13 @@ def test_pages_are_sorted_into_tutorials_guides_concepts_and_reference(conf):
         assert f"{kind}/README" in menu
 
 
+def test_a_link_to_a_file_that_is_no_page_becomes_a_download(conf):
+    text = "[shaders](../../shaders/README.md#x), [page](../index.md), [code](../../docs/conf.py)"
+    assert conf.offer_files(text, "development/contributing") == text.replace(
+        "../../shaders", "path:../../shaders"
+    )
+
+
 # Shell
 
 
