@@ -12,7 +12,7 @@ SHADERS ?= 500
 VOLUMES ?= 300
 SEED ?= 0
 
-.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test campaigns docs format lint types words lines routes structure benchmarks live dragging trust edits folds soak damaged disks volumes hard report mutations screenshots sample-data constraints clean
+.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test campaigns docs format lint types words lines routes structure benchmarks live dragging trust edits folds soak damaged disks volumes hard report mutations screenshots gallery sample-data constraints clean
 .DEFAULT_GOAL := help
 
 help:
@@ -41,6 +41,7 @@ help:
 	@echo "make hard         write the table of hard tissue, docs/validation/hard.md, anew: an hour"
 	@echo "make mutations    break the window's half in two dozen places, one by one, and see a test fail for each"
 	@echo "make screenshots  take the pictures of the README and of the tutorial again, from a real window"
+	@echo "make gallery      draw the pictures of the examples and of the notebooks again"
 	@echo "make sample-data  make the files of sample_data/ again"
 	@echo "make constraints  take the newest versions of everything, and write down which"
 	@echo "make clean        delete what the commands above made, the environment included"
@@ -141,6 +142,9 @@ screenshots: setup-for-windows
 	@$(HEADLESS) $(RUN) scripts/screenshots.py
 	@$(HEADLESS) $(RUN) scripts/large_motion.py
 	@$(HEADLESS) $(RUN) scripts/tutorial.py
+
+gallery: setup
+	@$(RUN) scripts/gallery.py
 
 sample-data: setup
 	@$(RUN) scripts/make_sample_data.py

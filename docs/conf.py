@@ -1,16 +1,20 @@
-"""How `make docs` builds the site: from the pages of this folder, README, CONTRIBUTING, CHANGELOG.
+"""Configuration of the site that `make docs` builds from the pages of this folder.
 
-Pages are written to be read in the repository, too, where a link names a file. Files at the top of
-the repository have pages here that are empty but for a title; these are filled in, and links are
-turned, while the site is built. The first page of a folder is its README, and the menu has below it
-the pages that it links. Nothing is fetched: no other site is asked.
+The pages are also readable in the repository, where a link names a file. Three kinds of page are
+completed during the build: files at the top of the repository are inserted into pages that hold
+only a title, notebooks become Markdown, and the reference of the shell is made from its parser. The
+first page of a folder is its README; the menu lists the pages that it links. The build reads no
+other site.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 import os.path
 import re
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
 DOCS = Path(__file__).resolve().parent
@@ -22,6 +26,8 @@ SHOWN = {
     "changelog": "CHANGELOG.md",
     "development/contributing": "CONTRIBUTING.md",
 }
+#: Page that gets the commands of the shell.
+SHELL_PAGE = "reference/shell"
 
 _project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 project = _project["name"]
@@ -29,13 +35,13 @@ author = _project["authors"][0]["name"]
 version = release = _project["version"]
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-source_suffix = {".md": "markdown"}
+source_suffix = {".md": "markdown", ".ipynb": "markdown"}
 exclude_patterns = ["_build"]
 myst_heading_anchors = 4
 default_role = "py:obj"
 highlight_language = "none"
 
-# Docstrings say types, shapes, units and directions; signatures repeat only names and defaults.
+# Docstrings state types, shapes, units and directions; signatures show only names and defaults.
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 autodoc_class_signature = "mixed"
@@ -52,16 +58,16 @@ _LINK = re.compile(r"(\]\()(?!https?:|#)([^)#\s]+)(#[^)\s]*)?(\))")
 
 
 def turned(text: str, source: str, page: str) -> str:
-    """Have links that are relative to a file of the repository lead there from a page of the site.
+    """Rewrite links relative to a file of the repository as links of a page of the site.
 
     Parameters
     ----------
     text : str
         Markdown.
     source : str
-        The file that it is from, relative to the top of the repository.
+        File that contains the text, relative to the top of the repository.
     page : str
-        The page that shows it, relative to this folder, without its suffix.
+        Page that shows it, relative to this folder, without its suffix.
     """
     pages = {shown: f"docs/{name}.md" for name, shown in SHOWN.items()}
 
@@ -75,38 +81,103 @@ def turned(text: str, source: str, page: str) -> str:
     return _LINK.sub(turn, text)
 
 
+def offer_files(text: str, page: str) -> str:
+    """Rewrite links to Markdown outside this folder as downloads: they are no pages of the site."""
+
+    def offer(link: re.Match[str]) -> str:
+        opening, target, anchor, closing = link.groups()
+        there = os.path.normpath(PurePosixPath("docs", page).parent / target)
+        is_page = Path(there).parts[0] == "docs" or not target.endswith(".md")
+        return link.group() if is_page else f"{opening}path:{target}{anchor or ''}{closing}"
+
+    return _LINK.sub(offer, text)
+
+
 def contents(text: str) -> str:
-    """What is to be added to the first page of a folder: the pages that it links, for the menu."""
-    linked = dict.fromkeys(re.findall(r"\]\(([\w-]+)\.md", text))
+    """Return the menu of a folder: the pages that its first page links."""
+    linked = dict.fromkeys(re.findall(r"\]\(([\w-]+)\.(?:md|ipynb)", text))
     return "\n".join(["", "", "```{toctree}", ":hidden:", "", *linked, "```", ""]) if linked else ""
 
 
+def notebook_cells(text: str) -> Iterator[tuple[str, str]]:
+    """Yield the type, "markdown" or "code", and the source of each cell of a notebook."""
+    for cell in json.loads(text)["cells"]:
+        yield cell["cell_type"], "".join(cell["source"])
+
+
+def notebook_page(text: str) -> str:
+    """Return a notebook as Markdown."""
+    parts = [
+        source if kind == "markdown" else f"```python\n{source}\n```"
+        for kind, source in notebook_cells(text)
+    ]
+    return "\n\n".join(parts)
+
+
+def shell_commands() -> str:
+    """Return the commands of the shell and their options as Markdown."""
+    from napari_hmrf.command_line import parser_of_commands
+
+    parser = parser_of_commands()
+    (commands,) = (
+        action for action in parser._actions if isinstance(action, argparse._SubParsersAction)
+    )
+    width, os.environ["COLUMNS"] = os.environ.get("COLUMNS"), "88"
+    try:
+        parts = [_command_section(name, each) for name, each in commands.choices.items()]
+    finally:
+        os.environ.pop("COLUMNS")
+        if width is not None:
+            os.environ["COLUMNS"] = width
+    return "\n".join(parts)
+
+
+def _command_section(name: str, command: argparse.ArgumentParser) -> str:
+    """Return one command: its sentence, usage, arguments and example."""
+    example = (command.epilog or "").removeprefix("example: ")
+    usage = command.format_usage().removeprefix("usage: ").rstrip()
+    lines = ["", f"## {name}", "", command.description or "", "", "```", usage, "```", ""]
+    for action in command._actions:
+        if not isinstance(action, argparse._HelpAction):
+            formatter = command._get_formatter()
+            title = formatter._format_action_invocation(action)
+            if not action.option_strings and action.nargs in ("+", "*"):
+                title += " ..."
+            told = formatter._expand_help(action) if action.help else ""
+            lines += [f"- `{title}`: {told}"]
+    return "\n".join([*lines, "", "Example:", "", "```sh", example, "```", ""])
+
+
 def show(_app, page, content):
-    """Fill in the pages of `SHOWN`, and turn the links of all."""
+    """Complete a page before Sphinx parses it."""
     source = SHOWN.get(page, f"docs/{page}.md")
     text = (ROOT / source).read_text(encoding="utf-8") if page in SHOWN else content[0]
-    content[0] = turned(text, source, page)
+    if page.startswith("notebooks/") and text.startswith("{"):
+        text = notebook_page(text)
+    content[0] = offer_files(turned(text, source, page), page)
     if page.endswith("/README"):
         content[0] += contents(text)
+    if page == SHELL_PAGE:
+        content[0] += shell_commands()
 
 
-_said: dict[str, list[str]] = {}
+_property_docs: dict[str, list[str]] = {}
 
 
 def remember(_app, what, name, _object, _options, lines):
-    """Keep what a property says: napoleon takes what stands before a colon for its type."""
+    """Store the docstring of a property: napoleon takes words before a colon for its type."""
     if what == "property":
-        _said[name] = list(lines)
+        _property_docs[name] = list(lines)
 
 
 def restore(_app, what, name, _object, _options, lines):
-    """Have a property say what it said."""
+    """Restore the docstring of a property."""
     if what == "property":
-        lines[:] = _said[name]
+        lines[:] = _property_docs[name]
 
 
 def unlink(_app, doctree):
-    """In the types of parameters the word "shape" is a word, not a name of ours."""
+    """Remove links from the word "shape" in the types of parameters."""
     from sphinx.addnodes import pending_xref
 
     for link in list(doctree.findall(pending_xref)):
@@ -115,7 +186,7 @@ def unlink(_app, doctree):
 
 
 def setup(app):
-    """Called by Sphinx."""
+    """Connect the functions above; called by Sphinx."""
     app.connect("source-read", show)
     app.connect("autodoc-process-docstring", remember, priority=400)
     app.connect("autodoc-process-docstring", restore, priority=600)

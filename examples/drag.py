@@ -1,7 +1,8 @@
-"""Tissue follows a drag: each solve begins with what the ones before it found.
+"""Drag tissue step by step, with warm starts.
 
-A patch is dragged to the right, a pixel at a time. How far tissue moves is proportional to how far
-it is pushed, so that after two steps hardly anything is left to do.
+A patch is dragged to the right, one pixel at a time. Each solve starts from the solutions of the
+last two steps. Elastic displacement is proportional to the pull, so little work is left after two
+steps.
 """
 
 import numpy as np
@@ -25,5 +26,5 @@ for step in range(1, 9):
     cold += alone.iterations
     warm += solution.iterations
     apart = np.abs(solution.displacement - alone.displacement).max()
-    print(f"dragged {step} px: {solution.iterations} iterations, {apart:.4f} px from a fresh start")
-print(f"{warm} iterations in all; from nothing each time, {cold}")
+    print(f"dragged {step} px: {solution.iterations} iterations, {apart:.4f} px from a cold start")
+print(f"{warm} iterations in all; with a cold start each time, {cold}")

@@ -1,8 +1,8 @@
-"""A tumour grows in a brain whose outline is held: what that does to the tissue around it.
+"""Let a tumour grow in a brain, and measure the tissue around it.
 
-The sample is drawn, with its tissues (void, normal, soft, tumour) and its boundary: the outline is
-fixed. The tumour grows by 40 %, of which its surroundings leave less. The result is saved to a
-file, which napari opens as well. Grown by more, linear tissue folds, and large motion does not.
+The sample is synthetic. It has the tissues void, normal, soft and tumour, and a fixed outline. The
+tumour would grow by 40 % if it were free; its surroundings reduce this. The result is saved to a
+file, which napari opens. With more growth linear elastic tissue folds, and large motion does not.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ from napari_hmrf.data import phantom
 brain = phantom("mass-effect", size=150).growing(0.4)
 solution = solve(brain.problem)
 
-# By which factor the area around each pixel has changed; NaN where there is no tissue.
+# Factor by which the area around each pixel has changed; NaN in void.
 jacobian = solution.jacobian()
 for label, name in ((3, "tumour"), (2, "ventricles"), (1, "normal tissue")):
     there = brain.tissue_labels == label

@@ -1,6 +1,6 @@
-"""Images to learn from: a brain deformed at random as tissue deforms, with all that is known of it.
+"""Deform a brain at random, with its labels, points and displacement, to train a network.
 
-A few solutions are made once; after that each deformation is a sum of them, and as exact as a full
+A few solutions are computed once. Each deformation is a sum of them, and as accurate as a full
 solve. Bone keeps its shape, nothing folds, and labels and points move with the image.
 """
 

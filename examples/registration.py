@@ -1,9 +1,9 @@
-"""A registration's field as boundary: believed where the image has edges, and bone stays bone.
+"""Use the field of a registration as boundary, where the image has edges.
 
-Two images of one brain are registered by SimpleITK, which knows nothing of tissue: it bends bone,
-and has to guess where nothing is to be seen. Elastic tissue takes its field where the image has
-edges, keeps what is rigid as it is, and says the rest. As the second image is made of the first,
-it is known how far either is from the truth.
+SimpleITK registers two images of one brain. It has no model of tissue: it bends bone, and guesses
+where the image has no features. Elastic tissue takes this field at the edges of the image only,
+keeps bone rigid, and computes the rest. The second image is made from the first, so the distance of
+both fields from the truth is known.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ brain = phantom("mass-effect", size=150)
 tissue, bone = brain.tissue_labels > 0, brain.tissue_labels == 3
 stiffness = np.where(bone, np.inf, brain.problem.stiffness)
 
-# The truth: the outline is held on the left and pushed on the right; bone moves as one.
+# The truth: the outline is held on the left and pushed on the right; bone is rigid.
 y, c = np.zeros((2, *tissue.shape, 2))
 outline = (brain.problem.confidence > 0).any(axis=-1) & ~bone
 outline &= np.hypot(*(np.indices(tissue.shape) - 75)) > 40
@@ -30,7 +30,7 @@ truth = solve(Problem(y, c, stiffness))
 later = truth.warp(brain.image)
 noise = 0.05 * np.ptp(later) * np.random.default_rng(0).normal(size=(2, *later.shape))
 
-# SimpleITK's demons say for each pixel of the first image where it is in the second.
+# SimpleITK's demons compute, for each pixel of the first image, its position in the second.
 demons = sitk.FastSymmetricForcesDemonsRegistrationFilter()
 demons.SetNumberOfIterations(150)
 demons.SetStandardDeviations(2.0)
@@ -38,8 +38,8 @@ seen = np.array([brain.image, later]) + noise
 fixed, moving = (sitk.GetImageFromArray(each.astype(np.float32)) for each in seen)
 registered = sitk.GetArrayFromImage(demons.Execute(fixed, moving))[..., ::-1]
 
-# That is y; c is complete at the edges of the image and nothing elsewhere. Bone is not asked, nor
-# what touches it: it moves as one.
+# This field is y. c is 1 at the edges of the image, and 0 elsewhere, also in bone and beside it,
+# because bone moves as one body.
 sure = edge_confidence(seen[0]) * ~binary_dilation(bone, iterations=2)
 edges = np.repeat(sure[..., None], 2, axis=-1)
 elastic = solve(Problem(registered, edges, stiffness), ElasticPrior()).displacement

@@ -1,7 +1,7 @@
-"""A slice with oblong pixels, and landmarks that were found again elsewhere.
+"""Move landmarks in a slice with oblong pixels.
 
 Rows are 1.5 mm apart and columns 0.75 mm, so all lengths are in millimetres: radii, displacements.
-Places are (row, col) in pixels. The outer edge of the tissue is held.
+Positions are (row, col) in pixels. The outer edge of the tissue is held.
 """
 
 import numpy as np
@@ -22,7 +22,7 @@ study = Study(
     Motion(hold_edge=True, drawing=landmarks),
 )
 
-problem = build_problem(study).problem  # what is solved: three images on one grid
+problem = build_problem(study).problem  # inputs of the solver: three images on one grid
 print(f"{int(problem.known.any(axis=-1).sum())} of {problem.tissue.size} pixels are known")
 
 solution = solve_study(study)

@@ -1,7 +1,7 @@
-"""A stiff disc in soft tissue: the tissue around it is stretched, and the disc hardly.
+"""Stretch soft tissue around a stiff disc.
 
-The left edge is held, the right edge is pulled 8 pixels to the right, and the disc is twenty times
-as stiff as what is around it.
+The left edge is held, and the right edge is pulled 8 pixels to the right. The disc is twenty times
+as stiff as its surroundings, so it is hardly stretched.
 """
 
 import numpy as np
@@ -14,8 +14,8 @@ rows, cols = np.indices(shape)
 disc = np.hypot(rows - 48, cols - 48) < 16
 
 stiffness = np.where(disc, 20.0, 1.0)
-observed = np.zeros((*shape, 2))  # how far the boundary moves: (row, col), in pixels
-confidence = np.zeros((*shape, 2))  # where that is known: 1, and 0 elsewhere
+observed = np.zeros((*shape, 2))  # displacement: (row, col), in pixels
+confidence = np.zeros((*shape, 2))  # 1 where it is known, 0 elsewhere
 observed[:, -2:] = (0, 8)
 confidence[:, :2] = confidence[:, -2:] = 1
 

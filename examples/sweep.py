@@ -1,7 +1,7 @@
-"""How much a tumour's growth narrows the ventricles: one table of cases, solved side by side.
+"""Solve a table of cases, to see how the growth of a tumour narrows the ventricles.
 
-Each line of a table is a case; two cells of it hold several values, so that it is six cases. What
-comes of each is a folder with the study, its field and the image as it is seen after.
+Each line of a table is a case. Two cells of this line hold several values, so it is six cases. Each
+case gets a folder with the study, its field and the deformed image.
 """
 
 from pathlib import Path
@@ -27,7 +27,7 @@ brain,brain.tif,labels.tif,materials.csv,yes,0.1;0.2;0.3,3;30
 
 
 def main() -> None:
-    """Write the files, solve the cases, and look at what came of each."""
+    """Write the files, solve the cases, and print the result of each."""
     brain, files = phantom("mass-effect", size=96), Path("sweep")
     files.mkdir()
     imwrite(files / "brain.tif", brain.image.astype(np.float32))
@@ -44,5 +44,5 @@ def main() -> None:
     print(f"all of them: {files / 'out' / 'summary.csv'}")
 
 
-if __name__ == "__main__":  # as other processes read this file, too
+if __name__ == "__main__":  # because other processes import this file
     main()

@@ -1,7 +1,7 @@
-"""A tumour grows in a brain, in three dimensions: what moves, and by how much, in millimetres.
+"""Let a tumour grow in a volume, and print the motion of each tissue in millimetres.
 
-The head is drawn, voxels of 3 mm; its brain is held at the skull. A volume is solved as a slice is,
-on the compiled loops, with elastic tissue.
+The head is synthetic, with voxels of 3 mm; its brain is held at the skull. A volume is solved like
+a slice, with elastic tissue on the compiled loops.
 """
 
 import numpy as np

@@ -21,7 +21,7 @@ from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QAbstractSpinBox, QApplication
 from window import LEFT, NO_BUTTON, ROOT, Person, save, save_animation, wait, wait_until
 
-FOLDER = ROOT / "docs" / "tutorial" / "images"
+FOLDER = ROOT / "docs" / "tutorials" / "images"
 #: Of the windows: what fits on a small screen.
 SIZE = (1280, 690)
 #: Of the animation: what is seen of the window, how large it becomes, how long a frame stays.

@@ -108,7 +108,7 @@ def test_what_a_registration_found_at_edges_is_nearer_to_the_truth_with_tissue_a
 
 def test_a_drag_that_goes_on_as_it_did_is_the_same_field_for_less_work(said):
     text = said("drag")
-    apart = [float(found) for found in re.findall(r"([\d.]+) px from a fresh start", text)]
+    apart = [float(found) for found in re.findall(r"([\d.]+) px from a cold start", text)]
     assert len(apart) == 8
     assert max(apart) < 0.003, "both are within the tolerance, a thousandth of a pixel"
     assert number("# iterations in all", text) < number("each time, #", text)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-TUTORIAL = ROOT / "docs" / "tutorial"
+TUTORIAL = ROOT / "docs" / "tutorials"
 PAGES = sorted(TUTORIAL.glob("*.md"))
 IMAGES = TUTORIAL / "images"
 
@@ -101,5 +101,5 @@ def test_every_page_is_found_from_the_first_and_that_from_the_readme():
     for page in PAGES:
         assert page.name == "README.md" or f"({page.name})" in first
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert "(docs/tutorial/README.md)" in readme
-    assert "docs/tutorial/images/grab-and-pull.gif" in readme
+    assert "(docs/tutorials/README.md)" in readme
+    assert "docs/tutorials/images/grab-and-pull.gif" in readme

@@ -1,0 +1,267 @@
+"""Draw the pictures of the examples and of the notebooks: ``make gallery``.
+
+``python scripts/gallery.py stiff_disc landmarks`` draws the named ones. Each example runs in a
+temporary folder, and its picture is drawn from its variables.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import runpy
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from PIL import Image
+
+from napari_hmrf import Solution, read_study
+from napari_hmrf.data import head_phantom
+from napari_hmrf.fields import deformation_grid, magnitude
+
+ROOT = Path(__file__).resolve().parent.parent
+EXAMPLES, NOTEBOOKS = ROOT / "examples", ROOT / "docs" / "notebooks"
+#: Pictures of the examples; those of the notebooks lie beside the notebooks.
+FOLDER = ROOT / "docs" / "examples" / "images"
+#: Dots per inch: a picture of three panels is about 640 pixels wide.
+RESOLUTION = 72
+#: Colours of a saved picture: a third of the size of a picture in full colour.
+COLOURS = 256
+
+#: Variables of an example.
+Names = dict[str, Any]
+#: Title, image, colour map, and the value of its last colour.
+Panel = tuple[str, Any, str, float | None]
+
+
+def panels(*shown: Panel, unit: str = "", height: float = 3.0) -> Figure:
+    """Draw images side by side; those with a largest value get a colour scale."""
+    figure = Figure(figsize=(3.0 * len(shown), height), layout="constrained")
+    for axis, (title, image, colours, largest) in zip(
+        figure.subplots(1, len(shown), squeeze=False)[0], shown, strict=True
+    ):
+        picture = axis.imshow(
+            image, cmap=colours, vmax=largest, vmin=None if largest is None else 0
+        )
+        axis.set_title(title, fontsize=10)
+        axis.set_axis_off()
+        if largest is not None:
+            figure.colorbar(picture, ax=axis, label=unit, shrink=0.8)
+    return figure
+
+
+def add_grid(axis: Any, solution: Solution, count: int = 18) -> None:
+    """Draw lines that moved with the tissue."""
+    between = max(solution.tissue.shape) // count
+    segments = deformation_grid(
+        solution.displacement, spacing=solution.spacing, every=between, tissue=solution.tissue
+    )
+    starts, directions = segments[:, 0], segments[:, 1]
+    lines = np.stack([starts, starts + directions], axis=1)[..., ::-1]  # (x, y)
+    axis.add_collection(LineCollection(lines, colors="white", linewidths=0.6))
+
+
+def drag(names: Names) -> Figure:
+    """Draw the first and the last step of the drag."""
+    first, last = names["found"][0], names["found"][-1]
+    lengths = [magnitude(solution.displacement) for solution in (first, last)]
+    figure = panels(
+        ("dragged 1 px", lengths[0], "viridis", 8.0),
+        ("dragged 8 px", lengths[1], "viridis", 8.0),
+        unit="px",
+    )
+    for axis, solution in zip(figure.axes, (first, last), strict=False):
+        add_grid(axis, solution)
+    return figure
+
+
+def growing_sphere(names: Names) -> Figure:
+    """Draw the middle slice before and after, and its displacement."""
+    volume = names["solution"]
+    middle = volume.tissue.shape[0] // 2
+    scan = names["sitk"].GetArrayFromImage(names["scan"])
+    moved = names["sitk"].GetArrayFromImage(names["deformed"])
+    length = magnitude(volume.displacement)[middle]
+    return panels(
+        ("scan", scan[middle], "gray", None),
+        ("deformed", moved[middle], "gray", None),
+        ("displacement", length, "viridis", float(length.max())),
+        unit="mm",
+    )
+
+
+def growing_tumour(names: Names) -> Figure:
+    """Draw the brain before and after, and the change of area."""
+    jacobian = names["jacobian"]
+    return panels(
+        ("before", names["brain"].image, "gray", None),
+        ("after", names["image"], "gray", None),
+        ("area, relative to before", jacobian, "RdBu_r", 2.0),
+    )
+
+
+def paper_beside_elastic(names: Names) -> Figure:
+    """Draw the distance of each field from finite elements."""
+    tissue = names["problem"].tissue
+    shown = []
+    for solution in names["solutions"]:
+        apart = np.linalg.norm(solution.displacement - names["reference"], axis=-1)
+        shown.append((solution.provenance.model, np.where(tissue, apart, np.nan), "viridis", 2.0))
+    return panels(*shown, unit="px from finite elements")
+
+
+def random_deformations(names: Names) -> Figure:
+    """Draw the image and some of its deformations."""
+    images = [("original", names["brain"].image, "gray", None)]
+    images += [(f"seed {seed}", names["images"][seed], "gray", None) for seed in (0, 3, 5)]
+    return panels(*images, height=2.6)
+
+
+def registration(names: Names) -> Figure:
+    """Draw the distance of both fields from the truth."""
+    truth, tissue = names["truth"].displacement, names["tissue"]
+    shown = []
+    for title, field in (("demons alone", "registered"), ("with tissue", "elastic")):
+        apart = np.linalg.norm(names[field] - truth, axis=-1)
+        shown.append((title, np.where(tissue, apart, np.nan), "viridis", 4.0))
+    return panels(("image", names["brain"].image, "gray", None), *shown, unit="px from the truth")
+
+
+def slice_in_millimetres(names: Names) -> Figure:
+    """Draw the displacement and the landmarks."""
+    solution = names["solution"]
+    figure = panels(
+        ("displacement", magnitude(solution.displacement), "viridis", 3.0), unit="mm", height=2.6
+    )
+    figure.set_size_inches(5.0, 3.0)
+    axis = figure.axes[0]
+    axis.set_aspect(2.0)  # a row is twice as high as a column is wide
+    for mark in names["landmarks"].marks:
+        (row, col), (to_row, to_col) = mark.source, mark.target
+        axis.plot((col, to_col), (row, to_row), color="white")
+        axis.plot(to_col, to_row, "o", color="white", markersize=4)
+    return figure
+
+
+def stiff_disc(names: Names) -> Figure:
+    """Draw the stiffness and the largest strain, on a grid that moved."""
+    figure = panels(
+        ("stiffness", names["stiffness"], "viridis", 20.0),
+        ("largest strain, %", 100 * names["stretch"], "magma", 16.0),
+    )
+    add_grid(figure.axes[1], names["solution"])
+    return figure
+
+
+def sweep(_: Names) -> Figure:
+    """Draw how the ventricles shrink, for each stiffness of the tumour."""
+    figure = Figure(figsize=(4.6, 3.0), layout="constrained")
+    axis = figure.subplots()
+    areas: dict[str, list[tuple[float, float]]] = {}
+    for folder in sorted(Path("sweep/out").glob("brain_*")):
+        study, solution = read_study(folder / "brain.study")
+        growth, stiffness = folder.name.split("growth-tumour-")[1].split("_stiffness-tumour-")
+        rows = solution.measure(study.tissue.labels)
+        change = next(row.size_change for row in rows if row.label == 2)
+        areas.setdefault(stiffness, []).append((100 * float(growth), change))
+    for stiffness, points in areas.items():
+        axis.plot(*np.transpose(points), "o-", label=f"tumour of {stiffness} kPa")
+    axis.set(xlabel="growth of the tumour, %", ylabel="change of the ventricles' area, %")
+    axis.legend()
+    return figure
+
+
+def volume(names: Names) -> Figure:
+    """Draw the middle slice before and after, and its displacement."""
+    head, length = names["head"], names["length"]
+    plane = int(np.argwhere(head.tissue_labels == 3)[:, 0].mean())
+    return panels(
+        ("before", head.image[plane], "gray", None),
+        ("after", names["image"][plane], "gray", None),
+        ("displacement", length[plane], "viridis", float(length[plane].max())),
+        unit="mm",
+    )
+
+
+#: How the picture of each example is drawn.
+PICTURES: dict[str, Callable[[Names], Figure]] = {
+    draw.__name__: draw
+    for draw in (
+        growing_sphere,
+        stiff_disc,
+        growing_tumour,
+        slice_in_millimetres,
+        paper_beside_elastic,
+        registration,
+        volume,
+        sweep,
+        random_deformations,
+        drag,
+    )
+}
+
+
+def write_scan() -> None:
+    """Write the scan that the example of the growing sphere reads."""
+    import SimpleITK as sitk
+
+    head = head_phantom(size=96)
+    scan = sitk.GetImageFromArray(head.image.astype(np.float32))
+    scan.SetSpacing(tuple(map(float, head.spacing[::-1])))
+    sitk.WriteImage(scan, "scan.nii.gz")
+
+
+def draw_example(name: str) -> Figure:
+    """Run an example in a temporary folder, and draw its picture."""
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        if name == "growing_sphere":
+            write_scan()
+        with contextlib.redirect_stdout(io.StringIO()):
+            names = runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+        return PICTURES[name](names)
+
+
+def draw_notebook(path: Path) -> Figure:
+    """Run the cells of a notebook, and return its last figure."""
+    import matplotlib.pyplot as plt
+
+    names: Names = {}
+    with contextlib.redirect_stdout(io.StringIO()):
+        for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+            if cell["cell_type"] == "code":
+                exec(compile("".join(cell["source"]), path.name, "exec"), names)
+    return plt.gcf()
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as a small PNG."""
+    path.parent.mkdir(exist_ok=True)
+    drawn = io.BytesIO()
+    figure.savefig(drawn, dpi=RESOLUTION)
+    image = Image.open(drawn).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+    image.save(path, optimize=True)
+    print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1000:.0f} kB")
+
+
+def main(wanted: Sequence[str]) -> None:
+    """Draw the named pictures, or all of them."""
+    os.environ.setdefault("MPLBACKEND", "Agg")
+    mpl.use("Agg")
+    for name in PICTURES:
+        if not wanted or name in wanted:
+            save(draw_example(name), FOLDER / f"{name}.png")
+    for path in sorted(NOTEBOOKS.glob("*.ipynb")):
+        if not wanted or path.stem in wanted:
+            save(draw_notebook(path), NOTEBOOKS / "images" / f"{path.stem}.png")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,250 @@
+"""Pages of the documentation: links, commands, notebooks, pictures, and generated reference."""
+
+import importlib.util
+import os.path
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from napari_hmrf.command_line import parser_of_commands
+from napari_hmrf.ui.motion.tools import TOOLS
+
+ROOT = next(
+    folder for folder in Path(__file__).resolve().parents if (folder / "pyproject.toml").exists()
+)
+DOCS = ROOT / "docs"
+SHEET = DOCS / "reference" / "cheat-sheet.md"
+NOTEBOOKS = sorted(DOCS.glob("notebooks/*.ipynb"))
+
+pytestmark = pytest.mark.skipif(
+    not (DOCS / "tutorials").exists(), reason="needs a checkout of the repository"
+)
+
+
+def read(file):
+    return file.read_text(encoding="utf-8")
+
+
+def name(file):
+    return file.relative_to(ROOT).as_posix()
+
+
+def markdown_files():
+    """Return all Markdown files of the repository, without built and installed ones."""
+    skipped = {"_build", "build", "dist", "node_modules"}
+    return [
+        path
+        for path in sorted(ROOT.rglob("*.md"))
+        if not any(part in skipped or part.startswith(".") for part in path.relative_to(ROOT).parts)
+    ]
+
+
+@pytest.fixture(scope="module")
+def conf():
+    """Return the configuration of the site; it needs no Sphinx."""
+    spec = importlib.util.spec_from_file_location("conf_of_the_site", DOCS / "conf.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("page", markdown_files(), ids=name)
+def test_relative_links_lead_to_files(page):
+    text = re.sub(r"```.*?```|`[^`\n]*`", "", read(page), flags=re.DOTALL)
+    for target in re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", text):
+        assert Path(os.path.normpath(page.parent / target)).exists(), target
+
+
+def test_pages_are_sorted_into_tutorials_guides_concepts_and_reference(conf):
+    kinds = {"tutorials", "how-to", "concepts", "reference"}
+    further = {"validation", "development", "notebooks", "examples"}
+    folders = {path.parent.name for path in DOCS.glob("*/*.md")}
+    assert folders == kinds | further
+    menu = read(DOCS / "index.md")
+    captions = re.findall(r"^:caption: (.*)$", menu, re.MULTILINE)
+    assert captions[:4] == ["Tutorials", "How-to guides", "Concepts", "Reference"]
+    for kind in kinds:
+        assert f"{kind}/README" in menu
+
+
+def test_a_link_to_a_file_that_is_no_page_becomes_a_download(conf):
+    text = "[shaders](../../shaders/README.md#x), [page](../index.md), [code](../../docs/conf.py)"
+    assert conf.offer_files(text, "development/contributing") == text.replace(
+        "../../shaders", "path:../../shaders"
+    )
+
+
+# Shell
+
+
+def shell_lines():
+    """Yield each command line of the documentation that starts `napari-hmrf`, with its page."""
+    for page in [*DOCS.rglob("*.md"), ROOT / "README.md"]:
+        if "_build" not in page.parts:
+            for block in re.findall(r"```sh\n(.*?)```", read(page), flags=re.DOTALL):
+                for line in block.replace("\\\n", " ").splitlines():
+                    if line.strip().startswith("napari-hmrf "):
+                        yield name(page), line.strip()
+
+
+def test_each_command_line_of_the_documentation_can_be_parsed(capsys):
+    lines = list(shell_lines())
+    assert len(lines) > 15
+    for page, line in lines:
+        try:
+            parser_of_commands().parse_args(shlex.split(line)[1:])
+        except SystemExit:
+            pytest.fail(f"{page}: {line}\n{capsys.readouterr().err}")
+
+
+def test_the_shell_reference_has_every_command_and_option(conf):
+    text = conf.shell_commands()
+    parser = parser_of_commands()
+    commands = parser._subparsers._group_actions[0].choices
+    assert re.findall(r"^## (.*)$", text, re.MULTILINE) == list(commands)
+    sections = dict(re.findall(r"^## (\S+)\n(.*?)(?=^## |\Z)", text, re.MULTILINE | re.DOTALL))
+    for command, options in commands.items():
+        for action in options._actions:
+            for option in action.option_strings or [action.metavar]:
+                if option not in ("-h", "--help"):
+                    assert f"{option}" in sections[command], f"{command}: {option}"
+        assert "%(" not in sections[command]
+        assert f"napari-hmrf {command}" in sections[command].split("Example:")[1]
+    assert conf.SHELL_PAGE == "reference/shell"
+    content = [read(DOCS / "reference" / "shell.md")]
+    conf.show(None, conf.SHELL_PAGE, content)
+    assert content[0].endswith(text)
+
+
+# Cheat sheet
+
+
+def rows(title):
+    """Return the cells of the table under a heading of the cheat sheet."""
+    section = read(SHEET).split(f"## {title}\n")[1].split("\n## ")[0]
+    table = re.findall(r"^\| (.*) \|$", section, re.MULTILINE)
+    return [[cell.strip() for cell in row.split(" | ")] for row in table[2:]]
+
+
+def test_the_cheat_sheet_has_each_tool_with_its_key():
+    sheet = [(tool.strip("*"), key.strip("`")) for tool, key, _ in rows("Tools")]
+    assert sheet == [(tool.title, tool.key) for tool in TOOLS]
+
+
+def test_the_cheat_sheet_has_each_key_that_is_bound():
+    from napari_hmrf.layers.viewer_undo import KEYS
+    from napari_hmrf.ui.motion.pointer import Pointer
+    from napari_hmrf.ui.result.result_form import BEFORE_KEY
+
+    shown = {
+        key for key, _ in rows("Keys anywhere in the viewer") for key in re.findall(r"`(.*?)`", key)
+    }
+    bound = {key.replace("Control", "Ctrl").replace("-", "+") for key in (*KEYS, BEFORE_KEY)}
+    assert shown == bound | {"Ctrl+Shift+P"}
+    keys = set(Pointer.keys.fget(_Anything())) - {tool.key for tool in TOOLS}
+    shown = {
+        key for key, _ in rows("Keys while a tool is active") for key in re.findall(r"`(.*?)`", key)
+    }
+    assert shown == keys | {"Shift", "Space"}
+
+
+class _Anything:
+    """Object with any attribute, in place of a pointer: only the names of its keys matter."""
+
+    def __getattr__(self, name):
+        return name if name.startswith("__") else self._do
+
+    def _do(self, *_):
+        """Do nothing."""
+
+
+# Notebooks and pictures
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=name)
+def test_a_notebook_runs_and_stores_no_outputs(notebook, conf, monkeypatch, tmp_path, capsys):
+    import json
+
+    import matplotlib as mpl
+
+    cells = json.loads(read(notebook))["cells"]
+    assert all(not cell.get("outputs") for cell in cells)
+    assert len(read(notebook)) < 20_000
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(mpl, "rcParams", mpl.rcParams.copy())
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    names = {}
+    try:
+        for kind, source in conf.notebook_cells(read(notebook)):
+            if kind == "code":
+                exec(compile(source, notebook.name, "exec"), names)
+        assert plt.get_fignums()
+    finally:
+        plt.close("all")
+    CLAIMS[notebook.stem](names, capsys.readouterr().out)
+
+
+def _growing_sphere(names, printed):
+    assert names["error"] < 0.05 * names["exact"].max(), "as the closed form, but for its staircase"
+    assert 8 < names["ball"].size_change < names["free"]
+    assert "voxels that fold: 0" in printed
+
+
+def _landmarks(names, _):
+    import numpy as np
+
+    def rms(where, model):
+        return np.sqrt(np.mean(names["errors"][where, model][names["tissue"]] ** 2))
+
+    assert rms("on edges", "elastic") < rms("on edges", "paper, converged")
+    assert rms("on edges", "paper, converged") < rms("on edges", "paper")
+    assert rms("anywhere", "paper, converged") < rms("anywhere", "elastic"), "as the text says"
+
+
+def _augmentation(names, printed):
+    assert len(names["samples"]) == 5
+    assert len(re.findall("folds at 0$", printed, re.MULTILINE)) == 5
+    for labels in names["labels"]:
+        assert set(labels.ravel()) <= {0, 1, 2, 3}
+
+
+#: What the text of each notebook claims about its results.
+CLAIMS = {
+    "growing-sphere": _growing_sphere,
+    "landmarks": _landmarks,
+    "augmentation": _augmentation,
+}
+
+
+def test_a_notebook_becomes_a_page_with_its_code(conf):
+    (page,) = (path for path in NOTEBOOKS if path.stem == "growing-sphere")
+    text = conf.notebook_page(read(page))
+    assert text.startswith("# A growing sphere in 3-D\n")
+    assert "```python\nimport matplotlib" in text
+    listed = read(DOCS / "notebooks" / "README.md")
+    for notebook in NOTEBOOKS:
+        assert f"({notebook.name})" in listed
+
+
+def test_links_of_notebooks_lead_to_files(conf):
+    for notebook in NOTEBOOKS:
+        text = conf.notebook_page(read(notebook))
+        for target in re.findall(r"\]\((?!https?:)([^)#\s]+\.(?:md|png|ipynb))", text):
+            assert (notebook.parent / target).exists(), f"{notebook.name}: {target}"
+
+
+def test_each_example_and_notebook_has_a_small_picture():
+    page = read(DOCS / "examples" / "README.md")
+    pictures = [*DOCS.glob("examples/images/*.png"), *DOCS.glob("notebooks/images/*.png")]
+    assert sum(picture.stat().st_size for picture in pictures) < 1_000_000
+    drawn = {picture.stem for picture in DOCS.glob("examples/images/*.png")}
+    assert drawn == {example.stem for example in ROOT.glob("examples/*.py")}
+    for example in drawn:
+        assert page.index(f"](images/{example}.png)") < page.index(f"../../examples/{example}.py")
+    for notebook in NOTEBOOKS:
+        assert f"](images/{notebook.stem}.png)" in read(notebook)
+        assert (notebook.parent / "images" / f"{notebook.stem}.png").exists()
