@@ -140,7 +140,7 @@ def test_a_gap_beside_what_stays_is_closed_by_its_rim():
             FileFormatError,
             r"field\.txt: fields are not written in such a format\. End",
         ),
-        ("f.mha", {"displacement": np.zeros((4, 5))}, ProblemError, r"has shape \(4, 5\), but"),
+        ("f.mha", {"displacement": np.zeros((4, 5))}, ProblemError, r"has shape \(4, 5\)\. Give"),
         ("f.mha", {"displacement": np.zeros((4, 5, 3))}, ProblemError, r"has shape \(4, 5, 3\)"),
         ("f.mha", {"displacement": np.full((4, 5, 2), np.nan)}, ProblemError, "NaN or infinite"),
         (
