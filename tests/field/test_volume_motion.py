@@ -147,7 +147,7 @@ def test_a_motion_known_at_some_voxels_is_linear_between_them(every):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ((20, hill()), "number: is 20. Give a slice"),
+        ((20, hill()), "number: is 20. Give the index of a slice"),
         ((3, hill()[1:]), "displacement: has shape"),
         ((3, hill(), np.ones(SHAPE[1:])), "tissue: has shape"),
         ((3, np.full((*SHAPE, 3), np.nan)), "displacement: is NaN"),
@@ -328,7 +328,7 @@ def test_a_field_without_a_unit_is_taken_on_its_voxels_in_the_order_of_the_axes(
     found = known.on(here, tuple(SHAPE[axis] for axis in order))
     expected = steps.transpose(*order, 3)[..., list(order)] * sizes
     np.testing.assert_allclose(found.displacement, expected, rtol=1e-5)
-    with pytest.raises(ProblemError, match="but the image 14 x 15 x 16 in mm"):
+    with pytest.raises(ProblemError, match="but the image is 14 x 15 x 16 in mm"):
         known.on(here, SHAPE)
     slice_ = DisplacementField.in_pixels(steps[0, ..., 1:])
     with pytest.raises(ProblemError, match="not a slice of this grid"):
@@ -371,7 +371,7 @@ def test_points_and_images_on_other_grids_go_with_a_volume():
     seen = same.moved_pixels(image, order=1)
     expected = warp(image, found.displacement, spacing=SIZE, fill=image.min())
     np.testing.assert_allclose(seen, expected, atol=1e-6)
-    with pytest.raises(ProblemError, match="has 2 axes, and not those"):
+    with pytest.raises(ProblemError, match="has 2 axes and lacks an axis"):
         OtherGrid.of(found, here, Frame.at((1.0, 1.0), ("mm", "mm")))
 
 

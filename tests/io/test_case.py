@@ -319,7 +319,7 @@ def test_a_study_says_itself_what_to_compute_and_what_was_guessed_is_said(files,
     assert main(["solve", study, "-o", str(folder / "out"), "--hold-edge", "--model", "paper"]) == 1
     assert "Leave out --hold-edge, --model, or give the image" in capsys.readouterr().err
     assert main(["replay", study, "--image", str(folder / "rim.png")]) == 1
-    assert "rim.study holds its own image. Leave out --image." in capsys.readouterr().err
+    assert "rim.study contains its own image. Leave out --image." in capsys.readouterr().err
     assert main(["measure", study, "-o", str(folder / "t.xlsx")]) == 1
     said = capsys.readouterr().err
     assert "t.xlsx: measurements are saved as comma-separated text. End the name in .csv." in said
@@ -334,7 +334,10 @@ def test_a_study_says_itself_what_to_compute_and_what_was_guessed_is_said(files,
     [
         (("export", "gone.study", "f.mha"), "gone.study: there is no such file or folder. Check"),
         (("export", ".", "f.mha"), "it is a folder. Name a file in it."),
-        (("export", "f.mha", "no/f.nrrd"), "cannot save the file: its folder is not there. Make"),
+        (
+            ("export", "f.mha", "no/f.nrrd"),
+            "cannot save the file: its folder does not exist. Create",
+        ),
         (("export", "f.mha", "folder.mha"), "cannot save the file: it is a folder. Give the name"),
         (
             ("apply", "f.mha", "rim.png", "-o", "rim.png"),
@@ -471,7 +474,7 @@ def test_a_field_in_mm_moves_an_image_without_them_by_its_pixels(tmp_path):
     np.testing.assert_allclose(study.motion.observed[known], d[known], atol=1e-6)
     write_field(tmp_path / "small.mha", d[:9], spacing=(0.5, 0.25), forward=True)
     with pytest.raises(
-        ProblemError, match=r"small\.mha: is 9 x 36 in mil.*, but the image 30 x 36"
+        ProblemError, match=r"small\.mha: is 9 x 36 in mil.*, but the image is 30 x 36"
     ):
         read_case(Case(tmp_path / "photo.png", boundary=tmp_path / "small.mha"))
 

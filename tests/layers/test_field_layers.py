@@ -172,7 +172,7 @@ def test_pixels_are_taken_for_pixels_where_an_image_has_no_millimetres(tmp_path,
     held = field_of(dock.boundary).field.displacement
     study = dock.study
     np.testing.assert_allclose(study.motion.observed, held, atol=1e-6)
-    assert study.notes[-1].startswith("'warp' is in millimeter and the image in pixel: a pixel of")
+    assert study.notes[-1].startswith("'warp' is in millimeter and the image in pixel: the")
 
 
 def test_a_field_that_lies_elsewhere_is_refused_by_its_name(tmp_path, dock_beside):
@@ -184,7 +184,7 @@ def test_a_field_that_lies_elsewhere_is_refused_by_its_name(tmp_path, dock_besid
         _ = in_mm.study
     in_pixels, viewer = dock_beside(photo(), opened(tmp_path / "small.mha"))
     in_pixels.boundary = viewer.layers["small"]
-    with pytest.raises(ProblemError, match="'small' is 20 x 20 in millimeter, but the image 40"):
+    with pytest.raises(ProblemError, match="'small' is 20 x 20 in millimeter, but the image is 40"):
         _ = in_pixels.study
 
 
