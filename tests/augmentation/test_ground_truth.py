@@ -179,4 +179,4 @@ def test_a_study_with_its_labels_is_all_it_takes(files, capsys):
     assert 1.5 <= max(np.linalg.norm(rule.vector) for rule in drawn) <= 2
     assert not read_study(files / "again" / "001" / "truth.study").study.motion.hold_edge
     assert main(["truth", str(files / "scan.mha"), "-o", str(files / "none")]) == 1
-    assert "without labels: give --labels, or --maps" in capsys.readouterr().err
+    assert "has no labels. Give --labels, or --maps" in capsys.readouterr().err

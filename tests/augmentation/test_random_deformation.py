@@ -317,7 +317,7 @@ def test_unit_solutions_are_kept_in_single_precision_and_refused_where_memory_en
     causes = 2 * len(random.sample(0).causes.pulls) + 1 + 2
     tissue = random.tissue.sum()
     assert random.nbytes == causes * tissue * 2 * 4
-    with pytest.raises(ProblemError, match=r"64 x 64.* GiB are allowed: 3 of them"):
+    with pytest.raises(ProblemError, match=r"64 x 64.* GiB are allowed, enough for 3"):
         RandomDeformation(labels(), MATERIALS, memory=3.5 * tissue * 8, spacing=1)
 
 

@@ -175,7 +175,7 @@ def test_void_is_not_dragged_along_whatever_its_displacement_says():
 
 
 def test_it_belongs_to_the_compute_thread():
-    with pytest.raises(RuntimeError, match="compute thread; call warp"):
+    with pytest.raises(RuntimeError, match="compute thread only; call warp"):
         Warper(image_of("uint8"), spacing=(1, 1))(rough_field(0, 1.0))
 
 

@@ -147,7 +147,7 @@ def test_a_motion_known_at_some_voxels_is_linear_between_them(every):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ((20, hill()), "number: is 20. Give the index"),
+        ((20, hill()), "number: is 20. Give the index of a slice"),
         ((3, hill()[1:]), "displacement: has shape"),
         ((3, hill(), np.ones(SHAPE[1:])), "tissue: has shape"),
         ((3, np.full((*SHAPE, 3), np.nan)), "displacement: is NaN"),

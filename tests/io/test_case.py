@@ -334,7 +334,10 @@ def test_a_study_says_itself_what_to_compute_and_what_was_guessed_is_said(files,
     [
         (("export", "gone.study", "f.mha"), "gone.study: there is no such file or folder. Check"),
         (("export", ".", "f.mha"), "it is a folder. Name a file in it."),
-        (("export", "f.mha", "no/f.nrrd"), "cannot save the file: its folder does not exist"),
+        (
+            ("export", "f.mha", "no/f.nrrd"),
+            "cannot save the file: its folder does not exist. Create",
+        ),
         (("export", "f.mha", "folder.mha"), "cannot save the file: it is a folder. Give the name"),
         (
             ("apply", "f.mha", "rim.png", "-o", "rim.png"),

@@ -172,9 +172,7 @@ def test_pixels_are_taken_for_pixels_where_an_image_has_no_millimetres(tmp_path,
     held = field_of(dock.boundary).field.displacement
     study = dock.study
     np.testing.assert_allclose(study.motion.observed, held, atol=1e-6)
-    assert study.notes[-1].startswith(
-        "'warp' is in millimeter and the image in pixel: the pixels of"
-    )
+    assert study.notes[-1].startswith("'warp' is in millimeter and the image in pixel: the")
 
 
 def test_a_field_that_lies_elsewhere_is_refused_by_its_name(tmp_path, dock_beside):

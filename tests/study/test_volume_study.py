@@ -95,7 +95,7 @@ def test_an_edit_in_a_volume_rewrites_only_where_it_is():
 def test_marks_of_two_and_three_axes_are_refused():
     with pytest.raises(ProblemError, match="two and of three axes"):
         Arrow((1, 2, 3), (1, 0), 2)
-    with pytest.raises(ProblemError, match="places of a brush"):
+    with pytest.raises(ProblemError, match="paths of a brush"):
         Stroke("pin", (((1, 2), (1, 2, 3)),), 2)
 
 

@@ -218,8 +218,8 @@ def test_what_is_drawn_is_what_tissue_does():
         (lambda: Arrow((0, 0), (1, 1), 2, components="z"), "observed", "both or row or col"),
         (lambda: Landmark((0, 0), (1, 1), 2, confidence=1.5), "confidence", "from 0 to 1"),
         (lambda: Stroke("melt", (((0, 0),),), 1), "observed", "pin or free"),
-        (lambda: Stroke("pin", (), 1), "observed", "places of a brush"),
-        (lambda: Stroke("pin", ((),), 1), "observed", "places of a brush"),
+        (lambda: Stroke("pin", (), 1), "observed", "paths of a brush"),
+        (lambda: Stroke("pin", ((),), 1), "observed", "paths of a brush"),
     ],
 )
 def test_marks_that_mean_nothing_are_refused(make, field, hint):
