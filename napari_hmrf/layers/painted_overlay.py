@@ -16,7 +16,7 @@ from napari_hmrf.tissue.drawing import Canvas, Drawing, Stroke
 from napari_hmrf.tissue.drawing.canvas import Box
 
 
-class Seen(NamedTuple):
+class ShownDeformation(NamedTuple):
     """A deformation with the marks that show what is painted on it.
 
     Attributes
@@ -59,8 +59,8 @@ class PaintedOverlay:
             show_painted(canvas, ground.base, window, *(np.asarray(each.image) for each in over))
         return over
 
-    def on(self, moved: Deformation) -> Seen:
+    def on(self, moved: Deformation) -> ShownDeformation:
         """Return the newest deformation with the marks of what is painted on it."""
         if self._canvas is None or not moved.overlay or not moved.overlay[0].any():
-            return Seen(moved)
-        return Seen(moved, painted_marks(self._canvas))
+            return ShownDeformation(moved)
+        return ShownDeformation(moved, painted_marks(self._canvas))

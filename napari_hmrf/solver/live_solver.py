@@ -26,7 +26,7 @@ from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, run_
 #: Tolerance of a live solution, in pixels: less than is visible.
 TOLERANCE = 0.01
 #: Tolerance of a preview, in pixels.
-GLANCE = 0.3
+PREVIEW_TOLERANCE = 0.3
 #: A preview is shown if the first solution is expected to take longer than this, in seconds.
 PATIENCE = 0.1
 # Time of a cold start per site on two cores, in seconds.
@@ -53,7 +53,7 @@ class Update:
     error : Exception or None
         Such as a `ProblemError`, if the problem cannot be solved yet.
     final : bool
-        False for a preview, which is within `GLANCE` pixels and is followed by the final solution
+        False for a preview, which is within `PREVIEW_TOLERANCE` pixels. The final solution follows
         unless there is a newer edit.
     seconds : float
         Time since the edit was submitted.
@@ -140,7 +140,7 @@ class LiveSolver:
         self,
         problem: Input | Callable[[], Input],
         *,
-        glance: bool = True,
+        preview: bool = True,
         patience: float | None = None,
     ) -> int:
         """Submit an edit, which replaces the one that waits.
@@ -151,7 +151,7 @@ class LiveSolver:
             A callable is called on the compute thread, unless the edit is replaced before, and
             returns the problem; an error that it raises is delivered. Building a problem may take
             as long as a solve, which an edit that is replaced does not cost.
-        glance : bool
+        preview : bool
             Whether a preview may be delivered if the solution takes long. Without a preview, the
             first edit after `forget` has the same bits as `solve` has.
         patience : float, optional
@@ -168,7 +168,7 @@ class LiveSolver:
         RuntimeError
             After `close`.
         """
-        edit = _Edit(problem, self.prior, self.optimizer, self.backend, glance)
+        edit = _Edit(problem, self.prior, self.optimizer, self.backend, preview)
         patience = math.inf if patience is None else patience
         return self._queue.submit(partial(self._answer, edit), patience).generation
 
@@ -240,8 +240,8 @@ class LiveSolver:
             self._earlier.look_at(problem, turn.series)
             solve = partial(self._solve, problem, prior, edit.backend, stop=turn)
             optimizer = edit.optimizer
-            if edit.glance and self._takes_long(problem) and isinstance(optimizer, Multigrid):
-                preview = solve(replace(optimizer, tolerance=GLANCE))
+            if edit.preview and self._takes_long(problem) and isinstance(optimizer, Multigrid):
+                preview = solve(replace(optimizer, tolerance=PREVIEW_TOLERANCE))
                 self._say(turn, problem, preview, final=False)
                 turn.patience = 0
             self._say(turn, problem, solve(optimizer))
@@ -305,4 +305,4 @@ class _Edit(NamedTuple):
     prior: Prior
     optimizer: Optimizer
     backend: str
-    glance: bool
+    preview: bool

@@ -90,7 +90,7 @@ class CoarseGrid:
 
 
 @dataclass(frozen=True)
-class Glance:
+class Preview:
     """Preview during a drag of tissue that is too slow to solve on the full grid.
 
     Attributes

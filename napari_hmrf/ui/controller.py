@@ -17,7 +17,7 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.metadata import METADATA
-from napari_hmrf.layers.painted_overlay import Seen
+from napari_hmrf.layers.painted_overlay import ShownDeformation
 from napari_hmrf.layers.screen_directions import ways_of
 from napari_hmrf.layers.slice_view import plane_shown
 from napari_hmrf.study.drag_preview import as_dragged, drag_preview
@@ -103,7 +103,7 @@ class Controller:
         self._results: weakref.WeakKeyDictionary[Layer, CompleteResult]
         self._results = weakref.WeakKeyDictionary()
         self.settling = False
-        self.engine = PacedEngine(self._on_seen, self._on_complete)
+        self.engine = PacedEngine(self._on_answer, self._on_complete)
         self._submitted: Study | None = None
         # Reason why the tissue cannot follow, report of the last result, and last message of both.
         self._failed = self._report = self._told = ""
@@ -221,7 +221,7 @@ class Controller:
             self._resting.start()
             return
         moved = self.pointer.display.moved
-        if moved is not None and (moved.glance or moved.study.optimizer != study.optimizer):
+        if moved is not None and (moved.preview or moved.study.optimizer != study.optimizer):
             self._submitted = None  # solve at full accuracy after a drag
             self._follow(study)
         else:
@@ -304,17 +304,17 @@ class Controller:
             volume, place = len(study.grid.shape) == 3, study.grid.known_place
             plane = plane_shown(place, self.form.view()) if volume else None
             study, preview = as_dragged(study), drag_preview(study, plane)
-        self.engine.submit(study, self._model.model.details.device, glance=preview)
+        self.engine.submit(study, self._model.model.details.device, preview=preview)
 
-    def _on_seen(self, seen: Seen) -> None:
-        study, moved = self.study, seen.moved
+    def _on_answer(self, state: ShownDeformation) -> None:
+        study, moved = self.study, state.moved
         if study is None or moved.study.grid != study.grid:
             return
         self.progress.restart()
         if moved.error is not None and moved.settled:
             self._refuse(moved.error)
             return
-        self.pointer.show(seen)
+        self.pointer.show(state)
         if moved.error is not None:
             self._submitted = None
             if not self.pointer.active:  # else the pointer has reported the error

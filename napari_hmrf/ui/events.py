@@ -41,7 +41,7 @@ def repeating(parent: QObject | None, milliseconds: int, answer: Callable[[], ob
     return timer
 
 
-class Listening:
+class EventConnections:
     """Has events answered, until it is released.
 
     Parameters

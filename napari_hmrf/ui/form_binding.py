@@ -23,7 +23,7 @@ from napari_hmrf.study.study_model import BRIGHTNESS, MODEL_PART, ImageChoice, P
 from napari_hmrf.tissue.row_table import change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
-from napari_hmrf.ui.events import Listening
+from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.messages import CHOOSE, EDGE_GOES, NOT_CHOSEN, WELCOME
 
 
@@ -85,7 +85,7 @@ class FormBinding:
         form.footer.undo.changed.connect(lambda _: undo.undo())
         form.footer.redo.changed.connect(lambda _: undo.redo())
         show = partial(form.footer.show_steps, undo)
-        self._heard = Listening(
+        self._connections = EventConnections(
             (model.changed, self._on_changed),
             (model.selected, self._on_selected),
             (model.steps_changed, show),
@@ -270,7 +270,7 @@ class FormBinding:
     def release(self) -> None:
         """Disconnect, as the dock was closed or its window is gone."""
         self._undo.unbind_keys(self)
-        self._heard.release()
+        self._connections.release()
         self.automatic = True  # the closed form writes nothing any more
 
     def write(self, *, step: bool = True) -> None:

@@ -12,7 +12,7 @@ from napari_hmrf.study.edit_history import Step
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
-from napari_hmrf.ui.events import Listening
+from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.motion import motion_messages
 
 #: Reason for the current sentence. "step" and "refused" stay until a new action begins, and
@@ -54,11 +54,11 @@ class Guide:
         controller.progress.doing.connect(self._on_doing)
         controller.moved_on.connect(self.show)
         controller.followed.connect(self._on_followed)
-        self._heard = Listening((undo.said, self._on_step))
+        self._connections = EventConnections((undo.said, self._on_step))
 
     def release(self) -> None:
         """Stop listening to the undo of the viewer."""
-        self._heard.release()
+        self._connections.release()
 
     @property
     def shown(self) -> str:

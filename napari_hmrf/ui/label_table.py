@@ -18,7 +18,7 @@ from napari_hmrf.layers.pixel_copy import CHANGES
 from napari_hmrf.layers.slice_view import View, copy_slice, frame_of
 from napari_hmrf.tissue.boundary_rules import unlisted
 from napari_hmrf.tissue.row_table import Row, RowTable
-from napari_hmrf.ui.events import Listening, single_shot
+from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.forms import CalmField
 
 #: Columns of every table.
@@ -95,7 +95,7 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._view = view
         self._contents: RowTable[Row] = RowTable(())
         self._layer: Any = None
-        self._heard = Listening()
+        self._connections = EventConnections()
         self._timer = single_shot(self, _PAUSE, self.look)
         self._fill()
         self.verticalHeader().hide()
@@ -182,7 +182,7 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._show(table_of(layer, self.role))
         self._list_painted()
         self._mark()
-        self._heard = Listening(
+        self._connections = EventConnections(
             (layer.events.selected_label, self._mark),
             # Debounced: reading the labels of a large image takes longer than a stroke.
             *((getattr(layer.events, name), lambda _: self._timer.start()) for name in _EVENTS),
@@ -193,7 +193,7 @@ class LabelTable(QTableWidget, Generic[Row]):
         """Stop listening to the layer."""
         with suppress(RuntimeError):  # Qt may have deleted it at exit
             self._timer.stop()
-        self._heard.release()
+        self._connections.release()
         self._layer = None
 
     def look(self) -> None:

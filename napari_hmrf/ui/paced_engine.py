@@ -10,10 +10,10 @@ from functools import partial
 from napari_hmrf.errors import Cancelled
 from napari_hmrf.field.rehearsal import rehearse
 from napari_hmrf.layers.complete_result import CompleteResult, complete_result
-from napari_hmrf.layers.painted_overlay import PaintedOverlay, Seen
+from napari_hmrf.layers.painted_overlay import PaintedOverlay, ShownDeformation
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers import Monitor
-from napari_hmrf.study.coarse_grid import Glance
+from napari_hmrf.study.coarse_grid import Preview
 from napari_hmrf.study.engine import Deformation, Engine
 from napari_hmrf.study.study import Study
 from napari_hmrf.ui.background_jobs import BackgroundJobs
@@ -33,13 +33,13 @@ class PacedEngine:
     Parameters
     ----------
     show : callable
-        Called on the GUI thread with each answer, as a `Seen`.
+        Called on the GUI thread with each answer, as a `ShownDeformation`.
     finish : callable
         Called on the GUI thread with a `CompleteResult`, some time after `complete`.
     """
 
     def __init__(
-        self, show: Callable[[Seen], None], finish: Callable[[CompleteResult], None]
+        self, show: Callable[[ShownDeformation], None], finish: Callable[[CompleteResult], None]
     ) -> None:
         self._show, self._finish = show, finish
         self._gui = GuiThread()
@@ -54,12 +54,12 @@ class PacedEngine:
         study: Study,
         backend: str = "auto",
         settle: bool = False,
-        glance: Glance | None = None,
+        preview: Preview | None = None,
     ) -> None:
         """Submit a study, as `Engine.submit`; with `settle`, drop earlier work first."""
         if settle:
             self.forget()
-        self._engine.submit(study, backend, settle, glance)
+        self._engine.submit(study, backend, settle, preview)
 
     def complete(self) -> None:
         """Make the layers of the latest answer in the background, unless a newer one is due."""
@@ -105,11 +105,11 @@ class PacedEngine:
     # On the compute thread
 
     def _deliver(self, answer: Deformation) -> None:
-        seen = self._overlay.on(answer)
+        state = self._overlay.on(answer)
         self._engine.hold()
-        self._gui.submit(partial(self._on_seen, seen))
+        self._gui.submit(partial(self._on_answer, state))
 
-    def _completed(self) -> CompleteResult | Seen | None:
+    def _completed(self) -> CompleteResult | ShownDeformation | None:
         """Make all layers of the latest answer; None if there is none or a newer one is due."""
         latest = self._engine.latest
         if latest is None or latest.solution is None:
@@ -121,20 +121,20 @@ class PacedEngine:
             return None
         except Exception as error:  # noqa: BLE001 - every error is reported to the user
             _log.exception("a result could not be drawn")
-            return Seen(replace(latest, error=error))
+            return ShownDeformation(replace(latest, error=error))
 
     # On the GUI thread
 
-    def _on_seen(self, seen: Seen) -> None:
-        if not self._engine.is_current(seen.moved):
+    def _on_answer(self, state: ShownDeformation) -> None:
+        if not self._engine.is_current(state.moved):
             return
         # The error of a study that was replaced is corrected by now, or will be reported again.
-        if seen.moved.error is None or not self._engine.waits:
-            self._show(seen)
+        if state.moved.error is None or not self._engine.waits:
+            self._show(state)
         self._repainted.ask()
 
-    def _on_completed(self, completed: CompleteResult | Seen | None) -> None:
-        if isinstance(completed, Seen):
+    def _on_completed(self, completed: CompleteResult | ShownDeformation | None) -> None:
+        if isinstance(completed, ShownDeformation):
             self._show(completed)
         elif completed is not None and not self.busy:
             self._finish(completed)

@@ -11,7 +11,7 @@ from qtpy.QtWidgets import QGridLayout, QLabel
 
 from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.layers.screen_directions import Sides
-from napari_hmrf.ui.events import Listening
+from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.layer_choice import LayerChoice
 
 #: Read on dark tissue and on bright.
@@ -41,7 +41,7 @@ class PatientSides:
         self._viewer, self._image = viewer, image
         self._labels: list[QLabel] = []
         dims = viewer.dims.events
-        self._heard = Listening(
+        self._connections = EventConnections(
             (dims.order, self.look),
             (dims.ndisplay, self.look),
             (camera_of(viewer).events.orientation, self.look),
@@ -85,7 +85,7 @@ class PatientSides:
 
     def release(self) -> None:
         """Take them away."""
-        self._heard.release()
+        self._connections.release()
         for label in self._labels:
             with suppress(RuntimeError):  # gone with their window
                 label.deleteLater()

@@ -18,7 +18,7 @@ from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.ui.controller import Controller
-from napari_hmrf.ui.events import Listening
+from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.result.result_view import ResultView
 
 #: Looks of the moving image and of the second one; where both are equal, they add up to grey.
@@ -50,16 +50,16 @@ class SecondImage:
         self._place = 0
         choices = (self._image, self._form.second, self._pair.where, self._pair.should)
         changes = (view.looked, *(choice.changed for choice in choices))
-        self._heard = Listening(
+        self._connections = EventConnections(
             (viewer.layers.events.inserted, self.look), *((change, self.look) for change in changes)
         )
-        self._points = Listening()
+        self._points = EventConnections()
         # Layer and column of features with the residuals.
         self._residuals: tuple[Any, str] | None = None
 
     def release(self) -> None:
         """Restore all layers, and stop listening."""
-        self._heard.release()
+        self._connections.release()
         self._points.release()
         self._draw(None, [])
 
@@ -70,7 +70,7 @@ class SecondImage:
         self._draw(self._form.second.value, moved)
         self._points.release()
         pair = {*self._pair.pair} - {None}
-        self._points = Listening(*((layer.events.data, self._on_points) for layer in pair))
+        self._points = EventConnections(*((layer.events.data, self._on_points) for layer in pair))
         self._measure()
 
     def _draw(self, other: Any, moved: list[Any]) -> None:

@@ -33,7 +33,7 @@ from napari_hmrf.study.study_model import Part
 from napari_hmrf.tissue.drawing.drawing import Drawing, ends_of
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
-from napari_hmrf.ui.events import Listening, single_shot
+from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.forms import Prose, row
 from napari_hmrf.ui.remembered_settings import settings
 
@@ -117,7 +117,7 @@ class Unsaved(QObject):
         self._model, self._work = self._undo.model, shared(viewer, UnsavedWork)
         self._writer = threading.Thread()
         self._resting = single_shot(dock.native, _REST, self._keep)
-        self._heard = Listening((self._model.changed, self._on_edited))
+        self._connections = EventConnections((self._model.changed, self._on_edited))
         dock.insert(0, LeftBehind(lambda file: attempt(partial(self._take_up, file))))
         _all.add(self)
 
@@ -298,7 +298,7 @@ class Unsaved(QObject):
     def release(self) -> None:
         """Disconnect from edits, as the dock was closed or its window is gone."""
         _all.discard(self)
-        self._heard.release()
+        self._connections.release()
         self._resting.stop()
 
 

@@ -19,7 +19,7 @@ from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
-from napari_hmrf.ui.events import Listening, single_shot
+from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.motion.motion_messages import ARROWS_GONE
 
@@ -74,7 +74,7 @@ class ViewerWatch:
             "mode": self._on_mode,
             **dict.fromkeys((*CHANGES, *PLACE), self._on_pixels),
         }
-        self._events = Listening(
+        self._events = EventConnections(
             (viewer.layers.events, self._on_layers),
             (viewer.layers.selection.events.active, self._on_active),
             (viewer.dims.events, self._on_slice),

@@ -15,7 +15,7 @@ from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.image_result import CONFIDENCE, PAINTED, Result, ResultLayers
 from napari_hmrf.layers.paint_layer import confidence_layer, number_of, painted_layer, way_of
-from napari_hmrf.layers.painted_overlay import Seen
+from napari_hmrf.layers.painted_overlay import ShownDeformation
 from napari_hmrf.layers.result_layers import Kind, LayerData, picture_layer
 from napari_hmrf.layers.viewer_layers import shared, still_there
 from napari_hmrf.study.engine import Deformation
@@ -44,7 +44,7 @@ class Display:
     Attributes
     ----------
     arrows : ArrowsLayer
-    seen : Seen or None
+    state : ShownDeformation or None
         Visible state of the tissue.
     tissues : dict of int to colour
         Colours of the paintable tissues, by label.
@@ -54,7 +54,7 @@ class Display:
 
     def __init__(self, native: Any, viewer: Any, listener: CanvasListener) -> None:
         self.arrows = ArrowsLayer(viewer, listener)
-        self.seen: Seen | None = None
+        self.state: ShownDeformation | None = None
         # Paint, deformed with the tissue, and the current stroke, which lies on top.
         self._painted: npt.NDArray[np.uint8] | None = None
         self._stroke: Stroke | None = None
@@ -71,7 +71,7 @@ class Display:
     @property
     def moved(self) -> Deformation | None:
         """Visible deformation, or None."""
-        return None if self.seen is None else self.seen.moved
+        return None if self.state is None else self.state.moved
 
     @property
     def result(self) -> Result | None:
@@ -86,7 +86,7 @@ class Display:
         self._stroke_waits.stop()
         before, moved = self.result, self.moved
         self._image = image
-        self.seen = self._painted = self._stroke = None
+        self.state = self._painted = self._stroke = None
         self._whole, self._pieced = None if study is None else study.pictures.image, False
         with self.own_doing():
             if before is not None and moved is not None:
@@ -94,7 +94,7 @@ class Display:
                 if moved.ground is not None and not moved.moves:
                     before.remove()  # its picture shows no motion
             if study is not None:
-                self.seen = Seen(Deformation(study, image=study.pictures.image))
+                self.state = ShownDeformation(Deformation(study, image=study.pictures.image))
                 self.arrows.place(study.grid.known_place, study.grid.shape, drawn)
                 self._results.stand_on(image, study.grid.known_place)
 
@@ -107,12 +107,12 @@ class Display:
         place = [self._viewer.cursor.position]
         return None if lowest is None else image_covering(self._viewer, lowest, place)
 
-    def show(self, seen: Seen, stroke: Stroke | None) -> None:
+    def show(self, state: ShownDeformation, stroke: Stroke | None) -> None:
         """Show a new state of the tissue, with the stroke that is being painted."""
-        moved, result = seen.moved, self.result
+        moved, result = state.moved, self.result
         picture = self._picture_of(moved)
-        self.seen = seen
-        self._take_paint(seen, stroke)
+        self.state = state
+        self._take_paint(state, stroke)
         with self.own_doing():
             # Show undeformed tissue, too, so that the first motion finds its layer.
             if picture is not None and (moved.moves or self.arrows.active):
@@ -128,22 +128,23 @@ class Display:
 
     def _picture_of(self, moved: Deformation) -> Any:
         """Return the deformed image; one slice of a volume may be newer than the rest."""
-        if moved.glance is None or moved.glance.axis is None:
+        if moved.preview is None or moved.preview.axis is None:
             self._whole, self._pieced = moved.image, False
         elif moved.image is not None:
             if not self._pieced:
                 self._whole, self._pieced = np.array(self._whole), True
-            np.moveaxis(self._whole, moved.glance.axis, 0)[moved.glance.number] = moved.image
+            np.moveaxis(self._whole, moved.preview.axis, 0)[moved.preview.number] = moved.image
         return self._whole
 
     def finish(self, done: CompleteResult | None) -> None:
         """Show all layers of a state at rest; with None, only the undeformed image."""
-        seen = self.seen
-        assert seen is not None
-        image, layers = seen.moved.study.pictures.image, {} if done is None else done.outputs.layers
-        still = replace(seen.moved, solution=None, image=image, overlay=(), glance=None)
+        state = self.state
+        assert state is not None
+        image = state.moved.study.pictures.image
+        layers = {} if done is None else done.outputs.layers
+        still = replace(state.moved, solution=None, image=image, overlay=(), preview=None)
         moved = still if done is None else done.moved
-        self.seen = Seen(moved, seen.marks if moved.overlay else None)
+        self.state = ShownDeformation(moved, state.marks if moved.overlay else None)
         self._picture_of(moved)
         with self.own_doing():
             self._show_result(layers)
@@ -151,27 +152,27 @@ class Display:
 
     def _show_result(self, layers: Mapping[Kind, LayerData], moving: bool = False) -> None:
         """Show layers of the result, with the paint."""
-        seen, result = self.seen, self.result
-        assert seen is not None
-        place, shown = seen.moved.study.grid.known_place, dict[Any, LayerData](layers)
-        if seen.confidence is not None:
-            shown[CONFIDENCE] = confidence_layer(place, seen.confidence)
+        state, result = self.state, self.result
+        assert state is not None
+        place, shown = state.moved.study.grid.known_place, dict[Any, LayerData](layers)
+        if state.confidence is not None:
+            shown[CONFIDENCE] = confidence_layer(place, state.confidence)
         if (picture := self._picture()) is not None:
             shown[PAINTED] = painted_layer(place, picture, self.tissues)
         if result is not None:
             result.drop_paint(besides=shown)
         self._results.show(self._image, place, shown, moving=moving)
 
-    def show_painted(self, seen: Seen) -> None:
+    def show_painted(self, state: ShownDeformation) -> None:
         """Show the paint."""
-        self._take_paint(seen, None)
+        self._take_paint(state, None)
         with self.own_doing():
             self._show_painting()
 
-    def _take_paint(self, seen: Seen, stroke: Stroke | None) -> None:
+    def _take_paint(self, state: ShownDeformation, stroke: Stroke | None) -> None:
         self._stroke_waits.stop()
-        if seen.moved.glance is None:  # else the paint stays until the whole tissue has followed
-            self._painted = None if seen.marks is None else seen.moved.overlay[0]
+        if state.moved.preview is None:  # else the paint stays until the whole tissue has followed
+            self._painted = None if state.marks is None else state.moved.overlay[0]
         self._stroke = stroke
 
     def _picture(self) -> npt.NDArray[np.uint8] | None:
@@ -181,11 +182,11 @@ class Display:
             return painted
         grid = moved.study.grid
         lines = (moved.goes_to(np.array(line)).tolist() for line in stroke.lines)
-        seen = replace(stroke, lines=tuple(tuple(map(tuple, line)) for line in lines))
+        deformed = replace(stroke, lines=tuple(tuple(map(tuple, line)) for line in lines))
         picture = np.zeros(grid.shape, np.uint8) if painted is None else painted.copy()
-        box = box_of(seen, grid.spacing, tuple(slice(0, size) for size in grid.shape))
+        box = box_of(deformed, grid.spacing, tuple(slice(0, size) for size in grid.shape))
         number = number_of(stroke.action, stroke.label)
-        picture[box][covered(seen, grid.spacing, box)] = number
+        picture[box][covered(deformed, grid.spacing, box)] = number
         return picture
 
     def _show_painting(self) -> None:
@@ -214,11 +215,11 @@ class Display:
     def draw(self, drawing: Drawing, selected: int | None, is_dragging: bool) -> None:
         """Show arrows, landmarks, and the marks of the paint; during a drag as fast as possible."""
         below: list[Lines] = []
-        seen, mark = self.seen, None if selected is None else drawing.marks[selected]
-        if seen is not None and seen.marks is not None:
-            below.append(seen.marks)
-        if isinstance(mark, Stroke) and not is_dragging and seen and seen.moved.ground:
-            below.append(way_of(mark, seen.moved.study.grid.spacing, seen.moved.goes_to))
+        state, mark = self.state, None if selected is None else drawing.marks[selected]
+        if state is not None and state.marks is not None:
+            below.append(state.marks)
+        if isinstance(mark, Stroke) and not is_dragging and state and state.moved.ground:
+            below.append(way_of(mark, state.moved.study.grid.spacing, state.moved.goes_to))
         self.arrows.show(drawing, selected, below, quick=is_dragging)
 
     def leave(self) -> None:

@@ -11,7 +11,7 @@ from psygnal import Signal
 from napari_hmrf.field.frame import SlicePlace
 from napari_hmrf.layers.compat import text_of
 from napari_hmrf.layers.paint_layer import tissue_colours
-from napari_hmrf.layers.painted_overlay import Seen
+from napari_hmrf.layers.painted_overlay import ShownDeformation
 from napari_hmrf.layers.viewer_undo import ViewerUndo
 from napari_hmrf.study.edit_history import Step
 from napari_hmrf.study.study import Study
@@ -94,7 +94,7 @@ class Pointer:
     @property
     def active(self) -> bool:
         """True if the mouse draws."""
-        return self.display.seen is not None and self.display.arrows.active
+        return self.display.state is not None and self.display.arrows.active
 
     @property
     def keys(self) -> dict[str, Callable[[], object]]:
@@ -151,15 +151,15 @@ class Pointer:
 
     def take(self) -> None:
         """Start drawing with the mouse."""
-        seen = self.display.seen
-        if seen is None:
+        state = self.display.state
+        if state is None:
             return
-        moved, circle = seen.moved, self.tool.cursor(self._fields.settings)
+        moved, circle = state.moved, self.tool.cursor(self._fields.settings)
         grid = moved.study.grid
         with self.display.own_doing():
             self.display.arrows.take(grid.known_place, grid.shape, circle)
         if moved.ground is not None and not moved.moves:
-            self.display.show(seen, self.tool.stroke)
+            self.display.show(state, self.tool.stroke)
         self.draw()
         self.said.emit("" if moved.ground else motion_messages.PREPARING)
         self.say_tool()
@@ -188,21 +188,21 @@ class Pointer:
         self._show_drawing()
         self.changed.emit()
 
-    def show(self, seen: Seen) -> None:
+    def show(self, state: ShownDeformation) -> None:
         """Show the tissue as it follows the drawing."""
-        ground = seen.moved.ground
-        if seen.moved.error is not None:
-            self._show_error(seen)
+        ground = state.moved.ground
+        if state.moved.error is not None:
+            self._show_error(state)
             return
-        before = self.display.seen
+        before = self.display.state
         known = None if before is None else before.moved.ground
         if ground is not None and ground is not known:
             self._fields.offer(ground.palette)
             self.display.tissues = tissue_colours(ground.palette, self.tissue)
-        self.display.show(seen, self.tool.stroke)
+        self.display.show(state, self.tool.stroke)
         if self._drawing_waits.isActive():
             self.draw()
-        elif seen.marks is not None or (before is not None and before.marks is not None):
+        elif state.marks is not None or (before is not None and before.marks is not None):
             self._show_drawing()  # its marks follow the tissue
         if (known is None and self.active) or self._in_error:
             self._in_error = False
@@ -363,11 +363,11 @@ class Pointer:
         self.say_tool()
         self.tool.change(self._fields.settings)
 
-    def _show_error(self, seen: Seen) -> None:
-        error = seen.moved.error
+    def _show_error(self, state: ShownDeformation) -> None:
+        error = state.moved.error
         assert error is not None
         self._in_error = self.active
         if self.tool.stroke is None:
-            self.display.show_painted(seen)
+            self.display.show_painted(state)
         if self.active:
             self.said.emit(self.tool.error_message or in_short(error))

@@ -16,7 +16,7 @@ from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.result_layers import Name, Overlay, overlay_of
 from napari_hmrf.layers.screen_directions import ways_of
 from napari_hmrf.ui.background_jobs import BackgroundJobs
-from napari_hmrf.ui.events import Listening
+from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.forms import attempt
 from napari_hmrf.ui.result import result_messages as words
 from napari_hmrf.ui.result.cursor import UnderCursor
@@ -68,7 +68,7 @@ class ResultView:
         self.player.playing_changed.connect(
             lambda playing: setattr(form.play, "text", PAUSE if playing else PLAY)
         )
-        self._events = Listening(
+        self._events = EventConnections(
             (viewer.layers.events.inserted, self._on_inserted),
             (viewer.layers.events.removed, self._on_removed),
             (viewer.layers.selection.events.active, self._on_active),
