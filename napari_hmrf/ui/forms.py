@@ -82,7 +82,7 @@ def row(*widgets: Any) -> Container:
 
 
 class Prose(Label):
-    """Label with wrapped text: as narrow as its parent, and as high as the text needs.
+    """Label with wrapped text, as narrow as its parent and as high as its text.
 
     Parameters
     ----------
@@ -128,8 +128,8 @@ class CalmField(QObject):
 
     The wheel scrolls the surrounding widget unless the field has the focus. The keys of undo and
     redo act on the last step, as they do outside of the fields, unless a number is being typed. A
-    menu gets the focus only by the Tab key: after a choice by mouse it would keep all keys, such as
-    those of the tools.
+    menu gets the focus only by the Tab key. Otherwise, after a choice by mouse, it would get all
+    keys, such as those of the tools.
     """
 
     def watch(self, field: Any) -> None:
@@ -153,6 +153,6 @@ class CalmField(QObject):
 
 
 def align_labels(form: Container) -> None:
-    """Give a form's labels one width, which magicgui does only when a label changes."""
+    """Give the labels of a form equal width, as magicgui does only when a label changes."""
     first = form[0]
     first.label = first.label

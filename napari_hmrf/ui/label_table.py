@@ -40,7 +40,7 @@ class Column(NamedTuple, Generic[Row]):
     title, about : str
         Header, and its tooltip.
     shown : callable
-        Returns the text of a row's cell; only a name can be edited if it is "".
+        Returns the text of a row's cell. An empty text cannot be edited, except for a name.
     typed : callable
         Returns the row with the typed text; raises ValueError if the text is not valid.
     choices : sequence of str
@@ -77,8 +77,8 @@ class LabelTable(QTableWidget, Generic[Row]):
 
     Signals
     -------
-    changed : bool, the paint or the table changed; False if the rows were edited
-    picked : the layer, a label of which was selected for painting
+    changed : bool, True if the paint or the layer changed, False if the rows were edited
+    picked : layer of which a label was selected for painting
     found : str, message about new painted labels
     refused : str, reason why typed text was refused
     """
@@ -133,7 +133,7 @@ class LabelTable(QTableWidget, Generic[Row]):
 
     @property
     def contents(self) -> RowTable[Row]:
-        """Contents of the table as one value; can be set."""
+        """Contents of the table as a single value; can be set."""
         return self._contents
 
     @contents.setter
@@ -141,7 +141,7 @@ class LabelTable(QTableWidget, Generic[Row]):
         if contents != self._contents:
             self._show(contents)
             self._timer.start()
-            self._tell(by_itself=False)
+            self._store(by_itself=False)
 
     @property
     def rows(self) -> tuple[Row, ...]:
@@ -187,7 +187,7 @@ class LabelTable(QTableWidget, Generic[Row]):
             # Debounced: reading the labels of a large image takes longer than a stroke.
             *((getattr(layer.events, name), lambda _: self._timer.start()) for name in _EVENTS),
         )
-        self._tell(by_itself=True)
+        self._store(by_itself=True)
 
     def release(self) -> None:
         """Stop listening to the layer."""
@@ -203,7 +203,7 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._timer.stop()
         new = self._list_painted()
         self._fill()
-        self._tell(by_itself=True)
+        self._store(by_itself=True)
         if new:
             said = " and ".join(f"label {row.label}" for row in new[:3])
             self.found.emit(f"New in '{self._layer.name}': {said}. Change it in the table.")
@@ -224,7 +224,7 @@ class LabelTable(QTableWidget, Generic[Row]):
             self.selectRow(row)
 
     def _list_painted(self) -> list[Row]:
-        """Add a row for each new label of the slice; return these, none if it cannot be read."""
+        """Add rows for new labels of the slice, and return them; none if it cannot be read."""
         try:
             picture = copy_slice(self._layer, frame_of(self._layer, self._view()))
         except ProblemError:
@@ -240,7 +240,7 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._contents = contents._replace(rows=rows)
         self._fill()
 
-    def _tell(self, by_itself: bool) -> None:
+    def _store(self, by_itself: bool) -> None:
         """Store the table in the layer, and emit `changed`."""
         if self._layer is not None:
             store_table(self._contents, self._layer, self.role)
@@ -250,7 +250,7 @@ class LabelTable(QTableWidget, Generic[Row]):
 
     def _fill(self) -> None:
         """Write the rows to the cells, and hide columns that are empty in every row."""
-        blocked, columns = QSignalBlocker(self), self.columns  # not typed by the user
+        blocked, columns = QSignalBlocker(self), self.columns  # these are no edits of the user
         self.setRowCount(len(self.rows))
         self.setColumnCount(len(columns))
         for column, about in enumerate(columns):
@@ -264,7 +264,7 @@ class LabelTable(QTableWidget, Generic[Row]):
         blocked.unblock()
 
     def _write(self, row: int, column: int, about: Column[Row]) -> None:
-        """Write the value of a row to a cell; an open editor stays open."""
+        """Write the value of a row to a cell, without closing an open editor."""
         value, item = self.rows[row], self.item(row, column)
         text = about.shown(value)
         if item is None:

@@ -1,4 +1,4 @@
-"""Messages of the widget about a result, and before there is one."""
+"""Messages of the dock about results, and hints before the first result."""
 
 from __future__ import annotations
 
@@ -71,16 +71,16 @@ HANDFUL = 5
 def report(done: CompleteResult) -> str:
     """Describe the largest displacement of a result in a sentence."""
     place, solution = done.moved.study.grid.known_place, done.outputs.solution
-    far = as_seen(float(magnitude(solution.displacement).max()), solution.spacing)
-    if not far:
+    largest = as_seen(float(magnitude(solution.displacement).max()), solution.spacing)
+    if not largest:
         return STILL
     seen = place.slice_seen.replace("slice", "Slice")
     where = f"{seen}: tissue" if seen else "Tissue"
-    return f"{where} moved up to {far:.3g} {unit_symbol(place.unit)}."
+    return f"{where} moved up to {largest:.3g} {unit_symbol(place.unit)}."
 
 
 def warnings_of(done: CompleteResult, seen: str) -> tuple[str, str]:
-    """Return the warnings of a result, and the label of the next click after the overlay `seen`."""
+    """Return the warnings of a result, and the label of the chip while `seen` is the overlay."""
     sites = "voxels" if len(done.moved.study.grid.shape) == 3 else "pixels"
     found = marks_of(done.outputs)
     parts = [f"Warning: at {number} {sites} {_WARNINGS[mark]}" for mark, number in found.items()]
@@ -91,7 +91,7 @@ def warnings_of(done: CompleteResult, seen: str) -> tuple[str, str]:
 
 
 def can_unfold(done: CompleteResult) -> bool:
-    """Return whether the tissue folds and would not in the large-motion model."""
+    """Return whether the tissue folds and the large-motion model would avoid that."""
     flat = len(done.moved.study.grid.shape) == 2
     return flat and "folds" in marks_of(done.outputs) and done.moved.study.model_name == "elastic"
 
@@ -127,7 +127,7 @@ def in_short(error: Exception) -> str:
 
 
 def progress(monitor: Monitor, what: str = "Deforming") -> str:
-    """Describe the progress in plain words; `monitor` has the technical ones."""
+    """Describe the progress in plain words; `monitor` has the technical description."""
     if monitor.message.startswith(_WAITS):
         return f"{what}: {monitor.message}."
     percent = round(100 * monitor.fraction)  # at 100 % the result must still be drawn

@@ -27,15 +27,15 @@ _DOING = "tissue that 'Soft tissue' deforms, which its Cancel stops"
 class PacedEngine:
     """Solver of the newest submitted study, for a window.
 
-    The engine is held from each answer until that is painted. Solver and painting use the same
-    processor cores: if both worked at once, each picture would come later.
+    After each answer, the engine pauses until the answer is painted. Solver and painting use the
+    same processor cores: if both worked at once, each picture would come later.
 
     Parameters
     ----------
     show : callable
         Called on the GUI thread with each answer, as a `ShownDeformation`.
     finish : callable
-        Called on the GUI thread with a `CompleteResult`, some time after `complete`.
+        Called on the GUI thread with a `CompleteResult`, after `complete` has made it.
     """
 
     def __init__(
@@ -62,17 +62,17 @@ class PacedEngine:
         self._engine.submit(study, backend, settle, preview)
 
     def complete(self) -> None:
-        """Make the layers of the latest answer in the background, unless a newer one is due."""
+        """Make the layers of the latest answer in the background, unless a newer study waits."""
         self._jobs.submit("layers", self._completed, self._on_completed)
 
     def forget(self) -> None:
-        """Drop all pending work; none of it is answered."""
+        """Drop all pending work; its results are not shown."""
         self._engine.forget()
         self._jobs.forget("layers")
 
     @property
     def busy(self) -> bool:
-        """True if a submitted study is not answered, or not painted yet."""
+        """True if the result of a submitted study is not painted yet."""
         return self._engine.busy
 
     @property
@@ -110,7 +110,7 @@ class PacedEngine:
         self._gui.submit(partial(self._on_answer, state))
 
     def _completed(self) -> CompleteResult | ShownDeformation | None:
-        """Make all layers of the latest answer; None if there is none or a newer one is due."""
+        """Make all layers of the latest answer; None if there is none or a newer study waits."""
         latest = self._engine.latest
         if latest is None or latest.solution is None:
             return None
@@ -128,7 +128,7 @@ class PacedEngine:
     def _on_answer(self, state: ShownDeformation) -> None:
         if not self._engine.is_current(state.moved):
             return
-        # The error of a study that was replaced is corrected by now, or will be reported again.
+        # A newer study has corrected the error, or will report it again.
         if state.moved.error is None or not self._engine.waits:
             self._show(state)
         self._repainted.ask()

@@ -1,4 +1,4 @@
-"""Unsaved work: prompt before its window closes, and crash recovery."""
+"""Unsaved work: prompt before the window closes, and crash recovery."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ Answer = Literal["save", "discard", "cancel"]
 Ask = Callable[[str], Answer]
 Attempt = Callable[[Callable[[], object]], None]
 _log = logging.getLogger("napari_hmrf")
-#: Characters that not every system allows in file names.
+#: Characters that some systems do not allow in file names.
 _NO_FILE_NAME = re.compile(r'[\\/:*?"<>|]')
-#: Time without an edit after which the work is kept against a crash, in milliseconds.
+#: Time without an edit after which a recovery file is written, in milliseconds.
 _REST = 1000
 #: Instances of all open docks.
 _all: weakref.WeakSet[Unsaved] = weakref.WeakSet()
@@ -54,7 +54,7 @@ class Dock(Protocol):
 
     @property
     def native(self) -> QWidget:
-        """Widget of Qt."""
+        """Qt widget of the dock."""
 
     @property
     def image(self) -> Any:
@@ -90,9 +90,9 @@ class Dock(Protocol):
 
 
 class Unsaved(QObject):
-    """Keeper of a dock's studies: saves and opens them, and protects unsaved work.
+    """Saving and opening of a dock's studies, and protection of unsaved work.
 
-    There is no prompt when a script closes its viewer.
+    When a script closes its viewer, there is no prompt.
 
     Parameters
     ----------
@@ -110,13 +110,13 @@ class Unsaved(QObject):
 
     def __init__(self, dock: Dock, viewer: Any, controller: Controller, attempt: Attempt) -> None:
         super().__init__(dock.native)
-        self.ask: Ask = self._ask_person
+        self.ask: Ask = self._show_prompt
         self._try = attempt
         self._dock, self._viewer, self._controller = dock, viewer, controller
         self._binding, self._undo = controller.binding, undo_of(viewer)
         self._model, self._work = self._undo.model, shared(viewer, UnsavedWork)
         self._writer = threading.Thread()
-        self._resting = single_shot(dock.native, _REST, self._keep)
+        self._keep_timer = single_shot(dock.native, _REST, self._keep)
         self._connections = EventConnections((self._model.changed, self._on_edited))
         dock.insert(0, LeftBehind(lambda file: attempt(partial(self._take_up, file))))
         _all.add(self)
@@ -134,11 +134,11 @@ class Unsaved(QObject):
         written = write_study(path, study, solution)
         apart = self._landmarks_apart(study)
         self._dock.say(messages.saved_study(written.name, solution is not None, apart))
-        self._settle(self._model.slice, written)
+        self._drop_recovery(self._model.slice, written)
         return written
 
     def _landmarks_apart(self, study: Study) -> str:
-        """Return the name of the *landmarks at* layer if a pair of it was not taken; else ""."""
+        """Return the name of the *landmarks at* layer if a pair in it was not taken; else ""."""
         form, grid = self._controller.form, study.grid
         where, should = form.motion.boundary.landmarks.pair
         taken = [ends_of(mark, grid.spacing) for mark in study.motion.drawing.marks]
@@ -164,7 +164,7 @@ class Unsaved(QObject):
     def open(self, path: str | Path) -> None:
         """Add the layers of a saved study; drawings on other layers stay."""
         self._add(path)
-        self._settle(self._model.slice, Path(path))
+        self._drop_recovery(self._model.slice, Path(path))
 
     def _add(self, path: str | Path) -> None:
         """Add the content of a file to the viewer; undo would not remove its layers."""
@@ -182,23 +182,23 @@ class Unsaved(QObject):
                 raise HmrfError(f"{Path(path).name} cannot be shown here: {dock.status}")
             dock.drawing = study.motion.drawing
         if (brightness := self._controller.curve_layer.layer) is not None and study.moves:
-            brightness.visible = False  # as all paint on moving tissue
+            brightness.visible = False  # would tint the deformed image
 
     def _on_edited(self, part: Part, _: object, before: object) -> None:
         model = self._model
         others = part.kind == "paint" and part.layer not in model.choice.layers
         if part.kind in ("choice", "model") or others:
-            return  # recreated in a moment, or not part of the study
+            return  # not part of the file, or of another study
         here = part if part.kind == "drawing" else model.slice
         # A change that follows from another, such as a choice after new layers, is no undo step.
         steps = (model.next_undo, model.next_redo)
         by_hand = any(step is not None and step.part == part for step in steps)
         if here.layer is not None and by_hand:
             self._work.note(here, part, before)
-            self._resting.start()
+            self._keep_timer.start()
 
-    def _settle(self, here: Part, path: Path | None = None) -> None:
-        """Stop keeping a slice, which was saved or discarded, against a crash."""
+    def _drop_recovery(self, here: Part, path: Path | None = None) -> None:
+        """Delete the recovery file of a slice that was saved or discarded."""
         self._work.save(here)
         if path is not None:
             self._work.paths[here] = path
@@ -214,24 +214,24 @@ class Unsaved(QObject):
         if event.type() != QEvent.Type.Close or self not in _all:
             return False
         if watched.findChild(QtViewer).isHidden():
-            # A script closes it, or napari does after another window: too late to keep it open.
+            # A script closes the window, or napari does after another one: too late for a prompt.
             if QThread.currentThread().loopLevel() == 0:
                 self._discard()
             return False
-        everybody = is_quitting(watched)
-        asked = [each for each in _all if each.there and (everybody or each is self)]
-        if not all(each.may_close() for each in asked):
+        is_quitting_napari = is_quitting(watched)
+        unsaved = [each for each in _all if each.there and (is_quitting_napari or each is self)]
+        if not all(each.may_close() for each in unsaved):
             stop_quitting(watched)
             event.ignore()
             return True
-        if asked and event.spontaneous():
-            event.ignore()  # napari would ask once more
+        if unsaved and event.spontaneous():
+            event.ignore()  # napari would show its own prompt, too
             QTimer.singleShot(0, watched.close)
             return True
         return False
 
     def may_close(self) -> bool:
-        """Ask what to do with unsaved work; return whether the window may close."""
+        """Show the prompt about unsaved work; return whether the window may close."""
         slices, paths = self._work.slices, self._work.paths
         names = [f"'{_name(part)}'" for part in slices]
         replaced = [f"'{paths[part].name}'" for part in slices if part in paths]
@@ -252,10 +252,10 @@ class Unsaved(QObject):
         self._undo.go_to(part, turn=True)
         self._controller.look()
         known = self._work.paths.get(part)
-        if self._model.slice == part:  # else another slice is visible
+        if self._model.slice == part:  # False if another slice is still visible
             self._try(self.save_as if known is None else partial(self.save, known))
 
-    def _ask_person(self, question: str) -> Answer:
+    def _show_prompt(self, question: str) -> Answer:
         button = QMessageBox.StandardButton
         answers: dict[Any, Answer] = {button.Save: "save", button.Discard: "discard"}
         offered = button.Save | button.Discard | button.Cancel
@@ -266,40 +266,40 @@ class Unsaved(QObject):
 
     def _discard(self) -> None:
         for part in {*self._work.slices, *self._work.kept}:
-            self._settle(part)
+            self._drop_recovery(part)
 
     # Crash recovery
 
     def _keep(self) -> None:
         """Write the current slice to a recovery file, once no edit is in progress."""
         here = self._model.slice
-        held = QApplication.mouseButtons() != Qt.MouseButton.NoButton
-        if held or self._model.in_progress is not None or self._writer.is_alive():
-            self._resting.start()
+        is_pressed = QApplication.mouseButtons() != Qt.MouseButton.NoButton
+        if is_pressed or self._model.in_progress is not None or self._writer.is_alive():
+            self._keep_timer.start()
         elif here not in self._work.slices:
-            self._settle(here)  # all edits were undone
+            self._drop_recovery(here)  # all edits were undone
         else:
             try:
                 study = self._dock.study
                 file = self._work.kept.get(here) or recovery.new_file(folder())
             except (HmrfError, ValueError, OSError):
-                return  # the current state cannot be saved: the earlier file stays
+                return  # the current state cannot be saved: keep the earlier file
             self._work.kept[here] = file
             self._writer = threading.Thread(target=_write, args=(file, study), daemon=True)
             self._writer.start()
 
     def _take_up(self, file: Path) -> None:
-        """Open a file that was left behind; it is kept until the work is saved."""
+        """Open a recovery file of an ended process, and keep it until the work is saved."""
         self._add(file)
         here = self._model.slice
         self._work.note(here)
         self._work.kept[here] = recovery.take_over(file)
 
     def release(self) -> None:
-        """Disconnect from edits, as the dock was closed or its window is gone."""
+        """Disconnect from edits, as the dock was closed or its window was deleted."""
         _all.discard(self)
         self._connections.release()
-        self._resting.stop()
+        self._keep_timer.stop()
 
 
 class LeftBehind(Container):
@@ -308,7 +308,7 @@ class LeftBehind(Container):
     Parameters
     ----------
     take_up : callable
-        Opens a file, which then is no longer among those that were left behind.
+        Opens a recovery file, and removes it from the files that the notice offers.
     """
 
     def __init__(self, take_up: Callable[[Path], None]) -> None:
@@ -321,7 +321,7 @@ class LeftBehind(Container):
         self.look()
 
     def look(self) -> None:
-        """Show the newest file that was left behind, if there is one."""
+        """Show the newest recovery file of an ended process, or hide the notice."""
         files, said = recovery.left_behind(folder()), ""
         if files:
             self._file = files[0]
