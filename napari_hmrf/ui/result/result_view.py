@@ -45,14 +45,14 @@ class ResultView:
 
     #: Message for the user.
     said = Signal(str)
-    #: Another result has been selected, or none, or the selected one has changed.
+    #: The selected result, or its state, has changed.
     looked = Signal()
 
     def __init__(self, native: Any, viewer: Any, form: ResultForm, results: ResultLayers) -> None:
         self._viewer, self._form, self._results = viewer, form, results
         self._jobs = BackgroundJobs(self.said.emit)
         self.shown: MovingLayers | None = None
-        #: Difference between the result and its reference, if one is chosen.
+        #: Difference between the result and its reference, or None.
         self.comparison: Comparison | None = None
         self.cursor = UnderCursor(viewer, lambda: self.shown)
         self.player = Player(native, self._jobs, lambda: self.shown)
@@ -74,7 +74,7 @@ class ResultView:
             (viewer.layers.selection.events.active, self._on_active),
             (results.changed, self._on_changed),
         )
-        with suppress(ValueError):  # bound by another plugin
+        with suppress(ValueError):  # another plugin has bound the key
             viewer.bind_key(BEFORE_KEY, self._while_key_is_held)
         found = [layer for layer in viewer.layers if result_of(layer) is not None]
         self.arrows = max(reversed(found), key=lambda each: results.of(each).visible, default=None)
@@ -103,14 +103,14 @@ class ResultView:
 
     @arrows.setter
     def arrows(self, arrows: Any) -> None:
-        """Select the result that a layer of arrows holds, in its current state."""
+        """Select the result that a layer of arrows holds."""
         before = self.shown
         answer, shown = None if arrows is None else result_of(arrows), None
         if answer is not None:
             shown = MovingLayers(self._viewer, arrows, answer, self._results.of(arrows))
         other = before is None or shown is None or shown.layers is not before.layers
-        chosen = other or self._jobs.busy("overlay")  # a pending overlay may have been chosen
-        # A newer state of the same result does not end the view of the undeformed image.
+        chosen = other or self._jobs.busy("overlay")  # the user may have chosen a pending overlay
+        # A newer state of the same result must not hide the undeformed image.
         self._put_back(release=other)
         if before is not None and other:
             before.layers.leave()
@@ -188,7 +188,7 @@ class ResultView:
     # Selection of the result
 
     def _on_changed(self, result: Result) -> None:
-        """Respond to a change of a result, as another slice or a new solution is shown."""
+        """Respond to a change of a result, such as another slice or a new solution."""
         shown, arrows = self.shown, result.layer("arrows")
         moves = self.player.playing or self._jobs.busy("moment")
         if shown is None or result is not shown.layers:
@@ -204,7 +204,7 @@ class ResultView:
                 self._draw_whole()  # its layers were redrawn at 100 %
 
     def _on_active(self, *_: Any) -> None:
-        """Select the result whose arrows are active: of another image, slice or file."""
+        """Select the result whose arrows are active; its image, slice or file may differ."""
         active = self._viewer.layers.selection.active
         answer = None if active in (None, self.arrows) else result_of(active)
         if answer is not None and not self._results.of(active).is_away:
@@ -220,13 +220,13 @@ class ResultView:
             self.arrows = layer
         elif shown is None or shown.source in self._viewer.layers:
             return
-        elif can_be_source(layer, shown.answer):  # the image of a result that was opened
+        elif can_be_source(layer, shown.answer):  # the image of a result from a file
             self.arrows = shown.arrows
 
     def _on_removed(self, event: Any) -> None:
         if self.shown is None:
             return
-        # Layers that the dock itself removes are no longer parts of a result.
+        # Layers that the dock removes are no parts of a result any more.
         part = self.shown.layers.part_of(event.value)
         if part == "overlay":
             self._form.overlay.value = words.NOTHING
@@ -252,14 +252,16 @@ class ResultView:
             choice.value = name
 
     def _lay_over(self, chosen: bool) -> None:
-        """Draw the chosen overlay in the background; if just `chosen`, make it visible."""
+        """Draw the selected overlay in the background; with `chosen`, make it visible."""
         shown, name = self.shown, self._form.overlay.value
         if shown is None:
             return
         if name == words.NOTHING:
             self._jobs.forget("overlay")
             self._on_overlay(shown, name, False, None)
-        elif name != "difference" or self.comparison is not None:  # else after the comparison
+        elif (
+            name != "difference" or self.comparison is not None
+        ):  # otherwise drawn after the comparison
             answer = partial(self._on_overlay, shown, name, chosen)
             work = partial(overlay_of, shown.answer, name, self.comparison)
             self._jobs.submit("overlay", work, answer)
@@ -279,7 +281,7 @@ class ResultView:
     # Percentage
 
     def _can_move(self) -> bool:
-        """Prepare a layer that can move, or report why there is none; return whether one can."""
+        """Prepare layers to move, or report why there are none; return whether any can move."""
         self.before = False
         if self.shown is None:
             self.said.emit(words.NO_RESULT)
