@@ -1,4 +1,4 @@
-"""Layers that show a drawing, and the image deformed by it."""
+"""Layers that show a drawing and the image deformed by it."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from napari_hmrf.tissue.drawing.canvas import box_of, covered
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.motion.arrows import ArrowsLayer, CanvasListener
 
-#: Brush strokes are painted together with the tissue that follows them, once rather than twice;
-#: if the tissue takes longer than this, in milliseconds, the strokes are painted first.
+#: Brush strokes are painted together with the tissue that follows them, which saves one painting.
+#: If the tissue takes longer than this, in milliseconds, strokes are painted first.
 _AHEAD = 80
 
 
 class Display:
-    """View of the drawing on a slice of an image, and of the deformation it causes.
+    """View of the drawing on a slice of an image, and of the resulting deformation.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class Display:
     tissues : dict of int to colour
         Colours of the paintable tissues, by label.
     quiet : bool
-        Whether the program itself is adding or removing layers.
+        True while the program itself adds or removes layers.
     """
 
     def __init__(self, native: Any, viewer: Any, listener: CanvasListener) -> None:
@@ -62,11 +62,11 @@ class Display:
         self._viewer = viewer
         self._results = shared(viewer, ResultLayers)
         self._image: Any = None
-        # Image as shown last, and whether it is a private copy, assembled from slices.
+        # Image that is shown, and True if it is a private copy with newer slices.
         self._whole: Any = None
-        self._pieced = False
+        self._is_copy = False
         self.quiet = False
-        self._stroke_waits = single_shot(native, _AHEAD, self._show_stroke)
+        self._stroke_timer = single_shot(native, _AHEAD, self._show_stroke)
 
     @property
     def moved(self) -> Deformation | None:
@@ -82,17 +82,17 @@ class Display:
         return self._results.at(self._image, moved.study.grid.known_place.slice_name)
 
     def stand_on(self, study: Study | None, image: Any, drawn: bool) -> None:
-        """Switch to another slice, in its undeformed state; or to none."""
-        self._stroke_waits.stop()
+        """Switch to another slice in its undeformed state, or to none."""
+        self._stroke_timer.stop()
         before, moved = self.result, self.moved
         self._image = image
         self.state = self._painted = self._stroke = None
-        self._whole, self._pieced = None if study is None else study.pictures.image, False
+        self._whole, self._is_copy = None if study is None else study.pictures.image, False
         with self.own_doing():
             if before is not None and moved is not None:
                 before.drop_paint()
                 if moved.ground is not None and not moved.moves:
-                    before.remove()  # its picture shows no motion
+                    before.remove()  # the picture is undeformed
             if study is not None:
                 self.state = ShownDeformation(Deformation(study, image=study.pictures.image))
                 self.arrows.place(study.grid.known_place, study.grid.shape, drawn)
@@ -100,7 +100,7 @@ class Display:
 
     @property
     def covering(self) -> Any:
-        """Image layer, not of this result, that covers the cursor; or None."""
+        """Other image layer that covers this result at the cursor, or None."""
         image, result = still_there(self._viewer, self._image), self.result
         picture = None if result is None else result.layer("image")
         lowest = picture if picture is not None and picture.visible else image
@@ -114,7 +114,7 @@ class Display:
         self.state = state
         self._take_paint(state, stroke)
         with self.own_doing():
-            # Show undeformed tissue, too, so that the first motion finds its layer.
+            # Show undeformed tissue, too, so that its layer exists before the first motion.
             if picture is not None and (moved.moves or self.arrows.active):
                 study = moved.study
                 run = {"prior": study.prior.parameters, "optimizer": study.optimizer.parameters}
@@ -127,17 +127,17 @@ class Display:
                 self._show_painting()
 
     def _picture_of(self, moved: Deformation) -> Any:
-        """Return the deformed image; one slice of a volume may be newer than the rest."""
+        """Return the deformed image; in a volume, a preview replaces only one slice."""
         if moved.preview is None or moved.preview.axis is None:
-            self._whole, self._pieced = moved.image, False
+            self._whole, self._is_copy = moved.image, False
         elif moved.image is not None:
-            if not self._pieced:
-                self._whole, self._pieced = np.array(self._whole), True
+            if not self._is_copy:
+                self._whole, self._is_copy = np.array(self._whole), True
             np.moveaxis(self._whole, moved.preview.axis, 0)[moved.preview.number] = moved.image
         return self._whole
 
     def finish(self, done: CompleteResult | None) -> None:
-        """Show all layers of a state at rest; with None, only the undeformed image."""
+        """Show all layers of a complete result; with None, only the undeformed image."""
         state = self.state
         assert state is not None
         image = state.moved.study.pictures.image
@@ -170,8 +170,8 @@ class Display:
             self._show_painting()
 
     def _take_paint(self, state: ShownDeformation, stroke: Stroke | None) -> None:
-        self._stroke_waits.stop()
-        if state.moved.preview is None:  # else the paint stays until the whole tissue has followed
+        self._stroke_timer.stop()
+        if state.moved.preview is None:  # a preview keeps the paint
             self._painted = None if state.marks is None else state.moved.overlay[0]
         self._stroke = stroke
 
@@ -204,16 +204,16 @@ class Display:
         self._stroke = stroke
         if at_once:
             self._show_stroke()
-        elif not self._stroke_waits.isActive():
-            self._stroke_waits.start()
+        elif not self._stroke_timer.isActive():
+            self._stroke_timer.start()
 
     def _show_stroke(self) -> None:
-        self._stroke_waits.stop()
+        self._stroke_timer.stop()
         with self.own_doing():
             self._show_painting()
 
     def draw(self, drawing: Drawing, selected: int | None, is_dragging: bool) -> None:
-        """Show arrows, landmarks, and the marks of the paint; during a drag as fast as possible."""
+        """Show arrows, landmarks and the marks of the paint; only the canvas during a drag."""
         below: list[Lines] = []
         state, mark = self.state, None if selected is None else drawing.marks[selected]
         if state is not None and state.marks is not None:
@@ -223,13 +223,13 @@ class Display:
         self.arrows.show(drawing, selected, below, quick=is_dragging)
 
     def leave(self) -> None:
-        """Remove the layer that no longer responds to the mouse."""
+        """Remove the layer of arrows, which no longer responds to the mouse."""
         with self.own_doing():
             self.arrows.remove()
 
     @contextmanager
     def own_doing(self) -> Iterator[None]:
-        """Mark changes of layers within this context as made by the program."""
+        """Set `quiet` within this context, in which the program changes layers."""
         before, self.quiet = self.quiet, True
         try:
             yield

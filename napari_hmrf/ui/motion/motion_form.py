@@ -33,7 +33,7 @@ QToolButton:checked { background: rgba(80, 105, 210, 220); }
 
 
 class MotionForm(Container):
-    """Form of the tools and their fields, the held edge, the painted boundary and the weight.
+    """Form with the tools and their fields, the held edge, the boundary and the weight.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Tool of the mouse: the protocol of all tools, and what they share."""
+"""Tool of the mouse: base class of all tools."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def identity(point: Point) -> Point | None:
 
 
 class ToolSettings(TypedDict, total=False):
-    """Settings of a mark, by the names of its attributes; a tool has those of its fields."""
+    """Settings of a mark, by attribute; a tool uses those that its fields set."""
 
     radius: float
     by: Point
@@ -96,7 +96,7 @@ class Tool(ABC):
     def press(
         self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
     ) -> str:
-        """Begin a drag where that is possible.
+        """Begin a drag, if possible at this point.
 
         Parameters
         ----------
@@ -130,7 +130,7 @@ class Tool(ABC):
         Raises
         ------
         ToolError
-            If the mark is not possible; nothing has changed then.
+            If the mark is not possible; the drawing is then unchanged.
         """
         self._model.end_drawing()
         return None
@@ -161,8 +161,8 @@ class Tool(ABC):
     def cursor(self, settings: ToolSettings) -> float | None:
         """Return the radius of the circle that shows the reach of the tool; None shows none.
 
-        napari paints the whole canvas for every step of the circle. During a drag there is none,
-        as the mark itself is visible.
+        napari paints the whole canvas for every step of the circle. During a drag, no circle is
+        shown, as the mark itself is visible.
         """
         return None if self.is_dragging else settings["radius"]
 
@@ -183,7 +183,7 @@ class Tool(ABC):
 
     @property
     def mark_settings(self) -> ToolSettings | None:
-        """Settings of the selected mark that `change` would change; None without a mark."""
+        """Settings of the selected mark that `change` can set; None without a mark."""
         mark = self.mark
         if mark is None:
             return None
@@ -210,7 +210,7 @@ class Tool(ABC):
         return True
 
     def change(self, settings: ToolSettings) -> None:
-        """Apply changed settings to the selected mark, whose place stays."""
+        """Apply changed settings to the selected mark, without moving it."""
         mark, number, changed = self.mark, self.selected, self._changed(settings)
         if number is None or changed is None or self.is_dragging:
             return
@@ -226,7 +226,7 @@ class Tool(ABC):
     # Edits within a drag
 
     def _show(self, drawing: Drawing, number: int) -> None:
-        """Show the drawing with the mark that is being dragged, and select that."""
+        """Show the drawing with the mark that is being dragged, and select this mark."""
         self._numbered, self._selected = drawing, number
         self._model.update_drawing(drawing)
         # The model keeps its own object if the drawing is equal.
