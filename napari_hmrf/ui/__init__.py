@@ -2,8 +2,8 @@
 
 An edit passes through six steps:
 
-1. *Edit.* A form writes its values to the `StudyModel` by the `form_binding`; a tool writes its
-   drawing there (`motion.pointer` passes mouse and keys to the current tool). The model records
+1. *Edit.* A form writes its values to the `StudyModel` through the `form_binding`; a tool writes
+   its drawing there (`motion.pointer` passes mouse and keys to the current tool). The model records
    one undo step, and emits `changed`.
 2. *Read.* Once napari is idle, the `controller` reads the chosen layers as a `Study` through the
    `study_reader` (`look`). After an edit of the drawing, only the drawing is replaced.
@@ -13,8 +13,8 @@ An edit passes through six steps:
    answer is still current, the GUI thread receives it (`gui_thread`).
 5. *Show.* The controller shows image, arrows and paint at once (`motion.display`). After a pause in
    the edits, all layers of the result are made in the background (`layers.complete_result`).
-6. *Look.* `result.result_view` plays, compares and saves the result; its pictures are made by
-   `background_jobs`.
+6. *View.* `result.result_view` plays, compares and saves the result; `background_jobs` computes
+   its pictures.
 
 `soft_tissue` combines the parts, and is the interface for scripts. `viewer_watch` responds to
 events of napari, and `guide` writes the status text.

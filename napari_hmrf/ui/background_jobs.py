@@ -26,7 +26,7 @@ class _Pending(NamedTuple):
 
 
 class BackgroundJobs:
-    """Jobs on the compute thread; of each kind, the newest replaces the one that waits.
+    """Jobs on the compute thread; the newest job of each kind replaces a waiting one.
 
     Jobs must hold copies only and no Qt objects: the caller may be deleted before they end. All
     methods are called on the GUI thread.
@@ -76,7 +76,7 @@ class BackgroundJobs:
                 self._pending.pop(each).queue.close()
 
     def release(self) -> None:
-        """Drop all jobs for good."""
+        """Drop all jobs permanently."""
         self.forget()
         self._gui.release()
 

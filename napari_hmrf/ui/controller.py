@@ -53,7 +53,7 @@ class Controller:
         The dock.
     viewer : napari.Viewer or ViewerModel
     form, binding, pointer : DockForm, FormBinding, Pointer
-        Views of the study; kept as attributes, for the other parts of the dock.
+        Views of the study, also available as attributes.
     model : StudyModel
 
     Attributes
@@ -62,7 +62,7 @@ class Controller:
     source : napari.layers.Layer or None
         Layer that is deformed.
     settling : bool
-        Whether a cold-start solve is in progress.
+        True while a cold-start solve is in progress.
     curve_layer : CurveLayer
         Layer that shows the stiffness curve of the tissue, if it has one.
     chip : WarningChip
@@ -77,7 +77,7 @@ class Controller:
     followed = Signal(object)
     #: A cold-start solve has ended: `Outputs`, or None if it was cancelled or failed.
     finished = Signal(object)
-    #: Status message; "" clears the one before.
+    #: Status message; "" clears the earlier one.
     said = Signal(str)
     #: Reason why a request cannot be carried out.
     refused = Signal(str)
@@ -240,7 +240,7 @@ class Controller:
         self._look_timer.stop()
         self._complete_timer.stop()
         self.engine.forget()
-        self.reader.forget()  # changes of layers are no longer noticed
+        self.reader.forget()  # later changes of layers are not tracked
         self.progress.release()
         self.curve_layer.show(None)
         self._read = self.source = self._submitted = None
@@ -249,7 +249,7 @@ class Controller:
         self.chip.look()
 
     def release(self) -> None:
-        """Stop following edits for good."""
+        """Stop responding to edits permanently."""
         self._is_released = True
         self.engine.release()
 
@@ -263,7 +263,7 @@ class Controller:
         request = self.reader.request()
         assert request.drawing is not None
         if not (unpainted or request.drawing.marks or request.boundary is None):
-            request = replace(request, drawing=None)  # refused with a message of its own
+            request = replace(request, drawing=None)  # gives a specific error message
         study = self.reader.read(request)
         refuse_unknown(study)
         self._stand_on(study, request.layers[0])
@@ -288,7 +288,7 @@ class Controller:
         self.form.show_place(unit_symbol(place.unit), ways, study.tissue.unit)
 
     def _on_drawn(self) -> None:
-        """Follow a changed drawing, without reading the layers again."""
+        """Solve for a changed drawing, without reading the layers again."""
         study = self.study
         if study is not None:
             self._follow(study)
@@ -381,7 +381,7 @@ class Controller:
     def _report_failure(self, error: Exception) -> None:
         """Report why the tissue does not follow; the last result stays."""
         sentence = messages.in_short(error)
-        # Without a chosen image there is nothing that could fail to follow.
+        # Without a chosen image, no tissue could follow.
         self._failure = "" if sentence in (messages.WELCOME, messages.CHOOSE) else sentence
         self.chip.look()
         self._emit_message(always=sentence == messages.WELCOME)

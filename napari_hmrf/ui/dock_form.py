@@ -59,7 +59,7 @@ class DockForm:
     footer : Footer
     """
 
-    #: Emitted when the user changes an input of the field.
+    #: Emitted when the user changes an input of the solve.
     edited = Signal()
 
     def __init__(self, outer: Container, viewer: Any) -> None:
@@ -148,7 +148,7 @@ class DockForm:
             step.toggled.connect(lambda opened, timer=shown: timer.start() if opened else None)
         layout.setSpacing(4)
         layout.addStretch()
-        # The dock may be less high than the form, but not narrower.
+        # The form scrolls vertically only, so the dock must not be narrower than the form.
         self._scroll = scroll = QScrollArea()
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QFrame.Shape.NoFrame)

@@ -145,7 +145,7 @@ class DockValues(Dock):
 
     @property
     def model(self) -> ModelName:
-        """Model of the tissue; the paper's model sets its own numbers in `settings`."""
+        """Model of the tissue; "paper" also sets `settings` to those of the paper."""
         value: ModelName = self._form.model.model.value
         return value
 
@@ -215,7 +215,7 @@ class DockValues(Dock):
 
     @property
     def reference(self) -> Any:
-        """A field or another result, with which this one is compared, or None."""
+        """Field or other result that is compared with this one, or None."""
         value: Any = self._form.result.reference.value
         return value
 
@@ -294,7 +294,7 @@ class DockValues(Dock):
 
     @property
     def unsaved(self) -> bool:
-        """True if there is work that is in no file."""
+        """True if there is unsaved work."""
         value: bool = self._unsaved.there
         return value
 

@@ -19,7 +19,7 @@ def single_shot(
         Owner of the timer, which is deleted with it.
     milliseconds : int
         Delay; 0: as soon as Qt has processed all pending events.
-    answer : callable
+    callback : callable
         Called in the event loop of the thread that created the timer.
 
     Returns

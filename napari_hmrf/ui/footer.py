@@ -45,7 +45,7 @@ class Footer(QWidget):
     deform, cancel : PushButton
     live : LiveChoice
     undo, redo : PushButton
-        Their tooltips name the step.
+        Buttons whose tooltips name the step.
     chip : QPushButton
         Visible only while there is a warning about the visible tissue.
     other : QPushButton
@@ -119,7 +119,7 @@ class Footer(QWidget):
         self.other.setText(words)
 
     def show_work(self, is_working: bool) -> None:
-        """Enable "Cancel" while a solve is in progress, and else "Deform"."""
+        """Enable "Cancel" while a solve is in progress, otherwise "Deform"."""
         self.deform.enabled, self.cancel.enabled = not is_working, is_working
 
 

@@ -42,10 +42,10 @@ class FormBinding:
     fields : dict of str to ValueWidget
         Widget of each attribute of `ImageChoice`.
     automatic : bool
-        True while values change that the user did not choose.
+        True while the program, rather than the user, changes values.
     """
 
-    #: Message about a choice that was made automatically together with another one.
+    #: Message about a choice that was made automatically as a consequence of another one.
     said = Signal(str)
 
     def __init__(self, viewer: Any, form: DockForm) -> None:
@@ -166,7 +166,7 @@ class FormBinding:
         self._image_is_fixed = True
 
     def take(self, layer: Any) -> None:
-        """Choose a new layer: as the image, unless work on another has begun, or as its paint."""
+        """Choose a new layer as the image, unless work on another has begun, or as paint."""
         image = self._form.image
         begun = self._image_is_fixed or (
             image.value is not None and self._model.next_undo is not None
@@ -251,7 +251,7 @@ class FormBinding:
         ]
         for field in self.fields.values():
             layer = field.value
-            # A field fits at any place.
+            # A displacement field may cover any region.
             if isinstance(layer, Layer) and not (holds_field(layer) or fits(layer, image, view)):
                 field.value = None
         for layer in reversed(painted_on(image, self._viewer.layers, view)):
@@ -330,7 +330,7 @@ class FormBinding:
             return
         if image is not None and image not in form.image.offered:
             self._model.select(form.image.value)
-            raise HmrfError(f"'{image.name}' is no image of this viewer. Add it first.")
+            raise HmrfError(f"'{image.name}' is not an image in this viewer. Add it first.")
         with self.automatically():
             form.image.value = image
         self._image_is_gone = False

@@ -100,13 +100,13 @@ class Prose(Label):
         words.installEventFilter(self._fit)
 
     def say(self, sentence: str) -> None:
-        """Show a sentence."""
+        """Show a text."""
         self.value = sentence
         self._fit.fit()
 
 
 class _FitHeight(QObject):
-    """Event filter that fits a label's height to its text, as layouts in a scroll area do not."""
+    """Event filter that fits a label's height to its text, unlike layouts in a scroll area."""
 
     def __init__(self, words: Any, lines: int) -> None:
         super().__init__(words)
@@ -124,7 +124,7 @@ class _FitHeight(QObject):
 
 
 class CalmField(QObject):
-    """Event filter of fields that leaves some events to the surrounding widget.
+    """Event filter of fields that passes some events on to the surrounding widget.
 
     The wheel scrolls the surrounding widget unless the field has the focus. The keys of undo and
     redo act on the last step, as they do outside of the fields, unless a number is being typed. A
@@ -141,7 +141,7 @@ class CalmField(QObject):
             field.editingFinished.connect(partial(field.lineEdit().setModified, False))
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
-        """Leave the wheel and the undo keys to the surrounding widget where they apply."""
+        """Pass on the wheel and the undo keys if the field does not use them."""
         theirs = event.type() == QEvent.Type.Wheel and not watched.hasFocus()
         if event.type() == QEvent.Type.KeyPress and isinstance(watched, QAbstractSpinBox):
             keys = QKeySequence.StandardKey

@@ -70,7 +70,7 @@ class Repainted(QObject):
         QCoreApplication.postEvent(self, QEvent(self._KIND), self._PRIORITY)
 
     def event(self, event: QEvent | None) -> bool:
-        """Start the timer of the callback, as the requested painting is done."""
+        """Start the timer of the callback after the requested painting."""
         if event is not None and event.type() == self._KIND:
             self._timer.start()
             return True

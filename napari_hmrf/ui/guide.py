@@ -118,7 +118,7 @@ class Guide:
         self._why, self._read = "news", self._said
 
     def _on_followed(self, *_: object) -> None:
-        """Clear a message that is older than the last action and so than the result."""
+        """Clear a message that is older than the last action, as the result is newer."""
         self.say("" if self._read else self._said, self._why)
 
     def _on_step(self, sentence: str, step: Step | None) -> None:

@@ -61,8 +61,9 @@ def _named(row: Row, text: str) -> Row:
 class LabelTable(QTableWidget, Generic[Row]):
     """Table of labels, with their colours and names; subclasses add further columns.
 
-    The table is stored in the metadata of its layer, so that it stays with the layer. New painted
-    labels get rows. A click on a row, or moving to it by the keys, selects its label for painting.
+    The table is stored in the metadata of its layer, so that it stays with the layer. Newly painted
+    labels get rows. A click on a row, or its selection by the arrow keys, selects its label for
+    painting.
 
     Parameters
     ----------
@@ -79,7 +80,7 @@ class LabelTable(QTableWidget, Generic[Row]):
     -------
     changed : bool, True if the paint or the layer changed, False if the rows were edited
     picked : layer of which a label was selected for painting
-    found : str, message about new painted labels
+    found : str, message about newly painted labels
     refused : str, reason why typed text was refused
     """
 
@@ -224,7 +225,7 @@ class LabelTable(QTableWidget, Generic[Row]):
             self.selectRow(row)
 
     def _list_painted(self) -> list[Row]:
-        """Add rows for new labels of the slice, and return them; none if it cannot be read."""
+        """Add rows for new labels of the slice, and return them; none if unreadable."""
         try:
             picture = copy_slice(self._layer, frame_of(self._layer, self._view()))
         except ProblemError:
@@ -250,7 +251,10 @@ class LabelTable(QTableWidget, Generic[Row]):
 
     def _fill(self) -> None:
         """Write the rows to the cells, and hide columns that are empty in every row."""
-        blocked, columns = QSignalBlocker(self), self.columns  # these are no edits of the user
+        blocked, columns = (
+            QSignalBlocker(self),
+            self.columns,
+        )  # the changes below are not made by the user
         self.setRowCount(len(self.rows))
         self.setColumnCount(len(columns))
         for column, about in enumerate(columns):
@@ -260,7 +264,9 @@ class LabelTable(QTableWidget, Generic[Row]):
             for row in range(len(self.rows)):
                 self._write(row, column, about)
             said = any(about.shown(row) for row in self.rows)
-            self.setColumnHidden(column, column > NAME and not said)  # the dock is narrow
+            self.setColumnHidden(
+                column, column > NAME and not said
+            )  # saves width in the narrow dock
         blocked.unblock()
 
     def _write(self, row: int, column: int, about: Column[Row]) -> None:
@@ -275,7 +281,7 @@ class LabelTable(QTableWidget, Generic[Row]):
             if about.choices:
                 self.setCellWidget(row, column, self._box(item, about.choices))
         item.setText(text)
-        item.setToolTip(text)  # the dock is narrow
+        item.setToolTip(text)  # the narrow dock may elide the text
         typing = Qt.ItemFlag.ItemIsEditable
         typed = column == NAME or (column > NAME and text)
         flags = item.flags() | typing if typed else item.flags() & ~typing
@@ -292,7 +298,7 @@ class LabelTable(QTableWidget, Generic[Row]):
         box.addItems(choices)
         box.setStyleSheet(_COMPACT)
         box.textActivated.connect(item.setText)
-        box.activated.connect(self.clearFocus)  # the canvas gets the next keys
+        box.activated.connect(self.clearFocus)  # so that the canvas gets the next keys
         CalmField(box).watch(box)
         return box
 
@@ -308,7 +314,7 @@ class LabelTable(QTableWidget, Generic[Row]):
     # Mouse and keys
 
     def keyPressEvent(self, event: Any) -> None:
-        """Select rows by the arrow keys, leave letters to the canvas, and block Delete."""
+        """Select rows by the arrow keys, pass letters to the canvas, and block Delete."""
         if event.key() in (Qt.Key.Key_Delete, Qt.Key.Key_Backspace):
             # Otherwise the window passes it to the active layer, which deletes its selected points.
             event.accept()

@@ -84,9 +84,9 @@ class LandmarkChoice(Container):
     Attributes
     ----------
     where, should : LayerChoice
-        Two Points layers of equal length; or a Shapes layer of lines and nothing.
+        Two Points layers of equal length; or a Shapes layer of lines, and None.
     take : PushButton
-        Button that adds them to the drawing as landmarks.
+        Button that adds the landmarks to the drawing.
     """
 
     def __init__(self, layers: Callable[[], list[Any]]) -> None:
@@ -116,7 +116,7 @@ class LandmarkChoice(Container):
         return self.where.value, self.should.value
 
     def look(self) -> None:
-        """Show the widgets for which there are layers."""
+        """Update the visible and enabled widgets for the current layers."""
         self.visible = bool(self.where.offered)
         self.should.visible = not isinstance(self.where.value, Shapes)
         self.take.enabled = self.where.value is not None
@@ -151,7 +151,7 @@ class ExtentChoice(ComboBox):
         return bool(self.value == "volume")
 
     def look_at(self, image: Any) -> None:
-        """Show the menu if an image has slices, and choose the extent in its metadata."""
+        """Show the menu if an image has slices, and select the extent that its metadata records."""
         self.has_slices = image is not None and layer_extents(image)[-3:-2] > (1,)
         self.visible = self.has_slices
         self.value = known_of(image).get("extent", "slice") if self.has_slices else "slice"

@@ -79,15 +79,15 @@ def report(done: CompleteResult) -> str:
     return f"{where} moved up to {largest:.3g} {unit_symbol(place.unit)}."
 
 
-def warnings_of(done: CompleteResult, seen: str) -> tuple[str, str]:
-    """Return the warnings of a result, and the label of the chip while `seen` is the overlay."""
+def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
+    """Return the warnings of a result, and the label of the chip while `overlay` is shown."""
     sites = "voxels" if len(done.moved.study.grid.shape) == 3 else "pixels"
     found = marks_of(done.outputs)
     parts = [f"Warning: at {number} {sites} {_WARNINGS[mark]}" for mark, number in found.items()]
     parts += map(_sentence, done.notes)
-    if (mark := next_mark(done.outputs, seen)) is not None:
+    if (mark := next_mark(done.outputs, overlay)) is not None:
         return " ".join(parts), f"{mark.capitalize()} at {found[mark]} {sites}: show where"
-    return " ".join(parts), f"Hide the {seen}" if seen in found else ""
+    return " ".join(parts), f"Hide the {overlay}" if overlay in found else ""
 
 
 def can_unfold(done: CompleteResult) -> bool:
@@ -111,10 +111,10 @@ def _sentence(clause: str) -> str:
     return f"{said[0].upper()}{said[1:]}."
 
 
-def next_mark(outputs: Outputs, seen: str) -> Mark | None:
-    """Return the mark that follows the overlay `seen`: folds, then overlaps, then None."""
+def next_mark(outputs: Outputs, overlay: str) -> Mark | None:
+    """Return the mark that follows a shown overlay: folds, then overlaps, then None."""
     marks = [*marks_of(outputs)]
-    return next(iter(marks[marks.index(seen) + 1 :] if seen in marks else marks), None)
+    return next(iter(marks[marks.index(overlay) + 1 :] if overlay in marks else marks), None)
 
 
 def in_short(error: Exception) -> str:

@@ -42,7 +42,7 @@ def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View)
     Raises
     ------
     ProblemError
-        If the visible slice is not one of the image.
+        If the image has no pixels in the visible slice.
     """
     has_tissue, has_boundary = (
         layer is not None and fits(layer, image, view) for layer in (tissue, boundary)

@@ -1,4 +1,4 @@
-"""Engine of the window, paced by its repaints and answered on the GUI thread."""
+"""Engine of the window, paced by its repaints, with answers on the GUI thread."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class PacedEngine:
         self._overlay = PaintedOverlay()
         self._engine = Engine(self._deliver, _DOING, self._overlay)
         self._repainted = Repainted(self._engine.resume)
-        self._jobs = BackgroundJobs(lambda _: None)  # errors of a drag are reported by its solve
+        self._jobs = BackgroundJobs(lambda _: None)  # the solve of a drag reports its own errors
         self._rehearsed = False
 
     def submit(
@@ -77,7 +77,7 @@ class PacedEngine:
 
     @property
     def at_work(self) -> bool:
-        """True if anything is being computed, or will be."""
+        """True if a computation is running or pending."""
         return self.busy or self._jobs.busy()
 
     @property
@@ -86,16 +86,16 @@ class PacedEngine:
         return self._engine.monitor
 
     def rehearse(self, study: Study) -> None:
-        """Load or compile in the background what the first pull and the first stroke need."""
+        """Load or compile in the background the code for the first pull and the first stroke."""
         image, engine = study.pictures.image, self._engine
         if not self._rehearsed and image is not None:
             self._rehearsed = True
-            what = study.prior, image, study.grid.spacing, engine.report, engine.closed
+            arguments = study.prior, image, study.grid.spacing, engine.report, engine.closed
             for kind, more in (("first pull", False), ("first brush", True)):
-                self._jobs.submit(kind, partial(rehearse, *what, more), lambda _: None)
+                self._jobs.submit(kind, partial(rehearse, *arguments, more), lambda _: None)
 
     def release(self) -> None:
-        """Drop all work for good."""
+        """Drop all work and stop the engine permanently."""
         self.forget()
         self._engine.close()
         self._gui.release()
@@ -120,7 +120,7 @@ class PacedEngine:
         except Cancelled:
             return None
         except Exception as error:  # noqa: BLE001 - every error is reported to the user
-            _log.exception("a result could not be drawn")
+            _log.exception("the layers of a result could not be made")
             return ShownDeformation(replace(latest, error=error))
 
     # On the GUI thread

@@ -54,7 +54,7 @@ class SecondImage:
             (viewer.layers.events.inserted, self.look), *((change, self.look) for change in changes)
         )
         self._points = EventConnections()
-        # Layer and column of features with the residuals.
+        # Layer with the residuals, and the name of their feature column.
         self._residuals: tuple[Any, str] | None = None
 
     def release(self) -> None:
@@ -137,7 +137,7 @@ class SecondImage:
             except HmrfError:
                 return None  # reported when the landmarks are taken
         study = self._controller.study
-        if study is None or study.grid.place != answer.frame:  # study of another image
+        if study is None or study.grid.place != answer.frame:  # the study is of another image
             return None
         marks = (mark for mark in study.motion.drawing.marks if isinstance(mark, Landmark))
         both = [(mark.source, mark.target) for mark in marks]

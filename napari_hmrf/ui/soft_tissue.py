@@ -38,7 +38,7 @@ from napari_hmrf.ui.viewer_watch import ViewerWatch
 
 
 class SoftTissue(DockValues):
-    """Dock widget that defines tissue and its motion, and shows the deformation that follows.
+    """Dock widget that defines tissue and its motion, and shows the resulting deformation.
 
     A script can do everything the user can: choose layers (`image`, `tissue`, `boundary`, ...),
     fill the tables (`materials`, `rules`), set `model`, `settings` and `drawing`. While `live` is
@@ -52,11 +52,11 @@ class SoftTissue(DockValues):
     Attributes
     ----------
     study_model : StudyModel
-        Studies of the viewer and their undo; edits of it are shown in the window.
+        Studies of the viewer and their undo steps; the window shows all edits of the model.
     fields : ToolFields
         Settings of the tools.
     more : ResultMenu
-        Measures the result, saves its field and a film, and moves other layers along.
+        Menu that measures the result, saves its field and a film, and moves other layers along.
     seen, followed : Signal(Deformation), Signal(Outputs)
         Emitted with every new state of the tissue, and when all layers of a result are drawn.
     finished, saved : Signal(object)
@@ -228,7 +228,7 @@ class SoftTissue(DockValues):
         Raises
         ------
         HmrfError
-            If no image is chosen, or the visible slice is not one of the image.
+            If no image is chosen, or the image has no pixels in the visible slice.
         """
         if self.image is None:
             raise HmrfError(messages.WELCOME)
@@ -243,8 +243,19 @@ class SoftTissue(DockValues):
     def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> StiffnessCurve:
         """Define the stiffness of tissue by the image's intensity; return the curve.
 
-        The `curve` is by default the existing one of this image, or else a first guess. Raises
-        `HmrfError` if no image is chosen, or no curve can be made for it.
+        Parameters
+        ----------
+        curve : StiffnessCurve, optional
+            By default the existing curve of the image, or else a first guess.
+
+        Returns
+        -------
+        StiffnessCurve
+
+        Raises
+        ------
+        HmrfError
+            If no image is chosen, or no curve can be made for the image.
         """
         if self.image is None:
             raise HmrfError(messages.WELCOME)
@@ -259,8 +270,21 @@ class SoftTissue(DockValues):
     def take_landmarks(self, where: Any, should: Any = None, **how: float) -> None:
         """Take points of two layers, or lines of a Shapes layer, as landmarks of the drawing.
 
-        They replace the landmarks that were taken before. All arguments, such as `radius` and
-        `confidence`, and errors are those of `read_landmarks`.
+        They replace the landmarks that were taken before.
+
+        Parameters
+        ----------
+        where : napari.layers.Points or Shapes
+            Landmarks, or lines from each landmark to its target.
+        should : napari.layers.Points, optional
+            Targets, in the order of the landmarks.
+        **how
+            Further arguments of `read_landmarks`, such as `radius` and `confidence`.
+
+        Raises
+        ------
+        HmrfError
+            If no image is chosen, or the layers cannot be read, as for `read_landmarks`.
         """
         if self.image is None or not self._controller.look():
             raise HmrfError(messages.WELCOME if self.image is None else self.status)

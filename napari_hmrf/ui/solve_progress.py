@@ -29,7 +29,7 @@ class SolveProgress:
     engine : PacedEngine
     """
 
-    #: Progress message, shown until the work ends; then "".
+    #: Progress message; "" when the work has ended.
     doing = Signal(str)
 
     def __init__(self, native: QWidget, footer: Footer, engine: PacedEngine) -> None:

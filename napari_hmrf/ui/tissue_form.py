@@ -115,7 +115,7 @@ class TissueSection(_PaintedSection[MaterialTable]):
         self.choice.reset_choices()
 
     def go_by(self, curve: StiffnessCurve) -> None:
-        """Choose brightness as the tissue, with a curve."""
+        """Define the tissue by brightness, with a curve."""
         self.offer(curve)
         self.choice.value = BRIGHTNESS
         self.edited.emit()

@@ -219,7 +219,7 @@ def _distance(
             raise ValueError(f"This must be a number, in {unit}")
         return changed(rule, far)
 
-    words = title.replace("along ", "along\n")  # the dock is narrow
+    words = title.replace("along ", "along\n")  # saves width in the narrow dock
     return Column(f"{words}\n{unit}", f"{about}, in {unit}", shown, typed)
 
 

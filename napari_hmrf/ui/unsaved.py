@@ -73,7 +73,7 @@ class Dock(Protocol):
 
     @property
     def status(self) -> str:
-        """Sentence below the buttons."""
+        """Status text of the dock."""
 
     @property
     def drawing(self) -> Drawing:
@@ -123,7 +123,7 @@ class Unsaved(QObject):
 
     @property
     def there(self) -> bool:
-        """True if there is work that is in no file."""
+        """True if there is unsaved work."""
         return bool(self._work.slices)
 
     # Files
@@ -188,7 +188,7 @@ class Unsaved(QObject):
         model = self._model
         others = part.kind == "paint" and part.layer not in model.choice.layers
         if part.kind in ("choice", "model") or others:
-            return  # not part of the file, or of another study
+            return  # easily chosen again, or not part of the study
         here = part if part.kind == "drawing" else model.slice
         # A change that follows from another, such as a choice after new layers, is no undo step.
         steps = (model.next_undo, model.next_redo)
@@ -357,4 +357,4 @@ def _write(file: Path, study: Study) -> None:
     try:
         write_study(file, study)
     except (OSError, TypeError, ValueError):
-        _log.exception("unsaved work could not be kept against a crash")
+        _log.exception("the recovery file of unsaved work could not be written")

@@ -69,7 +69,7 @@ class Dock(Container):
             self.on_window(window)
 
     def on_over(self, closed: bool) -> None:
-        """Stop all timers, if the dock was closed rather than its window deleted."""
+        """Stop all timers if the dock was closed; Qt deletes them with a window."""
         if closed:
             for timer in self.native.findChildren(QTimer):
                 timer.stop()

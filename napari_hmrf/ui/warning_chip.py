@@ -41,8 +41,8 @@ class WarningChip:
 
     def look(self, *_: Any) -> None:
         """Update the warnings of the latest result, and the offer of another model."""
-        done, seen, other = self._latest(), self._form.result.overlay.value, self._other
-        self._form.footer.warn(*(("",) if done is None else messages.warnings_of(done, seen)))
+        done, overlay, other = self._latest(), self._form.result.overlay.value, self._other
+        self._form.footer.warn(*(("",) if done is None else messages.warnings_of(done, overlay)))
         self._form.footer.offer(messages.OFFERS[other] if other else "")
 
     @property

@@ -71,7 +71,7 @@ class CurveEditor(Container):
 
     @property
     def curve(self) -> StiffnessCurve:
-        """Curve that is shown; setting it is no edit by the user."""
+        """Curve that is shown; setting it emits no signal of the plot."""
         return self.plot.curve
 
     @curve.setter

@@ -38,7 +38,7 @@ class CurvePlot(QWidget):
     canvas : FigureCanvasQTAgg or None
         Canvas of the plot; None before the plot is first shown, as matplotlib imports slowly.
     edited : Signal(StiffnessCurve)
-        Emitted with every new curve of the user, also during a drag.
+        Emitted with the curve after every change by the user, also during a drag.
     settled : Signal(StiffnessCurve)
         Emitted at the end of an edit.
     """
@@ -59,7 +59,7 @@ class CurvePlot(QWidget):
 
     @property
     def curve(self) -> StiffnessCurve:
-        """Curve that is shown; setting it is no edit by the user."""
+        """Curve that is shown; setting it emits no signal."""
         return self._curve
 
     @curve.setter

@@ -140,7 +140,7 @@ class ArrowsLayer:
         if quick and same and len(lines) and overwrite(self._viewer, layer, placed):
             return
         layer.data = placed
-        # Setting colours takes as long as drawing the lines; in a drag, only the first move does.
+        # Setting colours takes as long as drawing lines; only the first move of a drag does it.
         if len(lines) and not same:
             # While the layer is hidden, napari does not update its number of lines.
             with nullcontext() if layer.visible else layer.events.edge_color.blocker():
@@ -167,7 +167,7 @@ class ArrowsLayer:
         layer.cursor = "circle"
 
     def end_drag(self) -> None:
-        """Restore what was suspended for the drag."""
+        """Restore the updates that were suspended for the drag."""
         self._drag.close()
 
     def remove(self) -> None:

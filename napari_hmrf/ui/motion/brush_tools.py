@@ -33,7 +33,7 @@ class BrushTool(Tool):
     action: ClassVar[Action]
     step: ClassVar[str]
 
-    #: Undeformed place of each visible point, as of the button press.
+    #: Map to the undeformed place of each point that was visible at the button press.
     _origin: Origin
 
     @classmethod

@@ -116,7 +116,7 @@ class LandmarkTool(PullTool):
     fields = ("radius", "confidence")
     how = "Drag from where something is to where it should be, or click what stays there."
 
-    #: Selected mark as of the button press.
+    #: Selected mark just after the button press.
     _pressed: Arrow | Landmark | None = None
 
     @classmethod

@@ -11,7 +11,7 @@ from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.drawing import Drawing, Mark, Stroke
 from napari_hmrf.tissue.drawing.marks import Components, Point
 
-#: Map from a visible point to that of the undeformed tissue; None without tissue.
+#: Map from a visible point to its undeformed place; None outside tissue.
 Origin = Callable[[Point], Point | None]
 
 
@@ -33,7 +33,7 @@ class ToolSettings(TypedDict, total=False):
 
 
 class ToolError(HmrfError):
-    """An action of a tool has no effect; the message gives the reason to the user."""
+    """Error of a tool whose action has no effect; its message is shown to the user."""
 
 
 class Tool(ABC):
@@ -61,7 +61,7 @@ class Tool(ABC):
         Key that selects the tool while the layer *Motion* is active. It must differ from napari's
         keys for Vectors layers and for the viewer.
     fields : tuple of str
-        Attributes of `ToolFields` that set the tool.
+        Names of the fields in `ToolFields` with the settings of the tool.
     how : str
         Instructions for the button and the status.
     """
@@ -103,7 +103,7 @@ class Tool(ABC):
         point : tuple of float
             Point on the visible image, in pixels.
         reach : float
-            Largest distance of a mark that can be picked up, in the unit of the spacing.
+            Largest distance of a mark that the press can grab, in the unit of the spacing.
         settings : ToolSettings
             Settings of a new mark.
         origin : callable
@@ -170,7 +170,7 @@ class Tool(ABC):
 
     @property
     def selected(self) -> int | None:
-        """Number of the mark made or picked up last; None after another edit of the drawing."""
+        """Number of the mark made or selected last; None after another edit of the drawing."""
         if self._model.drawing is not self._numbered:
             self._selected = None
         return self._selected
@@ -197,7 +197,7 @@ class Tool(ABC):
         self._numbered, self._selected = self._model.drawing, number
 
     def pick(self, number: int | None) -> None:
-        """Select the mark that the user picked up on the canvas; None if there was none."""
+        """Select the mark that the user clicked on the canvas; None if there was none."""
         self.select(number)
 
     def remove(self) -> bool:

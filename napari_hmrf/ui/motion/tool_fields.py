@@ -32,7 +32,8 @@ class ToolFields(Container):
     Attributes
     ----------
     radius, by_row, by_col, amount, confidence, sure, softness, components, preset, material
-        Widgets. The `fields` of a tool name those it needs; `preset` is shown with `material`.
+        Widgets. The `fields` of a tool name the ones that it uses; `preset` is shown with
+        `material`.
     """
 
     def __init__(self) -> None:
@@ -84,7 +85,7 @@ class ToolFields(Container):
             field.name = name
         super().__init__(widgets=[*fields.values()])
         lengths = (self.radius, self.by_row, self.by_col, self.amount)
-        for field in lengths:  # an unfinished number is not a length
+        for field in lengths:  # emit no value while a number is being typed
             field.native.setKeyboardTracking(False)
         self.margins = (0, 0, 0, 0)
         self._tool = BY_NAME["pull"]

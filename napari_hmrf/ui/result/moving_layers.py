@@ -35,7 +35,7 @@ _STEP = 2
 class MovingLayers:
     """Layers of a result, which can be shown at any percentage of its deformation.
 
-    The length of the arrows at 100 % is that set by the user in napari's controls of their layer.
+    The user sets the length of the arrows at 100 % in napari's layer controls.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ class Player:
             self.playing_changed.emit(False)
 
     def show(self, percent: int) -> None:
-        """Draw a percentage: at once if it is cached, else when it is computed."""
+        """Draw the layers at a percentage: at once if cached, else after the computation."""
         if (shown := self._shown()) is None:
             return
         if (moment := shown.motion.known(percent / FULL)) is not None:
@@ -200,7 +200,7 @@ class Player:
         self.drawn.emit()
 
     def _on_tick(self) -> None:
-        # The slider waits for the picture, so that both always agree.
+        # The slider moves only after the last picture is drawn, so that both agree.
         if (shown := self._shown()) is None or self._jobs.busy("moment"):
             return
         along = (time.monotonic() - self._started) / SECONDS % 2

@@ -31,7 +31,7 @@ from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_form import ResultForm
 from napari_hmrf.ui.result.result_messages import NO_FORCES, NO_IMAGE, NO_RESULT, SAVING, saved
 
-# Full width of the layout.
+# Alignment over the full width of the layout.
 _ANYWHERE = Qt.AlignmentFlag(0)
 _FOR_IMAGES = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
 _FOR_POINTS = "Fields (*.mha *.nrrd *.nii.gz)"
@@ -115,14 +115,33 @@ class ResultMenu:
         self._jobs.submit(f"{folder}", partial(write_result_pictures, *arguments), self._on_saved)
 
     def save_field(self, path: str | Path, *, forward: bool = False) -> None:
-        """Write the field for other tools; a message gives the accuracy of its inverse."""
+        """Write the field for other tools; a message gives the accuracy of its inverse.
+
+        Parameters
+        ----------
+        path : str or Path
+        forward : bool
+            If True, write the field that maps original positions to deformed ones; otherwise its
+            inverse, which most tools need to resample images.
+
+        Raises
+        ------
+        HmrfError
+            If there is no result.
+        """
         field = FieldFile.of(self._shown.answer.solution)
         self._jobs.submit(
             f"{path}", partial(write_field_file, path, field, forward=forward), self._say
         )
 
     def save_film(self, path: str | Path) -> None:
-        """Write a film of the image moving back and forth, as `write_movie`."""
+        """Write a film of the image moving back and forth, as `write_movie`.
+
+        Raises
+        ------
+        HmrfError
+            If there is no result, or no image on its pixels.
+        """
         shown = self._shown
         if shown.image is None:
             raise HmrfError(NO_IMAGE)

@@ -40,7 +40,7 @@ class ResultView:
     Attributes
     ----------
     arrows : napari.layers.Vectors or None
-        Arrows that hold the selected result: by default the newest one.
+        Arrows with the selected result, by default the newest one.
     """
 
     #: Message for the user.
@@ -143,7 +143,7 @@ class ResultView:
             self.player.play()
 
     def rest(self) -> None:
-        """Restore the layers and the key, as the dock closes."""
+        """Restore the layers and remove the key binding, as the dock closes."""
         if self._while_key_is_held in self._viewer.keymap.values():
             self._viewer.bind_key(BEFORE_KEY, None)
         self._put_back()
@@ -226,7 +226,7 @@ class ResultView:
     def _on_removed(self, event: Any) -> None:
         if self.shown is None:
             return
-        # Layers that the dock removes are no parts of a result any more.
+        # Layers removed by the dock are no longer parts of a result.
         part = self.shown.layers.part_of(event.value)
         if part == "overlay":
             self._form.overlay.value = words.NOTHING
@@ -292,7 +292,7 @@ class ResultView:
         return False
 
     def _put_back(self, release: bool = True) -> None:
-        """Show the whole deformation, and drop all jobs."""
+        """Show the deformation at 100 %, and drop all jobs."""
         self._jobs.forget()
         if self.shown is not None:
             if release:
@@ -301,7 +301,7 @@ class ResultView:
         self._draw_whole()
 
     def _draw_whole(self) -> None:
-        """Stop playing, and draw the arrows of the whole deformation."""
+        """Stop playing, and draw the arrows at 100 %."""
         self.player.stop()
         self._jobs.forget("moment")
         if self.shown is not None:
