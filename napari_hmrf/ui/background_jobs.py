@@ -48,8 +48,8 @@ class BackgroundJobs:
         The result of a job that is already running is also shown, so that the picture moves during
         a drag.
         """
-        known = self._pending.get(kind)
-        queue = LatestQueue(_DOING) if known is None else known.queue
+        pending = self._pending.get(kind)
+        queue = LatestQueue(_DOING) if pending is None else pending.queue
 
         def job(turn: Turn) -> None:
             try:

@@ -173,5 +173,5 @@ class DockForm:
         bar.setValue(min(step.y(), max(bar.value(), least)))
 
     def _on_tissue(self) -> None:
-        by_itself = self.tissue.curve is not None
-        self.model.tissue_is(self.image.value if by_itself else self.tissue.layer)
+        by_brightness = self.tissue.curve is not None
+        self.model.tissue_is(self.image.value if by_brightness else self.tissue.layer)

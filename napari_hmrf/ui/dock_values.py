@@ -295,7 +295,7 @@ class DockValues(Dock):
     @property
     def unsaved(self) -> bool:
         """True if there is unsaved work."""
-        value: bool = self._unsaved.there
+        value: bool = self._unsaved.has_work
         return value
 
     @property

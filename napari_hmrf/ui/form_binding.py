@@ -345,16 +345,16 @@ class FormBinding:
             if part.kind in ("drawing", "choice") and part.layer in others:
                 form.image.value = part.layer
                 uncover(self._viewer, part.layer)
-            here = part.layer is form.image.value
+            is_current = part.layer is form.image.value
             if part.kind == "model":
                 form.model.choice = value
-            elif part.kind == "choice" and here:
+            elif part.kind == "choice" and is_current:
                 self._show(value)
                 for layer in value.layers:  # undo may restore a layer that was removed
                     if isinstance(layer, Layer) and layer not in self._viewer.layers:
                         value = value.without(layer)
                 self._model.amend(part, value)
-            elif part.kind == "curve" and here:
+            elif part.kind == "curve" and is_current:
                 form.tissue.offer(value)
                 if self._model.choice.tissue == BRIGHTNESS:
                     form.tissue.go_by(value)

@@ -26,19 +26,19 @@ def narrow(menu: Any) -> None:
 
 def share(label: str, tooltip: str, **options: Any) -> FloatSlider:
     """Create a slider for a fraction; it emits its value when the mouse button is released."""
-    how = {"value": 0.5, "min": 0.0, "max": 1.0, "step": 0.05, **options}
-    return FloatSlider(label=label, tooltip=tooltip, tracking=False, **how)
+    settings = {"value": 0.5, "min": 0.0, "max": 1.0, "step": 0.05, **options}
+    return FloatSlider(label=label, tooltip=tooltip, tracking=False, **settings)
 
 
 def length(label: str, tooltip: str, least: float = -1e6, **options: Any) -> FloatSpinBox:
     """Create a field for a length, or for a displacement if negative values are allowed."""
-    how = {"value": 0.0, "min": least, "max": 1e6, "step": 0.5, **options}
-    return FloatSpinBox(label=label, tooltip=tooltip, **how)
+    settings = {"value": 0.0, "min": least, "max": 1e6, "step": 0.5, **options}
+    return FloatSpinBox(label=label, tooltip=tooltip, **settings)
 
 
 def menu(label: str, words: Mapping[Any, str], tooltip: str, **options: Any) -> ComboBox:
     """Create a menu of values, each shown as its words."""
-    choices = [(said, value) for value, said in words.items()]
+    choices = [(word, value) for value, word in words.items()]
     return ComboBox(label=label, choices=choices, tooltip=tooltip, **options)
 
 

@@ -41,8 +41,8 @@ class Guide:
         for table in form.tables:
             table.found.connect(partial(self.say, why="step"))
             table.refused.connect(self.refuse)
-        for told in (form.tissue.menu, controller.binding):
-            told.said.connect(partial(self.say, why="step"))
+        for source in (form.tissue.menu, controller.binding):
+            source.said.connect(partial(self.say, why="step"))
         form.tissue.editor.refused.connect(self.refuse)
         pointer.said.connect(self._on_pointer)
         pointer.refused.connect(self.refuse)
@@ -75,10 +75,10 @@ class Guide:
         if self._covered or self._viewer.dims.ndisplay != 2:
             return self._covered or motion_messages.FLAT
         begun = boundary.choice.value is not None
-        how = motion_messages.START if form.footer.live.value or not begun else messages.READY
+        hint = motion_messages.START if form.footer.live.value or not begun else messages.READY
         if self._pointer.active:
-            how = self._pointer.tool.how
-        return f"{self._controller.loose} {self._paused or how}".lstrip()
+            hint = self._pointer.tool.how
+        return f"{self._controller.loose} {self._paused or hint}".lstrip()
 
     def say(self, sentence: str, why: Why = "news") -> None:
         """Show a sentence in place of the earlier ones."""

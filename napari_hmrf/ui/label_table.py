@@ -142,7 +142,7 @@ class LabelTable(QTableWidget, Generic[Row]):
         if contents != self._contents:
             self._show(contents)
             self._timer.start()
-            self._store(by_itself=False)
+            self._store(automatic=False)
 
     @property
     def rows(self) -> tuple[Row, ...]:
@@ -188,7 +188,7 @@ class LabelTable(QTableWidget, Generic[Row]):
             # Debounced: reading the labels of a large image takes longer than a stroke.
             *((getattr(layer.events, name), lambda _: self._timer.start()) for name in _EVENTS),
         )
-        self._store(by_itself=True)
+        self._store(automatic=True)
 
     def release(self) -> None:
         """Stop listening to the layer."""
@@ -204,10 +204,10 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._timer.stop()
         new = self._list_painted()
         self._fill()
-        self._store(by_itself=True)
+        self._store(automatic=True)
         if new:
-            said = " and ".join(f"label {row.label}" for row in new[:3])
-            self.found.emit(f"New in '{self._layer.name}': {said}. Change it in the table.")
+            names = " and ".join(f"label {row.label}" for row in new[:3])
+            self.found.emit(f"New in '{self._layer.name}': {names}. Change it in the table.")
 
     def pick(self, label: int) -> None:
         """Select a label for painting."""
@@ -241,11 +241,11 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._contents = contents._replace(rows=rows)
         self._fill()
 
-    def _store(self, by_itself: bool) -> None:
+    def _store(self, automatic: bool) -> None:
         """Store the table in the layer, and emit `changed`."""
         if self._layer is not None:
             store_table(self._contents, self._layer, self.role)
-            self.changed.emit(by_itself)
+            self.changed.emit(automatic)
 
     # Cells
 
@@ -263,9 +263,9 @@ class LabelTable(QTableWidget, Generic[Row]):
             self.setHorizontalHeaderItem(column, head)
             for row in range(len(self.rows)):
                 self._write(row, column, about)
-            said = any(about.shown(row) for row in self.rows)
+            is_shown = any(about.shown(row) for row in self.rows)
             self.setColumnHidden(
-                column, column > NAME and not said
+                column, column > NAME and not is_shown
             )  # saves width in the narrow dock
         blocked.unblock()
 

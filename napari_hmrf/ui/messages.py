@@ -74,20 +74,20 @@ def report(done: CompleteResult) -> str:
     largest = as_seen(float(magnitude(solution.displacement).max()), solution.spacing)
     if not largest:
         return STILL
-    seen = place.slice_seen.replace("slice", "Slice")
-    where = f"{seen}: tissue" if seen else "Tissue"
+    slice_name = place.slice_seen.replace("slice", "Slice")
+    where = f"{slice_name}: tissue" if slice_name else "Tissue"
     return f"{where} moved up to {largest:.3g} {unit_symbol(place.unit)}."
 
 
 def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
     """Return the warnings of a result, and the label of the chip while `overlay` is shown."""
     sites = "voxels" if len(done.moved.study.grid.shape) == 3 else "pixels"
-    found = marks_of(done.outputs)
-    parts = [f"Warning: at {number} {sites} {_WARNINGS[mark]}" for mark, number in found.items()]
+    counts = marks_of(done.outputs)
+    parts = [f"Warning: at {number} {sites} {_WARNINGS[mark]}" for mark, number in counts.items()]
     parts += map(_sentence, done.notes)
     if (mark := next_mark(done.outputs, overlay)) is not None:
-        return " ".join(parts), f"{mark.capitalize()} at {found[mark]} {sites}: show where"
-    return " ".join(parts), f"Hide the {overlay}" if overlay in found else ""
+        return " ".join(parts), f"{mark.capitalize()} at {counts[mark]} {sites}: show where"
+    return " ".join(parts), f"Hide the {overlay}" if overlay in counts else ""
 
 
 def can_unfold(done: CompleteResult) -> bool:
@@ -107,8 +107,8 @@ def loose(notes: Sequence[str]) -> str:
 
 
 def _sentence(clause: str) -> str:
-    said = in_words_of("window", clause)
-    return f"{said[0].upper()}{said[1:]}."
+    sentence = in_words_of("window", clause)
+    return f"{sentence[0].upper()}{sentence[1:]}."
 
 
 def next_mark(outputs: Outputs, overlay: str) -> Mark | None:
@@ -126,12 +126,12 @@ def in_short(error: Exception) -> str:
     return f"The deformation failed: {type(error).__name__}: {error}"
 
 
-def progress(monitor: Monitor, what: str = "Deforming") -> str:
+def progress(monitor: Monitor, work: str = "Deforming") -> str:
     """Describe the progress in plain words; `monitor` has the technical description."""
     if monitor.message.startswith(_WAITS):
-        return f"{what}: {monitor.message}."
+        return f"{work}: {monitor.message}."
     percent = round(100 * monitor.fraction)  # at 100 % the result must still be drawn
-    return f"{what}: {percent} %" if 0 < percent < 100 else f"{what} ..."
+    return f"{work}: {percent} %" if 0 < percent < 100 else f"{work} ..."
 
 
 def chosen(image: Any, hidden: Sequence[Any]) -> str:

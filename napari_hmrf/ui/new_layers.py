@@ -59,8 +59,8 @@ def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View)
         push = usual_step(plane_shape(image, frame), frame.spacing)
         holds = BoundaryRule(1, "fixed", name="holds")
         grows = BoundaryRule(2, "expand", amount=push, name="grows")
-        known = described(BOUNDARY, (holds, grows))
-        boundary = blank("Boundary", known, colormap=boundary_colours())
+        description = described(BOUNDARY, (holds, grows))
+        boundary = blank("Boundary", description, colormap=boundary_colours())
         layers.append(boundary)
     paints_boundary = not isinstance(tissue, Labels) or (has_tissue and not has_boundary)
     first = boundary if paints_boundary else tissue
@@ -70,14 +70,14 @@ def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View)
     return tissue, boundary
 
 
-def _blank(image: Any, view: View, name: str, known: dict[str, Any], **look: Any) -> Labels:
+def _blank(image: Any, view: View, name: str, description: dict[str, Any], **look: Any) -> Labels:
     """Create an empty Labels layer on the pixels of an image, at the same place."""
     frame, shape = frame_of(image, view), layer_extents(image)
     place = frame.placement()
     if math.prod(shape) > _LARGEST:
         shape = tuple(size if axis in frame.plane else 1 for axis, size in enumerate(shape))
         place = frame.placement(image=True)
-    layer = Labels(np.zeros(shape, np.uint8), name=name, metadata=known, **look, **place)
+    layer = Labels(np.zeros(shape, np.uint8), name=name, metadata=description, **look, **place)
     layer.brush_size = max(3, round(max(plane_shape(image, frame)) / 40))
     layer.n_edit_dimensions = len(frame.plane)  # for a volume, the brush is a ball
     return layer

@@ -75,8 +75,8 @@ class SecondImage:
 
     def _draw(self, other: Any, moved: list[Any]) -> None:
         """Draw an image over the moving ones, after restoring layers of an earlier comparison."""
-        wanted, layers = [] if other is None else [other, *moved], self._viewer.layers
-        if wanted == list(self._before):
+        compared, layers = [] if other is None else [other, *moved], self._viewer.layers
+        if compared == list(self._before):
             return
         for layer, look in self._before.items():
             _set(layer, look)
@@ -84,7 +84,7 @@ class SecondImage:
         if second in layers:  # on top, it would cover the image
             layers.move(layers.index(second), self._place)
         self._before = {}
-        for layer in wanted:
+        for layer in compared:
             look = dict(_OTHER if layer is other else _MOVED)
             if layer.rgb:
                 del look["colormap"]
@@ -92,8 +92,8 @@ class SecondImage:
             _set(layer, look)
         if other is not None:
             self._place = layers.index(other)
-            there = [layers.index(layer) for layer in moved if layer in layers]
-            layers.move(self._place, max([self._place, *(index + 1 for index in there)]))
+            indices = [layers.index(layer) for layer in moved if layer in layers]
+            layers.move(self._place, max([self._place, *(index + 1 for index in indices)]))
 
     def _on_points(self, event: Any) -> None:
         if event.action in (ActionType.ADDED, ActionType.REMOVED, ActionType.CHANGED):

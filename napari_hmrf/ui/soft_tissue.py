@@ -232,11 +232,11 @@ class SoftTissue(DockValues):
         """
         if self.image is None:
             raise HmrfError(messages.WELCOME)
-        by_itself = self.curve is not None
-        chosen = (self.image if by_itself else self.tissue, self.boundary)
+        by_brightness = self.curve is not None
+        chosen = (self.image if by_brightness else self.tissue, self.boundary)
         made = add_missing(self._viewer, self.image, *chosen, self._form.view())
         with self._binding.automatically():  # undo would not remove the layers
-            self.tissue, self.boundary = BRIGHTNESS if by_itself else made[0], made[1]
+            self.tissue, self.boundary = BRIGHTNESS if by_brightness else made[0], made[1]
         painted = (f"'{layer.name}'" for layer in made if isinstance(layer, Labels))
         self.say(messages.PAINT.format(" and ".join(painted)))
 
@@ -323,7 +323,7 @@ class SoftTissue(DockValues):
             table.picked.connect(self.hand_brush)
             # Show the effect of a typed value even while the brush is active.
             table.changed.connect(
-                lambda by_itself: None if by_itself else controller.show_before(False)
+                lambda automatic: None if automatic else controller.show_before(False)
             )
         pointer.changed.connect(self._show_tool)
         pointer.begun.connect(partial(setattr, self, "_unused", False))

@@ -211,8 +211,8 @@ def _distance(
     """Return a column of numbers with a unit; its cell is empty if `amount` returns None."""
 
     def shown(rule: BoundaryRule) -> str:
-        found = amount(rule)
-        return "" if found is None else f"{round(found, 9) + 0.0:g}"
+        value = amount(rule)
+        return "" if value is None else f"{round(value, 9) + 0.0:g}"
 
     def typed(rule: BoundaryRule, text: str) -> BoundaryRule:
         if not math.isfinite(far := number_of(text)):
@@ -274,8 +274,8 @@ class MaterialMenu(QPushButton):
         taken = menu.addMenu("Take from layer")
         taken.setToolTipsVisible(True)
         for layer in self._layers():
-            if layer is not self._table.layer and (found := materials_of(layer)):
-                self._offer(taken, found)
+            if layer is not self._table.layer and (materials := materials_of(layer)):
+                self._offer(taken, materials)
         taken.setEnabled(bool(taken.actions()))
         about = "A file that was saved here or written by hand, or a segmentation's names of labels"
         add_entry(menu, "Load from file ...", about, self._load)

@@ -122,7 +122,7 @@ class Unsaved(QObject):
         _all.add(self)
 
     @property
-    def there(self) -> bool:
+    def has_work(self) -> bool:
         """True if there is unsaved work."""
         return bool(self._work.slices)
 
@@ -152,9 +152,9 @@ class Unsaved(QObject):
 
     def save_as(self) -> None:
         """Ask where to save the study, and save it."""
-        here = self._model.slice
-        name = "study" if here.layer is None else _NO_FILE_NAME.sub("-", _name(here))
-        known = self._work.paths.get(here, Path(name + SUFFIX))
+        slice_part = self._model.slice
+        name = "study" if slice_part.layer is None else _NO_FILE_NAME.sub("-", _name(slice_part))
+        known = self._work.paths.get(slice_part, Path(name + SUFFIX))
         chosen, _ = QFileDialog.getSaveFileName(
             self._dock.native, "Save the study", str(known), f"Studies (*{SUFFIX})"
         )
@@ -175,8 +175,8 @@ class Unsaved(QObject):
                 self._viewer.add_layer(layer)
             if (frame := study.grid.place) is not None:
                 first = next(iter(layers.values()))
-                there = SlicePlace(frame.plane, (0,) * first.ndim)
-                self._undo.go_to(Part("drawing", first, there), turn=True)
+                place = SlicePlace(frame.plane, (0,) * first.ndim)
+                self._undo.go_to(Part("drawing", first, place), turn=True)
             self._model.restore(study, layers)
             if study.motion.drawing.marks and not self._controller.look():
                 raise HmrfError(f"{Path(path).name} cannot be shown here: {dock.status}")
@@ -189,22 +189,22 @@ class Unsaved(QObject):
         others = part.kind == "paint" and part.layer not in model.choice.layers
         if part.kind in ("choice", "model") or others:
             return  # easily chosen again, or not part of the study
-        here = part if part.kind == "drawing" else model.slice
+        slice_part = part if part.kind == "drawing" else model.slice
         # A change that follows from another, such as a choice after new layers, is no undo step.
         steps = (model.next_undo, model.next_redo)
         by_hand = any(step is not None and step.part == part for step in steps)
-        if here.layer is not None and by_hand:
-            self._work.note(here, part, before)
+        if slice_part.layer is not None and by_hand:
+            self._work.note(slice_part, part, before)
             self._keep_timer.start()
 
-    def _drop_recovery(self, here: Part, path: Path | None = None) -> None:
+    def _drop_recovery(self, slice_part: Part, path: Path | None = None) -> None:
         """Delete the recovery file of a slice that was saved or discarded."""
-        self._work.save(here)
+        self._work.save(slice_part)
         if path is not None:
-            self._work.paths[here] = path
+            self._work.paths[slice_part] = path
         if self._writer.is_alive():
             self._writer.join()
-        if (kept := self._work.kept.pop(here, None)) is not None:
+        if (kept := self._work.kept.pop(slice_part, None)) is not None:
             kept.unlink(missing_ok=True)
 
     # Before the window closes
@@ -219,7 +219,7 @@ class Unsaved(QObject):
                 self._discard()
             return False
         is_quitting_napari = is_quitting(watched)
-        unsaved = [each for each in _all if each.there and (is_quitting_napari or each is self)]
+        unsaved = [each for each in _all if each.has_work and (is_quitting_napari or each is self)]
         if not all(each.may_close() for each in unsaved):
             stop_quitting(watched)
             event.ignore()
@@ -244,7 +244,7 @@ class Unsaved(QObject):
         elif answer == "save":
             for part in self._work.slices:
                 self._save_slice(part)
-        return answer != "cancel" and not self.there
+        return answer != "cancel" and not self.has_work
 
     def _save_slice(self, part: Part) -> None:
         """Go to a slice, and save it to its known path, or else to a path the user chooses."""
@@ -272,28 +272,28 @@ class Unsaved(QObject):
 
     def _keep(self) -> None:
         """Write the current slice to a recovery file, once no edit is in progress."""
-        here = self._model.slice
+        slice_part = self._model.slice
         is_pressed = QApplication.mouseButtons() != Qt.MouseButton.NoButton
         if is_pressed or self._model.in_progress is not None or self._writer.is_alive():
             self._keep_timer.start()
-        elif here not in self._work.slices:
-            self._drop_recovery(here)  # all edits were undone
+        elif slice_part not in self._work.slices:
+            self._drop_recovery(slice_part)  # all edits were undone
         else:
             try:
                 study = self._dock.study
-                file = self._work.kept.get(here) or recovery.new_file(folder())
+                file = self._work.kept.get(slice_part) or recovery.new_file(folder())
             except (HmrfError, ValueError, OSError):
                 return  # the current state cannot be saved: keep the earlier file
-            self._work.kept[here] = file
+            self._work.kept[slice_part] = file
             self._writer = threading.Thread(target=_write, args=(file, study), daemon=True)
             self._writer.start()
 
     def _take_up(self, file: Path) -> None:
         """Open a recovery file of an ended process, and keep it until the work is saved."""
         self._add(file)
-        here = self._model.slice
-        self._work.note(here)
-        self._work.kept[here] = recovery.take_over(file)
+        slice_part = self._model.slice
+        self._work.note(slice_part)
+        self._work.kept[slice_part] = recovery.take_over(file)
 
     def release(self) -> None:
         """Disconnect from edits, as the dock was closed or its window was deleted."""
@@ -322,14 +322,14 @@ class LeftBehind(Container):
 
     def look(self) -> None:
         """Show the newest recovery file of an ended process, or hide the notice."""
-        files, said = recovery.left_behind(folder()), ""
+        files, text = recovery.left_behind(folder()), ""
         if files:
             self._file = files[0]
             when = time.strftime("%d %b, %H:%M", time.localtime(self._file.stat().st_mtime))
             more = f" (and {len(files) - 1} more)" if len(files) > 1 else ""
             of = f" on '{name}'" if (name := image_named_in(files[0])) else ""
-            said = f"Work of {when}{of} was not saved when napari ended{more}."
-        self._said.say(said)
+            text = f"Work of {when}{of} was not saved when napari ended{more}."
+        self._said.say(text)
         self.visible = bool(files)
 
     def _on_pressed(self, answer: Callable[[Path], None], _: bool) -> None:

@@ -106,12 +106,12 @@ class ViewerWatch:
     def hide_paint(self) -> None:
         """Hide painted layers, which show the undeformed tissue and would tint the image."""
         painted, roles = self._painted, (TISSUE, BOUNDARY)
-        seen = [each for each in self._viewer.layers if each.visible]
-        seen = [each for each in seen if each in painted or role_of(each) in roles]
-        for layer in seen:
+        shown = [each for each in self._viewer.layers if each.visible]
+        shown = [each for each in shown if each in painted or role_of(each) in roles]
+        for layer in shown:
             layer.visible = False
-        if seen:
-            hidden = messages.chosen(self._form.image.value, seen)
+        if shown:
+            hidden = messages.chosen(self._form.image.value, shown)
             self._guide.say(f"{self._guide.invitation} {hidden}", "step")
 
     @property
@@ -122,9 +122,9 @@ class ViewerWatch:
     # Choices
 
     def _on_choice(self, *_: Any) -> None:
-        form, there = self._form, self._form.image.value is not None
-        form.make.enabled = there and None in self._painted
-        form.intensity.enabled = form.result.keep.enabled = there
+        form, has_image = self._form, self._form.image.value is not None
+        form.make.enabled = has_image and None in self._painted
+        form.intensity.enabled = form.result.keep.enabled = has_image
         self._controller.touch()
         self._guide.show()
 

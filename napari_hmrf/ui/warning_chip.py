@@ -78,6 +78,6 @@ class WarningChip:
             return ""
         across, _ = plane_shown(place, view)
         plane = place.plane_at(across, latest.outputs.fullest[mark][across])
-        there = view.point_at(plane, plane.index)
-        dims.set_point([*there], [*there.values()])
+        point = view.point_at(plane, plane.index)
+        dims.set_point([*point], [*point.values()])
         return messages.MOST.format(plane.slice_seen)

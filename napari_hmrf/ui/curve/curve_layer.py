@@ -53,14 +53,14 @@ class CurveLayer:
         elif before.tissue.curve == curve and before.grid == study.grid:
             return
         place, (softest, stiffest) = study.grid.known_place, curve.range
-        known = {"kind": "curve", "role": TISSUE, "unit": curve.unit}
+        metadata = {"kind": "curve", "role": TISSUE, "unit": curve.unit}
         name = f"{image.name} stiffness ({curve.unit or 'relative'})"
         look = {"colormap": stiffness_colours(), "opacity": 0.5}
-        made = layer_on(place, curve(intensities), name, known, look)
+        layer_data = layer_on(place, curve(intensities), name, metadata, look)
         if still_there(self._viewer, self.layer):
-            update_layer(self.layer, made)
+            update_layer(self.layer, layer_data)
         else:
-            self.layer = Layer.create(*made)
+            self.layer = Layer.create(*layer_data)
             layers = self._viewer.layers
             below = [image, *shared(self._viewer, ResultLayers).pictures_of(image)]
             with same_selection(self._viewer):

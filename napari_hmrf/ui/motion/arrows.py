@@ -251,9 +251,9 @@ class ArrowsLayer:
     def _reach(self, layer: Any, event: Any) -> float:
         """Return the largest distance that counts as a hit, in the unit of the spacing."""
         assert self._frame is not None
-        here = np.asarray(event.position, dtype=float)
-        there = here.copy()
-        there[list(event.dims_displayed)[-1]] += _NEAR / event.camera_zoom
+        start = np.asarray(event.position, dtype=float)
+        end = start.copy()
+        end[list(event.dims_displayed)[-1]] += _NEAR / event.camera_zoom
         view = View.of(self._viewer.dims)
-        difference = view.pixel(layer, there) - view.pixel(layer, here)
+        difference = view.pixel(layer, end) - view.pixel(layer, start)
         return math.hypot(*(difference[list(self._frame.plane)] * self._frame.spacing))

@@ -84,16 +84,16 @@ class UnderCursor:
         """Append the values under the cursor to napari's latest status text."""
         status = self._viewer.status
         known = status if isinstance(status, dict) else {"coordinates": status}
-        said = str(known.get("coordinates", "")).removesuffix(self._line)
+        text = str(known.get("coordinates", "")).removesuffix(self._line)
         # napari also emits a status before the mouse was ever on the canvas. When the mouse leaves,
         # it emits an empty text before it updates `mouse_over_canvas`.
-        pointed = bool(said) and self._viewer.mouse_over_canvas
-        line = self.line_at(self._viewer.cursor.position) if pointed else ""
+        is_over_canvas = bool(text) and self._viewer.mouse_over_canvas
+        line = self.line_at(self._viewer.cursor.position) if is_over_canvas else ""
         self._line = f"  |  {line}" if line else ""
-        joined = said + self._line
-        now = {**known, "coordinates": joined} if known is status else joined
+        joined = text + self._line
+        new_status = {**known, "coordinates": joined} if known is status else joined
         with self._viewer.events.status.blocker(self.say):
-            self._viewer.status = now
+            self._viewer.status = new_status
 
 
 def _stiffness(shown: MovingLayers, probe: Probe) -> str:

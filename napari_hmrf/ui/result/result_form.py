@@ -95,15 +95,15 @@ class ResultForm(Container):
         self.more.setToolTip(
             "Measurements, other layers moved along, fields for other tools, films"
         )
-        kept = row(self.save, self.keep)
-        kept.native.layout().addWidget(self.more)
+        buttons = row(self.save, self.keep)
+        buttons.native.layout().addWidget(self.more)
         super().__init__(
             widgets=[
                 Container(widgets=[self.slider], labels=False),
                 self.how_far,
                 row(self.play, self.before),
                 Container(widgets=[self.overlay, self.reference, self.second]),
-                kept,
+                buttons,
                 self.landmarks,
             ],
             labels=False,

@@ -109,8 +109,8 @@ class ResultMenu:
         """
         shown = self._shown
         answer = shown.answer
-        made = f"{answer.pictures.name or 'result'} pictures" if own_folder else ""
-        arguments = Path(folder), answer.solution, shown.image, answer.unit, made
+        subfolder = f"{answer.pictures.name or 'result'} pictures" if own_folder else ""
+        arguments = Path(folder), answer.solution, shown.image, answer.unit, subfolder
         self._say(SAVING)
         self._jobs.submit(f"{folder}", partial(write_result_pictures, *arguments), self._on_saved)
 

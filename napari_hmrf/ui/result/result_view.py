@@ -76,8 +76,8 @@ class ResultView:
         )
         with suppress(ValueError):  # another plugin has bound the key
             viewer.bind_key(BEFORE_KEY, self._while_key_is_held)
-        found = [layer for layer in viewer.layers if result_of(layer) is not None]
-        self.arrows = max(reversed(found), key=lambda each: results.of(each).visible, default=None)
+        arrows = [layer for layer in viewer.layers if result_of(layer) is not None]
+        self.arrows = max(reversed(arrows), key=lambda each: results.of(each).visible, default=None)
 
     # State
 
@@ -133,8 +133,12 @@ class ResultView:
         shown, layers = self.shown, self._viewer.layers
         if shown is not None and shown.source in (None, image):
             return
-        held = ((layer, result_of(layer)) for layer in reversed(layers))
-        own = (each for each, of in held if of is not None and source_of(layers, of) is image)
+        answers = ((layer, result_of(layer)) for layer in reversed(layers))
+        own = (
+            layer
+            for layer, answer in answers
+            if answer is not None and source_of(layers, answer) is image
+        )
         self.arrows = None if image is None else next(own, None)
 
     def play(self) -> None:
@@ -172,8 +176,8 @@ class ResultView:
 
             self._jobs.submit("comparison", work, self._on_compared)
 
-    def _on_compared(self, found: Comparison) -> None:
-        self.comparison = found
+    def _on_compared(self, comparison: Comparison) -> None:
+        self.comparison = comparison
         self._say_how_far()
         if self._form.overlay.value == "difference":
             self._lay_over(chosen=True)
@@ -239,11 +243,11 @@ class ResultView:
 
     def _offer(self, shown: MovingLayers) -> None:
         """Offer the overlays of a result, and select the one that is shown."""
-        choice, there = self._form.overlay, shown.layers.layer("overlay")
+        choice, layer_shown = self._form.overlay, shown.layers.layer("overlay")
         with choice.changed.blocked():
             name = choice.value
-            if name == words.NOTHING and there is not None and there.visible:
-                name = known_of(there)["kind"]  # left by a dock that was closed
+            if name == words.NOTHING and layer_shown is not None and layer_shown.visible:
+                name = known_of(layer_shown)["kind"]  # left by a dock that was closed
             ways = ways_of(shown.answer.frame, self._viewer)
             compared = self._form.reference.value is not None
             if name == "difference" and not compared:
@@ -315,13 +319,13 @@ class ResultView:
 
     def _say_how_far(self, *_: Any) -> None:
         """Show the percentage, the slice, and the differences."""
-        far = ""
+        text = ""
         if (shown := self.shown) is not None:
             percent = self._form.slider.value
-            far = words.how_far(shown.answer, shown.longest, percent, self.comparison)
+            text = words.how_far(shown.answer, shown.longest, percent, self.comparison)
             if shown.overlay is not None and percent == words.FULL:
-                far = ". ".join(filter(None, (far.rstrip("."), shown.overlay.beyond)))
-        self._form.how_far.say(far)
+                text = ". ".join(filter(None, (text.rstrip("."), shown.overlay.beyond)))
+        self._form.how_far.say(text)
 
     # Buttons and events
 
