@@ -1,4 +1,6 @@
-"""Dock widget: forms, tools, and display of the result; the only subpackage that imports Qt.
+"""Dock widget: forms, tools, and display of the result.
+
+This is the only subpackage that imports Qt.
 
 An edit passes through six steps:
 
