@@ -21,7 +21,7 @@ def identity(point: Point) -> Point | None:
 
 
 class ToolSettings(TypedDict, total=False):
-    """Settings of a mark, by attribute; a tool uses those that its fields set."""
+    """Settings of a mark, by attribute; a tool sets those for which it has fields."""
 
     radius: float
     by: Point
