@@ -167,8 +167,8 @@ MUTATIONS = (
     ),
     Mutation(
         "ui/paced_engine.py",
-        "        if seen.moved.error is None or not self._engine.waits:\n",
-        "        if seen.moved.error is None:\n",
+        "        if state.moved.error is None or not self._engine.waits:\n",
+        "        if state.moved.error is None:\n",
         "ui/test_grab_pace.py",
     ),
     Mutation(
@@ -179,8 +179,8 @@ MUTATIONS = (
     ),
     Mutation(
         "study/drag_preview.py",
-        "Glance(CoarseGrid.of_at_most(PREVIEW_SITES, shape), *plane)",
-        "Glance(CoarseGrid(1), *plane)",
+        "Preview(CoarseGrid.of_at_most(PREVIEW_SITES, shape), *plane)",
+        "Preview(CoarseGrid(1), *plane)",
         "ui/test_volume_window.py",
     ),
     Mutation(

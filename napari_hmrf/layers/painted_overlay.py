@@ -16,7 +16,7 @@ from napari_hmrf.tissue.drawing import Canvas, Drawing, Stroke
 from napari_hmrf.tissue.drawing.canvas import Box
 
 
-class Seen(NamedTuple):
+class ShownDeformation(NamedTuple):
     """Deformation with the marks of its paint.
 
     Attributes
@@ -76,8 +76,8 @@ class PaintedOverlay:
             show_painted(canvas, ground.base, window, *(np.asarray(each.image) for each in over))
         return over
 
-    def on(self, moved: Deformation) -> Seen:
+    def on(self, moved: Deformation) -> ShownDeformation:
         """Return a deformation with the marks of the newest paint."""
         if self._canvas is None or not moved.overlay or not moved.overlay[0].any():
-            return Seen(moved)
-        return Seen(moved, painted_marks(self._canvas))
+            return ShownDeformation(moved)
+        return ShownDeformation(moved, painted_marks(self._canvas))

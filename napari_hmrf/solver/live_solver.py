@@ -26,7 +26,7 @@ from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, run_
 #: Tolerance of a live solution, in pixels; smaller errors are not visible.
 TOLERANCE = 0.01
 #: Tolerance of a preview, in pixels.
-GLANCE = 0.3
+PREVIEW_TOLERANCE = 0.3
 #: A preview is shown if the first solution is expected to take longer than this, in seconds.
 PATIENCE = 0.1
 # Time of a cold start per site on two cores, in seconds.
@@ -54,7 +54,7 @@ class Update:
         Error, such as a `ProblemError` if the problem cannot be solved yet; None if there is a
         solution.
     final : bool
-        False for a preview, which is within `GLANCE` pixels and is followed by the final solution
+        False for a preview, which is within `PREVIEW_TOLERANCE` pixels. The final solution follows
         unless there is a newer edit.
     seconds : float
         Time since the edit was submitted.
@@ -142,7 +142,7 @@ class LiveSolver:
         self,
         problem: Input | Callable[[], Input],
         *,
-        glance: bool = True,
+        preview: bool = True,
         patience: float | None = None,
     ) -> int:
         """Submit an edit, which replaces the one that waits.
@@ -153,7 +153,7 @@ class LiveSolver:
             A callable is called on the compute thread, unless the edit is replaced before, and
             returns the problem; an error that it raises is delivered. Building a problem may take
             as long as a solve, and with a callable a replaced edit does not take this time.
-        glance : bool
+        preview : bool
             True if a preview may be delivered when the solution takes long. Without a preview, the
             solution of the first edit after `forget` is bitwise equal to that of `solve`.
         patience : float, optional
@@ -170,7 +170,7 @@ class LiveSolver:
         RuntimeError
             After `close`.
         """
-        edit = _Edit(problem, self.prior, self.optimizer, self.backend, glance)
+        edit = _Edit(problem, self.prior, self.optimizer, self.backend, preview)
         patience = math.inf if patience is None else patience
         return self._queue.submit(partial(self._answer, edit), patience).generation
 
@@ -243,8 +243,8 @@ class LiveSolver:
             self._earlier.look_at(problem, turn.series)
             solve = partial(self._solve, problem, prior, edit.backend, stop=turn)
             optimizer = edit.optimizer
-            if edit.glance and self._takes_long(problem) and isinstance(optimizer, Multigrid):
-                preview = solve(replace(optimizer, tolerance=GLANCE))
+            if edit.preview and self._takes_long(problem) and isinstance(optimizer, Multigrid):
+                preview = solve(replace(optimizer, tolerance=PREVIEW_TOLERANCE))
                 self._deliver_update(turn, problem, preview, final=False)
                 turn.patience = 0
             self._deliver_update(turn, problem, solve(optimizer))
@@ -308,4 +308,4 @@ class _Edit(NamedTuple):
     prior: Prior
     optimizer: Optimizer
     backend: str
-    glance: bool
+    preview: bool

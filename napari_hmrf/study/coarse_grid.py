@@ -95,7 +95,7 @@ class CoarseGrid:
 
 
 @dataclass(frozen=True)
-class Glance:
+class Preview:
     """Settings of a preview during a drag, for tissue that is too slow to solve on the full grid.
 
     Attributes

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
-from napari_hmrf.study.coarse_grid import CoarseGrid, Glance
+from napari_hmrf.study.coarse_grid import CoarseGrid, Preview
 from napari_hmrf.study.study import Study
 
 #: Number of sites on which a volume, or an image in large motion, is solved during a drag.
@@ -18,7 +18,7 @@ _LARGER = 4
 _LARGE_MOTION_TOLERANCE = 0.1
 
 
-def drag_preview(study: Study, plane: tuple[int, int] | None = None) -> Glance | None:
+def drag_preview(study: Study, plane: tuple[int, int] | None = None) -> Preview | None:
     """Return the coarse grid to solve a study on during a drag; None for the full grid.
 
     Parameters
@@ -34,10 +34,10 @@ def drag_preview(study: Study, plane: tuple[int, int] | None = None) -> Glance |
     shape = study.grid.shape
     if len(shape) == 3:
         assert plane is not None
-        return Glance(CoarseGrid.of_at_most(PREVIEW_SITES, shape), *plane)
+        return Preview(CoarseGrid.of_at_most(PREVIEW_SITES, shape), *plane)
     if study.model_name != "large motion" or math.prod(shape) <= _LARGER * PREVIEW_SITES:
         return None
-    return Glance(CoarseGrid.of_at_most(PREVIEW_SITES, shape))
+    return Preview(CoarseGrid.of_at_most(PREVIEW_SITES, shape))
 
 
 def as_dragged(study: Study) -> Study:

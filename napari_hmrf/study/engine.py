@@ -28,7 +28,7 @@ from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.study.coarse_grid import CoarseGrid, Glance
+from napari_hmrf.study.coarse_grid import CoarseGrid, Preview
 from napari_hmrf.study.ground import Ground, Statement
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Canvas, Drawing, Rendering
@@ -108,7 +108,7 @@ class Engine:
         study: Study,
         backend: str = "auto",
         settle: bool = False,
-        glance: Glance | None = None,
+        preview: Preview | None = None,
     ) -> int:
         """Submit a study, which replaces the pending study.
 
@@ -120,7 +120,7 @@ class Engine:
         settle : bool
             If True, solve from a cold start, with a result equal to `solve_study` bit by bit. A
             study without boundary conditions or loads is then an error.
-        glance : Glance, optional
+        preview : Preview, optional
             Preview during a drag: the study is solved only on its coarse grid.
 
         Returns
@@ -132,10 +132,10 @@ class Engine:
             self.forget()
             self._reached = Monitor("reading the layers", 0.0)
         self._live.optimizer, self._live.backend = study.optimizer, backend
-        state = partial(self._state, study, settle, glance)
-        patience = None if settle else patience_for(study, glance)
+        state = partial(self._state, study, settle, preview)
+        patience = None if settle else patience_for(study, preview)
         # Without patience, a preview would cost more time than it saves.
-        self._generation = self._live.submit(state, glance=bool(patience), patience=patience)
+        self._generation = self._live.submit(state, preview=bool(patience), patience=patience)
         return self._generation
 
     def is_current(self, answer: Deformation) -> bool:
@@ -170,9 +170,9 @@ class Engine:
 
     # Methods for the compute thread
 
-    def _state(self, study: Study, settle: bool, glance: Glance | None) -> tuple[Problem, Prior]:
+    def _state(self, study: Study, settle: bool, preview: Preview | None) -> tuple[Problem, Prior]:
         """Build the problem of a study; recompute only parts that have changed."""
-        self._request = Deformation(study, settled=settle, glance=glance)
+        self._request = Deformation(study, settled=settle, preview=preview)
         grid = self._request.grid
         fine = self._ground_of(study, CoarseGrid())
         ground = fine if grid.step == 1 else self._ground_of(study, grid)
@@ -227,27 +227,27 @@ class Engine:
         self, request: Deformation, solution: Solution | None
     ) -> tuple[Array | None, tuple[Array, ...]]:
         """Return the image and its overlays, deformed by a solution."""
-        image, glance = request.study.pictures.image, request.glance
-        if glance is None or glance.axis is None:
+        image, preview = request.study.pictures.image, request.preview
+        if preview is None or preview.axis is None:
             if solution is not None and request.ground is not None and request.grid.step > 1:
                 solution = on_finer_grid(solution, request.ground.stiffness > 0, request.grid.step)
             return self._pictures.whole(image, self._over, solution)
         if image is None:
             return None, ()
         if solution is None or request.ground is None:
-            return np.asarray(image.take(glance.number, glance.axis)), ()
-        where = glance.axis, glance.number, solution.displacement, request.ground.stiffness > 0
-        spacing, every = request.study.grid.spacing, glance.grid.step
+            return np.asarray(image.take(preview.number, preview.axis)), ()
+        where = preview.axis, preview.number, solution.displacement, request.ground.stiffness > 0
+        spacing, every = request.study.grid.spacing, preview.grid.step
         return self._pictures.plane(image, *where, spacing, every), ()
 
 
-def patience_for(study: Study, glance: Glance | None) -> float:
+def patience_for(study: Study, preview: Preview | None) -> float:
     """Return the time, in seconds, for which a solve continues although a newer study is pending.
 
     A solve is not cancelled immediately, because tissue must also follow a drag without pauses. The
     time is 0 for a volume on its full grid, whose solution would be stale before it is displayed.
     """
-    return 0.0 if glance is None and len(study.grid.shape) == 3 else 3.0
+    return 0.0 if preview is None and len(study.grid.shape) == 3 else 3.0
 
 
 class _StillError(HmrfError):
@@ -275,7 +275,7 @@ class Deformation:
         Reason for the lack of a solution, in terms of the study.
     settled : bool
         True if the study was solved from a cold start, as by `solve_study`.
-    glance : Glance, optional
+    preview : Preview, optional
         Settings of a preview, whose `image` is one slice of a volume, (H, W), or the whole image.
     generation : int
         Generation number, as returned by `Engine.submit`.
@@ -289,13 +289,13 @@ class Deformation:
     overlay: tuple[Array, ...] = ()
     error: Exception | None = None
     settled: bool = False
-    glance: Glance | None = None
+    preview: Preview | None = None
     generation: int = 0
 
     @property
     def grid(self) -> CoarseGrid:
         """Grid on which the study was solved."""
-        return CoarseGrid() if self.glance is None else self.glance.grid
+        return CoarseGrid() if self.preview is None else self.preview.grid
 
     @property
     def moves(self) -> bool:

@@ -1,4 +1,4 @@
-"""Jobs of the window on the compute thread, whose results come back on the GUI thread."""
+"""Jobs of the window on the compute thread, with results delivered on the GUI thread."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from napari_hmrf.wording import in_words_of
 
 _log = logging.getLogger("napari_hmrf")
 T = TypeVar("T")
-# Description of a job for messages of other jobs, after "waiting for".
+# Description of a job in the message of another job that waits for it.
 _DOING = "a picture that is being drawn"
 
 
@@ -26,10 +26,10 @@ class _Pending(NamedTuple):
 
 
 class BackgroundJobs:
-    """Jobs on the compute thread; of each kind, the newest replaces the one that waits.
+    """Jobs on the compute thread; the newest job of each kind replaces a waiting one.
 
-    Jobs must hold copies only and no Qt objects: the caller may be gone when they end. All methods
-    are called on the GUI thread.
+    Jobs must hold copies only and no Qt objects: the caller may be deleted before they end. All
+    methods are called on the GUI thread.
 
     Parameters
     ----------
@@ -45,11 +45,11 @@ class BackgroundJobs:
     def submit(self, kind: str, work: Callable[[], T], show: Callable[[T], object]) -> None:
         """Submit a job; `show` is called with its result, unless a newer job replaces it.
 
-        The result of a job that is running already is shown, too, so that the picture moves during
+        The result of a job that is already running is also shown, so that the picture moves during
         a drag.
         """
-        known = self._pending.get(kind)
-        queue = LatestQueue(_DOING) if known is None else known.queue
+        pending = self._pending.get(kind)
+        queue = LatestQueue(_DOING) if pending is None else pending.queue
 
         def job(turn: Turn) -> None:
             try:
@@ -66,7 +66,7 @@ class BackgroundJobs:
         self._pending[kind] = _Pending(queue, queue.submit(job))
 
     def busy(self, kind: str | None = None) -> bool:
-        """Return whether a job of a kind, or any job, has not been answered yet."""
+        """Return whether a job of a kind, or any job, is unfinished."""
         return bool(self._pending) if kind is None else kind in self._pending
 
     def forget(self, kind: str | None = None) -> None:
@@ -76,7 +76,7 @@ class BackgroundJobs:
                 self._pending.pop(each).queue.close()
 
     def release(self) -> None:
-        """Drop all jobs for good."""
+        """Drop all jobs permanently."""
         self.forget()
         self._gui.release()
 

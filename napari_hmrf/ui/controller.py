@@ -1,4 +1,4 @@
-"""Controller of the dock: has the tissue follow the study, and shows the results."""
+"""Controller of the dock: solves the study after each edit and shows the results."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.metadata import METADATA
-from napari_hmrf.layers.painted_overlay import Seen
+from napari_hmrf.layers.painted_overlay import ShownDeformation
 from napari_hmrf.layers.screen_directions import ways_of
 from napari_hmrf.layers.slice_view import plane_shown
 from napari_hmrf.study.drag_preview import as_dragged, drag_preview
@@ -36,16 +36,16 @@ from napari_hmrf.ui.study_reader import StudyReader
 from napari_hmrf.ui.warning_chip import WarningChip
 
 _log = logging.getLogger("napari_hmrf")
-#: Time at rest after which all layers of a result are drawn, in milliseconds.
+#: Pause in the edits after which all layers of a result are drawn, in milliseconds.
 _REST = 200
 
 
 class Controller:
-    """Controller of the dock: has the tissue follow the study, and shows the results.
+    """Controller of the dock: solves the study after each edit and shows the results.
 
-    After an edit of a form or a layer, `look` reads the study again; after an edit of the drawing
-    only that is replaced. The study is submitted to the engine. Each answer is shown at once, and
-    all layers of the result are made once the tissue is at rest.
+    After an edit of a form or a layer, `look` reads the whole study again; after an edit of the
+    drawing, only the drawing is replaced. The study is then submitted to the engine. Each answer is
+    shown at once. After a pause in the edits, all layers of the complete result are drawn.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class Controller:
         The dock.
     viewer : napari.Viewer or ViewerModel
     form, binding, pointer : DockForm, FormBinding, Pointer
-        Views of the study; kept as attributes, for the other parts of the dock.
+        Views of the study, also available as attributes.
     model : StudyModel
 
     Attributes
@@ -62,22 +62,22 @@ class Controller:
     source : napari.layers.Layer or None
         Layer that is deformed.
     settling : bool
-        Whether a cold-start solve is in progress.
+        True while a cold-start solve is in progress.
     curve_layer : CurveLayer
-        Shows the stiffness curve of the tissue, if it has one.
+        Layer that shows the stiffness curve of the tissue, if it has one.
     chip : WarningChip
-        Warns of problems of the latest result.
+        Warning about problems of the latest result.
     engine : PacedEngine
     progress : SolveProgress
     """
 
     #: The visible state of the tissue has changed: a `Deformation`.
     seen = Signal(object)
-    #: The tissue is at rest, and all layers of the result are drawn: `Outputs`.
+    #: All layers of the complete result are drawn: `Outputs`.
     followed = Signal(object)
     #: A cold-start solve has ended: `Outputs`, or None if it was cancelled or failed.
     finished = Signal(object)
-    #: Status message; "" clears the one before.
+    #: Status message; "" clears the earlier one.
     said = Signal(str)
     #: Reason why a request cannot be carried out.
     refused = Signal(str)
@@ -95,7 +95,7 @@ class Controller:
     ) -> None:
         self._viewer, self.form, self.binding, self.pointer = viewer, form, binding, pointer
         self._model = model
-        self._over = False
+        self._is_released = False
         self.reader = StudyReader(viewer, form, binding, model)
         # Study that was read last, without later changes of its drawing.
         self._read: Study | None = None
@@ -103,12 +103,12 @@ class Controller:
         self._results: weakref.WeakKeyDictionary[Layer, CompleteResult]
         self._results = weakref.WeakKeyDictionary()
         self.settling = False
-        self.engine = PacedEngine(self._on_seen, self._on_complete)
+        self.engine = PacedEngine(self._on_answer, self._on_complete)
         self._submitted: Study | None = None
         # Reason why the tissue cannot follow, report of the last result, and last message of both.
-        self._failed = self._report = self._told = ""
-        self._looking = single_shot(native, 0, self.look)
-        self._resting = single_shot(native, _REST, self.complete)
+        self._failure = self._report = self._last_message = ""
+        self._look_timer = single_shot(native, 0, self.look)
+        self._complete_timer = single_shot(native, _REST, self.complete)
         self.progress = SolveProgress(native, form.footer, self.engine)
         self.curve_layer = CurveLayer(viewer, form.tissue.editor)
         form.footer.live.changed.connect(self.touch)
@@ -128,7 +128,7 @@ class Controller:
 
     @property
     def latest(self) -> CompleteResult | None:
-        """Latest result at rest of the deformed layer, or None."""
+        """Latest complete result of the deformed layer, or None."""
         return None if self.source is None else self._results.get(self.source)
 
     @property
@@ -146,9 +146,9 @@ class Controller:
     @property
     def busy(self) -> bool:
         """True if a requested change is not shown yet."""
-        # The layers of a result at rest are not drawn before a drag ends.
-        resting = self._resting.isActive() and not self.pointer.tool.is_dragging
-        looking, shown = self._looking.isActive(), self.progress.active
+        # During a drag, the layers of a complete result are not drawn.
+        resting = self._complete_timer.isActive() and not self.pointer.tool.is_dragging
+        looking, shown = self._look_timer.isActive(), self.progress.active
         return looking or resting or shown or self.engine.at_work
 
     @property
@@ -161,14 +161,14 @@ class Controller:
 
     def touch(self, *_: Any) -> None:
         """Schedule a refresh on the next idle event."""
-        if not self._over:
-            self._looking.start()
+        if not self._is_released:
+            self._look_timer.start()
 
     def look(self) -> bool:
         """Read the current choices and update the tissue; return whether they could be read."""
-        if self._over:
+        if self._is_released:
             return False
-        self._looking.stop()
+        self._look_timer.stop()
         try:
             study = self._read_chosen()
         except Exception as error:  # noqa: BLE001 - a layer may raise anything
@@ -176,18 +176,18 @@ class Controller:
                 _log.exception("the current choices could not be read")
             self._submitted = None
             self.curve_layer.show(None)
-            self._cannot(error)
+            self._report_failure(error)
             return False
         if self.form.footer.live.value or self.pointer.active:
             self._follow(study)
         else:
-            self._failed = ""
-            self._tell()
+            self._failure = ""
+            self._emit_message()
         return True
 
     def settle(self) -> None:
         """Solve from a cold start; `finished` is emitted at the end."""
-        self._looking.stop()
+        self._look_timer.stop()
         self.form.footer.show_work(True)
         self.reader.forget()  # a script may have changed an array in place
         try:
@@ -200,32 +200,32 @@ class Controller:
         self.progress.start("Deforming", at_once=True)
 
     def cancel(self) -> None:
-        """Cancel the work, with nothing changed; idle at once, even if the thread still runs."""
+        """Cancel the work; the dock is idle at once, even if the thread still runs."""
         settling, going_on = self.settling, self.engine.busy
         self.engine.forget()
         self._submitted = None
         if settling or going_on:
             edited = self.latest is not None or (self.study is not None and self.study.moves)
             self._stop()
-            self._go_back()
+            self._show_latest()
             self.said.emit(messages.BEHIND if edited and not self.fresh else messages.CANCELLED)
         if settling:
             self.finished.emit(None)
 
     def complete(self, *_: Any) -> None:
-        """Draw image and arrows of the latest result, once no drag or solve is in progress."""
+        """Draw all layers of the latest result, once no drag or solve is in progress."""
         study = self.study
         if study is None:
             return
         if self.pointer.tool.is_dragging or self.engine.busy:
-            self._resting.start()
+            self._complete_timer.start()
             return
         moved = self.pointer.display.moved
-        if moved is not None and (moved.glance or moved.study.optimizer != study.optimizer):
+        if moved is not None and (moved.preview or moved.study.optimizer != study.optimizer):
             self._submitted = None  # solve at full accuracy after a drag
             self._follow(study)
         else:
-            self._resting.stop()
+            self._complete_timer.stop()
             self.pointer.display.arrows.keep(self.pointer.drawing)
             self.engine.complete()
 
@@ -237,20 +237,20 @@ class Controller:
 
     def forget(self) -> None:
         """Clear the current study."""
-        self._looking.stop()
-        self._resting.stop()
+        self._look_timer.stop()
+        self._complete_timer.stop()
         self.engine.forget()
-        self.reader.forget()  # changes of layers are no longer noticed
+        self.reader.forget()  # later changes of layers are not tracked
         self.progress.release()
         self.curve_layer.show(None)
         self._read = self.source = self._submitted = None
-        self._failed = self._report = ""
+        self._failure = self._report = ""
         self.pointer.stand_on(None)
         self.chip.look()
 
     def release(self) -> None:
-        """Stop following edits for good."""
-        self._over = True
+        """Stop responding to edits permanently."""
+        self._is_released = True
         self.engine.release()
 
     # Solving and showing
@@ -263,14 +263,14 @@ class Controller:
         request = self.reader.request()
         assert request.drawing is not None
         if not (unpainted or request.drawing.marks or request.boundary is None):
-            request = replace(request, drawing=None)  # refused with a message of its own
+            request = replace(request, drawing=None)  # gives a specific error message
         study = self.reader.read(request)
         refuse_unknown(study)
         self._stand_on(study, request.layers[0])
         return replace(study, motion=replace(study.motion, drawing=self._model.drawing))
 
     def _stand_on(self, study: Study, source: Any) -> None:
-        """Make a study that was read the current one, and select the drawing of its slice."""
+        """Make a study the current one, and select the drawing of its slice."""
         before = self._read
         self.pointer.tissue = self.form.tissue.layer
         place, self._read = study.grid, study
@@ -288,7 +288,7 @@ class Controller:
         self.form.show_place(unit_symbol(place.unit), ways, study.tissue.unit)
 
     def _on_drawn(self) -> None:
-        """Follow a changed drawing, without reading the layers again."""
+        """Solve for a changed drawing, without reading the layers again."""
         study = self.study
         if study is not None:
             self._follow(study)
@@ -297,48 +297,48 @@ class Controller:
         if self._submitted is not None and self._submitted.same_as(study):
             return
         self._submitted = study
-        self._resting.stop()
+        self._complete_timer.stop()
         self.progress.start("Following the last edit" if study.moves else "Getting ready")
         preview = None
         if self.pointer.tool.is_dragging:
             volume, place = len(study.grid.shape) == 3, study.grid.known_place
             plane = plane_shown(place, self.form.view()) if volume else None
             study, preview = as_dragged(study), drag_preview(study, plane)
-        self.engine.submit(study, self._model.model.details.device, glance=preview)
+        self.engine.submit(study, self._model.model.details.device, preview=preview)
 
-    def _on_seen(self, seen: Seen) -> None:
-        study, moved = self.study, seen.moved
+    def _on_answer(self, state: ShownDeformation) -> None:
+        study, moved = self.study, state.moved
         if study is None or moved.study.grid != study.grid:
             return
         self.progress.restart()
         if moved.error is not None and moved.settled:
             self._refuse(moved.error)
             return
-        self.pointer.show(seen)
+        self.pointer.show(state)
         if moved.error is not None:
             self._submitted = None
             if not self.pointer.active:  # else the pointer has reported the error
-                self._cannot(moved.error)
+                self._report_failure(moved.error)
             return
         self.seen.emit(moved)
         if moved.solution is None:
-            self._come_to_rest()
-        self._resting.start(0 if moved.settled else _REST)
+            self._clear_result()
+        self._complete_timer.start(0 if moved.settled else _REST)
 
     def _on_complete(self, done: CompleteResult) -> None:
         study = self.study
         if study is None or done.moved.study.grid != study.grid:
             return
-        if self._looking.isActive():  # read pending edits first
+        if self._look_timer.isActive():  # read pending edits first
             self.look()
-        self._results[self.source], self._failed = done, ""
+        self._results[self.source], self._failure = done, ""
         self._report = messages.report(done)
         self._show(done)
         self.chip.look()
         settled = self.settling
         if settled:
             self._stop()
-        self._tell(anew=not self.pointer.active)
+        self._emit_message(always=not self.pointer.active)
         if settled and self.pointer.active:
             self.said.emit(self._report)
         self.followed.emit(done.outputs)
@@ -346,16 +346,16 @@ class Controller:
             self.finished.emit(done.outputs)
 
     def _show(self, done: CompleteResult | None) -> None:
-        """Show a result at rest, or none; its layers record whether it is up to date."""
+        """Show a complete result, or none; its layers record whether it is up to date."""
         for made in () if done is None else done.outputs.layers.values():
             made.attributes["metadata"][METADATA]["inputs_changed"] = not self.fresh
         self.pointer.display.finish(done)
 
-    def _go_back(self) -> None:
+    def _show_latest(self) -> None:
         """Show the latest result again, in place of the partial result of a cancelled study."""
         moved = self.pointer.display.moved
         if moved is not None and moved.solution is not None:
-            self._resting.stop()
+            self._complete_timer.stop()
             self._show(self._latest_here)
             self.pointer.draw()
 
@@ -363,35 +363,35 @@ class Controller:
     def _state(self) -> str:
         """Message about the current study; "" if there is none."""
         latest, study = self.latest, self.study
-        if self._failed:
+        if self._failure:
             stays = "" if latest is None else messages.STAYS
-            return f"The tissue does not follow yet. {self._failed} {stays}".rstrip()
+            return f"The tissue does not follow yet. {self._failure} {stays}".rstrip()
         if self.pointer.active:
             return ""
         if latest is None or study is None or self.form.footer.live.value or self.fresh:
             return self._report
         return messages.CHANGED
 
-    def _tell(self, anew: bool = False) -> None:
-        """Emit the message about the study if it has changed; with `anew` in any case."""
-        before, self._told = self._told, self._state
-        if anew or self._told != before:
-            self.said.emit(self._told)
+    def _emit_message(self, always: bool = False) -> None:
+        """Emit the message about the study if it has changed; with `always` in any case."""
+        before, self._last_message = self._last_message, self._state
+        if always or self._last_message != before:
+            self.said.emit(self._last_message)
 
-    def _cannot(self, error: Exception) -> None:
+    def _report_failure(self, error: Exception) -> None:
         """Report why the tissue does not follow; the last result stays."""
         sentence = messages.in_short(error)
-        # Without a chosen image there is nothing that could fail to follow.
-        self._failed = "" if sentence in (messages.WELCOME, messages.CHOOSE) else sentence
+        # Without a chosen image, no tissue could follow.
+        self._failure = "" if sentence in (messages.WELCOME, messages.CHOOSE) else sentence
         self.chip.look()
-        self._tell(anew=sentence == messages.WELCOME)
+        self._emit_message(always=sentence == messages.WELCOME)
 
-    def _come_to_rest(self) -> None:
+    def _clear_result(self) -> None:
         """Reset to the undeformed state, without a result or its report."""
-        before, self._failed = self._results.pop(self.source, None), ""
+        before, self._failure = self._results.pop(self.source, None), ""
         self._report = self._report if before is None else messages.STILL
         self.chip.look()
-        self._tell()
+        self._emit_message()
 
     def _refuse(self, error: Exception) -> None:
         self._stop()

@@ -1,4 +1,4 @@
-"""Layout of the dock: the forms, which scroll, and the footer, which stays in sight."""
+"""Layout of the dock: the forms, which scroll, and the footer, which is always visible."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialTable
 
 #: Smallest width of the dock, in pixels.
 _WIDTH = 336
-#: Time after which an opened step has its height, in milliseconds.
-_LAID_OUT = 500
+#: Time after which an opened section has its height, in milliseconds.
+_LAYOUT_TIME = 500
 
 
 class DockForm:
-    """Widgets of *Soft tissue*, put into its container.
+    """All widgets of *Soft tissue*, arranged in its container.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class DockForm:
     image : LayerChoice
     extent : ExtentChoice
     make, intensity : PushButton
-        Add layers to paint on, and take stiffness from brightness.
+        Buttons that add layers to paint on, and that take stiffness from brightness.
     tissue : TissueSection
     motion : MotionForm
     result : ResultForm
@@ -59,7 +59,7 @@ class DockForm:
     footer : Footer
     """
 
-    #: Emitted when the user changes an input of the field.
+    #: Emitted when the user changes an input of the solve.
     edited = Signal()
 
     def __init__(self, outer: Container, viewer: Any) -> None:
@@ -90,8 +90,8 @@ class DockForm:
         fields = (self.extent, model, model.in_detail, motion.edge, motion.weight)
         presets = motion.fields.preset
         parts = (self.tissue.edited, motion.boundary.edited)
-        for told in (*parts, *(field.changed for field in (*fields, presets))):
-            told.connect(self.edited, max_args=0)
+        for signal in (*parts, *(field.changed for field in (*fields, presets))):
+            signal.connect(self.edited, max_args=0)
         self._assemble(outer)
 
     def view(self) -> View:
@@ -144,11 +144,11 @@ class DockForm:
             if open_:
                 step.expand(animate=False)
             layout.addWidget(step)
-            shown = single_shot(step, _LAID_OUT, partial(self._scroll_to, step))
+            shown = single_shot(step, _LAYOUT_TIME, partial(self._scroll_to, step))
             step.toggled.connect(lambda opened, timer=shown: timer.start() if opened else None)
         layout.setSpacing(4)
         layout.addStretch()
-        # The dock may be lower than the form, but no narrower.
+        # The form scrolls vertically only, so the dock must not be narrower than the form.
         self._scroll = scroll = QScrollArea()
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QFrame.Shape.NoFrame)
@@ -157,7 +157,7 @@ class DockForm:
         scroll.setMinimumWidth(_WIDTH)
         scroll.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
         outer.native.layout().addWidget(scroll)
-        self._body = body  # magicgui's containers end with the last reference
+        self._body = body  # magicgui deletes a container with its last reference
         outer.native.layout().addWidget(self.footer)
         calm = CalmField(scroll)
         for kind in (QComboBox, QAbstractSpinBox, QAbstractSlider):
@@ -167,11 +167,11 @@ class DockForm:
             container.margins = (2, 2, 2, 2)
 
     def _scroll_to(self, step: QCollapsible) -> None:
-        """Scroll to all of a step that was opened, or at least to its beginning."""
+        """Scroll to a section that was opened: to all of it, or at least to its top."""
         bar = self._scroll.verticalScrollBar()
         least = step.geometry().bottom() + 1 - bar.pageStep()
         bar.setValue(min(step.y(), max(bar.value(), least)))
 
     def _on_tissue(self) -> None:
-        by_itself = self.tissue.curve is not None
-        self.model.tissue_is(self.image.value if by_itself else self.tissue.layer)
+        by_brightness = self.tissue.curve is not None
+        self.model.tissue_is(self.image.value if by_brightness else self.tissue.layer)

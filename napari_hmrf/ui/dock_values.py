@@ -22,7 +22,7 @@ from napari_hmrf.ui.viewer_dock import Dock
 
 
 class DockValues(Dock):
-    """Dock with all values that a user can see or choose as typed attributes."""
+    """Dock widget with typed attributes for all values that a user can see or choose."""
 
     _form: DockForm
     _binding: FormBinding
@@ -35,7 +35,7 @@ class DockValues(Dock):
     # Choices of the user
     @property
     def image(self) -> Any:
-        """Image to deform, or None: then only the motion of painted tissue is shown."""
+        """Image to deform; None: only the motion of painted tissue is shown."""
         value: Any = self._form.image.value
         return value
 
@@ -45,7 +45,7 @@ class DockValues(Dock):
 
     @property
     def extent(self) -> str:
-        """Extent of the deformation: "slice", which ignores its neighbours, or "volume"."""
+        """Extent of the deformation: "slice", without neighbouring slices, or "volume"."""
         value: str = self._form.extent.value
         return value
 
@@ -55,7 +55,7 @@ class DockValues(Dock):
 
     @property
     def tissue(self) -> Any:
-        """Labels, an image of stiffness, or "brightness"; None: all in the image is tissue."""
+        """Labels, an image of stiffness, or "brightness"; None: the whole image is tissue."""
         value: Any = self._form.tissue.choice.value
         return value
 
@@ -145,7 +145,7 @@ class DockValues(Dock):
 
     @property
     def model(self) -> ModelName:
-        """Model of the tissue; the paper's model sets its own numbers in `settings`."""
+        """Model of the tissue; "paper" also sets `settings` to those of the paper."""
         value: ModelName = self._form.model.model.value
         return value
 
@@ -175,7 +175,7 @@ class DockValues(Dock):
 
     @property
     def settings(self) -> SolverDetails:
-        """Solver settings: a value, as in `dock.settings = replace(dock.settings, sweeps=7)`."""
+        """Solver settings, immutable: use `dock.settings = replace(dock.settings, sweeps=7)`."""
         value: SolverDetails = self._form.model.in_detail.details
         return value
 
@@ -185,7 +185,7 @@ class DockValues(Dock):
 
     @property
     def result(self) -> Any:
-        """Vectors that hold the displayed result, or None: the newest, or one selected since."""
+        """Vectors layer of the displayed result: the newest, or the last selected one; or None."""
         value: Any = self._view.arrows
         return value
 
@@ -215,7 +215,7 @@ class DockValues(Dock):
 
     @property
     def reference(self) -> Any:
-        """A field or another result, with which this one is compared, or None."""
+        """Field or other result that is compared with this one, or None."""
         value: Any = self._form.result.reference.value
         return value
 
@@ -245,7 +245,7 @@ class DockValues(Dock):
 
     @property
     def live(self) -> bool:
-        """True if the tissue follows every edit; by default unless the image is large."""
+        """True if the tissue follows every edit; the default depends on the size of the image."""
         value: bool = self._form.footer.live.value
         return value
 
@@ -255,9 +255,10 @@ class DockValues(Dock):
 
     @property
     def ask(self) -> Ask:
-        """Callback for the prompt about unsaved work before its window closes.
+        """Callback for the prompt about unsaved work before the window closes.
 
-        It takes a question and returns "save", "discard" or "cancel"; by default it shows a dialog.
+        The callback takes a question, and returns "save", "discard" or "cancel". The default one
+        shows a dialog.
         """
         return self._unsaved.ask
 
@@ -293,19 +294,19 @@ class DockValues(Dock):
 
     @property
     def unsaved(self) -> bool:
-        """True if there is work that is in no file."""
-        value: bool = self._unsaved.there
+        """True if there is unsaved work."""
+        value: bool = self._unsaved.has_work
         return value
 
     @property
     def sides(self) -> Sides:
-        """Side of the patient at each edge of the canvas, such as "R", if an image records it."""
+        """Side of the patient at each edge of the canvas, such as "R"; "" if unknown."""
         value: Sides = self._sides.shown
         return value
 
     @property
     def status(self) -> str:
-        """Sentence at the bottom."""
+        """Status text of the dock."""
         value: str = self._guide.shown
         return value
 

@@ -1,4 +1,4 @@
-"""Timers of the window, and hearing of events of napari's."""
+"""Timers of the window, and connections to events of napari."""
 
 from __future__ import annotations
 
@@ -8,55 +8,57 @@ from typing import Any
 from qtpy.QtCore import QObject, QTimer
 
 
-def single_shot(parent: QObject | None, milliseconds: int, answer: Callable[[], object]) -> QTimer:
-    """A timer that rings once, so long after it was started last.
+def single_shot(
+    parent: QObject | None, milliseconds: int, callback: Callable[[], object]
+) -> QTimer:
+    """Create a timer that fires once, a fixed time after its last start.
 
     Parameters
     ----------
     parent : QObject, optional
-        With which it ends.
+        Owner of the timer, which is deleted with it.
     milliseconds : int
-        0: when Qt has nothing more urgent to do.
-    answer : callable
-        Called on the thread this was made on, by its event loop.
+        Delay; 0: as soon as Qt has processed all pending events.
+    callback : callable
+        Called in the event loop of the thread that created the timer.
 
     Returns
     -------
     QTimer
-        Not started yet.
+        The timer, not started yet.
     """
-    timer = repeating(parent, milliseconds, answer)
+    timer = repeating(parent, milliseconds, callback)
     timer.setSingleShot(True)
     return timer
 
 
-def repeating(parent: QObject | None, milliseconds: int, answer: Callable[[], object]) -> QTimer:
-    """A timer that rings every so many milliseconds from its start until it is stopped.
+def repeating(parent: QObject | None, milliseconds: int, callback: Callable[[], object]) -> QTimer:
+    """Create a timer that fires at a fixed interval from its start until it is stopped.
 
     The parameters are those of `single_shot`.
     """
     timer = QTimer(parent)
     timer.setInterval(milliseconds)
-    timer.timeout.connect(answer)
+    timer.timeout.connect(callback)
     return timer
 
 
-class Listening:
-    """Has events answered, until it is released.
+class EventConnections:
+    """Connections of callbacks to events, until `release`.
 
     Parameters
     ----------
-    *answered : tuple of (event, callable)
-        Events of napari's, each with the method that answers it.
+    *connections : tuple of (event, callable)
+        Events of napari, each with its callback.
     """
 
-    def __init__(self, *answered: tuple[Any, Callable[..., object]]) -> None:
-        self._answered = answered
-        for event, answer in answered:
-            event.connect(answer)
+    def __init__(self, *connections: tuple[Any, Callable[..., object]]) -> None:
+        self._connections = connections
+        for event, callback in connections:
+            event.connect(callback)
 
     def release(self) -> None:
-        """Answer no more."""
-        for event, answer in self._answered:
-            event.disconnect(answer)
-        self._answered = ()
+        """Disconnect all callbacks."""
+        for event, callback in self._connections:
+            event.disconnect(callback)
+        self._connections = ()

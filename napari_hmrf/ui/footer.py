@@ -20,7 +20,7 @@ _HELP = (
     "While napari paints: 2 paints, 1 erases, 3 draws an outline, 4 fills.\n"
     "Ctrl+Z: undo. Ctrl+Shift+Z or Ctrl+Y: redo. Ctrl+Shift+P: all commands, by their words.\n"
 )
-#: Largest image, in pixels, that is followed live by default. On two cores without a GPU, an edit
+#: Largest image, in pixels, for which *Live* is on by default. On two cores without a GPU, an edit
 #: takes 0.4 s (elastic) to 1.4 s at 1200 x 1200 pixels, and 1.6 to 5 s at 2048 x 2048.
 LARGEST = 1200 * 1200
 _LIVE = (
@@ -32,8 +32,8 @@ _LIVE = (
 class Footer(QWidget):
     """Status text and warning, with buttons below them.
 
-    The text is only as high as it needs to be. The buttons stay at the bottom, so that nothing
-    moves under the mouse.
+    The text is only as high as necessary. The buttons stay at the bottom, so that they do not move
+    under the mouse.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Footer(QWidget):
     deform, cancel : PushButton
     live : LiveChoice
     undo, redo : PushButton
-        Their tooltips name the step.
+        Buttons whose tooltips name the step.
     chip : QPushButton
         Visible only while there is a warning about the visible tissue.
     other : QPushButton
@@ -93,7 +93,7 @@ class Footer(QWidget):
         self.redo.enabled = undo.model.next_redo is not None
 
     def say(self, status: str) -> None:
-        """Show a status text; the tooltip has all of it, in case it does not fit."""
+        """Show a status text; its tooltip has the whole text, which may not fit."""
         self._status.say(status)
         self._status.tooltip = status
 
@@ -118,13 +118,13 @@ class Footer(QWidget):
         self.other.setVisible(bool(words))
         self.other.setText(words)
 
-    def show_work(self, going_on: bool) -> None:
-        """Enable "Cancel" while a solve is in progress, and else "Deform"."""
-        self.deform.enabled, self.cancel.enabled = not going_on, going_on
+    def show_work(self, is_working: bool) -> None:
+        """Enable "Cancel" while a solve is in progress, otherwise "Deform"."""
+        self.deform.enabled, self.cancel.enabled = not is_working, is_working
 
 
 class LiveChoice(CheckBox):
-    """Check box for following every edit; on by default unless the image is large."""
+    """Check box for a solve after every edit; on by default unless the image is large."""
 
     def __init__(self) -> None:
         super().__init__(value=True, text="Live", tooltip=_LIVE)

@@ -1,4 +1,4 @@
-"""Binding of the dock's forms to the `StudyModel`, and choice of layers as they come."""
+"""Binding of the dock's forms to the `StudyModel`, and automatic choice of layers."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from napari_hmrf.study.study_model import BRIGHTNESS, MODEL_PART, ImageChoice, P
 from napari_hmrf.tissue.row_table import change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
-from napari_hmrf.ui.events import Listening
+from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.messages import CHOOSE, EDGE_GOES, NOT_CHOSEN, WELCOME
 
 
 class FormBinding:
-    """Writes the forms' values to the `StudyModel`, and shows the model's changes in the forms.
+    """Binding in both directions between the dock's forms and the `StudyModel`.
 
-    Layers are chosen automatically as they come; that is no undo step.
+    New layers are chosen automatically, without undo steps.
 
     Parameters
     ----------
@@ -42,10 +42,10 @@ class FormBinding:
     fields : dict of str to ValueWidget
         Widget of each attribute of `ImageChoice`.
     automatic : bool
-        True while values change that the user did not choose.
+        True while the program, rather than the user, changes values.
     """
 
-    #: Emitted with a sentence on what was chosen together with something else.
+    #: Message about a choice that was made automatically as a consequence of another one.
     said = Signal(str)
 
     def __init__(self, viewer: Any, form: DockForm) -> None:
@@ -65,9 +65,9 @@ class FormBinding:
         }
         self._image: Any = None
         self.automatic = False
-        # True once the user chose an image, or none, or deformed one: new ones do not replace it.
+        # True once the user has chosen or deformed an image: new images do not replace it.
         self._image_is_fixed = False
-        # True if there was an image, and none is chosen now.
+        # True if an image was chosen before, and none is now.
         self._image_is_gone = False
         model.select(None)
         motion.boundary.choice.changed.connect(self._on_boundary)
@@ -85,7 +85,7 @@ class FormBinding:
         form.footer.undo.changed.connect(lambda _: undo.undo())
         form.footer.redo.changed.connect(lambda _: undo.redo())
         show = partial(form.footer.show_steps, undo)
-        self._heard = Listening(
+        self._connections = EventConnections(
             (model.changed, self._on_changed),
             (model.selected, self._on_selected),
             (model.steps_changed, show),
@@ -101,7 +101,7 @@ class FormBinding:
             with self._showing():
                 yield
         finally:
-            self.write(step=False)  # unless an outer block goes on
+            self.write(step=False)  # does nothing inside an outer block
 
     @contextmanager
     def _showing(self) -> Iterator[None]:
@@ -121,7 +121,7 @@ class FormBinding:
         Raises
         ------
         HmrfError
-            If there is nothing to work on.
+            If no image, and no labels of tissue, are chosen.
         """
         if self.automatic:
             self._write(step=False)
@@ -146,7 +146,7 @@ class FormBinding:
                 self._image_is_fixed = self._image_is_fixed and bool(images)
                 if images:
                     form.image.value = images[0]
-                else:  # the next image begins as the first did
+                else:  # the next image gets the defaults of a first one
                     usual = ImageChoice()
                     form.tissue.border.value = usual.without_border
                     form.motion.edge.value = usual.hold_edge
@@ -162,11 +162,11 @@ class FormBinding:
                 self._take_painted(layer)
 
     def begin(self) -> None:
-        """Keep the chosen image from now on, whatever layers come."""
+        """Keep the chosen image when new layers are added."""
         self._image_is_fixed = True
 
     def take(self, layer: Any) -> None:
-        """Choose a new layer: as image unless work on another has begun, or as paint on it."""
+        """Choose a new layer as the image, unless work on another has begun, or as paint."""
         image = self._form.image
         begun = self._image_is_fixed or (
             image.value is not None and self._model.next_undo is not None
@@ -174,8 +174,8 @@ class FormBinding:
         with self.automatically():
             if layer in image.offered and not begun:
                 image.value = layer
-            there = self._viewer.layers
-            if image.value is None or layer in painted_on(image.value, there, self._form.view()):
+            layers = self._viewer.layers
+            if image.value is None or layer in painted_on(image.value, layers, self._form.view()):
                 self._take_painted(layer)
         if layer in image.offered and begun and not self.automatic:
             covers = image.value and image_covering(self._viewer, image.value) is layer
@@ -187,12 +187,14 @@ class FormBinding:
         choice = self.fields.get(role_of(layer) or "")
         if choice is None or choice.value is not None or layer not in choice.offered:
             return
-        if role_of(layer) == BOUNDARY and layer.data.any():  # it says all that is held
-            self._let_edge_go()
+        if (
+            role_of(layer) == BOUNDARY and layer.data.any()
+        ):  # the layer then defines all held tissue
+            self._release_edge()
         choice.value = layer
 
-    def _let_edge_go(self) -> None:
-        """Release the edge, as a part of choosing a boundary."""
+    def _release_edge(self) -> None:
+        """Release the edge without an event, as part of the choice of a boundary."""
         edge = self._form.motion.edge
         with edge.changed.blocked():
             edge.value = False
@@ -204,7 +206,7 @@ class FormBinding:
         return [part.layer for part in parts if self._model.get(part).marks]
 
     def _on_extent(self, _: str) -> None:
-        """Make napari's brush a ball where a volume is painted."""
+        """Make the brush of napari a ball if a volume is deformed."""
         for choice in (self._form.tissue.choice, self._form.motion.boundary.choice):
             if isinstance(choice.value, Labels) and choice.value.ndim > 2:
                 choice.value.n_edit_dimensions = 3 if self._form.extent.is_volume else 2
@@ -214,17 +216,17 @@ class FormBinding:
         if holds_field(layer):
             if self._form.motion.edge.value:
                 self.said.emit(EDGE_GOES.format(layer.name))
-            self._let_edge_go()
+            self._release_edge()
         elif layer is None:
             self._form.motion.edge.value = True
 
     def _on_image(self, image: Any) -> None:
-        """Show what was chosen for an image before, or else choose layers for it."""
+        """Show the earlier choices for an image, or else choose layers for it."""
         self._image_is_fixed = self._image_is_fixed or not self.automatic
         before, self._image = self._image, image
         if before is image:
             return
-        # Choices for a removed image, or before there was one, are kept for the next.
+        # Choices made before the first image, or for a removed one, are kept for the next image.
         keep_choices = before is None or (image is None and self.automatic)
         self._image_is_gone = image is None
         known = self._model.select(image)
@@ -240,7 +242,7 @@ class FormBinding:
                 self._begin_with(image)
 
     def _begin_with(self, image: Any) -> None:
-        """Choose the layers that are painted on a new image, and drop those that do not fit it."""
+        """Choose the layers painted on a new image, and drop choices that do not fit it."""
         model, view = self._model, self._form.view()
         # Layers that were chosen for other images are not meant for this one.
         others = [each for each in model.parts if each.kind == "choice" and each.layer]
@@ -249,7 +251,7 @@ class FormBinding:
         ]
         for field in self.fields.values():
             layer = field.value
-            # A field may lie anywhere.
+            # A displacement field may cover any region.
             if isinstance(layer, Layer) and not (holds_field(layer) or fits(layer, image, view)):
                 field.value = None
         for layer in reversed(painted_on(image, self._viewer.layers, view)):
@@ -257,7 +259,7 @@ class FormBinding:
                 self._take_painted(layer)
 
     def _show(self, choice: ImageChoice) -> None:
-        """Show choices in the form; a layer that was removed becomes none."""
+        """Show choices in the form, without layers that were removed."""
         with self.automatically():
             if choice.tissue == BRIGHTNESS:
                 self._form.tissue.offer(self._model.curve)
@@ -268,14 +270,14 @@ class FormBinding:
     # From the forms to the model
 
     def release(self) -> None:
-        """Disconnect, as the dock was closed or its window is gone."""
+        """Disconnect, as the dock was closed or its window was deleted."""
         self._undo.unbind_keys(self)
-        self._heard.release()
-        self.automatic = True  # the closed form writes nothing any more
+        self._connections.release()
+        self.automatic = True  # a closed form must write nothing
 
     def write(self, *, step: bool = True) -> None:
         """Write the forms' values to the model, unless they are changing automatically."""
-        # While another image is being chosen, the form has values of both.
+        # While another image is being chosen, the form holds values of both images.
         if not self.automatic and self._form.image.value is self._model.image:
             self._write(step)
 
@@ -296,7 +298,7 @@ class FormBinding:
 
     @property
     def curve(self) -> StiffnessCurve | None:
-        """Curve from the image's brightness to stiffness, if it is in use; can be set."""
+        """Curve that maps brightness to stiffness, if it is in use; can be set."""
         return self._form.tissue.curve
 
     @curve.setter
@@ -308,13 +310,13 @@ class FormBinding:
             self._form.tissue.choice.value = None
 
     def _take_curve(self, curve: StiffnessCurve) -> None:
-        """Use a curve for the image: its first one, or the next state of an edit."""
+        """Use a curve for the image: its first one, or the next state during an edit."""
         image = self._form.image.value
         if image is None:
             raise HmrfError(WELCOME)
         word = f"changed the curve of '{image.name}'"
         if self._model.curve is None:
-            self._model.set_curve(curve, word)  # the first one is no step of its own
+            self._model.set_curve(curve, word)  # the first curve is no undo step
         if self.curve is None:
             self._form.tissue.go_by(self._model.curve or curve)
         self._model.set_curve(curve, word)
@@ -322,19 +324,19 @@ class FormBinding:
     # From the model to the forms
 
     def _on_selected(self, image: Any) -> None:
-        """Show the selected image in the form; one that is not in the viewer is refused."""
+        """Show the selected image in the form; raise if it is not in the viewer."""
         form = self._form
         if image is form.image.value:
             return
         if image is not None and image not in form.image.offered:
             self._model.select(form.image.value)
-            raise HmrfError(f"'{image.name}' is no image of this viewer. Add it first.")
+            raise HmrfError(f"'{image.name}' is not an image in this viewer. Add it first.")
         with self.automatically():
             form.image.value = image
         self._image_is_gone = False
 
     def _on_changed(self, part: Part, value: Any, _: Any = None) -> None:
-        """Show a changed part in the form, and choose the image that it belongs to."""
+        """Show a changed part in the form, and choose the image to which it belongs."""
         form = self._form
         if part.kind == "drawing" and part.layer is form.image.value:
             return
@@ -343,16 +345,16 @@ class FormBinding:
             if part.kind in ("drawing", "choice") and part.layer in others:
                 form.image.value = part.layer
                 uncover(self._viewer, part.layer)
-            here = part.layer is form.image.value
+            is_current = part.layer is form.image.value
             if part.kind == "model":
                 form.model.choice = value
-            elif part.kind == "choice" and here:
+            elif part.kind == "choice" and is_current:
                 self._show(value)
-                for layer in value.layers:  # undo may bring back one that was removed since
+                for layer in value.layers:  # undo may restore a layer that was removed
                     if isinstance(layer, Layer) and layer not in self._viewer.layers:
                         value = value.without(layer)
                 self._model.amend(part, value)
-            elif part.kind == "curve" and here:
+            elif part.kind == "curve" and is_current:
                 form.tissue.offer(value)
                 if self._model.choice.tissue == BRIGHTNESS:
                     form.tissue.go_by(value)

@@ -26,19 +26,19 @@ def narrow(menu: Any) -> None:
 
 def share(label: str, tooltip: str, **options: Any) -> FloatSlider:
     """Create a slider for a fraction; it emits its value when the mouse button is released."""
-    how = {"value": 0.5, "min": 0.0, "max": 1.0, "step": 0.05, **options}
-    return FloatSlider(label=label, tooltip=tooltip, tracking=False, **how)
+    settings = {"value": 0.5, "min": 0.0, "max": 1.0, "step": 0.05, **options}
+    return FloatSlider(label=label, tooltip=tooltip, tracking=False, **settings)
 
 
 def length(label: str, tooltip: str, least: float = -1e6, **options: Any) -> FloatSpinBox:
     """Create a field for a length, or for a displacement if negative values are allowed."""
-    how = {"value": 0.0, "min": least, "max": 1e6, "step": 0.5, **options}
-    return FloatSpinBox(label=label, tooltip=tooltip, **how)
+    settings = {"value": 0.0, "min": least, "max": 1e6, "step": 0.5, **options}
+    return FloatSpinBox(label=label, tooltip=tooltip, **settings)
 
 
 def menu(label: str, words: Mapping[Any, str], tooltip: str, **options: Any) -> ComboBox:
     """Create a menu of values, each shown as its words."""
-    choices = [(said, value) for value, said in words.items()]
+    choices = [(word, value) for value, word in words.items()]
     return ComboBox(label=label, choices=choices, tooltip=tooltip, **options)
 
 
@@ -82,7 +82,7 @@ def row(*widgets: Any) -> Container:
 
 
 class Prose(Label):
-    """Label with wrapped text: as narrow as its parent, and as high as the text needs.
+    """Label with wrapped text, as narrow as its parent and as high as its text.
 
     Parameters
     ----------
@@ -100,13 +100,13 @@ class Prose(Label):
         words.installEventFilter(self._fit)
 
     def say(self, sentence: str) -> None:
-        """Show a sentence."""
+        """Show a text."""
         self.value = sentence
         self._fit.fit()
 
 
 class _FitHeight(QObject):
-    """Event filter that fits a label's height to its text, as layouts in a scroll area do not."""
+    """Event filter that fits a label's height to its text, unlike layouts in a scroll area."""
 
     def __init__(self, words: Any, lines: int) -> None:
         super().__init__(words)
@@ -124,12 +124,12 @@ class _FitHeight(QObject):
 
 
 class CalmField(QObject):
-    """Event filter of fields that leaves some events to the surrounding widget.
+    """Event filter of fields that passes some events on to the surrounding widget.
 
     The wheel scrolls the surrounding widget unless the field has the focus. The keys of undo and
     redo act on the last step, as they do outside of the fields, unless a number is being typed. A
-    menu gets the focus only by the Tab key: after a choice by mouse it would keep all keys, such as
-    those of the tools.
+    menu gets the focus only by the Tab key. Otherwise, after a choice by mouse, it would get all
+    keys, such as those of the tools.
     """
 
     def watch(self, field: Any) -> None:
@@ -141,7 +141,7 @@ class CalmField(QObject):
             field.editingFinished.connect(partial(field.lineEdit().setModified, False))
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
-        """Leave the wheel and the undo keys to the surrounding widget where they apply."""
+        """Pass on the wheel and the undo keys if the field does not use them."""
         theirs = event.type() == QEvent.Type.Wheel and not watched.hasFocus()
         if event.type() == QEvent.Type.KeyPress and isinstance(watched, QAbstractSpinBox):
             keys = QKeySequence.StandardKey
@@ -153,6 +153,6 @@ class CalmField(QObject):
 
 
 def align_labels(form: Container) -> None:
-    """Give a form's labels one width, which magicgui does only when a label changes."""
+    """Give the labels of a form equal width, as magicgui does only when a label changes."""
     first = form[0]
     first.label = first.label

@@ -1,4 +1,4 @@
-"""Calls on the GUI thread: from other threads, and after the window has painted."""
+"""Calls on the GUI thread: from other threads, and after the window is painted."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Call = Callable[[], object]
 
 
 class GuiThread(QObject):
-    """Calls functions on the thread that created this object, by its event loop and in order.
+    """Queue of calls that run, in order, in the event loop of the thread that created it.
 
     The object has no parent, because a parent could delete it while another thread submits a call.
     """
@@ -49,13 +49,13 @@ class GuiThread(QObject):
 class Repainted(QObject):
     """Callback after the next painting of the window and the mouse events that follow it.
 
-    Qt posts its request to paint with low priority, so that an event posted with a lower one comes
-    after it. Pending mouse events are processed next, and then timers without a delay fire.
+    Qt posts its request to paint with low priority, so that an event with a still lower priority is
+    processed after it. Pending mouse events are processed next, and then timers without a delay.
 
     Parameters
     ----------
     callback : callable
-        Called on the thread that created this object, by its event loop.
+        Called in the event loop of the thread that created this object.
     """
 
     _KIND = QEvent.Type(QEvent.registerEventType())
@@ -70,7 +70,7 @@ class Repainted(QObject):
         QCoreApplication.postEvent(self, QEvent(self._KIND), self._PRIORITY)
 
     def event(self, event: QEvent | None) -> bool:
-        """Start the timer of the callback, as the requested painting is done."""
+        """Start the timer of the callback after the requested painting."""
         if event is not None and event.type() == self._KIND:
             self._timer.start()
             return True

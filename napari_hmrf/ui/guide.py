@@ -12,16 +12,16 @@ from napari_hmrf.study.edit_history import Step
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
-from napari_hmrf.ui.events import Listening
+from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.motion import motion_messages
 
-#: Reason for the current sentence. "step" and "refused" stay until a new action begins, and
+#: Kind of the current message. "step" and "refused" stay until a new action begins, and
 #: "refused" also hides the progress.
 Why = Literal["news", "step", "refused"]
 
 
 class Guide:
-    """Writer of the status text, which ranks the messages of the other parts of the dock.
+    """Status text of the dock, selected from the messages of all its parts.
 
     Progress is shown while a job runs, and a hint at the next step if there is no message. The
     message of a step, an undo or a refusal stays until a new action begins.
@@ -41,8 +41,8 @@ class Guide:
         for table in form.tables:
             table.found.connect(partial(self.say, why="step"))
             table.refused.connect(self.refuse)
-        for told in (form.tissue.menu, controller.binding):
-            told.said.connect(partial(self.say, why="step"))
+        for source in (form.tissue.menu, controller.binding):
+            source.said.connect(partial(self.say, why="step"))
         form.tissue.editor.refused.connect(self.refuse)
         pointer.said.connect(self._on_pointer)
         pointer.refused.connect(self.refuse)
@@ -54,11 +54,11 @@ class Guide:
         controller.progress.doing.connect(self._on_doing)
         controller.moved_on.connect(self.show)
         controller.followed.connect(self._on_followed)
-        self._heard = Listening((undo.said, self._on_step))
+        self._connections = EventConnections((undo.said, self._on_step))
 
     def release(self) -> None:
         """Stop listening to the undo of the viewer."""
-        self._heard.release()
+        self._connections.release()
 
     @property
     def shown(self) -> str:
@@ -75,10 +75,10 @@ class Guide:
         if self._covered or self._viewer.dims.ndisplay != 2:
             return self._covered or motion_messages.FLAT
         begun = boundary.choice.value is not None
-        how = motion_messages.START if form.footer.live.value or not begun else messages.READY
+        hint = motion_messages.START if form.footer.live.value or not begun else messages.READY
         if self._pointer.active:
-            how = self._pointer.tool.how
-        return f"{self._controller.loose} {self._paused or how}".lstrip()
+            hint = self._pointer.tool.how
+        return f"{self._controller.loose} {self._paused or hint}".lstrip()
 
     def say(self, sentence: str, why: Why = "news") -> None:
         """Show a sentence in place of the earlier ones."""
@@ -86,7 +86,7 @@ class Guide:
         self.show()
 
     def invite(self) -> None:
-        """Show the hint at the next step, unless the message of a step or a refusal has to stay."""
+        """Show the hint at the next step, unless the message of a step or a refusal must stay."""
         if self._why == "news":
             self.say("")
 
@@ -100,25 +100,25 @@ class Guide:
 
     @property
     def _covered(self) -> str:
-        """Message that another image covers the image; "" if none does."""
+        """Message that another image covers the image, or ""."""
         image = still_there(self._viewer, self._form.image.value)
         other = None if image is None else image_covering(self._viewer, image)
         return "" if other is None else motion_messages.covered(other.name)
 
     @property
     def _paused(self) -> str:
-        """Message that drawing has stopped, and how to resume it; "" if it has not."""
+        """Message that drawing has stopped and how to resume it, or ""."""
         arrows = self._pointer.display.arrows
         if arrows.former is None or self._controller.study is None or self._pointer.active:
             return ""
         return motion_messages.ARROWS_GONE if arrows.layer is None else motion_messages.OFF
 
     def _on_begun(self, *_: object) -> None:
-        """Let other messages replace the current one, as a new action has begun."""
+        """Allow other messages to replace the current one, as a new action has begun."""
         self._why, self._read = "news", self._said
 
     def _on_followed(self, *_: object) -> None:
-        """Clear a message from before the last action, as the result has changed since."""
+        """Clear a message that is older than the last action, as the result is newer."""
         self.say("" if self._read else self._said, self._why)
 
     def _on_step(self, sentence: str, step: Step | None) -> None:
@@ -138,7 +138,7 @@ class Guide:
             self.invite()
 
     def _on_study(self, sentence: str) -> None:
-        """Show a message about the study, after that of a step; "" if the problem is solved."""
+        """Show a message about the study, after that of a step; "" means no problem is left."""
         if not sentence:
             self.invite()
         elif self._why != "refused":

@@ -18,7 +18,7 @@ from napari_hmrf.layers.pixel_copy import CHANGES
 from napari_hmrf.layers.slice_view import View, copy_slice, frame_of
 from napari_hmrf.tissue.boundary_rules import unlisted
 from napari_hmrf.tissue.row_table import Row, RowTable
-from napari_hmrf.ui.events import Listening, single_shot
+from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.forms import CalmField
 
 #: Columns of every table.
@@ -40,7 +40,7 @@ class Column(NamedTuple, Generic[Row]):
     title, about : str
         Header, and its tooltip.
     shown : callable
-        Returns the text of a row's cell; only a name can be edited if it is "".
+        Returns the text of a row's cell. An empty text cannot be edited, except for a name.
     typed : callable
         Returns the row with the typed text; raises ValueError if the text is not valid.
     choices : sequence of str
@@ -61,8 +61,9 @@ def _named(row: Row, text: str) -> Row:
 class LabelTable(QTableWidget, Generic[Row]):
     """Table of labels, with their colours and names; subclasses add further columns.
 
-    The table is stored in the metadata of its layer, so that it stays with the layer. New painted
-    labels get rows. A click on a row, or moving to it by the keys, selects its label for painting.
+    The table is stored in the metadata of its layer, so that it stays with the layer. Newly painted
+    labels get rows. A click on a row, or its selection by the arrow keys, selects its label for
+    painting.
 
     Parameters
     ----------
@@ -77,9 +78,9 @@ class LabelTable(QTableWidget, Generic[Row]):
 
     Signals
     -------
-    changed : bool, the paint or the table changed; False if the rows were edited
-    picked : the layer, a label of which was selected for painting
-    found : str, message about new painted labels
+    changed : bool, True if the paint or the layer changed, False if the rows were edited
+    picked : layer of which a label was selected for painting
+    found : str, message about newly painted labels
     refused : str, reason why typed text was refused
     """
 
@@ -95,7 +96,7 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._view = view
         self._contents: RowTable[Row] = RowTable(())
         self._layer: Any = None
-        self._heard = Listening()
+        self._connections = EventConnections()
         self._timer = single_shot(self, _PAUSE, self.look)
         self._fill()
         self.verticalHeader().hide()
@@ -133,7 +134,7 @@ class LabelTable(QTableWidget, Generic[Row]):
 
     @property
     def contents(self) -> RowTable[Row]:
-        """Contents of the table as one value; can be set."""
+        """Contents of the table as a single value; can be set."""
         return self._contents
 
     @contents.setter
@@ -141,7 +142,7 @@ class LabelTable(QTableWidget, Generic[Row]):
         if contents != self._contents:
             self._show(contents)
             self._timer.start()
-            self._tell(by_itself=False)
+            self._store(automatic=False)
 
     @property
     def rows(self) -> tuple[Row, ...]:
@@ -182,18 +183,18 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._show(table_of(layer, self.role))
         self._list_painted()
         self._mark()
-        self._heard = Listening(
+        self._connections = EventConnections(
             (layer.events.selected_label, self._mark),
             # Debounced: reading the labels of a large image takes longer than a stroke.
             *((getattr(layer.events, name), lambda _: self._timer.start()) for name in _EVENTS),
         )
-        self._tell(by_itself=True)
+        self._store(automatic=True)
 
     def release(self) -> None:
         """Stop listening to the layer."""
         with suppress(RuntimeError):  # Qt may have deleted it at exit
             self._timer.stop()
-        self._heard.release()
+        self._connections.release()
         self._layer = None
 
     def look(self) -> None:
@@ -203,10 +204,10 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._timer.stop()
         new = self._list_painted()
         self._fill()
-        self._tell(by_itself=True)
+        self._store(automatic=True)
         if new:
-            said = " and ".join(f"label {row.label}" for row in new[:3])
-            self.found.emit(f"New in '{self._layer.name}': {said}. Change it in the table.")
+            names = " and ".join(f"label {row.label}" for row in new[:3])
+            self.found.emit(f"New in '{self._layer.name}': {names}. Change it in the table.")
 
     def pick(self, label: int) -> None:
         """Select a label for painting."""
@@ -224,7 +225,7 @@ class LabelTable(QTableWidget, Generic[Row]):
             self.selectRow(row)
 
     def _list_painted(self) -> list[Row]:
-        """Add a row for each new label of the slice; return these, none if it cannot be read."""
+        """Add rows for new labels of the slice, and return them; none if unreadable."""
         try:
             picture = copy_slice(self._layer, frame_of(self._layer, self._view()))
         except ProblemError:
@@ -240,17 +241,20 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._contents = contents._replace(rows=rows)
         self._fill()
 
-    def _tell(self, by_itself: bool) -> None:
+    def _store(self, automatic: bool) -> None:
         """Store the table in the layer, and emit `changed`."""
         if self._layer is not None:
             store_table(self._contents, self._layer, self.role)
-            self.changed.emit(by_itself)
+            self.changed.emit(automatic)
 
     # Cells
 
     def _fill(self) -> None:
         """Write the rows to the cells, and hide columns that are empty in every row."""
-        blocked, columns = QSignalBlocker(self), self.columns  # not typed by the user
+        blocked, columns = (
+            QSignalBlocker(self),
+            self.columns,
+        )  # the changes below are not made by the user
         self.setRowCount(len(self.rows))
         self.setColumnCount(len(columns))
         for column, about in enumerate(columns):
@@ -259,12 +263,14 @@ class LabelTable(QTableWidget, Generic[Row]):
             self.setHorizontalHeaderItem(column, head)
             for row in range(len(self.rows)):
                 self._write(row, column, about)
-            said = any(about.shown(row) for row in self.rows)
-            self.setColumnHidden(column, column > NAME and not said)  # the dock is narrow
+            is_shown = any(about.shown(row) for row in self.rows)
+            self.setColumnHidden(
+                column, column > NAME and not is_shown
+            )  # saves width in the narrow dock
         blocked.unblock()
 
     def _write(self, row: int, column: int, about: Column[Row]) -> None:
-        """Write the value of a row to a cell; an open editor stays open."""
+        """Write the value of a row to a cell, without closing an open editor."""
         value, item = self.rows[row], self.item(row, column)
         text = about.shown(value)
         if item is None:
@@ -275,7 +281,7 @@ class LabelTable(QTableWidget, Generic[Row]):
             if about.choices:
                 self.setCellWidget(row, column, self._box(item, about.choices))
         item.setText(text)
-        item.setToolTip(text)  # the dock is narrow
+        item.setToolTip(text)  # the narrow dock may elide the text
         typing = Qt.ItemFlag.ItemIsEditable
         typed = column == NAME or (column > NAME and text)
         flags = item.flags() | typing if typed else item.flags() & ~typing
@@ -292,7 +298,7 @@ class LabelTable(QTableWidget, Generic[Row]):
         box.addItems(choices)
         box.setStyleSheet(_COMPACT)
         box.textActivated.connect(item.setText)
-        box.activated.connect(self.clearFocus)  # the canvas gets the next keys
+        box.activated.connect(self.clearFocus)  # so that the canvas gets the next keys
         CalmField(box).watch(box)
         return box
 
@@ -308,7 +314,7 @@ class LabelTable(QTableWidget, Generic[Row]):
     # Mouse and keys
 
     def keyPressEvent(self, event: Any) -> None:
-        """Select rows by the arrow keys, leave letters to the canvas, and block Delete."""
+        """Select rows by the arrow keys, pass letters to the canvas, and block Delete."""
         if event.key() in (Qt.Key.Key_Delete, Qt.Key.Key_Backspace):
             # Otherwise the window passes it to the active layer, which deletes its selected points.
             event.accept()

@@ -1,4 +1,4 @@
-"""A menu of the viewer's layers that stays true while layers come and go."""
+"""Menus of the layers of a viewer, and of the extent of the deformation."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from napari_hmrf.ui.forms import align_labels, narrow
 
 
 def is_picture(layer: Any) -> bool:
-    """Whether a layer is an image of something, and neither a result nor how stiff tissue is."""
+    """Return whether a layer is an image other than a result or an image of stiffness."""
     own = isinstance(layer, Image) and "kind" not in known_of(layer)
     return own and role_of(layer) != TISSUE
 
 
 class LayerChoice(ComboBox):
-    """Choose a layer, or none.
+    """Menu of layers, with an empty choice.
 
-    magicgui's own menu of layers asks the window for them, which a script may not have.
+    magicgui's own menu of layers needs a napari window, which a script may not have.
 
     Parameters
     ----------
     layers : callable
-        The layers there are, lowest first.
+        Returns the layers of the viewer, lowest first.
     accept : callable
-        Whether a layer can be chosen.
+        Returns whether a layer can be chosen.
     label, tooltip : str
     more : callable, optional
-        What else can be chosen now: pairs of a title and a value.
+        Returns further choices, as pairs of a title and a value.
     if_any : bool
-        Whether it is seen only where there is a layer to choose.
+        Whether the menu is visible only if there is a layer to choose.
     """
 
     def __init__(
@@ -57,11 +57,11 @@ class LayerChoice(ComboBox):
 
     @property
     def offered(self) -> list[Any]:
-        """The layers that can be chosen, lowest first."""
+        """Layers that can be chosen, lowest first."""
         return [layer for layer in self._layers() if self._accept(layer)]
 
     def reset_choices(self, *_: Any) -> None:
-        """Look again at what layers there are; a choice that is gone becomes none."""
+        """Update the menu; if the chosen layer was removed, nothing is chosen."""
         before: Any = self.get_value()
         with self.changed.blocked():
             super().reset_choices()
@@ -74,19 +74,19 @@ class LayerChoice(ComboBox):
 
 
 class LandmarkChoice(Container):
-    """Where things are and where they should be; there only where there are points or lines.
+    """Menus for landmarks and their targets, visible only if there are points or lines.
 
     Parameters
     ----------
     layers : callable
-        Returns the layers there are.
+        Returns the layers of the viewer.
 
     Attributes
     ----------
     where, should : LayerChoice
-        A layer of points, and another one of as many; or a Shapes layer of lines alone.
+        Two Points layers of equal length; or a Shapes layer of lines, and None.
     take : PushButton
-        Has them become landmarks of the drawing.
+        Button that adds the landmarks to the drawing.
     """
 
     def __init__(self, layers: Callable[[], list[Any]]) -> None:
@@ -112,18 +112,19 @@ class LandmarkChoice(Container):
 
     @property
     def pair(self) -> tuple[Any, Any]:
-        """The layers that are chosen, or None."""
+        """Chosen layers of landmarks and of their targets; each may be None."""
         return self.where.value, self.should.value
 
     def look(self) -> None:
-        """Show what there are layers for."""
+        """Update the visible and enabled widgets for the current layers."""
         self.visible = bool(self.where.offered)
         self.should.visible = not isinstance(self.where.value, Shapes)
         self.take.enabled = self.where.value is not None
         align_labels(self)
 
     def _on_where(self, layer: Any) -> None:
-        self.should.reset_choices()  # no layer is both: where there are two, they change places
+        # No layer can be both: of two Points layers, the other becomes the target.
+        self.should.reset_choices()
         others = self.should.offered
         if isinstance(layer, Points) and self.should.value is None and len(others) == 1:
             self.should.value = others[0]
@@ -131,7 +132,7 @@ class LandmarkChoice(Container):
 
 
 class ExtentChoice(ComboBox):
-    """How much of an image is deformed; there is a choice for images that have slices."""
+    """Menu for the extent of the deformation: a slice or the volume, if an image has slices."""
 
     has_slices = False
 
@@ -146,11 +147,11 @@ class ExtentChoice(ComboBox):
 
     @property
     def is_volume(self) -> bool:
-        """Whether all of a volume is deformed."""
+        """True if a whole volume is deformed."""
         return bool(self.value == "volume")
 
     def look_at(self, image: Any) -> None:
-        """Offer what there is of an image, and choose what it is meant for."""
+        """Show the menu if an image has slices, and select the extent that its metadata records."""
         self.has_slices = image is not None and layer_extents(image)[-3:-2] > (1,)
         self.visible = self.has_slices
         self.value = known_of(image).get("extent", "slice") if self.has_slices else "slice"

@@ -1,4 +1,4 @@
-"""Messages of the widget about a result, and before there is one."""
+"""Messages of the dock about results, and hints before the first result."""
 
 from __future__ import annotations
 
@@ -71,27 +71,27 @@ HANDFUL = 5
 def report(done: CompleteResult) -> str:
     """Describe the largest displacement of a result in a sentence."""
     place, solution = done.moved.study.grid.known_place, done.outputs.solution
-    far = as_seen(float(magnitude(solution.displacement).max()), solution.spacing)
-    if not far:
+    largest = as_seen(float(magnitude(solution.displacement).max()), solution.spacing)
+    if not largest:
         return STILL
-    seen = place.slice_seen.replace("slice", "Slice")
-    where = f"{seen}: tissue" if seen else "Tissue"
-    return f"{where} moved up to {far:.3g} {unit_symbol(place.unit)}."
+    slice_name = place.slice_seen.replace("slice", "Slice")
+    where = f"{slice_name}: tissue" if slice_name else "Tissue"
+    return f"{where} moved up to {largest:.3g} {unit_symbol(place.unit)}."
 
 
-def warnings_of(done: CompleteResult, seen: str) -> tuple[str, str]:
-    """Return the warnings of a result, and the label of the next click after the overlay `seen`."""
+def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
+    """Return the warnings of a result, and the label of the chip while `overlay` is shown."""
     sites = "voxels" if len(done.moved.study.grid.shape) == 3 else "pixels"
-    found = marks_of(done.outputs)
-    parts = [f"Warning: at {number} {sites} {_WARNINGS[mark]}" for mark, number in found.items()]
+    counts = marks_of(done.outputs)
+    parts = [f"Warning: at {number} {sites} {_WARNINGS[mark]}" for mark, number in counts.items()]
     parts += map(_sentence, done.notes)
-    if (mark := next_mark(done.outputs, seen)) is not None:
-        return " ".join(parts), f"{mark.capitalize()} at {found[mark]} {sites}: show where"
-    return " ".join(parts), f"Hide the {seen}" if seen in found else ""
+    if (mark := next_mark(done.outputs, overlay)) is not None:
+        return " ".join(parts), f"{mark.capitalize()} at {counts[mark]} {sites}: show where"
+    return " ".join(parts), f"Hide the {overlay}" if overlay in counts else ""
 
 
 def can_unfold(done: CompleteResult) -> bool:
-    """Return whether the tissue folds and would not in the large-motion model."""
+    """Return whether the tissue folds and the large-motion model would avoid that."""
     flat = len(done.moved.study.grid.shape) == 2
     return flat and "folds" in marks_of(done.outputs) and done.moved.study.model_name == "elastic"
 
@@ -107,14 +107,14 @@ def loose(notes: Sequence[str]) -> str:
 
 
 def _sentence(clause: str) -> str:
-    said = in_words_of("window", clause)
-    return f"{said[0].upper()}{said[1:]}."
+    sentence = in_words_of("window", clause)
+    return f"{sentence[0].upper()}{sentence[1:]}."
 
 
-def next_mark(outputs: Outputs, seen: str) -> Mark | None:
-    """Return the mark that follows the overlay `seen`: folds, then overlaps, then None."""
+def next_mark(outputs: Outputs, overlay: str) -> Mark | None:
+    """Return the mark that follows a shown overlay: folds, then overlaps, then None."""
     marks = [*marks_of(outputs)]
-    return next(iter(marks[marks.index(seen) + 1 :] if seen in marks else marks), None)
+    return next(iter(marks[marks.index(overlay) + 1 :] if overlay in marks else marks), None)
 
 
 def in_short(error: Exception) -> str:
@@ -126,12 +126,12 @@ def in_short(error: Exception) -> str:
     return f"The deformation failed: {type(error).__name__}: {error}"
 
 
-def progress(monitor: Monitor, what: str = "Deforming") -> str:
-    """Describe the progress in plain words; `monitor` has the technical ones."""
+def progress(monitor: Monitor, work: str = "Deforming") -> str:
+    """Describe the progress in plain words; `monitor` has the technical description."""
     if monitor.message.startswith(_WAITS):
-        return f"{what}: {monitor.message}."
+        return f"{work}: {monitor.message}."
     percent = round(100 * monitor.fraction)  # at 100 % the result must still be drawn
-    return f"{what}: {percent} %" if 0 < percent < 100 else f"{what} ..."
+    return f"{work}: {percent} %" if 0 < percent < 100 else f"{work} ..."
 
 
 def chosen(image: Any, hidden: Sequence[Any]) -> str:

@@ -74,7 +74,7 @@ class ModelForm(Container):
     Attributes
     ----------
     model : ComboBox
-        A `ModelName`. Choosing the paper's model also restores its own numbers.
+        A `ModelName`. Choosing "paper" also sets the solver settings to those of the paper.
     plane : RadioButtons
         Plane of the elastic model: "stress" or "strain".
     poisson : FloatSpinBox
@@ -149,7 +149,7 @@ class ModelForm(Container):
             self._show()
 
     def extent_is(self, volume: bool) -> None:
-        """Set whether a volume is deformed, for which there is no plane to choose."""
+        """Set whether a volume is deformed, which has no choice of plane."""
         self._volume = volume
         self._show()
 

@@ -1,4 +1,4 @@
-"""Empty layers to paint on, with tables that make sense from the first stroke."""
+"""Empty layers to paint on, with default tables for the first labels."""
 
 from __future__ import annotations
 
@@ -16,67 +16,68 @@ from napari_hmrf.tissue.boundary_rules import UNPAINTED, BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.tissue.usual_lengths import usual_step
 
-#: Beyond this many pixels a whole stack of labels would not fit; one slice then does.
+#: Largest number of pixels of a new labels layer; beyond it, the layer covers one slice only.
 _LARGEST = 2**30
 
 
 def add_missing(viewer: Any, image: Any, tissue: Any, boundary: Any, view: View) -> tuple[Any, Any]:
-    """Add what an image lacks to be painted on, and put a brush into the user's hand.
+    """Add missing layers to paint on, and select a brush in one of them.
 
-    What stays unpainted is normal tissue; the boundary's first two labels hold and push.
+    Unpainted pixels are normal tissue. The first label of the boundary holds tissue, and the second
+    one pushes it outward.
 
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
     image : napari.layers.Image
     tissue, boundary : napari.layers.Layer or None
-        What is chosen, of this image or another.
+        Chosen layers, which may belong to another image.
     view : View
 
     Returns
     -------
     tissue, boundary : napari.layers.Layer
-        Those that were there, and those that are new.
+        The chosen layers if they fit the image, else new ones.
 
     Raises
     ------
     ProblemError
-        If the slice that is shown is none of the image's.
+        If the image has no pixels in the visible slice.
     """
-    tissue_there, boundary_there = (
+    has_tissue, has_boundary = (
         layer is not None and fits(layer, image, view) for layer in (tissue, boundary)
     )
     layers, blank = viewer.layers, partial(_blank, image, view)
-    if not tissue_there:
+    if not has_tissue:
         paper = PRESETS[0]
         materials = (Material(0, UNPAINTED, paper.materials[0].stiffness), *paper.materials)
         tissue = blank("Tissue", described(TISSUE, materials, paper.unit), opacity=0.4)
-        # What holds is to be seen on top.
-        layers.insert(layers.index(boundary) if boundary_there else len(layers), tissue)
-    if not boundary_there:
+        # Insert below the boundary, which must stay visible.
+        layers.insert(layers.index(boundary) if has_boundary else len(layers), tissue)
+    if not has_boundary:
         frame = frame_of(image, view)
         push = usual_step(plane_shape(image, frame), frame.spacing)
         holds = BoundaryRule(1, "fixed", name="holds")
         grows = BoundaryRule(2, "expand", amount=push, name="grows")
-        known = described(BOUNDARY, (holds, grows))
-        boundary = blank("Boundary", known, colormap=boundary_colours())
+        description = described(BOUNDARY, (holds, grows))
+        boundary = blank("Boundary", description, colormap=boundary_colours())
         layers.append(boundary)
-    lacking = not isinstance(tissue, Labels) or (tissue_there and not boundary_there)
-    first = boundary if lacking else tissue
+    paints_boundary = not isinstance(tissue, Labels) or (has_tissue and not has_boundary)
+    first = boundary if paints_boundary else tissue
     viewer.layers.selection = {first}
     if isinstance(first, Labels):
         first.selected_label, first.mode = 2 if first is tissue else 1, "paint"
     return tissue, boundary
 
 
-def _blank(image: Any, view: View, name: str, known: dict[str, Any], **look: Any) -> Labels:
-    """A layer on an image's pixels, in its place, of which nothing is painted."""
+def _blank(image: Any, view: View, name: str, description: dict[str, Any], **look: Any) -> Labels:
+    """Create an empty Labels layer on the pixels of an image, at the same place."""
     frame, shape = frame_of(image, view), layer_extents(image)
     place = frame.placement()
     if math.prod(shape) > _LARGEST:
         shape = tuple(size if axis in frame.plane else 1 for axis, size in enumerate(shape))
         place = frame.placement(image=True)
-    layer = Labels(np.zeros(shape, np.uint8), name=name, metadata=known, **look, **place)
+    layer = Labels(np.zeros(shape, np.uint8), name=name, metadata=description, **look, **place)
     layer.brush_size = max(3, round(max(plane_shape(image, frame)) / 40))
-    layer.n_edit_dimensions = len(frame.plane)  # of a volume the brush is a ball
+    layer.n_edit_dimensions = len(frame.plane)  # for a volume, the brush is a ball
     return layer

@@ -1,4 +1,4 @@
-"""Engine of the window, paced by its repaints and answered on the GUI thread."""
+"""Engine of the window, paced by its repaints, with answers on the GUI thread."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from functools import partial
 from napari_hmrf.errors import Cancelled
 from napari_hmrf.field.rehearsal import rehearse
 from napari_hmrf.layers.complete_result import CompleteResult, complete_result
-from napari_hmrf.layers.painted_overlay import PaintedOverlay, Seen
+from napari_hmrf.layers.painted_overlay import PaintedOverlay, ShownDeformation
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers import Monitor
-from napari_hmrf.study.coarse_grid import Glance
+from napari_hmrf.study.coarse_grid import Preview
 from napari_hmrf.study.engine import Deformation, Engine
 from napari_hmrf.study.study import Study
 from napari_hmrf.ui.background_jobs import BackgroundJobs
@@ -27,26 +27,26 @@ _DOING = "tissue that 'Soft tissue' deforms, which its Cancel stops"
 class PacedEngine:
     """Solver of the newest submitted study, for a window.
 
-    The engine is held from each answer until that is painted. Solver and painting use the same
-    processor cores: if both worked at once, each picture would come later.
+    After each answer, the engine pauses until the answer is painted. Solver and painting use the
+    same processor cores: if both worked at once, each picture would come later.
 
     Parameters
     ----------
     show : callable
-        Called on the GUI thread with each answer, as a `Seen`.
+        Called on the GUI thread with each answer, as a `ShownDeformation`.
     finish : callable
-        Called on the GUI thread with a `CompleteResult`, some time after `complete`.
+        Called on the GUI thread with a `CompleteResult`, after `complete` has made it.
     """
 
     def __init__(
-        self, show: Callable[[Seen], None], finish: Callable[[CompleteResult], None]
+        self, show: Callable[[ShownDeformation], None], finish: Callable[[CompleteResult], None]
     ) -> None:
         self._show, self._finish = show, finish
         self._gui = GuiThread()
         self._overlay = PaintedOverlay()
         self._engine = Engine(self._deliver, _DOING, self._overlay)
         self._repainted = Repainted(self._engine.resume)
-        self._jobs = BackgroundJobs(lambda _: None)  # errors of a drag are reported by its solve
+        self._jobs = BackgroundJobs(lambda _: None)  # the solve of a drag reports its own errors
         self._rehearsed = False
 
     def submit(
@@ -54,30 +54,30 @@ class PacedEngine:
         study: Study,
         backend: str = "auto",
         settle: bool = False,
-        glance: Glance | None = None,
+        preview: Preview | None = None,
     ) -> None:
         """Submit a study, as `Engine.submit`; with `settle`, drop earlier work first."""
         if settle:
             self.forget()
-        self._engine.submit(study, backend, settle, glance)
+        self._engine.submit(study, backend, settle, preview)
 
     def complete(self) -> None:
-        """Make the layers of the latest answer in the background, unless a newer one is due."""
+        """Make the layers of the latest answer in the background, unless a newer study waits."""
         self._jobs.submit("layers", self._completed, self._on_completed)
 
     def forget(self) -> None:
-        """Drop all pending work; none of it is answered."""
+        """Drop all pending work; its results are not shown."""
         self._engine.forget()
         self._jobs.forget("layers")
 
     @property
     def busy(self) -> bool:
-        """True if a submitted study is not answered, or not painted yet."""
+        """True if the result of a submitted study is not painted yet."""
         return self._engine.busy
 
     @property
     def at_work(self) -> bool:
-        """True if anything is being computed, or will be."""
+        """True if a computation is running or pending."""
         return self.busy or self._jobs.busy()
 
     @property
@@ -86,16 +86,16 @@ class PacedEngine:
         return self._engine.monitor
 
     def rehearse(self, study: Study) -> None:
-        """Load or compile in the background what the first pull and the first stroke need."""
+        """Load or compile in the background the code for the first pull and the first stroke."""
         image, engine = study.pictures.image, self._engine
         if not self._rehearsed and image is not None:
             self._rehearsed = True
-            what = study.prior, image, study.grid.spacing, engine.report, engine.closed
+            arguments = study.prior, image, study.grid.spacing, engine.report, engine.closed
             for kind, more in (("first pull", False), ("first brush", True)):
-                self._jobs.submit(kind, partial(rehearse, *what, more), lambda _: None)
+                self._jobs.submit(kind, partial(rehearse, *arguments, more), lambda _: None)
 
     def release(self) -> None:
-        """Drop all work for good."""
+        """Drop all work and stop the engine permanently."""
         self.forget()
         self._engine.close()
         self._gui.release()
@@ -105,12 +105,12 @@ class PacedEngine:
     # On the compute thread
 
     def _deliver(self, answer: Deformation) -> None:
-        seen = self._overlay.on(answer)
+        state = self._overlay.on(answer)
         self._engine.hold()
-        self._gui.submit(partial(self._on_seen, seen))
+        self._gui.submit(partial(self._on_answer, state))
 
-    def _completed(self) -> CompleteResult | Seen | None:
-        """Make all layers of the latest answer; None if there is none or a newer one is due."""
+    def _completed(self) -> CompleteResult | ShownDeformation | None:
+        """Make all layers of the latest answer; None if there is none or a newer study waits."""
         latest = self._engine.latest
         if latest is None or latest.solution is None:
             return None
@@ -120,21 +120,21 @@ class PacedEngine:
         except Cancelled:
             return None
         except Exception as error:  # noqa: BLE001 - every error is reported to the user
-            _log.exception("a result could not be drawn")
-            return Seen(replace(latest, error=error))
+            _log.exception("the layers of a result could not be made")
+            return ShownDeformation(replace(latest, error=error))
 
     # On the GUI thread
 
-    def _on_seen(self, seen: Seen) -> None:
-        if not self._engine.is_current(seen.moved):
+    def _on_answer(self, state: ShownDeformation) -> None:
+        if not self._engine.is_current(state.moved):
             return
-        # The error of a study that was replaced is corrected by now, or will be reported again.
-        if seen.moved.error is None or not self._engine.waits:
-            self._show(seen)
+        # A newer study has corrected the error, or will report it again.
+        if state.moved.error is None or not self._engine.waits:
+            self._show(state)
         self._repainted.ask()
 
-    def _on_completed(self, completed: CompleteResult | Seen | None) -> None:
-        if isinstance(completed, Seen):
+    def _on_completed(self, completed: CompleteResult | ShownDeformation | None) -> None:
+        if isinstance(completed, ShownDeformation):
             self._show(completed)
         elif completed is not None and not self.busy:
             self._finish(completed)

@@ -1,4 +1,4 @@
-"""Letters at the edges of the canvas that say which side of the patient lies there."""
+"""Letters at the edges of the canvas for the sides of the patient."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from qtpy.QtWidgets import QGridLayout, QLabel
 
 from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.layers.screen_directions import Sides
-from napari_hmrf.ui.events import Listening
+from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.layer_choice import LayerChoice
 
-#: Read on dark tissue and on bright.
+#: Style that is legible on dark and on bright tissue.
 _STYLE = (
     "color: #ffd75e; background: rgba(0, 0, 0, 110); border-radius: 4px; padding: 1px 5px;"
     "font-weight: bold;"
 )
 _MARGIN = 6
-#: Below the line in which napari names what colours show.
+#: Top margin, in pixels, below the line that describes the colours of a layer.
 _TOP = 34
 #: Rows and columns of the canvas, in the order of `Sides`.
 _EDGES = ((0, 1), (2, 1), (1, 0), (1, 2))
-#: What happens to layers, of all that does, after which other letters may be seen.
-_TELLING = ("inserted", "removed", "axis_labels")
+#: Events of the list of layers that can change the letters.
+_EVENTS = ("inserted", "removed", "axis_labels")
 
 
 class PatientSides:
-    """Shows them while a dock is there, if its image says how it lies in the patient.
+    """Letters at the edges of the canvas, if the image records its orientation in the patient.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class PatientSides:
         self._viewer, self._image = viewer, image
         self._labels: list[QLabel] = []
         dims = viewer.dims.events
-        self._heard = Listening(
+        self._connections = EventConnections(
             (dims.order, self.look),
             (dims.ndisplay, self.look),
             (camera_of(viewer).events.orientation, self.look),
@@ -51,15 +51,15 @@ class PatientSides:
 
     @property
     def shown(self) -> Sides:
-        """The letters that are seen, in words of the edges."""
+        """Visible letters, by edge."""
         return Sides(*(label.text() for label in self._labels)) if self._labels else Sides()
 
     def begin(self, window: Any) -> None:
-        """Show them on the canvas of a window of napari's."""
+        """Show the letters on the canvas of a napari window."""
         if self._labels:
             return
         canvas = window.findChild(QtViewer).canvas.native
-        layout = canvas.layout()  # of a dock that was closed
+        layout = canvas.layout()  # made by a dock that was closed
         if layout is None:
             layout = QGridLayout(canvas)
             layout.setContentsMargins(_MARGIN, _TOP, _MARGIN, _MARGIN)
@@ -73,20 +73,20 @@ class PatientSides:
         self.look()
 
     def look(self, *_: Any) -> None:
-        """Show what is known of the slice that is seen."""
-        seen = Sides.of(self._image.value, self._viewer)
-        for label, letter in zip(self._labels, seen, strict=False):
+        """Update the letters for the visible slice."""
+        letters = Sides.of(self._image.value, self._viewer)
+        for label, letter in zip(self._labels, letters, strict=False):
             label.setText(letter)
             label.setVisible(bool(letter))
 
     def _on_layers(self, event: Any) -> None:
-        if event.type in _TELLING:
+        if event.type in _EVENTS:
             self.look()
 
     def release(self) -> None:
-        """Take them away."""
-        self._heard.release()
+        """Remove the letters."""
+        self._connections.release()
         for label in self._labels:
-            with suppress(RuntimeError):  # gone with their window
+            with suppress(RuntimeError):  # deleted with the window
                 label.deleteLater()
         self._labels = []

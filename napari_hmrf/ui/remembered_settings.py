@@ -1,7 +1,6 @@
-"""What outlasts a program: the device that was chosen.
+"""Settings that are kept between sessions: the chosen device.
 
-Never which layers a result makes: whoever opens a dock has the calm picture of the first minute,
-whatever was tried last.
+The choice of result layers is not kept, so that each new dock shows the same few layers at first.
 """
 
 from __future__ import annotations
@@ -15,15 +14,15 @@ _DEVICE = "deform/device"
 
 
 def settings() -> QSettings:
-    """What is remembered for good."""
+    """Return the store of settings that are kept between sessions."""
     return QSettings(
         QSettings.Format.IniFormat, QSettings.Scope.UserScope, "napari-hmrf", "napari-hmrf"
     )
 
 
 def remember(device: ComboBox) -> None:
-    """Have a field say which device was chosen last on this machine, and keep what will be."""
+    """Set a field to the device that was chosen last, and record later choices."""
     store = settings()
-    with suppress(ValueError):  # another version's, or written by hand
+    with suppress(ValueError):  # written by another version, or by hand
         device.value = store.value(_DEVICE, device.value)
     device.changed.connect(lambda value: store.setValue(_DEVICE, value))

@@ -18,10 +18,10 @@ from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.ui.controller import Controller
-from napari_hmrf.ui.events import Listening
+from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.result.result_view import ResultView
 
-#: Looks of the moving image and of the second one; where both are equal, they add up to grey.
+#: Layer settings of the moving image and of the second one; equal images add up to grey.
 _MOVED = {"colormap": "magenta"}
 _OTHER = {"colormap": "green", "blending": "additive", "opacity": 1.0, "visible": True}
 
@@ -37,7 +37,7 @@ class SecondImage:
     view : ResultView
         View of the selected result.
     controller : Controller
-        Its form has the layers of landmarks; without these, the landmarks of the drawing count.
+        Source of the landmarks: the layers chosen in its form, or else those of the drawing.
     """
 
     def __init__(self, viewer: Any, view: ResultView, controller: Controller) -> None:
@@ -45,21 +45,21 @@ class SecondImage:
         self._results = shared(viewer, ResultLayers)
         self._image, self._form = controller.form.image, controller.form.result
         self._pair = controller.form.motion.boundary.landmarks
-        # Looks of all layers involved before the comparison, and index of the second image then.
+        # Settings of the compared layers, and index of the second image, before the comparison.
         self._before: dict[Any, dict[str, Any]] = {}
         self._place = 0
         choices = (self._image, self._form.second, self._pair.where, self._pair.should)
         changes = (view.looked, *(choice.changed for choice in choices))
-        self._heard = Listening(
+        self._connections = EventConnections(
             (viewer.layers.events.inserted, self.look), *((change, self.look) for change in changes)
         )
-        self._points = Listening()
-        # Layer and column of features with the residuals.
+        self._points = EventConnections()
+        # Layer with the residuals, and the name of their feature column.
         self._residuals: tuple[Any, str] | None = None
 
     def release(self) -> None:
         """Restore all layers, and stop listening."""
-        self._heard.release()
+        self._connections.release()
         self._points.release()
         self._draw(None, [])
 
@@ -70,21 +70,21 @@ class SecondImage:
         self._draw(self._form.second.value, moved)
         self._points.release()
         pair = {*self._pair.pair} - {None}
-        self._points = Listening(*((layer.events.data, self._on_points) for layer in pair))
+        self._points = EventConnections(*((layer.events.data, self._on_points) for layer in pair))
         self._measure()
 
     def _draw(self, other: Any, moved: list[Any]) -> None:
-        """Draw an image over the moving ones, and restore those of an earlier comparison."""
-        wanted, layers = [] if other is None else [other, *moved], self._viewer.layers
-        if wanted == list(self._before):
+        """Draw an image over the moving ones, after restoring layers of an earlier comparison."""
+        compared, layers = [] if other is None else [other, *moved], self._viewer.layers
+        if compared == list(self._before):
             return
         for layer, look in self._before.items():
             _set(layer, look)
         second = next(iter(self._before), None)
-        if second in layers:  # left on top, it would cover the image
+        if second in layers:  # on top, it would cover the image
             layers.move(layers.index(second), self._place)
         self._before = {}
-        for layer in wanted:
+        for layer in compared:
             look = dict(_OTHER if layer is other else _MOVED)
             if layer.rgb:
                 del look["colormap"]
@@ -92,8 +92,8 @@ class SecondImage:
             _set(layer, look)
         if other is not None:
             self._place = layers.index(other)
-            there = [layers.index(layer) for layer in moved if layer in layers]
-            layers.move(self._place, max([self._place, *(index + 1 for index in there)]))
+            indices = [layers.index(layer) for layer in moved if layer in layers]
+            layers.move(self._place, max([self._place, *(index + 1 for index in indices)]))
 
     def _on_points(self, event: Any) -> None:
         if event.action in (ActionType.ADDED, ActionType.REMOVED, ActionType.CHANGED):
@@ -101,13 +101,13 @@ class SecondImage:
 
     def _measure(self) -> None:
         """Show the residuals of the landmarks, and remove earlier ones."""
-        said, self._residuals = self._residuals, None
-        if said is not None and said[1] in said[0].features:
-            said[0].features = said[0].features.drop(columns=said[1])
-        self._form.landmarks.say(self._measured())
+        earlier, self._residuals = self._residuals, None
+        if earlier is not None and earlier[1] in earlier[0].features:
+            earlier[0].features = earlier[0].features.drop(columns=earlier[1])
+        self._form.landmarks.say(self._describe_residuals())
 
-    def _measured(self) -> str:
-        """Describe the residuals; each landmark gets its own as a feature of its layer."""
+    def _describe_residuals(self) -> str:
+        """Describe the residuals, and store each as a feature of its landmark."""
         shown, where = self._view.shown, self._pair.where.value
         pairs = None if shown is None else self._pairs(shown.answer)
         if shown is None or pairs is None:
@@ -115,7 +115,7 @@ class SecondImage:
         solution, unit = shown.answer.solution, shown.answer.unit
         spacing = solution.spacing
         now = moved_points(pairs.at, solution.displacement, spacing=spacing)
-        apart, left = (
+        at_first, left = (
             np.linalg.norm((pairs.to - places) * spacing, axis=1) for places in (pairs.at, now)
         )
         if where is not None:
@@ -123,7 +123,7 @@ class SecondImage:
             column[pairs.numbers] = left
             self._residuals = where, f"residual ({unit})"
             where.features = where.features.assign(**{self._residuals[1]: column})
-        both = (float(np.sqrt((lengths**2).mean())) for lengths in (apart, left))
+        both = (float(np.sqrt((lengths**2).mean())) for lengths in (at_first, left))
         before, after = (as_seen(length, spacing) for length in both)
         return f"Landmarks: {before:.3g} {unit} apart before, {after:.3g} now (RMS of {len(left)})"
 

@@ -1,4 +1,4 @@
-"""Dock widget *Soft tissue*: the tissue, its motion, and the result."""
+"""Dock widget *Soft tissue*: forms for the tissue, its motion, and the result."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from napari_hmrf.ui.viewer_watch import ViewerWatch
 
 
 class SoftTissue(DockValues):
-    """Dock widget that defines tissue and its motion, and shows all of the tissue follow.
+    """Dock widget that defines tissue and its motion, and shows the resulting deformation.
 
     A script can do everything the user can: choose layers (`image`, `tissue`, `boundary`, ...),
     fill the tables (`materials`, `rules`), set `model`, `settings` and `drawing`. While `live` is
@@ -52,19 +52,19 @@ class SoftTissue(DockValues):
     Attributes
     ----------
     study_model : StudyModel
-        Studies of the viewer and their undo; edits of it are shown in the window.
+        Studies of the viewer and their undo steps; the window shows all edits of the model.
     fields : ToolFields
         Settings of the tools.
     more : ResultMenu
-        Measures the result, saves its field and a film, and moves other layers along.
+        Menu that measures the result, saves its field and a film, and moves other layers along.
     seen, followed : Signal(Deformation), Signal(Outputs)
-        Emitted with every new state of the tissue, and when it is at rest and all layers are drawn.
+        Emitted with every new state of the tissue, and when all layers of a result are drawn.
     finished, saved : Signal(object)
         Emitted when `deform` ends: `Outputs`, or None if it was cancelled or failed; and when
         pictures were written: a list of `Path`.
     at : callable
-        Given a point of the world, returns the deformation of the visible tissue there, a `Probe`;
-        None outside tissue.
+        Given a point in world coordinates, returns the deformation of the visible tissue there, a
+        `Probe`; None outside tissue.
     undo, redo : callable
         Undo the last step, and redo the step undone last.
     remove, clear : callable
@@ -79,12 +79,11 @@ class SoftTissue(DockValues):
         Fill the table of the Labels layer chosen as tissue, as `MaterialMenu.take`: given a
         `Preset`, another Labels layer, or a file's path.
     cancel : callable
-        Cancel the work, with nothing changed; the dock is idle at once, even if the thread still
-        runs.
+        Cancel the work; the dock is idle at once, even if the thread still runs.
     touch : callable
         Update the tissue after an edit that emits no event.
     say : callable
-        Show a sentence at the bottom.
+        Show a sentence in the status text of the dock.
     """
 
     def __init__(self, napari_viewer: Any) -> None:
@@ -134,13 +133,13 @@ class SoftTissue(DockValues):
         Raises
         ------
         HmrfError
-            If there is nothing to work on, or a layer cannot be read.
+            If no image, and no labels of tissue, are chosen, or a layer cannot be read.
         """
         return self._controller.reader.read(self._controller.reader.request())
 
     @property
     def solution(self) -> Solution | None:
-        """Solution of the latest result at rest, or None."""
+        """Solution of the latest complete result, or None."""
         latest = self._controller.latest
         return None if latest is None else latest.outputs.solution
 
@@ -194,7 +193,7 @@ class SoftTissue(DockValues):
         elif self._controller.look():
             self._pointer.take()
             self._watch.hide_paint()
-            self.touch()  # tissue follows its drawing, live or not
+            self.touch()  # the tissue follows its drawing even if `live` is False
         self._watch.look_at_mouse()
         return self.active
 
@@ -214,7 +213,7 @@ class SoftTissue(DockValues):
             self._unused = self.start()  # makes the marks visible
 
     def deform(self) -> None:
-        """Solve from a cold start; the layers are copied now, `finished` is emitted at the end."""
+        """Solve from a cold start. Layers are copied now; `finished` is emitted at the end."""
         if self.idle and not self.away:
             for table in self._form.tables:
                 table.look()
@@ -229,23 +228,34 @@ class SoftTissue(DockValues):
         Raises
         ------
         HmrfError
-            If no image is chosen, or the image is not in the visible slice.
+            If no image is chosen, or the image has no pixels in the visible slice.
         """
         if self.image is None:
             raise HmrfError(messages.WELCOME)
-        by_itself = self.curve is not None
-        chosen = (self.image if by_itself else self.tissue, self.boundary)
+        by_brightness = self.curve is not None
+        chosen = (self.image if by_brightness else self.tissue, self.boundary)
         made = add_missing(self._viewer, self.image, *chosen, self._form.view())
         with self._binding.automatically():  # undo would not remove the layers
-            self.tissue, self.boundary = BRIGHTNESS if by_itself else made[0], made[1]
+            self.tissue, self.boundary = BRIGHTNESS if by_brightness else made[0], made[1]
         painted = (f"'{layer.name}'" for layer in made if isinstance(layer, Labels))
         self.say(messages.PAINT.format(" and ".join(painted)))
 
     def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> StiffnessCurve:
         """Define the stiffness of tissue by the image's intensity; return the curve.
 
-        The `curve` is by default the existing one of this image, or else a first guess. Raises
-        `HmrfError` if no image is chosen, or no curve can be made for it.
+        Parameters
+        ----------
+        curve : StiffnessCurve, optional
+            By default the existing curve of the image, or else a first guess.
+
+        Returns
+        -------
+        StiffnessCurve
+
+        Raises
+        ------
+        HmrfError
+            If no image is chosen, or no curve can be made for the image.
         """
         if self.image is None:
             raise HmrfError(messages.WELCOME)
@@ -260,8 +270,21 @@ class SoftTissue(DockValues):
     def take_landmarks(self, where: Any, should: Any = None, **how: float) -> None:
         """Take points of two layers, or lines of a Shapes layer, as landmarks of the drawing.
 
-        Landmarks that were taken before are replaced. Arguments (`radius` and `confidence` among
-        them) and errors are those of `read_landmarks`.
+        They replace the landmarks that were taken before.
+
+        Parameters
+        ----------
+        where : napari.layers.Points or Shapes
+            Landmarks, or lines from each landmark to its target.
+        should : napari.layers.Points, optional
+            Targets, in the order of the landmarks.
+        **how
+            Further arguments of `read_landmarks`, such as `radius` and `confidence`.
+
+        Raises
+        ------
+        HmrfError
+            If no image is chosen, or the layers cannot be read, as for `read_landmarks`.
         """
         if self.image is None or not self._controller.look():
             raise HmrfError(messages.WELCOME if self.image is None else self.status)
@@ -285,7 +308,7 @@ class SoftTissue(DockValues):
         form, pointer, controller = self._form, self._pointer, self._controller
         form.make.changed.connect(lambda _: self._try(self.make_layers))
         form.intensity.changed.connect(lambda _: self._try(self.tissue_from_intensity))
-        form.tissue.editor.anew.changed.connect(
+        form.tissue.editor.guess.changed.connect(
             lambda: self._try(lambda: self.tissue_from_intensity(controller.reader.first_curve()))
         )
         points = form.motion.boundary.landmarks
@@ -300,7 +323,7 @@ class SoftTissue(DockValues):
             table.picked.connect(self.hand_brush)
             # Show the effect of a typed value even while the brush is active.
             table.changed.connect(
-                lambda by_itself: None if by_itself else controller.show_before(False)
+                lambda automatic: None if automatic else controller.show_before(False)
             )
         pointer.changed.connect(self._show_tool)
         pointer.begun.connect(partial(setattr, self, "_unused", False))
@@ -319,14 +342,14 @@ class SoftTissue(DockValues):
     def _try(self, action: Callable[[], object]) -> None:
         attempt(action, self._refuse)
 
-    def _refuse(self, why: str) -> None:
-        self._guide.refuse(why)
-        show_warning(why)
+    def _refuse(self, message: str) -> None:
+        self._guide.refuse(message)
+        show_warning(message)
 
     # Buttons and events
 
     def _on_tool(self, name: str) -> None:
-        """Switch to the tool of a button; a second press puts it down."""
+        """Switch to the tool of a button; a second press stops drawing."""
         unused, self._unused = self._unused, False
         if self.active and self.tool == name and not unused:
             self.stop()
@@ -337,7 +360,7 @@ class SoftTissue(DockValues):
         self._show_tool()
 
     def _on_finished(self, outputs: object) -> None:
-        """Show the requested result without the paint on it."""
+        """Hide the paint, which would tint the requested result."""
         if outputs is not None and self.image is not None:
             self._controller.show_before(False)
             for tissue in (self._form.tissue.layer, self._controller.curve_layer.layer):
@@ -350,7 +373,7 @@ class SoftTissue(DockValues):
         self._sides.begin(window)
 
     def on_over(self, closed: bool) -> None:
-        """Release all parts, as the dock was closed or its window is gone."""
+        """Release all parts, as the dock was closed or its window was deleted."""
         if closed:
             self._controller.cancel()
             self._controller.forget()

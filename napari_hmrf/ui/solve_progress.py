@@ -29,7 +29,7 @@ class SolveProgress:
     engine : PacedEngine
     """
 
-    #: Progress message, shown until the work ends; then "".
+    #: Progress message; "" when the work has ended.
     doing = Signal(str)
 
     def __init__(self, native: QWidget, footer: Footer, engine: PacedEngine) -> None:
@@ -45,15 +45,15 @@ class SolveProgress:
         return bool(self._timer.isActive())
 
     def start(self, work: str, at_once: bool = False) -> None:
-        """Start to show the progress of a piece of work.
+        """Start to show the progress of some work.
 
         Parameters
         ----------
         work : str
-            The work, such as "Deforming".
+            Name of the work, such as "Deforming".
         at_once : bool
-            Whether progress is shown from the beginning, and until `stop`; else only if pictures
-            take long, and until the engine is idle.
+            If True, progress is shown immediately and until `stop`. Otherwise, it is shown only
+            when a picture takes long, and until the engine is idle.
         """
         if at_once or not self._engine.busy:
             self.restart()
@@ -64,7 +64,7 @@ class SolveProgress:
             self._timer.start()
 
     def restart(self) -> None:
-        """Measure the time without a picture from now on."""
+        """Restart the measurement of the time without a picture."""
         self._since = time.monotonic()
 
     def stop(self) -> None:

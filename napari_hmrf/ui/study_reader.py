@@ -1,4 +1,4 @@
-"""Reader of the study that a dock's choices and the layers describe."""
+"""Reader of the study that the layers and the choices in a dock define."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from napari_hmrf.ui.form_binding import FormBinding
 
 
 class StudyReader:
-    """Reader of the study that a dock's choices and the layers describe.
+    """Reader of the study that the layers and the choices in a dock define.
 
     Layers are read again only if they have changed.
 
@@ -43,7 +43,7 @@ class StudyReader:
         Raises
         ------
         HmrfError
-            If there is nothing to work on.
+            If no image, and no labels of tissue, are chosen.
         """
         request = self._binding.request()
         layer = request.layers[0]
@@ -64,7 +64,7 @@ class StudyReader:
         return replace(study, prior=model.prior, optimizer=model.optimizer)
 
     def first_curve(self) -> StiffnessCurve:
-        """Guess the curve from the brightness of the slice to stiffness.
+        """Return a first guess of the curve that maps brightness of the slice to stiffness.
 
         Raises
         ------
@@ -77,5 +77,5 @@ class StudyReader:
         return first_curve(study.intensities)
 
     def forget(self) -> None:
-        """Read all layers again: a script may have changed an array in place."""
+        """Discard all copies of layers; a script may have changed an array in place."""
         self._copies.forget()

@@ -23,12 +23,12 @@ from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialMenu, MaterialTa
 Layers = Callable[[], list[Any]]
 Shown = Callable[[], View]
 Table = TypeVar("Table", bound=MaterialTable | BoundaryTable)
-#: First curve of an editor.
+#: Curve of an editor before the image has one.
 _UNKNOWN = StiffnessCurve(((0, 1), (1, 1)))
 
 
 class _PaintedSection(Container, Generic[Table]):
-    """Menu of layers; for Labels, with their table and a row of buttons below it."""
+    """Menu of layers; for Labels, their table and a row of buttons below it."""
 
     edited = Signal()
 
@@ -66,9 +66,9 @@ class TissueSection(_PaintedSection[MaterialTable]):
     ----------
     menu : MaterialMenu
     border : CheckBox
-        Excludes dark, unpainted surroundings from the tissue.
+        Check box that excludes dark, unpainted surroundings from the tissue.
     known : StiffnessCurve or None
-        Curve of the image, which can be chosen.
+        Curve of the image, if the menu offers it.
     editor : CurveEditor
         Editor of that curve.
     """
@@ -115,14 +115,16 @@ class TissueSection(_PaintedSection[MaterialTable]):
         self.choice.reset_choices()
 
     def go_by(self, curve: StiffnessCurve) -> None:
-        """Choose brightness as the tissue, with a curve."""
+        """Define the tissue by brightness, with a curve."""
         self.offer(curve)
         self.choice.value = BRIGHTNESS
         self.edited.emit()
 
     def _on_choice(self, layer: Any) -> None:
         self.editor.visible = layer == BRIGHTNESS
-        self.border.visible = isinstance(layer, Labels)  # without labels, the border is soft tissue
+        self.border.visible = isinstance(
+            layer, Labels
+        )  # without labels, the border is always tissue
         super()._on_choice(layer)
 
 
@@ -134,7 +136,7 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
     confidence : LayerChoice
         Confidence of the Vectors.
     landmarks : LandmarkChoice
-        Two Points layers or lines; with or without a boundary.
+        Two Points layers, or lines; usable with or without a boundary layer.
     """
 
     def __init__(self, layers: Layers, view: Shown) -> None:
@@ -164,6 +166,6 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
 
 
 def _may_be_confidence(layer: Any) -> bool:
-    """Return whether a layer is grey or a mask, and not the view of painted confidence."""
+    """Return whether a layer is grey or a mask, and not the display of painted confidence."""
     grey = isinstance(layer, Labels) or (isinstance(layer, Image) and not layer.rgb)
     return grey and known_of(layer).get("kind") != CONFIDENCE

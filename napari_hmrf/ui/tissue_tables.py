@@ -1,6 +1,6 @@
-"""The tables of tissues and of boundaries: what each label means.
+"""Tables of tissues and of boundaries, with a row for each label.
 
-Materials come from a menu, too: published ones, those of other layers and of files.
+A menu offers published materials, and those of other layers and of files.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from napari_hmrf.tissue.tissue_names import NamedMaterials
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu, number_of
 from napari_hmrf.ui.label_table import Column, LabelTable
 
-#: Words of the table for the actions of a boundary.
+#: Words in the table for the actions of a boundary.
 _ACTIONS: dict[Action, str] = {
     "fixed": "fixed",
     "move": "moves",
@@ -58,14 +58,14 @@ _TABLES = f"Materials, names of labels ({' '.join(f'*{ending}' for ending in END
 
 
 class MaterialTable(LabelTable[Material]):
-    """Label, name, stiffness, Poisson's ratio and growth; `rows` are `Material`s."""
+    """Table with label, name, stiffness, Poisson's ratio and growth; `rows` are `Material`s."""
 
     role, title = TISSUE, "Tissue"
 
     @property
     def columns(self) -> list[Column[Material]]:
-        """Stiffness in the unit that is known, Poisson's ratio, and growth."""
-        unit = self.contents.unit  # shown only, for ratios are what matters
+        """Columns of stiffness, in its unit if that is known, Poisson's ratio, and growth."""
+        unit = self.contents.unit  # for display only: the motion depends on ratios of stiffness
         return [
             *super().columns,
             Column(
@@ -93,7 +93,7 @@ class MaterialTable(LabelTable[Material]):
         ]
 
     def default(self, label: int) -> Material:
-        """Return a tissue like the first."""
+        """Return a material with the properties of the first row."""
         return default_material(label, self.rows)
 
 
@@ -114,7 +114,7 @@ def _poisson(material: Material, text: str) -> Material:
 
 
 def _joined(parts: Iterable[float]) -> str:
-    """Numbers as people type them together."""
+    """Join numbers as the user types them, with slashes."""
     return " / ".join(f"{round(part, 9):g}" for part in parts)
 
 
@@ -126,14 +126,14 @@ def _growth(material: Material, text: str) -> Material:
 
 
 class BoundaryTable(LabelTable[BoundaryRule]):
-    """Label, name, action, distances and confidence; `rows` are `BoundaryRule`s."""
+    """Table with label, name, action, distances and confidence; `rows` are `BoundaryRule`s."""
 
     role, title = BOUNDARY, "Boundary"
     _place = "px", Directions(), ""
 
     @property
     def columns(self) -> list[Column[BoundaryRule]]:
-        """Distances in the unit of the image, along the ways of the patient or the screen."""
+        """Columns of the action and its amounts, along directions of the patient or the screen."""
         unit, ways, stiffness = self._place
         per_area = stiffness or "relative"
         return [
@@ -144,7 +144,7 @@ class BoundaryTable(LabelTable[BoundaryRule]):
                 "Expands: so far outward; what is painted must be a closed ring or filled.\n"
                 "Pressed, pulled: by a force per area, where tissue ends under the paint",
                 lambda row: _ACTIONS[row.action],
-                _act,
+                _action,
                 tuple(_BY_WORD),
             ),
             *(_along(axis, unit, ways, "move") for axis in (0, 1)),
@@ -153,28 +153,28 @@ class BoundaryTable(LabelTable[BoundaryRule]):
                 "confi-\ndence",
                 "Confidence, 0 to 1.\nTwo numbers, such as 1 / 0.5: for rows and columns apart",
                 lambda row: _joined(() if row.action in FORCES else dict.fromkeys(row.confidence)),
-                _sure,
+                _confidence,
             ),
             _amount("pressure", "Force per area; negative: it sucks", per_area, "press"),
             *(_along(axis, per_area, ways, "pull") for axis in (0, 1)),
         ]
 
     def show_place(self, unit: str, ways: Directions, stiffness: str) -> None:
-        """Say in which unit amounts and forces are, and which way rows and columns run."""
+        """Show the units of amounts and forces, and the directions of rows and columns."""
         if (place := (unit, ways, stiffness)) != self._place:
             self._place = place
             self._fill()
 
     def default(self, label: int) -> BoundaryRule:
-        """Return a rule that holds its boundary in place."""
+        """Return a rule that holds the boundary in place."""
         return default_rule(label)
 
 
-def _act(rule: BoundaryRule, text: str) -> BoundaryRule:
-    """The rule with another action; a distance is no force."""
-    now = replace(rule, action=_BY_WORD[text])
-    same = (now.action in FORCES) == (rule.action in FORCES)
-    return now if same else replace(now, vector=(0.0, 0.0), amount=0.0)
+def _action(rule: BoundaryRule, text: str) -> BoundaryRule:
+    """Return the rule with another action; its amount is reset if the unit differs."""
+    changed_rule = replace(rule, action=_BY_WORD[text])
+    same = (changed_rule.action in FORCES) == (rule.action in FORCES)
+    return changed_rule if same else replace(changed_rule, vector=(0.0, 0.0), amount=0.0)
 
 
 def _along(axis: int, unit: str, ways: Directions, action: Action) -> Column[BoundaryRule]:
@@ -193,7 +193,7 @@ def _along(axis: int, unit: str, ways: Directions, action: Action) -> Column[Bou
 
 
 def _amount(title: str, about: str, unit: str, action: Action) -> Column[BoundaryRule]:
-    """A column of amounts, which rules of one action have."""
+    """Return the column of an amount that only rules with one action have."""
 
     def shown(rule: BoundaryRule) -> float | None:
         return rule.amount if rule.action == action else None
@@ -208,22 +208,22 @@ def _distance(
     amount: Callable[[BoundaryRule], float | None],
     changed: Callable[[BoundaryRule, float], BoundaryRule],
 ) -> Column[BoundaryRule]:
-    """A column of distances, which rules of one action have."""
+    """Return a column of numbers with a unit; its cell is empty if `amount` returns None."""
 
     def shown(rule: BoundaryRule) -> str:
-        found = amount(rule)
-        return "" if found is None else f"{round(found, 9) + 0.0:g}"
+        value = amount(rule)
+        return "" if value is None else f"{round(value, 9) + 0.0:g}"
 
     def typed(rule: BoundaryRule, text: str) -> BoundaryRule:
         if not math.isfinite(far := number_of(text)):
             raise ValueError(f"This must be a number, in {unit}")
         return changed(rule, far)
 
-    words = title.replace("along ", "along\n")  # the dock is narrow
+    words = title.replace("along ", "along\n")  # saves width in the narrow dock
     return Column(f"{words}\n{unit}", f"{about}, in {unit}", shown, typed)
 
 
-def _sure(rule: BoundaryRule, text: str) -> BoundaryRule:
+def _confidence(rule: BoundaryRule, text: str) -> BoundaryRule:
     parts = [number_of(part) for part in text.split("/")]
     if len(parts) > 2 or not all(0 <= part <= 1 for part in parts):
         raise ValueError("Confidence must be a number from 0 to 1, or two: 1 / 0.5")
@@ -231,7 +231,7 @@ def _sure(rule: BoundaryRule, text: str) -> BoundaryRule:
 
 
 def materials_of(layer: Any) -> Preset | None:
-    """Return the table of a layer of tissue labels or a result as a preset; None without one."""
+    """Return the tissue table of a Labels layer or a result as a preset, or None."""
     table = table_of(layer, TISSUE)
     rows, unit = table[:2] if table.rows else tissue_recorded(layer)
     if not rows or not any(row.stiffness > 0 for row in rows):
@@ -240,18 +240,18 @@ def materials_of(layer: Any) -> Preset | None:
 
 
 class MaterialMenu(QPushButton):
-    """A button with all there is to take materials from, and to keep them.
+    """Button with a menu to load materials from presets, layers and files, and to save them.
 
     Parameters
     ----------
     table : MaterialTable
     layers : callable
-        The viewer's layers.
+        Returns the layers of the viewer.
 
     Attributes
     ----------
     said : Signal(str)
-        What was done, and what became of what the table called otherwise; or why not.
+        Message about a change of the table, and its effect on existing rows; or an error.
     """
 
     said = Signal(str)
@@ -265,7 +265,7 @@ class MaterialMenu(QPushButton):
         give_menu(self, self.fill)
 
     def fill(self) -> None:
-        """Fill the menu with what there is now."""
+        """Fill the menu with the current presets and layers."""
         menu = self.menu()
         menu.clear()
         for preset in PRESETS:
@@ -274,22 +274,22 @@ class MaterialMenu(QPushButton):
         taken = menu.addMenu("Take from layer")
         taken.setToolTipsVisible(True)
         for layer in self._layers():
-            if layer is not self._table.layer and (found := materials_of(layer)):
-                self._offer(taken, found)
+            if layer is not self._table.layer and (materials := materials_of(layer)):
+                self._offer(taken, materials)
         taken.setEnabled(bool(taken.actions()))
         about = "A file that was saved here or written by hand, or a segmentation's names of labels"
         add_entry(menu, "Load from file ...", about, self._load)
         add_entry(menu, "Save to file ...", "For other images, and for other people", self._save)
 
     def take(self, materials: Preset | Layer | str | Path) -> None:
-        """Put materials into the table: a preset, those of a layer, or those of a file.
+        """Copy materials into the table: a preset, or those of a layer or a file.
 
         Raises
         ------
         LayerError
-            If the layer has none.
+            If the layer has no table of materials.
         FileFormatError, OSError
-            As `tissue_table`.
+            As for `tissue_table`.
         """
         preset: Preset | NamedMaterials | None
         if isinstance(materials, Preset):
@@ -305,14 +305,14 @@ class MaterialMenu(QPushButton):
         self.said.emit(f"Materials: {preset.name}. {words}".rstrip())
 
     def save(self, path: str | Path) -> Path:
-        """Save the table to a file; as `write_preset`."""
+        """Save the table to a file, as `write_preset`; return its path."""
         table = self._table.contents
         file = write_preset(path, Preset(table.preset, table.unit, table.whose, table.rows))
         self.said.emit(f"Saved {file.name}.")
         return file
 
     def _offer(self, menu: QMenu, preset: Preset) -> None:
-        about = f"<p>{escape(preset.source, quote=False)}</p>"  # as rich text it is wrapped
+        about = f"<p>{escape(preset.source, quote=False)}</p>"  # Qt wraps rich text only
         title = f"{preset.name} {preset.unit if preset in PRESETS else ''}".strip()
         add_entry(menu, title, about, lambda: self.take(preset))
 

@@ -1,4 +1,4 @@
-"""Unsaved work: prompt before its window closes, and crash recovery."""
+"""Unsaved work: prompt before the window closes, and crash recovery."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from napari_hmrf.study.study_model import Part
 from napari_hmrf.tissue.drawing.drawing import Drawing, ends_of
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
-from napari_hmrf.ui.events import Listening, single_shot
+from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.forms import Prose, row
 from napari_hmrf.ui.remembered_settings import settings
 
@@ -41,9 +41,9 @@ Answer = Literal["save", "discard", "cancel"]
 Ask = Callable[[str], Answer]
 Attempt = Callable[[Callable[[], object]], None]
 _log = logging.getLogger("napari_hmrf")
-#: Characters that not every system allows in file names.
+#: Characters that some systems do not allow in file names.
 _NO_FILE_NAME = re.compile(r'[\\/:*?"<>|]')
-#: Time without an edit after which the work is kept against a crash, in milliseconds.
+#: Time without an edit after which a recovery file is written, in milliseconds.
 _REST = 1000
 #: Instances of all open docks.
 _all: weakref.WeakSet[Unsaved] = weakref.WeakSet()
@@ -54,7 +54,7 @@ class Dock(Protocol):
 
     @property
     def native(self) -> QWidget:
-        """Widget of Qt."""
+        """Qt widget of the dock."""
 
     @property
     def image(self) -> Any:
@@ -73,7 +73,7 @@ class Dock(Protocol):
 
     @property
     def status(self) -> str:
-        """Sentence below the buttons."""
+        """Status text of the dock."""
 
     @property
     def drawing(self) -> Drawing:
@@ -90,9 +90,9 @@ class Dock(Protocol):
 
 
 class Unsaved(QObject):
-    """Keeper of a dock's studies: saves and opens them, and protects unsaved work.
+    """Saving and opening of a dock's studies, and protection of unsaved work.
 
-    There is no prompt when a script closes its viewer.
+    When a script closes its viewer, there is no prompt.
 
     Parameters
     ----------
@@ -110,20 +110,20 @@ class Unsaved(QObject):
 
     def __init__(self, dock: Dock, viewer: Any, controller: Controller, attempt: Attempt) -> None:
         super().__init__(dock.native)
-        self.ask: Ask = self._ask_person
+        self.ask: Ask = self._show_prompt
         self._try = attempt
         self._dock, self._viewer, self._controller = dock, viewer, controller
         self._binding, self._undo = controller.binding, undo_of(viewer)
         self._model, self._work = self._undo.model, shared(viewer, UnsavedWork)
         self._writer = threading.Thread()
-        self._resting = single_shot(dock.native, _REST, self._keep)
-        self._heard = Listening((self._model.changed, self._on_edited))
+        self._keep_timer = single_shot(dock.native, _REST, self._keep)
+        self._connections = EventConnections((self._model.changed, self._on_edited))
         dock.insert(0, LeftBehind(lambda file: attempt(partial(self._take_up, file))))
         _all.add(self)
 
     @property
-    def there(self) -> bool:
-        """True if there is work that is in no file."""
+    def has_work(self) -> bool:
+        """True if there is unsaved work."""
         return bool(self._work.slices)
 
     # Files
@@ -134,11 +134,11 @@ class Unsaved(QObject):
         written = write_study(path, study, solution)
         apart = self._landmarks_apart(study)
         self._dock.say(messages.saved_study(written.name, solution is not None, apart))
-        self._settle(self._model.slice, written)
+        self._drop_recovery(self._model.slice, written)
         return written
 
     def _landmarks_apart(self, study: Study) -> str:
-        """Return the name of the *landmarks at* layer if a pair of it was not taken; else ""."""
+        """Return the name of the *landmarks at* layer if a pair in it was not taken; else ""."""
         form, grid = self._controller.form, study.grid
         where, should = form.motion.boundary.landmarks.pair
         taken = [ends_of(mark, grid.spacing) for mark in study.motion.drawing.marks]
@@ -152,9 +152,9 @@ class Unsaved(QObject):
 
     def save_as(self) -> None:
         """Ask where to save the study, and save it."""
-        here = self._model.slice
-        name = "study" if here.layer is None else _NO_FILE_NAME.sub("-", _name(here))
-        known = self._work.paths.get(here, Path(name + SUFFIX))
+        slice_part = self._model.slice
+        name = "study" if slice_part.layer is None else _NO_FILE_NAME.sub("-", _name(slice_part))
+        known = self._work.paths.get(slice_part, Path(name + SUFFIX))
         chosen, _ = QFileDialog.getSaveFileName(
             self._dock.native, "Save the study", str(known), f"Studies (*{SUFFIX})"
         )
@@ -164,7 +164,7 @@ class Unsaved(QObject):
     def open(self, path: str | Path) -> None:
         """Add the layers of a saved study; drawings on other layers stay."""
         self._add(path)
-        self._settle(self._model.slice, Path(path))
+        self._drop_recovery(self._model.slice, Path(path))
 
     def _add(self, path: str | Path) -> None:
         """Add the content of a file to the viewer; undo would not remove its layers."""
@@ -175,36 +175,36 @@ class Unsaved(QObject):
                 self._viewer.add_layer(layer)
             if (frame := study.grid.place) is not None:
                 first = next(iter(layers.values()))
-                there = SlicePlace(frame.plane, (0,) * first.ndim)
-                self._undo.go_to(Part("drawing", first, there), turn=True)
+                place = SlicePlace(frame.plane, (0,) * first.ndim)
+                self._undo.go_to(Part("drawing", first, place), turn=True)
             self._model.restore(study, layers)
             if study.motion.drawing.marks and not self._controller.look():
                 raise HmrfError(f"{Path(path).name} cannot be shown here: {dock.status}")
             dock.drawing = study.motion.drawing
         if (brightness := self._controller.curve_layer.layer) is not None and study.moves:
-            brightness.visible = False  # as all paint on moving tissue
+            brightness.visible = False  # would tint the deformed image
 
     def _on_edited(self, part: Part, _: object, before: object) -> None:
         model = self._model
         others = part.kind == "paint" and part.layer not in model.choice.layers
         if part.kind in ("choice", "model") or others:
-            return  # recreated in a moment, or not part of the study
-        here = part if part.kind == "drawing" else model.slice
+            return  # easily chosen again, or not part of the study
+        slice_part = part if part.kind == "drawing" else model.slice
         # A change that follows from another, such as a choice after new layers, is no undo step.
         steps = (model.next_undo, model.next_redo)
         by_hand = any(step is not None and step.part == part for step in steps)
-        if here.layer is not None and by_hand:
-            self._work.note(here, part, before)
-            self._resting.start()
+        if slice_part.layer is not None and by_hand:
+            self._work.note(slice_part, part, before)
+            self._keep_timer.start()
 
-    def _settle(self, here: Part, path: Path | None = None) -> None:
-        """Stop keeping a slice, which was saved or discarded, against a crash."""
-        self._work.save(here)
+    def _drop_recovery(self, slice_part: Part, path: Path | None = None) -> None:
+        """Delete the recovery file of a slice that was saved or discarded."""
+        self._work.save(slice_part)
         if path is not None:
-            self._work.paths[here] = path
+            self._work.paths[slice_part] = path
         if self._writer.is_alive():
             self._writer.join()
-        if (kept := self._work.kept.pop(here, None)) is not None:
+        if (kept := self._work.kept.pop(slice_part, None)) is not None:
             kept.unlink(missing_ok=True)
 
     # Before the window closes
@@ -214,24 +214,24 @@ class Unsaved(QObject):
         if event.type() != QEvent.Type.Close or self not in _all:
             return False
         if watched.findChild(QtViewer).isHidden():
-            # A script closes it, or napari does after another window: too late to keep it open.
+            # A script closes the window, or napari does after another one: too late for a prompt.
             if QThread.currentThread().loopLevel() == 0:
                 self._discard()
             return False
-        everybody = is_quitting(watched)
-        asked = [each for each in _all if each.there and (everybody or each is self)]
-        if not all(each.may_close() for each in asked):
+        is_quitting_napari = is_quitting(watched)
+        unsaved = [each for each in _all if each.has_work and (is_quitting_napari or each is self)]
+        if not all(each.may_close() for each in unsaved):
             stop_quitting(watched)
             event.ignore()
             return True
-        if asked and event.spontaneous():
-            event.ignore()  # napari would ask once more
+        if unsaved and event.spontaneous():
+            event.ignore()  # napari would show its own prompt, too
             QTimer.singleShot(0, watched.close)
             return True
         return False
 
     def may_close(self) -> bool:
-        """Ask what to do with unsaved work; return whether the window may close."""
+        """Show the prompt about unsaved work; return whether the window may close."""
         slices, paths = self._work.slices, self._work.paths
         names = [f"'{_name(part)}'" for part in slices]
         replaced = [f"'{paths[part].name}'" for part in slices if part in paths]
@@ -244,7 +244,7 @@ class Unsaved(QObject):
         elif answer == "save":
             for part in self._work.slices:
                 self._save_slice(part)
-        return answer != "cancel" and not self.there
+        return answer != "cancel" and not self.has_work
 
     def _save_slice(self, part: Part) -> None:
         """Go to a slice, and save it to its known path, or else to a path the user chooses."""
@@ -252,10 +252,10 @@ class Unsaved(QObject):
         self._undo.go_to(part, turn=True)
         self._controller.look()
         known = self._work.paths.get(part)
-        if self._model.slice == part:  # else another slice is visible
+        if self._model.slice == part:  # False if another slice is still visible
             self._try(self.save_as if known is None else partial(self.save, known))
 
-    def _ask_person(self, question: str) -> Answer:
+    def _show_prompt(self, question: str) -> Answer:
         button = QMessageBox.StandardButton
         answers: dict[Any, Answer] = {button.Save: "save", button.Discard: "discard"}
         offered = button.Save | button.Discard | button.Cancel
@@ -266,40 +266,40 @@ class Unsaved(QObject):
 
     def _discard(self) -> None:
         for part in {*self._work.slices, *self._work.kept}:
-            self._settle(part)
+            self._drop_recovery(part)
 
     # Crash recovery
 
     def _keep(self) -> None:
         """Write the current slice to a recovery file, once no edit is in progress."""
-        here = self._model.slice
-        held = QApplication.mouseButtons() != Qt.MouseButton.NoButton
-        if held or self._model.in_progress is not None or self._writer.is_alive():
-            self._resting.start()
-        elif here not in self._work.slices:
-            self._settle(here)  # all edits were undone
+        slice_part = self._model.slice
+        is_pressed = QApplication.mouseButtons() != Qt.MouseButton.NoButton
+        if is_pressed or self._model.in_progress is not None or self._writer.is_alive():
+            self._keep_timer.start()
+        elif slice_part not in self._work.slices:
+            self._drop_recovery(slice_part)  # all edits were undone
         else:
             try:
                 study = self._dock.study
-                file = self._work.kept.get(here) or recovery.new_file(folder())
+                file = self._work.kept.get(slice_part) or recovery.new_file(folder())
             except (HmrfError, ValueError, OSError):
-                return  # the current state cannot be saved: the earlier file stays
-            self._work.kept[here] = file
+                return  # the current state cannot be saved: keep the earlier file
+            self._work.kept[slice_part] = file
             self._writer = threading.Thread(target=_write, args=(file, study), daemon=True)
             self._writer.start()
 
     def _take_up(self, file: Path) -> None:
-        """Open a file that was left behind; it is kept until the work is saved."""
+        """Open a recovery file of an ended process, and keep it until the work is saved."""
         self._add(file)
-        here = self._model.slice
-        self._work.note(here)
-        self._work.kept[here] = recovery.take_over(file)
+        slice_part = self._model.slice
+        self._work.note(slice_part)
+        self._work.kept[slice_part] = recovery.take_over(file)
 
     def release(self) -> None:
-        """Disconnect from edits, as the dock was closed or its window is gone."""
+        """Disconnect from edits, as the dock was closed or its window was deleted."""
         _all.discard(self)
-        self._heard.release()
-        self._resting.stop()
+        self._connections.release()
+        self._keep_timer.stop()
 
 
 class LeftBehind(Container):
@@ -308,7 +308,7 @@ class LeftBehind(Container):
     Parameters
     ----------
     take_up : callable
-        Opens a file, which then is no longer among those that were left behind.
+        Opens a recovery file, and removes it from the files that the notice offers.
     """
 
     def __init__(self, take_up: Callable[[Path], None]) -> None:
@@ -321,15 +321,15 @@ class LeftBehind(Container):
         self.look()
 
     def look(self) -> None:
-        """Show the newest file that was left behind, if there is one."""
-        files, said = recovery.left_behind(folder()), ""
+        """Show the newest recovery file of an ended process, or hide the notice."""
+        files, text = recovery.left_behind(folder()), ""
         if files:
             self._file = files[0]
             when = time.strftime("%d %b, %H:%M", time.localtime(self._file.stat().st_mtime))
             more = f" (and {len(files) - 1} more)" if len(files) > 1 else ""
             of = f" on '{name}'" if (name := image_named_in(files[0])) else ""
-            said = f"Work of {when}{of} was not saved when napari ended{more}."
-        self._said.say(said)
+            text = f"Work of {when}{of} was not saved when napari ended{more}."
+        self._said.say(text)
         self.visible = bool(files)
 
     def _on_pressed(self, answer: Callable[[Path], None], _: bool) -> None:
@@ -357,4 +357,4 @@ def _write(file: Path, study: Study) -> None:
     try:
         write_study(file, study)
     except (OSError, TypeError, ValueError):
-        _log.exception("unsaved work could not be kept against a crash")
+        _log.exception("the recovery file of unsaved work could not be written")

@@ -19,7 +19,7 @@ from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.usual_lengths import usual_radius, usual_step
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
-from napari_hmrf.ui.events import Listening, single_shot
+from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.motion.motion_messages import ARROWS_GONE
 
@@ -42,7 +42,7 @@ class ViewerWatch:
     guide : Guide
     """
 
-    #: The first image is ready to be pulled, and the user works with no other layer.
+    #: The first image is ready to be pulled, and no other layer is active.
     first_came = Signal()
 
     def __init__(self, native: Any, viewer: Any, controller: Controller, guide: Guide) -> None:
@@ -55,17 +55,17 @@ class ViewerWatch:
         self._model = undo_of(viewer).model
         self._results = shared(viewer, ResultLayers)
         self._active = viewer.layers.selection.active
-        self._starting = single_shot(native, 0, self._on_first)
+        self._first_timer = single_shot(native, 0, self._on_first)
         # Deferred, as napari may still be removing other layers.
-        self._leaving = single_shot(native, 0, self._on_left)
-        self._begun = self._was_active = False
+        self._removal_timer = single_shot(native, 0, self._on_left)
+        self._has_started = self._was_active = False
         # Message about a removed layer, until it is shown.
-        self._gone = ""
-        controller.moved_on.connect(self._on_other)
+        self._removal_message = ""
+        controller.moved_on.connect(self._on_moved)
         self._slice = self._slice_shown
         self._form.edited.connect(self._on_choice)
         self._form.image.changed.connect(self._on_image)
-        self._answers: dict[str, Any] = {
+        self._callbacks: dict[str, Any] = {
             "inserted": self._on_inserted,
             "removed": self._on_removed,
             "renamed": self._binding.look,
@@ -74,7 +74,7 @@ class ViewerWatch:
             "mode": self._on_mode,
             **dict.fromkeys((*CHANGES, *PLACE), self._on_pixels),
         }
-        self._events = Listening(
+        self._events = EventConnections(
             (viewer.layers.events, self._on_layers),
             (viewer.layers.selection.events.active, self._on_active),
             (viewer.dims.events, self._on_slice),
@@ -88,30 +88,30 @@ class ViewerWatch:
         if self._on_drag in self._viewer.mouse_drag_callbacks:
             self._viewer.mouse_drag_callbacks.remove(self._on_drag)
 
-    def _on_other(self, study: Study) -> None:
-        """Set tool sizes that suit the first image, and schedule `first_came`; once."""
-        if not self._begun:
-            self._begun = True
+    def _on_moved(self, study: Study) -> None:
+        """Set tool sizes that suit the first image, and schedule `first_came`, only once."""
+        if not self._has_started:
+            self._has_started = True
             size = study.grid.shape, study.grid.spacing
             self._form.motion.fields.begin_with(usual_radius(*size), usual_step(*size))
-            self._starting.start()
+            self._first_timer.start()
 
     def _on_first(self) -> None:
         """Emit `first_came`, unless a painted layer is chosen or another layer is active."""
-        at_work = any(layer is not None for layer in self._painted)
-        looked_at = self._viewer.layers.selection.active in (None, self._form.image.value)
-        if looked_at and not at_work:
+        has_paint = any(layer is not None for layer in self._painted)
+        is_active = self._viewer.layers.selection.active in (None, self._form.image.value)
+        if is_active and not has_paint:
             self.first_came.emit()
 
     def hide_paint(self) -> None:
         """Hide painted layers, which show the undeformed tissue and would tint the image."""
         painted, roles = self._painted, (TISSUE, BOUNDARY)
-        seen = [each for each in self._viewer.layers if each.visible]
-        seen = [each for each in seen if each in painted or role_of(each) in roles]
-        for layer in seen:
+        shown = [each for each in self._viewer.layers if each.visible]
+        shown = [each for each in shown if each in painted or role_of(each) in roles]
+        for layer in shown:
             layer.visible = False
-        if seen:
-            hidden = messages.chosen(self._form.image.value, seen)
+        if shown:
+            hidden = messages.chosen(self._form.image.value, shown)
             self._guide.say(f"{self._guide.invitation} {hidden}", "step")
 
     @property
@@ -122,9 +122,9 @@ class ViewerWatch:
     # Choices
 
     def _on_choice(self, *_: Any) -> None:
-        form, there = self._form, self._form.image.value is not None
-        form.make.enabled = there and None in self._painted
-        form.intensity.enabled = form.result.keep.enabled = there
+        form, has_image = self._form, self._form.image.value is not None
+        form.make.enabled = has_image and None in self._painted
+        form.intensity.enabled = form.result.keep.enabled = has_image
         self._controller.touch()
         self._guide.show()
 
@@ -145,12 +145,12 @@ class ViewerWatch:
         self._controller.cancel()
         self._controller.forget()
         self._guide.say("")
-        self._leaving.start()
+        self._removal_timer.start()
 
     # Visible slice, and layers
 
     def _on_slice(self, *_: Any) -> None:
-        # `dims` also has events if an arrow beyond the image's edge enlarges the canvas.
+        # `dims` also emits events if an arrow beyond the image's edge enlarges the canvas.
         before, self._slice = self._slice, self._slice_shown
         if self._slice != before:
             self._pointer.turn()
@@ -165,11 +165,11 @@ class ViewerWatch:
 
     def _on_layers(self, event: Any) -> None:
         """Dispatch an event of the list of layers, or of a layer in it."""
-        if event.type in self._answers:
-            self._answers[event.type](event)
+        if event.type in self._callbacks:
+            self._callbacks[event.type](event)
 
     def _on_pixels(self, event: Any) -> None:
-        """Schedule a refresh, as the pixels of a layer or their place may have changed."""
+        """Schedule a refresh, as the pixels of a layer or their position may have changed."""
         if self._reads(event.sources[0]):
             self._controller.touch()
 
@@ -185,7 +185,7 @@ class ViewerWatch:
     def _on_removed(self, event: Any) -> None:
         layer, controller, display = event.value, self._controller, self._pointer.display
         was_read = self._reads(layer)
-        self._gone = self._gone_with(layer) or self._gone
+        self._removal_message = self._removal_message_for(layer) or self._removal_message
         self._binding.look()
         if layer is display.arrows.former and not display.quiet:
             self._guide.say(ARROWS_GONE, why="step")
@@ -193,10 +193,10 @@ class ViewerWatch:
             self._rest()
         elif was_read and controller.settling:
             controller.cancel()
-        self._leaving.start()
+        self._removal_timer.start()
         self._on_choice()
 
-    def _gone_with(self, layer: Any) -> str:
+    def _removal_message_for(self, layer: Any) -> str:
         """Return a message about work that is lost with a removed layer; "" if none is.
 
         napari cannot restore a removed layer.
@@ -214,14 +214,14 @@ class ViewerWatch:
         if self._form.image.value is None and self._controller.study is None:
             self._pointer.leave()
             self.look_at_mouse()
-        if self._gone:
-            self._guide.say(self._gone, why="step")
-            self._gone = ""
+        if self._removal_message:
+            self._guide.say(self._removal_message, why="step")
+            self._removal_message = ""
 
     # Mouse
 
     def look_at_mouse(self) -> None:
-        """Update status and tool, as the mouse may have begun or ceased to draw."""
+        """Update status and tool after the mouse may have started or stopped drawing."""
         pointer = self._pointer
         if not pointer.display.quiet:
             stopped, self._was_active = self._was_active and not pointer.active, pointer.active

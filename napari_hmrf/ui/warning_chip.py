@@ -1,4 +1,4 @@
-"""Warning chip: warns of problems of the visible tissue, and offers a remedy."""
+"""Warning chip: reports problems of the visible tissue and offers a remedy."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from napari_hmrf.ui.result.result_messages import NOTHING
 
 
 class WarningChip:
-    """Chip that warns of problems of a result, shows where, and offers a better model.
+    """Chip that reports problems of a result, marks them, and offers a better model.
 
     Parameters
     ----------
@@ -36,13 +36,13 @@ class WarningChip:
         self._viewer, self._form, self._latest = viewer, form, latest
         form.footer.chip.clicked.connect(self._on_chip)
         form.footer.other.clicked.connect(self._take_other)
-        for told in (form.result.overlay.changed, form.model.model.changed):
-            told.connect(self.look)
+        for signal in (form.result.overlay.changed, form.model.model.changed):
+            signal.connect(self.look)
 
     def look(self, *_: Any) -> None:
         """Update the warnings of the latest result, and the offer of another model."""
-        done, seen, other = self._latest(), self._form.result.overlay.value, self._other
-        self._form.footer.warn(*(("",) if done is None else messages.warnings_of(done, seen)))
+        done, overlay, other = self._latest(), self._form.result.overlay.value, self._other
+        self._form.footer.warn(*(("",) if done is None else messages.warnings_of(done, overlay)))
         self._form.footer.offer(messages.OFFERS[other] if other else "")
 
     @property
@@ -58,14 +58,14 @@ class WarningChip:
 
     def _on_chip(self) -> None:
         """Emit the warning, and mark folds, then overlaps, then neither."""
-        overlay, latest, went = self._form.result.overlay, self._latest(), ""
+        overlay, latest, slice_message = self._form.result.overlay, self._latest(), ""
         mark = None if latest is None else messages.next_mark(latest.outputs, overlay.value)
         if latest is not None and mark is not None:
             overlay.value = mark
-            went = self._go_to_most(latest, mark)
+            slice_message = self._go_to_most(latest, mark)
         elif overlay.value in MARKS:
             overlay.value = NOTHING
-        self.said.emit(f"{self._form.footer.warning} {went}".rstrip())
+        self.said.emit(f"{self._form.footer.warning} {slice_message}".rstrip())
 
     def _go_to_most(self, latest: CompleteResult, mark: Mark) -> str:
         """Go to the slice of a volume with most marked sites; return a message that names it."""
@@ -78,6 +78,6 @@ class WarningChip:
             return ""
         across, _ = plane_shown(place, view)
         plane = place.plane_at(across, latest.outputs.fullest[mark][across])
-        there = view.point_at(plane, plane.index)
-        dims.set_point([*there], [*there.values()])
+        point = view.point_at(plane, plane.index)
+        dims.set_point([*point], [*point.values()])
         return messages.MOST.format(plane.slice_seen)

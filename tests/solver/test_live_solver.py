@@ -155,32 +155,32 @@ def test_a_patch_that_was_moved_before_takes_hardly_a_cycle(live, updates):
     assert max(cycles[4:]) < max(cycles[:2])
 
 
-def test_a_glance_comes_first_where_a_solve_takes_long(monkeypatch, live, updates):
+def test_a_preview_comes_first_where_a_solve_takes_long(monkeypatch, live, updates):
     monkeypatch.setattr(live_module, "PATIENCE", 0.0)
     live.submit(pulled_problem())
     assert live.wait(LONG)
-    glance, answer = updates
-    assert (glance.final, answer.final) == (False, True)
-    assert (glance.number, answer.number) == (1, 1)
+    preview, answer = updates
+    assert (preview.final, answer.final) == (False, True)
+    assert (preview.number, answer.number) == (1, 1)
     exact = cold(pulled_problem())
-    assert furthest(glance.solution, exact) <= live_module.GLANCE
+    assert furthest(preview.solution, exact) <= live_module.PREVIEW_TOLERANCE
     assert furthest(answer.solution, exact) <= live_module.TOLERANCE
 
 
-def test_without_a_glance_what_follows_oblivion_is_a_solve_bit_by_bit(monkeypatch, live, updates):
+def test_without_a_preview_what_follows_oblivion_is_a_solve_bit_by_bit(monkeypatch, live, updates):
     monkeypatch.setattr(live_module, "PATIENCE", 0.0)
     live.submit(pulled_problem((3.0, 0.0)))
     assert live.wait(LONG)
     live.forget()
     updates.clear()
-    live.submit(pulled_problem(), glance=False)
+    live.submit(pulled_problem(), preview=False)
     assert live.wait(LONG)
     (answer,) = updates
     cold = solve(pulled_problem(), live.prior, optimizer=live.optimizer, backend="cpu")
     assert np.array_equal(answer.solution.displacement, cold.displacement)
 
 
-def test_after_a_glance_a_newer_edit_goes_first(monkeypatch):
+def test_after_a_preview_a_newer_edit_goes_first(monkeypatch):
     monkeypatch.setattr(live_module, "PATIENCE", 0.0)
     updates = []
 
@@ -201,7 +201,7 @@ def test_what_has_had_its_time_is_given_up_for_a_newer_edit(live, updates, patie
         live.submit(pulled_problem((-3.0, 0.0)))
         return pulled_problem((3.0, 0.0))
 
-    live.submit(edited_meanwhile, glance=False, patience=patience)
+    live.submit(edited_meanwhile, preview=False, patience=patience)
     assert live.wait(LONG)
     assert [update.number for update in updates] == answered
 

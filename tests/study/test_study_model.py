@@ -206,7 +206,7 @@ def test_a_curve_is_not_in_use_before_it_is_chosen(dock, layers):
 
 
 def test_an_image_of_another_viewer_cannot_be_selected(dock, layers):
-    with pytest.raises(EmitLoopError, match="is no image of this viewer"):
+    with pytest.raises(EmitLoopError, match="is not an image in this viewer"):
         dock.study_model.select(Image(np.zeros(SHAPE), name="elsewhere"))
     assert dock.study_model.image is dock.image
 

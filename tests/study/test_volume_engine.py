@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import binary_erosion, label
 
 from napari_hmrf import Arrow, Drawing, Grid, Motion, Study, Tissue, solve_study, warp
-from napari_hmrf.study.coarse_grid import CoarseGrid, Glance
+from napari_hmrf.study.coarse_grid import CoarseGrid, Preview
 from napari_hmrf.study.engine import Engine
 from napari_hmrf.study.ground import build_problem
 from napari_hmrf.study.study import Pictures
@@ -29,7 +29,7 @@ def a_study(*marks):
 
 
 def answers_to(*asked):
-    """What an engine answers to studies, each with what is glanced at or None, one by one."""
+    """What an engine answers to studies, each with its preview or None, one by one."""
     found, there = [], threading.Event()
 
     def deliver(moved):
@@ -38,8 +38,8 @@ def answers_to(*asked):
 
     engine = Engine(deliver, "a test")
     try:
-        for study, glance in asked:
-            engine.submit(study, glance=glance)
+        for study, preview in asked:
+            engine.submit(study, preview=preview)
             assert there.wait(60)
             there.clear()
     finally:
@@ -93,23 +93,23 @@ def test_a_coarse_grid_has_as_many_sites_as_asked_for_at_most(sites):
 def test_what_follows_a_hand_is_nearly_what_comes_after(axis):
     study = a_study()
     number = round(PULL.at[axis])
-    glance, whole = answers_to((study, Glance(CoarseGrid(2), axis, number)), (study, None))
-    assert glance.error is None
-    assert glance.solution.displacement.shape == (10, 12, 11, 3)
+    preview, whole = answers_to((study, Preview(CoarseGrid(2), axis, number)), (study, None))
+    assert preview.error is None
+    assert preview.solution.displacement.shape == (10, 12, 11, 3)
     exact = whole.solution.displacement
-    near = glance.solution.displacement - exact[::2, ::2, ::2]
+    near = preview.solution.displacement - exact[::2, ::2, ::2]
     assert np.sqrt(np.mean(near**2)) < 0.5 * np.sqrt(np.mean(exact**2))  # a ball of 3 sites
-    assert glance.image.shape == tuple(np.delete(SHAPE, axis))
+    assert preview.image.shape == tuple(np.delete(SHAPE, axis))
     # The point that is held goes where it is pulled in both.
-    for moved in (glance, whole):
+    for moved in (preview, whole):
         assert moved.goes_to(np.array([PULL.at]))[0] == pytest.approx((10, 14, 12), abs=0.05)
         assert moved.came_from((10, 14, 12)) == pytest.approx(PULL.at, abs=0.1)
 
 
 def test_a_slice_on_the_grid_itself_is_that_of_the_whole():
     study = a_study()
-    glance, whole = answers_to((study, Glance(CoarseGrid(1), 0, 10)), (study, None))
-    apart = np.abs(glance.image.astype(int) - whole.image[10])
+    preview, whole = answers_to((study, Preview(CoarseGrid(1), 0, 10)), (study, None))
+    apart = np.abs(preview.image.astype(int) - whole.image[10])
     assert apart.max() <= 1  # both to 0.01 voxel
 
 
@@ -125,7 +125,7 @@ def test_the_whole_volume_is_moved_as_by_warp():
 
 def test_where_nothing_has_moved_a_volume_is_seen_as_it_is():
     (still,) = answers_to(
-        (a_study(Stroke("free", (((1, 1, 1),),), 2)), Glance(CoarseGrid(2), 1, 7))
+        (a_study(Stroke("free", (((1, 1, 1),),), 2)), Preview(CoarseGrid(2), 1, 7))
     )
     assert still.error is None
 
@@ -141,12 +141,12 @@ def test_an_image_in_large_motion_follows_a_hand_on_a_coarse_grid():
         model="large motion",
         pictures=Pictures(image=smooth),
     )
-    glance, whole = answers_to((study, Glance(CoarseGrid(3))), (study, None))
-    assert glance.error is None
-    assert glance.solution.displacement.shape == (20, 27, 2)
-    assert glance.image.shape == whole.image.shape == shape
+    preview, whole = answers_to((study, Preview(CoarseGrid(3))), (study, None))
+    assert preview.error is None
+    assert preview.solution.displacement.shape == (20, 27, 2)
+    assert preview.image.shape == whole.image.shape == shape
     apart, moved = (
-        np.abs(each.astype(int) - whole.image).mean() for each in (glance.image, smooth)
+        np.abs(each.astype(int) - whole.image).mean() for each in (preview.image, smooth)
     )
     assert apart < 0.15 * moved
-    assert glance.goes_to(np.array([(30.0, 40.0)]))[0] == pytest.approx((30, 48), abs=0.1)
+    assert preview.goes_to(np.array([(30.0, 40.0)]))[0] == pytest.approx((30, 48), abs=0.1)

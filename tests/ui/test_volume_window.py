@@ -82,9 +82,9 @@ def test_a_pull_in_a_slice_moves_the_slices_beside_it(volume, settle, qtbot):
     person.press(16, 16)
     person.move(18, 19)
     qtbot.waitUntil(lambda: bool(seen), timeout=LONG_MS)
-    glance = seen[-1]
-    assert glance.glance is not None
-    assert glance.image.shape == SHAPE[1:]
+    preview = seen[-1]
+    assert preview.preview is not None
+    assert preview.image.shape == SHAPE[1:]
     person.move(19, 20)
     person.release(19, 20)
     settle(widget)
@@ -323,7 +323,7 @@ def test_a_hand_that_pulls_again_waits_for_no_volume(volume_beside, settle, qtbo
     widget.seen.connect(seen.append)
     person.press(8, 8)
     person.move(9, 9)
-    qtbot.waitUntil(lambda: any(each.glance is not None for each in seen), timeout=LONG_MS)
+    qtbot.waitUntil(lambda: any(each.preview is not None for each in seen), timeout=LONG_MS)
     person.move(10, 10)
     person.release(10, 10)
     settle(widget)
@@ -410,7 +410,7 @@ def cancelled(volume_beside, settle, qtbot):
         person.press(16, 16)
         person.move(19, 19)
         qtbot.waitUntil(lambda: bool(seen), timeout=LONG_MS)
-        assert seen[-1].glance is not None
+        assert seen[-1].preview is not None
         compute_thread.submit(lambda: go_on.wait(LONG))
         person.release(19, 19)
         button = Screen(widget).button("Cancel")

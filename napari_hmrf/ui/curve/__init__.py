@@ -1,1 +1,1 @@
-"""The editor of the curve that gives stiffness from the intensity of an image."""
+"""Editor of the curve that maps the intensity of an image to stiffness."""

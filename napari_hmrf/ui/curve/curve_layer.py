@@ -1,4 +1,4 @@
-"""The layer that shows how stiff a curve makes the tissue of an image."""
+"""Layer of the stiffness that a curve gives to the tissue of an image."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from napari_hmrf.ui.curve.editor import CurveEditor
 
 
 class CurveLayer:
-    """Shows what the curve of a study makes of the slice, and the slice's histogram behind it.
+    """Display of a study's curve: the stiffness in the slice as a layer, and the histogram.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class CurveLayer:
     Attributes
     ----------
     layer : napari.layers.Image or None
-        Above the image, moved or not, while there is a curve; nothing is read from it.
+        Layer above the image and its deformed copies, or None without a curve; for display only.
     """
 
     def __init__(self, viewer: Any, editor: CurveEditor) -> None:
@@ -36,7 +36,7 @@ class CurveLayer:
         self.layer: Any = None
 
     def show(self, study: Study | None, image: Any = None) -> None:
-        """Follow a study of an image; quick if neither its slice nor its curve is another."""
+        """Show the curve of a study; quick if neither the slice nor the curve has changed."""
         before, self._study = self._study, study
         curve = None if study is None else study.tissue.curve
         image = None if curve is None else image
@@ -53,17 +53,17 @@ class CurveLayer:
         elif before.tissue.curve == curve and before.grid == study.grid:
             return
         place, (softest, stiffest) = study.grid.known_place, curve.range
-        known = {"kind": "curve", "role": TISSUE, "unit": curve.unit}
+        metadata = {"kind": "curve", "role": TISSUE, "unit": curve.unit}
         name = f"{image.name} stiffness ({curve.unit or 'relative'})"
         look = {"colormap": stiffness_colours(), "opacity": 0.5}
-        made = layer_on(place, curve(intensities), name, known, look)
+        layer_data = layer_on(place, curve(intensities), name, metadata, look)
         if still_there(self._viewer, self.layer):
-            update_layer(self.layer, made)
+            update_layer(self.layer, layer_data)
         else:
-            self.layer = Layer.create(*made)
+            self.layer = Layer.create(*layer_data)
             layers = self._viewer.layers
             below = [image, *shared(self._viewer, ResultLayers).pictures_of(image)]
             with same_selection(self._viewer):
                 layers.insert(max(map(layers.index, below)) + 1, self.layer)
-        # From less than the softest, so that only what is void lies below.
+        # The lower limit is below the softest tissue, so that only void pixels lie below it.
         self.layer.contrast_limits = min(softest / 2, stiffest / 256), stiffest

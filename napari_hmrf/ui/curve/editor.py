@@ -1,4 +1,4 @@
-"""A curve's plot, and fields with the same in words."""
+"""Editor of a stiffness curve: a plot, and fields with the same curve as text."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ _JOINED = {
 
 
 class CurveEditor(Container):
-    """Edits a curve: its points are dragged or typed.
+    """Editor of a stiffness curve, whose points are dragged or typed.
 
     Parameters
     ----------
     curve : StiffnessCurve
-        To begin with.
+        Initial curve.
 
     Attributes
     ----------
     plot : CurvePlot
-        Which tells of edits, those that are typed, too.
+        Plot of the curve; emits all edits, including typed ones.
     points, void_below, unit : LineEdit
     joined : ComboBox
-    anew : PushButton
-        For others to answer.
+    guess : PushButton
+        Button to replace the curve by a first guess; its callback is set by the owner.
     refused : Signal(str)
-        Why something typed was not taken.
+        Reason why typed text was refused.
     """
 
     refused = Signal(str)
@@ -48,18 +48,18 @@ class CurveEditor(Container):
             "relative or a Young's modulus"
         )
         self.points = LineEdit(label="points", tooltip=tip)
-        tip = "What is darker than this, such as air, has stiffness 0; empty: all is tissue"
+        tip = "Darker pixels, such as air, have stiffness 0; empty: all is tissue"
         self.void_below = LineEdit(label="no tissue below", tooltip=tip)
         tip = (
-            "How the points are joined: straight, or smooth, which overshoots none; logarithmic, "
-            "by equal factors of stiffness, as tissues differ, or linear, by equal amounts"
+            "Interpolation between the points: straight, or smooth without overshoot; logarithmic, "
+            "by equal factors of stiffness, or linear, by equal amounts"
         )
         self.joined = menu("joined", _JOINED, tip)
         tip = "The unit, such as kPa, where stiffnesses are measured ones; shown only"
         self.unit = LineEdit(label="unit", tooltip=tip)
         tip = "The first guess again, from the slice that is shown: the brighter, the stiffer"
-        self.anew = PushButton(text="Anew", tooltip=tip)
-        super().__init__(widgets=[self.points, self.void_below, self.joined, self.unit, self.anew])
+        self.guess = PushButton(text="Anew", tooltip=tip)
+        super().__init__(widgets=[self.points, self.void_below, self.joined, self.unit, self.guess])
         self.margins = (0, 0, 0, 0)
         align_labels(self)
         self.native.layout().insertWidget(0, self.plot)
@@ -71,7 +71,7 @@ class CurveEditor(Container):
 
     @property
     def curve(self) -> StiffnessCurve:
-        """The curve shown; to set it is no edit of the user's."""
+        """Curve that is shown; setting it emits no signal of the plot."""
         return self.plot.curve
 
     @curve.setter
@@ -80,7 +80,7 @@ class CurveEditor(Container):
         self._show()
 
     def _show(self) -> None:
-        """Show in the fields what the plot shows."""
+        """Show the curve of the plot in the fields."""
         curve, below = self.curve, self.curve.void_below
         pairs = [f"{_digits(at)}: {_digits(stiffness)}" for at, stiffness in curve.points]
         self.points.value = "; ".join(pairs)
@@ -94,7 +94,7 @@ class CurveEditor(Container):
         self._show()
 
     def _take(self) -> None:
-        """Have the curve be what the fields say."""
+        """Set the curve from the text of the fields."""
         points = sorted(map(_point, self.points.value.split(";")))
         below, (between, logarithmic) = self.void_below.value.strip(), self.joined.value
         self.plot.take(
@@ -114,5 +114,5 @@ def _point(text: str) -> Point:
 
 
 def _digits(number: float) -> str:
-    """All of them, and none besides: what is read again is the same number."""
+    """Format a number with as few digits as give the same number when parsed."""
     return np.format_float_positional(number, trim="-")

@@ -1,4 +1,4 @@
-"""A curve over the histogram of an image, to be dragged by its points."""
+"""Plot of a stiffness curve over the histogram of an image, with points to drag."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from napari_hmrf.ui.events import single_shot
 
 _HEIGHT, _BINS = 170, 128
 #: Largest number of pixels in the histogram.
-_COUNTED = 1_000_000
+_LARGEST = 1_000_000
 #: Largest distance at which the mouse grabs a point, in pixels.
 _NEAR = 9
 _LINE = "#4ea6dc"
@@ -36,11 +36,11 @@ class CurvePlot(QWidget):
     Attributes
     ----------
     canvas : FigureCanvasQTAgg or None
-        Canvas of the plot; None until it is shown first, as matplotlib takes long to import.
+        Canvas of the plot; None before the plot is first shown, as matplotlib imports slowly.
     edited : Signal(StiffnessCurve)
-        Emitted with every curve that the user makes, while dragging, too.
+        Emitted with the curve after every change by the user, also during a drag.
     settled : Signal(StiffnessCurve)
-        Emitted when an edit is at its end.
+        Emitted at the end of an edit.
     """
 
     edited = Signal(StiffnessCurve)
@@ -53,13 +53,13 @@ class CurvePlot(QWidget):
         QVBoxLayout(self).setContentsMargins(0, 0, 0, 0)
         self._curve = curve
         # Index of the dragged point.
-        self._held: int | None = None
+        self._dragged: int | None = None
         self._counts, self._edges = np.zeros(0), np.array([curve.points[0][0], curve.points[-1][0]])
         self.canvas: Any = None
 
     @property
     def curve(self) -> StiffnessCurve:
-        """Curve that is shown; setting it is no edit by the user."""
+        """Curve that is shown; setting it emits no signal."""
         return self._curve
 
     @curve.setter
@@ -68,22 +68,22 @@ class CurvePlot(QWidget):
         self._draw_soon()
 
     def take(self, curve: StiffnessCurve) -> None:
-        """Show a curve that the user has made, and emit it."""
+        """Show a curve that the user has edited, and emit it."""
         if curve != self._curve:
             self.curve = curve
             self.edited.emit(curve)
-            if self._held is None:
+            if self._dragged is None:
                 self.settled.emit(curve)
 
     def show_intensities(self, values: npt.NDArray[Any]) -> None:
         """Draw the histogram of an image, shape (H, W), behind the curve."""
         finite = values[np.isfinite(values)]
-        some = finite[:: max(1, finite.size // _COUNTED)].astype(float)
+        some = finite[:: max(1, finite.size // _LARGEST)].astype(float)
         self._counts, self._edges = np.histogram(some, _BINS)
         self._draw_soon()
 
     def showEvent(self, event: Any) -> None:
-        """Make the canvas when the plot is shown first."""
+        """Create the canvas when the plot is first shown."""
         super().showEvent(event)
         if self.canvas is not None:
             return
@@ -93,7 +93,7 @@ class CurvePlot(QWidget):
         self.canvas = canvas = FigureCanvasQTAgg(Figure(facecolor="none"))
         canvas.setStyleSheet("background: transparent")
         canvas.setMinimumWidth(50)
-        # Matplotlib's own timer would ring though the canvas is gone.
+        # Matplotlib's own timer would fire even after the canvas was deleted.
         canvas.draw_idle = single_shot(canvas, 0, self._draw).start
         canvas.mpl_connect("button_press_event", self._on_press)
         canvas.mpl_connect("motion_notify_event", self._on_motion)
@@ -109,20 +109,20 @@ class CurvePlot(QWidget):
         if event.dblclick and not near:
             self._change(None, self._point_at(event))
         elif near and event.button == 1:
-            self._held = number
+            self._dragged = number
         elif near and event.button == 3:
             self._change(number, None)
 
     def _on_motion(self, event: Any) -> None:
-        if self._held is not None:
+        if self._dragged is not None:
             point = self._point_at(event)
-            self._change(self._held, point)
-            with suppress(ValueError):  # it could not be put there
-                self._held = self._curve.points.index(point)
+            self._change(self._dragged, point)
+            with suppress(ValueError):  # the point cannot be at this place
+                self._dragged = self._curve.points.index(point)
 
     def _on_release(self, _: Any) -> None:
-        if self._held is not None:
-            self._held = None
+        if self._dragged is not None:
+            self._dragged = None
             self._draw_soon()
             self.settled.emit(self._curve)
 
@@ -135,7 +135,7 @@ class CurvePlot(QWidget):
         return float(f"{intensity:.5g}"), float(f"{stiffness:.3g}")
 
     def _change(self, number: int | None, point: Point | None) -> None:
-        with suppress(ProblemError):  # a point of that intensity is there, or only two are
+        with suppress(ProblemError):  # another point has this intensity, or only two are left
             self.take(with_point(self._curve, number, point))
 
     def _draw_soon(self) -> None:
@@ -147,7 +147,7 @@ class CurvePlot(QWidget):
 
         curve, figure = self._curve, self.canvas.figure
         ink = self.palette().windowText().color().name()
-        limits = [each.axis() for each in figure.axes if self._held is not None]
+        limits = [each.axis() for each in figure.axes if self._dragged is not None]
         figure.clear()
         with rc_context({"font.size": 6, **dict.fromkeys(_INKS, ink)}):
             axes = figure.add_axes(_AXES, facecolor="none")
@@ -157,10 +157,10 @@ class CurvePlot(QWidget):
             title = f"stiffness ({curve.unit})" if curve.unit else "relative stiffness"
             axes.text(0.015, 0.97, title, va="top", transform=axes.transAxes)
             axes.text(0.985, 0.03, "intensity", ha="right", transform=axes.transAxes)
-        # Room to drag a point up and down.
+        # Leave room to drag a point up and down.
         axes.margins(0, 0.4)
         if self._counts.any():
-            # The background of most images has more pixels than the rest: roots show both.
+            # Most pixels of an image are background: square roots keep the other bars visible.
             heights = 0.9 * np.sqrt(self._counts / self._counts.max())
             bars = axes.get_xaxis_transform()
             axes.stairs(heights, self._edges, fill=True, color=ink, alpha=0.25, transform=bars)
@@ -171,7 +171,7 @@ class CurvePlot(QWidget):
         axes.scatter(*points.T, 40, _LINE, edgecolors="white", zorder=3)
         if curve.void_below is not None:
             axes.axvspan(marks[0], curve.void_below, color="#808080", alpha=0.4)
-        for each in limits:  # while a point is dragged, the numbers stay under the mouse
+        for each in limits:  # keep the axes during a drag, so that the point stays under the mouse
             axes.axis(each)
-        with suppress(RuntimeError):  # Python may take the window apart in the middle of it
+        with suppress(RuntimeError):  # Python may delete the window meanwhile
             self.canvas.draw()

@@ -1,1 +1,1 @@
-"""Tools of the mouse, and tissue that follows them."""
+"""Tools of the mouse, and display of the tissue that they move."""

@@ -1,4 +1,4 @@
-"""Layer *Motion*: shows the drawing, and receives the mouse and the keys while it is active."""
+"""Layer *Motion*: shows the drawing, and receives mouse and key events while active."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_th
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.drawing.marks import Point
 
-#: Largest distance of the pointer from the end of an arrow that is hit, in pixels of the screen.
+#: Largest distance from the mouse to an arrow's end that counts as a hit, in screen pixels.
 _NEAR = 8.0
 
 
 class CanvasListener(Protocol):
-    """Receiver of the mouse and key actions on the canvas; places are in pixels of the image."""
+    """Receiver of mouse and key actions on the canvas; points are in pixels of the image."""
 
     @property
     def keys(self) -> Mapping[str, Callable[[], object]]:
@@ -71,12 +71,12 @@ class ArrowsLayer:
 
     @property
     def former(self) -> Any:
-        """Layer as it was created last, even if it was removed from the viewer."""
+        """Layer that was created last, even if it was removed from the viewer."""
         return self._layer
 
     @property
     def active(self) -> bool:
-        """True if the layer receives the mouse, which it does in two dimensions only."""
+        """True if the layer receives the mouse; always False in 3D display."""
         layer = self.layer
         flat = self._viewer.dims.ndisplay == 2
         return flat and layer is not None and self._viewer.layers.selection.active is layer
@@ -100,7 +100,7 @@ class ArrowsLayer:
             layers.move(layers.index(layer), len(layers))
 
     def place(self, frame: Frame, shape: tuple[int, ...], drawn: bool = False) -> None:
-        """Place the layer on another slice, if there is a layer, or a drawing to show."""
+        """Place the layer on another slice, if there is a layer or a drawing to show."""
         layer = self.layer
         if (layer is None and not drawn) or frame == self._frame:
             return
@@ -126,7 +126,7 @@ class ArrowsLayer:
     ) -> None:
         """Draw the arrows, and more lines below them.
 
-        With `quick`, as during a drag, only the canvas is updated where that is possible.
+        With `quick`, as during a drag, only the canvas is updated if possible.
         """
         layer, frame = self.layer, self._frame
         if layer is None or frame is None:
@@ -140,9 +140,9 @@ class ArrowsLayer:
         if quick and same and len(lines) and overwrite(self._viewer, layer, placed):
             return
         layer.data = placed
-        # Only the first move of a drag changes colours; setting them takes as long as the lines.
+        # Setting colours takes as long as drawing lines; only the first move of a drag does it.
         if len(lines) and not same:
-            # While the layer is hidden, napari has not counted the lines that are to be coloured.
+            # While the layer is hidden, napari does not update its number of lines.
             with nullcontext() if layer.visible else layer.events.edge_color.blocker():
                 layer.edge_color = colours
 
@@ -155,19 +155,19 @@ class ArrowsLayer:
         """Show a circle of this radius around the pointer; None shows no circle."""
         self._circle = circle
         layer, frame = self.layer, self._frame
-        # napari sets the cursor of its other modes.
+        # In its other modes, napari sets the cursor.
         if layer is None or frame is None or layer.mode != "pan_zoom":
             return
         if circle is None:
             layer.cursor = "pointing"
             return
-        # One pixel along the layer's last axis, in lengths of the world.
+        # Length of one pixel along the layer's last axis, in world units.
         step = float(np.linalg.norm(np.array(frame.matrix)[:-1, -2]))
         layer.cursor_size = 2 * circle * step / frame.spacing[-1]
         layer.cursor = "circle"
 
     def end_drag(self) -> None:
-        """Restore what was suspended for the drag."""
+        """Restore the updates that were suspended for the drag."""
         self._drag.close()
 
     def remove(self) -> None:
@@ -181,15 +181,15 @@ class ArrowsLayer:
         self.remove()
         layer = self._layer = Layer.create(*arrow_layer(frame, shape))
         self._frame = frame
-        # Drawing a thumbnail of all lines would take longer than everything else.
+        # A thumbnail of all lines would take longer than the rest of the update.
         thin_thumbnail(layer, 8)
         layer.mouse_drag_callbacks.append(self._on_drag)
-        for key, answer in self._listener.keys.items():
-            layer.bind_key(key, lambda _, answer=answer: answer())
+        for key, callback in self._listener.keys.items():
+            layer.bind_key(key, lambda _, callback=callback: callback())
         layer.bind_key("Space", self._on_space)
         layer.events.mode.connect(self._on_mode)
         self._viewer.add_layer(layer)
-        # Otherwise vispy builds a program in each update, which costs more than the drawing itself.
+        # Otherwise vispy builds a program in each update, which takes longer than the drawing.
         compile_once(drawn_node(self._viewer, layer))
 
     def _equip(self, layer: Any) -> None:
@@ -205,7 +205,7 @@ class ArrowsLayer:
             self._equip(self._layer)
 
     def _on_space(self, layer: Any) -> Iterator[None]:
-        """Let the mouse move the view while Space is held, as in napari's own tools."""
+        """Move the view with the mouse while Space is held, as in napari's own tools."""
         layer.mouse_pan = True
         yield
         layer.mouse_pan = False
@@ -221,7 +221,7 @@ class ArrowsLayer:
         self._listener.press(point, self._reach(layer, event))
         self._suspend_status()
         yield
-        # The release is a move, too: vispy drops moves that follow another closely.
+        # vispy drops moves that closely follow another, so the release also counts as a move.
         while True:
             point = self._pixel(layer, event)
             if point is not None:
@@ -233,15 +233,15 @@ class ArrowsLayer:
 
     def _suspend_status(self) -> None:
         """Suspend the updates of the status bar until the drag ends."""
-        # For every step of the cursor, a thread of napari reads the values below it, which takes
-        # Python from the GUI thread, and the layout of the whole window is computed again to show
-        # them. napari itself can only stop that for all viewers, and permanently.
+        # At every step of the cursor, a thread of napari reads the values below it and thereby
+        # blocks the GUI thread, and the layout of the whole window is computed to show them. napari
+        # can disable this only for all viewers, and permanently.
         cursor = self._viewer.cursor
         self._drag.callback(lambda: cursor.events.position(value=cursor.position))
         self._drag.enter_context(cursor.events.position.blocker())
 
     def _pixel(self, layer: Any, event: Any) -> Point | None:
-        """Return the place of the mouse in pixels of the image; None in three dimensions."""
+        """Return the position of the mouse in pixels of the image; None in 3D display."""
         flat = len(event.dims_displayed) == 2 and self._viewer.dims.ndisplay == 2
         if self._frame is None or not flat:
             return None
@@ -249,11 +249,11 @@ class ArrowsLayer:
         return tuple(at[list(self._frame.plane)].tolist())
 
     def _reach(self, layer: Any, event: Any) -> float:
-        """Return the largest distance of an arrow's end that is hit, in the unit of the spacing."""
+        """Return the largest distance that counts as a hit, in the unit of the spacing."""
         assert self._frame is not None
-        here = np.asarray(event.position, dtype=float)
-        there = here.copy()
-        there[list(event.dims_displayed)[-1]] += _NEAR / event.camera_zoom
+        start = np.asarray(event.position, dtype=float)
+        end = start.copy()
+        end[list(event.dims_displayed)[-1]] += _NEAR / event.camera_zoom
         view = View.of(self._viewer.dims)
-        apart = view.pixel(layer, there) - view.pixel(layer, here)
-        return math.hypot(*(apart[list(self._frame.plane)] * self._frame.spacing))
+        difference = view.pixel(layer, end) - view.pixel(layer, start)
+        return math.hypot(*(difference[list(self._frame.plane)] * self._frame.spacing))

@@ -18,14 +18,14 @@ _STEP = 0.1
 
 
 class BrushTool(Tool):
-    """Base of tools that paint; going over the selected stroke with the same paint continues it.
+    """Base class of tools that paint; painting over the selected stroke continues it.
 
     Strokes are placed on the undeformed tissue, even while the tissue moves.
 
     Attributes
     ----------
     action : Action
-        Effect of its strokes.
+        Effect of the strokes.
     step : str
         Name of the undo step of a stroke.
     """
@@ -33,7 +33,7 @@ class BrushTool(Tool):
     action: ClassVar[Action]
     step: ClassVar[str]
 
-    #: Undeformed place of each visible point, as of the button press.
+    #: Map to the undeformed place of each point that was visible at the button press.
     _origin: Origin
 
     @classmethod
@@ -63,7 +63,7 @@ class BrushTool(Tool):
     def press(
         self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
     ) -> str:
-        """Begin or continue a stroke; where no tissue is, it starts at the visible place."""
+        """Begin or continue a stroke; outside tissue, it starts at the visible place."""
         if not self._is_inside(point):
             return motion_messages.OUTSIDE
         self.release()
@@ -83,7 +83,7 @@ class BrushTool(Tool):
             self._show(drawing.with_mark(new), len(drawing.marks))
 
     def move(self, point: Point) -> None:
-        """Continue the stroke to a point; without effect unless the brush is down."""
+        """Continue the stroke to a point; without effect unless a drag is in progress."""
         stroke = self.stroke
         if stroke is None:
             return
@@ -128,7 +128,7 @@ class HoldTool(BrushTool):
 
 
 class FreeTool(BrushTool):
-    """Brush that frees tissue from all that is beneath."""
+    """Brush that frees tissue from all boundary conditions below it."""
 
     name = "free"
     title = "Free"
@@ -140,7 +140,7 @@ class FreeTool(BrushTool):
 
 
 class PushTool(BrushTool):
-    """Brush for tissue that moves; the selected stroke is dragged to set its displacement."""
+    """Brush for moving tissue; dragging the selected stroke sets its displacement."""
 
     name = "move"
     title = "Push"
@@ -150,11 +150,11 @@ class PushTool(BrushTool):
     action = "move"
     step = "painted a push"
 
-    #: Place where the stroke was picked up, and its displacement then; None while painting.
+    #: Place where the drag of the stroke began, and its displacement there; None while painting.
     _grip: tuple[Point, Point] | None = None
 
     def _begin(self, point: Point, settings: ToolSettings) -> None:
-        """Pick up the selected stroke if it is hit, else begin to paint."""
+        """Begin to drag the selected stroke if it is hit, else begin to paint."""
         self._grip, stroke = None, self._stroke_at(self._place(point))
         if stroke is None:
             super()._begin(point, settings)
@@ -173,7 +173,7 @@ class PushTool(BrushTool):
         self._replace(replace(stroke, by=tuple(map(sum, zip(by, step, strict=True)))))
 
     def release(self) -> str | None:
-        """End the drag; a stroke with a displacement needs no further advice."""
+        """End the drag; clear the message if the stroke has a displacement."""
         stroke = self.stroke
         message = super().release()
         return message if stroke is None or stroke.moves_nowhere else ""
@@ -192,7 +192,7 @@ class GrowTool(BrushTool):
 
     @property
     def error_message(self) -> str:
-        """Advice to close the ring, which is an open line until then."""
+        """Advice to close the ring, while a stroke is being painted; else ""."""
         return "" if self.stroke is None else motion_messages.OPEN
 
     def release(self) -> str | None:
@@ -208,7 +208,7 @@ class GrowTool(BrushTool):
 
 
 class ConfidenceTool(BrushTool):
-    """Brush for the confidence of what is beneath."""
+    """Brush for the confidence of the boundary conditions below it."""
 
     name = "confidence"
     title = "Confidence"
@@ -220,9 +220,10 @@ class ConfidenceTool(BrushTool):
 
 
 class TissueTool(BrushTool):
-    """Brush for the kind of tissue; another kind applies to the next stroke, or to one picked up.
+    """Brush for the kind of tissue.
 
-    The stroke painted last stays as it is, so that several tissues are painted in turn.
+    Another kind applies to the next stroke, or to a stroke that the user has selected. The stroke
+    painted last does not change, so that several tissues can be painted in turn.
     """
 
     name = "tissue"
@@ -233,7 +234,7 @@ class TissueTool(BrushTool):
     action = "tissue"
     step = "painted tissue"
 
-    #: True if the selected stroke was picked up, rather than just painted.
+    #: True if the user has selected the stroke, rather than just painted it.
     _is_picked = False
 
     def press(
@@ -246,11 +247,11 @@ class TissueTool(BrushTool):
         return message
 
     def pick(self, number: int | None) -> None:
-        """Select a stroke, which the fields change from now on."""
+        """Select a stroke, to which later changes of the fields apply."""
         super().pick(number)
         self._is_picked = number is not None
 
     def change(self, settings: ToolSettings) -> None:
-        """Apply changed settings to the selected stroke, if it was picked up."""
+        """Apply changed settings to the selected stroke, if the user has selected it."""
         if self._is_picked:
             super().change(settings)

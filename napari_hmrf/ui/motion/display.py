@@ -1,4 +1,4 @@
-"""Layers that show a drawing, and the image deformed by it."""
+"""Layers that show a drawing and the image deformed by it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.image_result import CONFIDENCE, PAINTED, Result, ResultLayers
 from napari_hmrf.layers.paint_layer import confidence_layer, number_of, painted_layer, way_of
-from napari_hmrf.layers.painted_overlay import Seen
+from napari_hmrf.layers.painted_overlay import ShownDeformation
 from napari_hmrf.layers.result_layers import Kind, LayerData, picture_layer
 from napari_hmrf.layers.viewer_layers import shared, still_there
 from napari_hmrf.study.engine import Deformation
@@ -25,13 +25,13 @@ from napari_hmrf.tissue.drawing.canvas import box_of, covered
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.motion.arrows import ArrowsLayer, CanvasListener
 
-#: Brush strokes are painted together with the tissue that follows them, once rather than twice;
-#: if the tissue takes longer than this, in milliseconds, the strokes are painted first.
+#: Brush strokes are painted together with the tissue that follows them, which saves one painting.
+#: If the tissue takes longer than this, in milliseconds, strokes are painted first.
 _AHEAD = 80
 
 
 class Display:
-    """View of the drawing on a slice of an image, and of the deformation it causes.
+    """View of the drawing on a slice of an image, and of the resulting deformation.
 
     Parameters
     ----------
@@ -44,17 +44,17 @@ class Display:
     Attributes
     ----------
     arrows : ArrowsLayer
-    seen : Seen or None
+    state : ShownDeformation or None
         Visible state of the tissue.
     tissues : dict of int to colour
         Colours of the paintable tissues, by label.
     quiet : bool
-        Whether the program itself is adding or removing layers.
+        True while the program itself adds or removes layers.
     """
 
     def __init__(self, native: Any, viewer: Any, listener: CanvasListener) -> None:
         self.arrows = ArrowsLayer(viewer, listener)
-        self.seen: Seen | None = None
+        self.state: ShownDeformation | None = None
         # Paint, deformed with the tissue, and the current stroke, which lies on top.
         self._painted: npt.NDArray[np.uint8] | None = None
         self._stroke: Stroke | None = None
@@ -62,16 +62,16 @@ class Display:
         self._viewer = viewer
         self._results = shared(viewer, ResultLayers)
         self._image: Any = None
-        # Image as shown last, and whether it is a private copy, assembled from slices.
+        # Image that is shown, and True if it is a private copy with newer slices.
         self._whole: Any = None
-        self._pieced = False
+        self._is_copy = False
         self.quiet = False
-        self._stroke_waits = single_shot(native, _AHEAD, self._show_stroke)
+        self._stroke_timer = single_shot(native, _AHEAD, self._show_stroke)
 
     @property
     def moved(self) -> Deformation | None:
         """Visible deformation, or None."""
-        return None if self.seen is None else self.seen.moved
+        return None if self.state is None else self.state.moved
 
     @property
     def result(self) -> Result | None:
@@ -82,39 +82,39 @@ class Display:
         return self._results.at(self._image, moved.study.grid.known_place.slice_name)
 
     def stand_on(self, study: Study | None, image: Any, drawn: bool) -> None:
-        """Switch to another slice, in its undeformed state; or to none."""
-        self._stroke_waits.stop()
+        """Switch to another slice in its undeformed state, or to none."""
+        self._stroke_timer.stop()
         before, moved = self.result, self.moved
         self._image = image
-        self.seen = self._painted = self._stroke = None
-        self._whole, self._pieced = None if study is None else study.pictures.image, False
+        self.state = self._painted = self._stroke = None
+        self._whole, self._is_copy = None if study is None else study.pictures.image, False
         with self.own_doing():
             if before is not None and moved is not None:
                 before.drop_paint()
                 if moved.ground is not None and not moved.moves:
-                    before.remove()  # its picture shows no motion
+                    before.remove()  # the picture is undeformed
             if study is not None:
-                self.seen = Seen(Deformation(study, image=study.pictures.image))
+                self.state = ShownDeformation(Deformation(study, image=study.pictures.image))
                 self.arrows.place(study.grid.known_place, study.grid.shape, drawn)
                 self._results.stand_on(image, study.grid.known_place)
 
     @property
     def covering(self) -> Any:
-        """Image layer, not of this result, that covers the cursor; or None."""
+        """Other image layer that covers this result at the cursor, or None."""
         image, result = still_there(self._viewer, self._image), self.result
         picture = None if result is None else result.layer("image")
         lowest = picture if picture is not None and picture.visible else image
         place = [self._viewer.cursor.position]
         return None if lowest is None else image_covering(self._viewer, lowest, place)
 
-    def show(self, seen: Seen, stroke: Stroke | None) -> None:
+    def show(self, state: ShownDeformation, stroke: Stroke | None) -> None:
         """Show a new state of the tissue, with the stroke that is being painted."""
-        moved, result = seen.moved, self.result
+        moved, result = state.moved, self.result
         picture = self._picture_of(moved)
-        self.seen = seen
-        self._take_paint(seen, stroke)
+        self.state = state
+        self._take_paint(state, stroke)
         with self.own_doing():
-            # Show undeformed tissue, too, so that the first motion finds its layer.
+            # Show undeformed tissue, too, so that its layer exists before the first motion.
             if picture is not None and (moved.moves or self.arrows.active):
                 study = moved.study
                 run = {"prior": study.prior.parameters, "optimizer": study.optimizer.parameters}
@@ -127,23 +127,24 @@ class Display:
                 self._show_painting()
 
     def _picture_of(self, moved: Deformation) -> Any:
-        """Return the deformed image; one slice of a volume may be newer than the rest."""
-        if moved.glance is None or moved.glance.axis is None:
-            self._whole, self._pieced = moved.image, False
+        """Return the deformed image; in a volume, a preview replaces only one slice."""
+        if moved.preview is None or moved.preview.axis is None:
+            self._whole, self._is_copy = moved.image, False
         elif moved.image is not None:
-            if not self._pieced:
-                self._whole, self._pieced = np.array(self._whole), True
-            np.moveaxis(self._whole, moved.glance.axis, 0)[moved.glance.number] = moved.image
+            if not self._is_copy:
+                self._whole, self._is_copy = np.array(self._whole), True
+            np.moveaxis(self._whole, moved.preview.axis, 0)[moved.preview.number] = moved.image
         return self._whole
 
     def finish(self, done: CompleteResult | None) -> None:
-        """Show all layers of a state at rest; with None, only the undeformed image."""
-        seen = self.seen
-        assert seen is not None
-        image, layers = seen.moved.study.pictures.image, {} if done is None else done.outputs.layers
-        still = replace(seen.moved, solution=None, image=image, overlay=(), glance=None)
+        """Show all layers of a complete result; with None, only the undeformed image."""
+        state = self.state
+        assert state is not None
+        image = state.moved.study.pictures.image
+        layers = {} if done is None else done.outputs.layers
+        still = replace(state.moved, solution=None, image=image, overlay=(), preview=None)
         moved = still if done is None else done.moved
-        self.seen = Seen(moved, seen.marks if moved.overlay else None)
+        self.state = ShownDeformation(moved, state.marks if moved.overlay else None)
         self._picture_of(moved)
         with self.own_doing():
             self._show_result(layers)
@@ -151,27 +152,27 @@ class Display:
 
     def _show_result(self, layers: Mapping[Kind, LayerData], moving: bool = False) -> None:
         """Show layers of the result, with the paint."""
-        seen, result = self.seen, self.result
-        assert seen is not None
-        place, shown = seen.moved.study.grid.known_place, dict[Any, LayerData](layers)
-        if seen.confidence is not None:
-            shown[CONFIDENCE] = confidence_layer(place, seen.confidence)
+        state, result = self.state, self.result
+        assert state is not None
+        place, shown = state.moved.study.grid.known_place, dict[Any, LayerData](layers)
+        if state.confidence is not None:
+            shown[CONFIDENCE] = confidence_layer(place, state.confidence)
         if (picture := self._picture()) is not None:
             shown[PAINTED] = painted_layer(place, picture, self.tissues)
         if result is not None:
             result.drop_paint(besides=shown)
         self._results.show(self._image, place, shown, moving=moving)
 
-    def show_painted(self, seen: Seen) -> None:
+    def show_painted(self, state: ShownDeformation) -> None:
         """Show the paint."""
-        self._take_paint(seen, None)
+        self._take_paint(state, None)
         with self.own_doing():
             self._show_painting()
 
-    def _take_paint(self, seen: Seen, stroke: Stroke | None) -> None:
-        self._stroke_waits.stop()
-        if seen.moved.glance is None:  # else the paint stays until the whole tissue has followed
-            self._painted = None if seen.marks is None else seen.moved.overlay[0]
+    def _take_paint(self, state: ShownDeformation, stroke: Stroke | None) -> None:
+        self._stroke_timer.stop()
+        if state.moved.preview is None:  # a preview keeps the paint
+            self._painted = None if state.marks is None else state.moved.overlay[0]
         self._stroke = stroke
 
     def _picture(self) -> npt.NDArray[np.uint8] | None:
@@ -181,11 +182,11 @@ class Display:
             return painted
         grid = moved.study.grid
         lines = (moved.goes_to(np.array(line)).tolist() for line in stroke.lines)
-        seen = replace(stroke, lines=tuple(tuple(map(tuple, line)) for line in lines))
+        deformed = replace(stroke, lines=tuple(tuple(map(tuple, line)) for line in lines))
         picture = np.zeros(grid.shape, np.uint8) if painted is None else painted.copy()
-        box = box_of(seen, grid.spacing, tuple(slice(0, size) for size in grid.shape))
+        box = box_of(deformed, grid.spacing, tuple(slice(0, size) for size in grid.shape))
         number = number_of(stroke.action, stroke.label)
-        picture[box][covered(seen, grid.spacing, box)] = number
+        picture[box][covered(deformed, grid.spacing, box)] = number
         return picture
 
     def _show_painting(self) -> None:
@@ -203,32 +204,32 @@ class Display:
         self._stroke = stroke
         if at_once:
             self._show_stroke()
-        elif not self._stroke_waits.isActive():
-            self._stroke_waits.start()
+        elif not self._stroke_timer.isActive():
+            self._stroke_timer.start()
 
     def _show_stroke(self) -> None:
-        self._stroke_waits.stop()
+        self._stroke_timer.stop()
         with self.own_doing():
             self._show_painting()
 
     def draw(self, drawing: Drawing, selected: int | None, is_dragging: bool) -> None:
-        """Show arrows, landmarks, and the marks of the paint; during a drag as fast as possible."""
+        """Show arrows, landmarks and the marks of the paint; only the canvas during a drag."""
         below: list[Lines] = []
-        seen, mark = self.seen, None if selected is None else drawing.marks[selected]
-        if seen is not None and seen.marks is not None:
-            below.append(seen.marks)
-        if isinstance(mark, Stroke) and not is_dragging and seen and seen.moved.ground:
-            below.append(way_of(mark, seen.moved.study.grid.spacing, seen.moved.goes_to))
+        state, mark = self.state, None if selected is None else drawing.marks[selected]
+        if state is not None and state.marks is not None:
+            below.append(state.marks)
+        if isinstance(mark, Stroke) and not is_dragging and state and state.moved.ground:
+            below.append(way_of(mark, state.moved.study.grid.spacing, state.moved.goes_to))
         self.arrows.show(drawing, selected, below, quick=is_dragging)
 
     def leave(self) -> None:
-        """Remove the layer that no longer responds to the mouse."""
+        """Remove the layer of arrows, which no longer responds to the mouse."""
         with self.own_doing():
             self.arrows.remove()
 
     @contextmanager
     def own_doing(self) -> Iterator[None]:
-        """Mark changes of layers within this context as made by the program."""
+        """Set `quiet` within this context, in which the program changes layers."""
         before, self.quiet = self.quiet, True
         try:
             yield

@@ -1,4 +1,4 @@
-"""Drawing on the visible slice: the current tool, and its mouse and key actions."""
+"""Mouse and key actions on the visible slice, passed to the current tool."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from psygnal import Signal
 from napari_hmrf.field.frame import SlicePlace
 from napari_hmrf.layers.compat import text_of
 from napari_hmrf.layers.paint_layer import tissue_colours
-from napari_hmrf.layers.painted_overlay import Seen
+from napari_hmrf.layers.painted_overlay import ShownDeformation
 from napari_hmrf.layers.viewer_undo import ViewerUndo
 from napari_hmrf.study.edit_history import Step
 from napari_hmrf.study.study import Study
@@ -25,8 +25,8 @@ from napari_hmrf.ui.motion.tool import Tool, ToolError
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS, tool_of
 
-#: In a drag the arrows are painted together with the tissue that follows them, once rather than
-#: twice; if the tissue takes longer than this, in milliseconds, the arrows are painted first.
+#: During a drag, arrows are painted together with the tissue that follows them, which saves one
+#: painting. If the tissue takes longer than this, in milliseconds, arrows are painted first.
 _AHEAD = 250
 #: Factor by which a key enlarges the brush.
 _LARGER = 1.25
@@ -45,22 +45,22 @@ class Pointer:
     fields : ToolFields
         Settings of the tools.
     undo : ViewerUndo
-        With the `StudyModel` whose drawings are edited.
+        Undo of the viewer, with the `StudyModel` whose drawings are edited.
 
     Attributes
     ----------
     tool : Tool
         Current tool, with its drag and selection; replaced for each slice.
     tissue : napari.layers.Labels or Image, optional
-        Layer whose colours the painted tissue takes.
+        Layer from which the painted tissue takes its colours.
     display : Display
         View of the drawing and the tissue.
     """
 
     #: The drawing has changed.
     drawn = Signal()
-    #: The drawing, the undo steps, the selection or the tool has changed, or the mouse starts or
-    #: stops drawing.
+    #: The drawing, the undo steps, the selection or the tool has changed, or the mouse has started
+    #: or stopped drawing.
     changed = Signal()
     #: Status message; "" shows what the user can do next.
     said = Signal(str)
@@ -77,7 +77,7 @@ class Pointer:
         self._show_cursor()
         # Text overlay in a corner of the canvas, and the text last written there by this object.
         self._corner, self._in_corner = text_of(viewer), ""
-        self._drawing_waits = single_shot(native, _AHEAD, self.draw)
+        self._draw_timer = single_shot(native, _AHEAD, self.draw)
         self.tissue: Any = None
         self._in_error = False
         undo.said.connect(self._on_step)
@@ -94,7 +94,7 @@ class Pointer:
     @property
     def active(self) -> bool:
         """True if the mouse draws."""
-        return self.display.seen is not None and self.display.arrows.active
+        return self.display.state is not None and self.display.arrows.active
 
     @property
     def keys(self) -> dict[str, Callable[[], object]]:
@@ -151,28 +151,28 @@ class Pointer:
 
     def take(self) -> None:
         """Start drawing with the mouse."""
-        seen = self.display.seen
-        if seen is None:
+        state = self.display.state
+        if state is None:
             return
-        moved, circle = seen.moved, self.tool.cursor(self._fields.settings)
+        moved, circle = state.moved, self.tool.cursor(self._fields.settings)
         grid = moved.study.grid
         with self.display.own_doing():
             self.display.arrows.take(grid.known_place, grid.shape, circle)
         if moved.ground is not None and not moved.moves:
-            self.display.show(seen, self.tool.stroke)
+            self.display.show(state, self.tool.stroke)
         self.draw()
         self.said.emit("" if moved.ground else motion_messages.PREPARING)
         self.say_tool()
 
     def say_tool(self) -> None:
-        """Show the current tool on the canvas while the mouse draws; text of other origin stays."""
+        """Show the tool on the canvas while the mouse draws, unless other text is shown there."""
         corner = self._corner
         if not corner.visible or corner.text == self._in_corner:
             self._in_corner = corner.text = self._fields.words if self.active else ""
             corner.visible = self.active
 
     def set_drawing(self, drawing: Drawing, word: str) -> None:
-        """Replace the drawing, as an undo step named `word`; if that is "", without a step."""
+        """Replace the drawing, as an undo step named `word`; "" makes no undo step."""
         self.release()
         if self._model.slice.layer is not None:  # else there is nothing to draw on
             self._model.draw(drawing, word)
@@ -184,26 +184,26 @@ class Pointer:
 
     def draw(self) -> None:
         """Show the current drawing."""
-        self._drawing_waits.stop()
+        self._draw_timer.stop()
         self._show_drawing()
         self.changed.emit()
 
-    def show(self, seen: Seen) -> None:
+    def show(self, state: ShownDeformation) -> None:
         """Show the tissue as it follows the drawing."""
-        ground = seen.moved.ground
-        if seen.moved.error is not None:
-            self._show_error(seen)
+        ground = state.moved.ground
+        if state.moved.error is not None:
+            self._show_error(state)
             return
-        before = self.display.seen
+        before = self.display.state
         known = None if before is None else before.moved.ground
         if ground is not None and ground is not known:
             self._fields.offer(ground.palette)
             self.display.tissues = tissue_colours(ground.palette, self.tissue)
-        self.display.show(seen, self.tool.stroke)
-        if self._drawing_waits.isActive():
+        self.display.show(state, self.tool.stroke)
+        if self._draw_timer.isActive():
             self.draw()
-        elif seen.marks is not None or (before is not None and before.marks is not None):
-            self._show_drawing()  # its marks follow the tissue
+        elif state.marks is not None or (before is not None and before.marks is not None):
+            self._show_drawing()  # the marks follow the tissue
         if (known is None and self.active) or self._in_error:
             self._in_error = False
             self.said.emit("")
@@ -344,8 +344,8 @@ class Pointer:
         self.drawn.emit()
         if not self.tool.is_dragging:
             self.draw()
-        elif not self._drawing_waits.isActive():
-            self._drawing_waits.start()
+        elif not self._draw_timer.isActive():
+            self._draw_timer.start()
 
     def _on_step(self, _: str, step: Step | None) -> None:
         """Select the mark that undo or redo changed or restored, if the current tool made it."""
@@ -363,11 +363,11 @@ class Pointer:
         self.say_tool()
         self.tool.change(self._fields.settings)
 
-    def _show_error(self, seen: Seen) -> None:
-        error = seen.moved.error
+    def _show_error(self, state: ShownDeformation) -> None:
+        error = state.moved.error
         assert error is not None
         self._in_error = self.active
         if self.tool.stroke is None:
-            self.display.show_painted(seen)
+            self.display.show_painted(state)
         if self.active:
             self.said.emit(self.tool.error_message or in_short(error))

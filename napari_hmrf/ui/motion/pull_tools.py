@@ -28,7 +28,7 @@ class PullTool(Tool):
 
     #: End of the mark that is dragged.
     _part: Literal["head", "base"] = "head"
-    #: Place of the pointer, and its offset from that end.
+    #: Position of the mouse, and its offset from that end.
     _at: Point = (0.0, 0.0)
     _offset: Point = (0.0, 0.0)
 
@@ -46,7 +46,7 @@ class PullTool(Tool):
     def press(
         self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
     ) -> str:
-        """Pick up the end of a mark, or tissue; as in `Tool`.
+        """Grab the end of a mark, or tissue; as in `Tool`.
 
         A new mark begins at the undeformed place of the tissue, and ends at its visible place.
         """
@@ -82,7 +82,7 @@ class PullTool(Tool):
             self._replace(self._with_ends(mark, *ends))
 
     def _new_mark(self, at: Point, to: Point, settings: ToolSettings) -> Arrow | Landmark:
-        """Return a mark that leads tissue from one place to another."""
+        """Return a mark that moves tissue from one place to another."""
         still = (0.0,) * len(at)
         arrow = Arrow(at, still, settings["radius"], settings["confidence"], settings["components"])
         return self._with_ends(arrow, at, to)
@@ -116,7 +116,7 @@ class LandmarkTool(PullTool):
     fields = ("radius", "confidence")
     how = "Drag from where something is to where it should be, or click what stays there."
 
-    #: Selected mark as of the button press.
+    #: Selected mark just after the button press.
     _pressed: Arrow | Landmark | None = None
 
     @classmethod
@@ -127,7 +127,7 @@ class LandmarkTool(PullTool):
     def press(
         self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
     ) -> str:
-        """Pick up the end of a mark, or tissue; as in `PullTool`."""
+        """Grab the end of a mark, or tissue; as in `PullTool`."""
         message = super().press(point, reach, settings, origin)
         self._pressed = self.mark
         return message

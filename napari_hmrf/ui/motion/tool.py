@@ -1,4 +1,4 @@
-"""Tool of the mouse: the protocol of all tools, and what they share."""
+"""Tool of the mouse: base class of all tools."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.drawing import Drawing, Mark, Stroke
 from napari_hmrf.tissue.drawing.marks import Components, Point
 
-#: Map from a visible point to that of the undeformed tissue; None without tissue.
+#: Map from a visible point to its undeformed place; None outside tissue.
 Origin = Callable[[Point], Point | None]
 
 
@@ -21,7 +21,7 @@ def identity(point: Point) -> Point | None:
 
 
 class ToolSettings(TypedDict, total=False):
-    """Settings of a mark, by the names of its attributes; a tool has those of its fields."""
+    """Settings of a mark, by attribute; a tool sets those for which it has fields."""
 
     radius: float
     by: Point
@@ -33,7 +33,7 @@ class ToolSettings(TypedDict, total=False):
 
 
 class ToolError(HmrfError):
-    """An action of a tool has no effect; the message gives the reason to the user."""
+    """Error of a tool whose action has no effect; its message is shown to the user."""
 
 
 class Tool(ABC):
@@ -61,7 +61,7 @@ class Tool(ABC):
         Key that selects the tool while the layer *Motion* is active. It must differ from napari's
         keys for Vectors layers and for the viewer.
     fields : tuple of str
-        Attributes of `ToolFields` that set the tool.
+        Names of the fields in `ToolFields` with the settings of the tool.
     how : str
         Instructions for the button and the status.
     """
@@ -96,14 +96,14 @@ class Tool(ABC):
     def press(
         self, point: Point, reach: float, settings: ToolSettings, origin: Origin = identity
     ) -> str:
-        """Begin a drag where that is possible.
+        """Begin a drag, if possible at this point.
 
         Parameters
         ----------
         point : tuple of float
             Point on the visible image, in pixels.
         reach : float
-            Largest distance of a mark that can be picked up, in the unit of the spacing.
+            Largest distance of a mark that the press can grab, in the unit of the spacing.
         settings : ToolSettings
             Settings of a new mark.
         origin : callable
@@ -130,7 +130,7 @@ class Tool(ABC):
         Raises
         ------
         ToolError
-            If the mark is not possible; nothing has changed then.
+            If the mark is not possible; the drawing is then unchanged.
         """
         self._model.end_drawing()
         return None
@@ -161,8 +161,8 @@ class Tool(ABC):
     def cursor(self, settings: ToolSettings) -> float | None:
         """Return the radius of the circle that shows the reach of the tool; None shows none.
 
-        napari paints the whole canvas for every step of the circle. During a drag there is none,
-        as the mark itself is visible.
+        napari paints the whole canvas for every step of the circle. During a drag, no circle is
+        shown, as the mark itself is visible.
         """
         return None if self.is_dragging else settings["radius"]
 
@@ -170,7 +170,7 @@ class Tool(ABC):
 
     @property
     def selected(self) -> int | None:
-        """Number of the mark made or picked up last; None after another edit of the drawing."""
+        """Number of the mark made or selected last; None after another edit of the drawing."""
         if self._model.drawing is not self._numbered:
             self._selected = None
         return self._selected
@@ -183,7 +183,7 @@ class Tool(ABC):
 
     @property
     def mark_settings(self) -> ToolSettings | None:
-        """Settings of the selected mark that `change` would change; None without a mark."""
+        """Settings of the selected mark that `change` can set; None without a mark."""
         mark = self.mark
         if mark is None:
             return None
@@ -197,7 +197,7 @@ class Tool(ABC):
         self._numbered, self._selected = self._model.drawing, number
 
     def pick(self, number: int | None) -> None:
-        """Select the mark that the user picked up on the canvas; None if there was none."""
+        """Select the mark that the user clicked on the canvas; None if there was none."""
         self.select(number)
 
     def remove(self) -> bool:
@@ -210,7 +210,7 @@ class Tool(ABC):
         return True
 
     def change(self, settings: ToolSettings) -> None:
-        """Apply changed settings to the selected mark, whose place stays."""
+        """Apply changed settings to the selected mark, without moving it."""
         mark, number, changed = self.mark, self.selected, self._changed(settings)
         if number is None or changed is None or self.is_dragging:
             return
@@ -226,7 +226,7 @@ class Tool(ABC):
     # Edits within a drag
 
     def _show(self, drawing: Drawing, number: int) -> None:
-        """Show the drawing with the mark that is being dragged, and select that."""
+        """Show the drawing with the mark that is being dragged, and select this mark."""
         self._numbered, self._selected = drawing, number
         self._model.update_drawing(drawing)
         # The model keeps its own object if the drawing is equal.

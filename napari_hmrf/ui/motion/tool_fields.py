@@ -1,4 +1,4 @@
-"""Fields of the tools: those of the current tool are visible."""
+"""Fields of the tools; only those of the current tool are visible."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SURE = (
     "How sure that is. 1: tissue is held exactly. Below, it slips where holding it would strain "
     "it by more than about that"
 )
-#: Attribute of a mark that a field sets, where its name differs from that of the field.
+#: Attribute of a mark that a field sets, if their names differ.
 _ATTRIBUTES = {"sure": "confidence", "material": "label"}
 #: Fields of a displacement, along the rows and the columns.
 _STEPS = ("by_row", "by_col")
@@ -32,7 +32,8 @@ class ToolFields(Container):
     Attributes
     ----------
     radius, by_row, by_col, amount, confidence, sure, softness, components, preset, material
-        Widgets. The `fields` of a tool name those it needs; `preset` is shown with `material`.
+        Widgets. The `fields` of a tool name the ones that it uses; `preset` is shown with
+        `material`.
     """
 
     def __init__(self) -> None:
@@ -78,13 +79,13 @@ class ToolFields(Container):
         for choices in (self.preset, self.components):
             narrow(choices)
         self._own_table = False
-        # Each field is named after its attribute, by which the tools refer to it.
+        # Tools refer to a field by its name, which is that of the attribute.
         fields = {name: each for name, each in vars(self).items() if isinstance(each, Widget)}
         for name, field in fields.items():
             field.name = name
         super().__init__(widgets=[*fields.values()])
         lengths = (self.radius, self.by_row, self.by_col, self.amount)
-        for field in lengths:  # an unfinished number is not a length
+        for field in lengths:  # emit no value while a number is being typed
             field.native.setKeyboardTracking(False)
         self.margins = (0, 0, 0, 0)
         self._tool = BY_NAME["pull"]
@@ -118,7 +119,7 @@ class ToolFields(Container):
 
     @property
     def words(self) -> str:
-        """Effect of the visible tool, in a few words."""
+        """Short description of the visible tool and its settings."""
         words, which = self._tool.title, self.components.value
         if self._has_step:
             *deep, row, col = self._by
@@ -140,7 +141,7 @@ class ToolFields(Container):
         self.preset.visible = "material" in tool.fields and not self._own_table
 
     def show_settings(self, settings: ToolSettings) -> None:
-        """Show the settings of the selected mark, without changing it; other fields stay."""
+        """Show the settings of the selected mark, without changing the mark or other fields."""
         values: dict[str, Any] = dict(settings)
         if "by" in settings:
             *_, values["by_row"], values["by_col"] = self._ways.seen(settings["by"])
@@ -156,7 +157,7 @@ class ToolFields(Container):
     def begin_with(self, radius: float, step: float) -> None:
         """Set lengths that suit an image, so that the tool Grow has an effect at once.
 
-        A displacement has a direction, which has no good default: it stays 0 until it is given.
+        A displacement has no good default direction, so it stays 0 until the user sets it.
         """
         self.radius.value = radius
         self.amount.value = self.amount.value or step
@@ -164,7 +165,7 @@ class ToolFields(Container):
     def show_place(self, unit: str, ways: Directions) -> None:
         """Show the unit of lengths and the directions of the rows and columns.
 
-        The displacement along the rows and columns stays; its words and signs in the fields change.
+        The displacement of the tissue stays the same; its labels and signs in the fields change.
         """
         by, steps = self._by, (self.by_row, self.by_col)
         turned, self._ways = ways != self._ways, ways
@@ -190,7 +191,7 @@ class ToolFields(Container):
         labels = [label for _, label in choices]
         before = self.material.value
         with self.material.changed.blocked():
-            # Without this, magicgui would put the choices that stay first.
+            # Otherwise magicgui would move the remaining choices to the front.
             self.material.choices = []
             self.material.choices = choices
             # The default is the last deformable tissue, as tables begin with common tissues.

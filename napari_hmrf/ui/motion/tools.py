@@ -1,4 +1,4 @@
-"""List of the tools: a new one is added here."""
+"""List of all tools; a new tool is added here."""
 
 from __future__ import annotations
 

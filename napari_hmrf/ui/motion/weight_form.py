@@ -1,4 +1,4 @@
-"""The weight of tissue: which way all of it is pulled, and how strongly."""
+"""Form for the weight of tissue: direction and size of a body force."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from magicgui.widgets import ComboBox, Container, FloatSpinBox
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.ui.forms import narrow
 
-#: Water's, in kPa / mm.
+#: Weight of water per volume, in kPa / mm.
 _WATER = 0.00981
 Step = tuple[float, ...]
 
 
 class WeightForm(Container):
-    """A direction, and a force per volume along it.
+    """Form for a direction and the force per volume along it.
 
     Attributes
     ----------
     way : ComboBox
-        A step in the order of the axes of the image; () where tissue has no weight.
+        Unit vector in the order of the axes of the image; () if tissue has no weight.
     amount : FloatSpinBox
-        In the unit of stiffness per length.
+        Force per volume, in the unit of stiffness per length.
     value : tuple of float
-        Both as one vector.
+        Force per volume as a vector, in the order of the axes; () if there is none.
     """
 
     def __init__(self) -> None:
@@ -41,7 +41,7 @@ class WeightForm(Container):
         self.amount = FloatSpinBox(name="amount", max=1e6, step=0.001, tooltip=tip)
         super().__init__(widgets=[self.way, self.amount])
         self.amount.native.setDecimals(5)
-        self.amount.native.setKeyboardTracking(False)  # "0." is no weight yet
+        self.amount.native.setKeyboardTracking(False)  # "0." is not a complete number
         self.amount.value = _WATER
         self.margins = (0, 0, 0, 0)
         self.way.changed.connect(self._show)
@@ -49,7 +49,7 @@ class WeightForm(Container):
 
     @property
     def value(self) -> Step:
-        """What pulls at each part of tissue, in the order of the axes; () if nothing does."""
+        """Force per volume, in the order of the axes of the image; () if there is none."""
         return tuple(self.amount.value * step for step in self.way.value)
 
     @value.setter
@@ -59,9 +59,9 @@ class WeightForm(Container):
         self.amount.value = size or self.amount.value
 
     def show_place(self, unit: str, ways: Directions, stiffness: str) -> None:
-        """Offer the ways of the screen or the patient, and say in which unit it is.
+        """Show the unit of the force, and directions of the screen or the patient.
 
-        What pulls tissue stays its own direction, however the image is turned.
+        The direction relative to the tissue does not change if the image is turned.
         """
         self.amount.label = f"{stiffness or 'relative'} / {unit}"
         if ways != self._ways:

@@ -1,1 +1,1 @@
-"""The part of the dock that shows the result."""
+"""Display of the result in the dock and the viewer."""

@@ -20,10 +20,10 @@ from napari_hmrf.ui.result.result_messages import FULL
 
 
 class UnderCursor:
-    """Reader of a result at the cursor, which appends the values to napari's status text.
+    """Values of a result at the cursor, appended to napari's status text.
 
-    Only the one pixel is computed. Napari queries its layers in a thread of its own, at most as
-    fast as that can answer; this class adds one lookup to each answer.
+    Only one pixel is computed. napari queries its layers in a separate thread, only as often as
+    that thread can respond; this class adds one lookup to each response.
 
     Parameters
     ----------
@@ -43,15 +43,15 @@ class UnderCursor:
         self._viewer.events.status.disconnect(self.say)
 
     def look(self) -> None:
-        """Refresh the values below a resting mouse, after the displayed tissue has changed."""
+        """Refresh the values below the mouse after the displayed tissue has changed."""
         cursor = self._viewer.cursor
         cursor.events.position(value=cursor.position)  # napari reads its layers again
         self.say()
 
     def at(self, position: Any) -> Probe | None:
-        """Return the deformation of the visible tissue at a point of the world.
+        """Return the deformation of the visible tissue at a point in world coordinates.
 
-        Returns None outside tissue, and while the tissue is moving: the result is then out of date.
+        Returns None outside tissue, and while the tissue moves, as the result is then out of date.
 
         Parameters
         ----------
@@ -66,46 +66,46 @@ class UnderCursor:
         return None if place is None else shown.points.at(place, shown.layers.percent / FULL)
 
     def line_at(self, position: Any) -> str:
-        """Describe the deformation at a point of the world in words; "" outside tissue."""
-        found, shown = self.at(position), self._shown()
-        if found is None or shown is None:
+        """Describe the deformation at a point in world coordinates; "" outside tissue."""
+        probe, shown = self.at(position), self._shown()
+        if probe is None or shown is None:
             return ""
         answer, overlay = shown.answer, shown.overlay
         ways = ways_of(answer.frame, self._viewer)
-        more = [_stiffness(shown, found)]
+        more = [_stiffness(shown, probe)]
         if overlay is not None and overlay.picture is not None and overlay.name in QUANTITIES:
             title, unit = title_and_unit(overlay.name, answer.solution)
             if unit == "%":  # other quantities are in every line anyway
-                strain = rounded(float(overlay.picture[found.site]))
+                strain = rounded(float(overlay.picture[probe.site]))
                 more.insert(0, f"{title} {strain:g} %")
-        return at_point(answer.unit, found, ways, more, shown.percent)
+        return at_point(answer.unit, probe, ways, more, shown.percent)
 
     def say(self, *_: Any) -> None:
         """Append the values under the cursor to napari's latest status text."""
         status = self._viewer.status
         known = status if isinstance(status, dict) else {"coordinates": status}
-        said = str(known.get("coordinates", "")).removesuffix(self._line)
-        # napari reports its layers even before the mouse was on the canvas; and when the mouse
-        # leaves, it reports an empty text before it updates `mouse_over_canvas`.
-        pointed = bool(said) and self._viewer.mouse_over_canvas
-        line = self.line_at(self._viewer.cursor.position) if pointed else ""
+        text = str(known.get("coordinates", "")).removesuffix(self._line)
+        # napari also emits a status before the mouse was ever on the canvas. When the mouse leaves,
+        # it emits an empty text before it updates `mouse_over_canvas`.
+        is_over_canvas = bool(text) and self._viewer.mouse_over_canvas
+        line = self.line_at(self._viewer.cursor.position) if is_over_canvas else ""
         self._line = f"  |  {line}" if line else ""
-        joined = said + self._line
-        now = {**known, "coordinates": joined} if known is status else joined
+        joined = text + self._line
+        new_status = {**known, "coordinates": joined} if known is status else joined
         with self._viewer.events.status.blocker(self.say):
-            self._viewer.status = now
+            self._viewer.status = new_status
 
 
-def _stiffness(shown: MovingLayers, found: Probe) -> str:
-    """Describe the solved tissue and its stiffness; "" if a file does not record them."""
+def _stiffness(shown: MovingLayers, probe: Probe) -> str:
+    """Describe the solved tissue and its stiffness; "" if the result does not record them."""
     answer = shown.answer
     if answer.problem is None:
         return ""
-    value, unit = answer.problem.stiffness[found.site], stiffness_unit(answer)
+    value, unit = answer.problem.stiffness[probe.site], stiffness_unit(answer)
     labels, rows = answer.pictures.labels, tissue_recorded(shown.arrows)[0] or ()
-    # A brush may have painted another tissue than the label's.
+    # A brush may have painted another tissue than that of the label.
     same = [row for row in rows if np.float32(row.stiffness) == value]
-    same.sort(key=lambda row: labels is None or row.label != labels[found.site])
+    same.sort(key=lambda row: labels is None or row.label != labels[probe.site])
     if not same:
         return stiffness_of("", float(f"{value:.3g}"), unit)
     return stiffness_of(same[0].name, same[0].stiffness, unit)

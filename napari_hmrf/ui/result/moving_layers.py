@@ -35,7 +35,7 @@ _STEP = 2
 class MovingLayers:
     """Layers of a result, which can be shown at any percentage of its deformation.
 
-    The user sets the length of the arrows at 100 % in napari's controls of their layer.
+    The user sets the length of the arrows at 100 % in napari's layer controls.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class MovingLayers:
         self._length = arrows.length
 
     def copy_image(self) -> None:
-        """Copy the current pixels of the image, to move them.
+        """Copy the current pixels of the image, which are then deformed.
 
         Raises
         ------
@@ -104,7 +104,7 @@ class MovingLayers:
     def ready(self) -> bool:
         """Add the layer of the moving image, if needed; return whether any layer can move."""
         if self.image is not None:
-            if self.layers.layer("image") is None:  # undeformed at first
+            if self.layers.layer("image") is None:  # it begins undeformed
                 look, name = look_of(self.source), self.source.name
                 made = self.answer.layer("image", self.image, "deformed", look, source=name)
                 made.attributes["metadata"][METADATA]["percent"] = 0
@@ -125,9 +125,9 @@ class MovingLayers:
         self.draw_arrows(percent)
 
     def draw_arrows(self, percent: int) -> None:
-        """Scale the arrows to a percentage of their length; their data stay."""
+        """Scale the displayed length of the arrows; their data do not change."""
         if (arrows := self.layers.layer("arrows")) is not None:
-            # The user may have set another length.
+            # The user may have changed the length.
             if self.percent and arrows.length != self._length * self.percent / FULL:
                 self._length = arrows.length * FULL / self.percent
             arrows.length = self._length * percent / FULL
@@ -185,7 +185,7 @@ class Player:
             self.playing_changed.emit(False)
 
     def show(self, percent: int) -> None:
-        """Draw a percentage: at once if it is cached, else when it is computed."""
+        """Draw the layers at a percentage: at once if cached, else after the computation."""
         if (shown := self._shown()) is None:
             return
         if (moment := shown.motion.known(percent / FULL)) is not None:
@@ -200,12 +200,12 @@ class Player:
         self.drawn.emit()
 
     def _on_tick(self) -> None:
-        # The slider waits for the picture, so that both always agree.
+        # The slider moves only after the last picture is drawn, so that both agree.
         if (shown := self._shown()) is None or self._jobs.busy("moment"):
             return
         along = (time.monotonic() - self._started) / SECONDS % 2
         part = along if along <= 1 else 2 - along
-        # Steps so small that all pictures fit into the cache, but no smaller.
+        # Smallest step for which all pictures fit into the cache.
         step = max(_STEP, math.ceil(FULL * shown.motion.finest))
         percent = min(FULL, round(FULL * part / step) * step)
         if percent != shown.percent:

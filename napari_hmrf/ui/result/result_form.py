@@ -1,4 +1,4 @@
-"""The part of the dock that shows what came out."""
+"""Form for the display of the result."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from napari_hmrf.ui.forms import Prose, narrow, row
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
 from napari_hmrf.ui.result.result_messages import NOTHING, OVERLAY_TIP, overlay_choices
 
-#: What is held to see the image as it was.
+#: Key that shows the undeformed image while it is held.
 BEFORE_KEY = "Shift-B"
 PLAY, PAUSE = "Play", "Pause"
 
 
-class _JumpThere(QProxyStyle):
-    """Has a slider go to where it is clicked, not a page towards it."""
+class _JumpStyle(QProxyStyle):
+    """Style of sliders that jump to the clicked place instead of moving by a page."""
 
     def styleHint(self, hint: Any, option: Any = None, widget: Any = None, data: Any = None) -> int:
         if hint == QStyle.StyleHint.SH_Slider_AbsoluteSetButtons:
@@ -30,27 +30,27 @@ class _JumpThere(QProxyStyle):
 
 
 class ResultForm(Container):
-    """How much of the deformation is seen, what of it is drawn, and with what it is compared.
+    """Form for the percentage of the deformation, its overlay, and comparisons.
 
     Parameters
     ----------
     layers : callable
-        The layers there are.
+        Returns the layers of the viewer.
     image : LayerChoice
-        What is deformed.
+        Menu of the image to deform.
     """
 
     def __init__(self, layers: Callable[[], list[Any]], image: LayerChoice) -> None:
-        # Those of the result that is looked at, which is not compared with itself.
+        # Arrows of the displayed result, which cannot be its own reference.
         self._own_arrows: Any = None
         self.slider = Slider(
             value=100,
             max=100,
             readout=False,
-            tooltip="How much of the displacement the tissue has moved by: 0 % is the image as it "
-            "was, 100 % the result",
+            tooltip="Displayed part of the displacement: 0 % is the image as it was, 100 % the "
+            "result",
         )
-        self._style = _JumpThere()  # Qt keeps no reference to it
+        self._style = _JumpStyle()  # Qt keeps no reference to it
         self.slider.native.findChild(QSlider).setStyle(self._style)
         self.play = PushButton(text=PLAY, tooltip="Go back and forth between 0 and 100 %")
         self.before = PushButton(
@@ -95,15 +95,15 @@ class ResultForm(Container):
         self.more.setToolTip(
             "Measurements, other layers moved along, fields for other tools, films"
         )
-        kept = row(self.save, self.keep)
-        kept.native.layout().addWidget(self.more)
+        buttons = row(self.save, self.keep)
+        buttons.native.layout().addWidget(self.more)
         super().__init__(
             widgets=[
                 Container(widgets=[self.slider], labels=False),
                 self.how_far,
                 row(self.play, self.before),
                 Container(widgets=[self.overlay, self.reference, self.second]),
-                kept,
+                buttons,
                 self.landmarks,
             ],
             labels=False,
@@ -113,7 +113,7 @@ class ResultForm(Container):
                 part.margins = (0, 0, 0, 0)
 
     def offer(self, arrows: Any) -> None:
-        """Let be used what takes a result, if these arrows hold one; a study is saved without."""
+        """Enable the widgets that need a result; `arrows` are those of the result, or None."""
         self._own_arrows = arrows
         self.reference.reset_choices()
         for part in (self.slider, self.play, self.before, self.overlay, self.save):

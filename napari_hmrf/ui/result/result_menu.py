@@ -1,4 +1,4 @@
-"""Further outputs of a result: pictures, numbers, fields, and other layers moved with it."""
+"""Further outputs of a result: pictures, numbers, fields, and other layers moved along."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_form import ResultForm
 from napari_hmrf.ui.result.result_messages import NO_FORCES, NO_IMAGE, NO_RESULT, SAVING, saved
 
-# Full width of the layout.
+# Alignment over the full width of the layout.
 _ANYWHERE = Qt.AlignmentFlag(0)
 _FOR_IMAGES = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
 _FOR_POINTS = "Fields (*.mha *.nrrd *.nii.gz)"
@@ -48,7 +48,7 @@ _WITH_IT = (
 class ResultMenu:
     """Menu and buttons for further outputs of the displayed result.
 
-    Long tasks run while the window stays responsive; their outcome is reported as a message.
+    Long tasks run in the background; their outcome is reported as a message.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class ResultMenu:
         Called with each message.
     """
 
-    #: Pictures were written: a list of `Path`.
+    #: Pictures were written; emitted with a list of `Path`.
     saved = Signal(object)
 
     def __init__(
@@ -109,20 +109,39 @@ class ResultMenu:
         """
         shown = self._shown
         answer = shown.answer
-        made = f"{answer.pictures.name or 'result'} pictures" if own_folder else ""
-        what = Path(folder), answer.solution, shown.image, answer.unit, made
+        subfolder = f"{answer.pictures.name or 'result'} pictures" if own_folder else ""
+        arguments = Path(folder), answer.solution, shown.image, answer.unit, subfolder
         self._say(SAVING)
-        self._jobs.submit(f"{folder}", partial(write_result_pictures, *what), self._on_saved)
+        self._jobs.submit(f"{folder}", partial(write_result_pictures, *arguments), self._on_saved)
 
     def save_field(self, path: str | Path, *, forward: bool = False) -> None:
-        """Write the field for other tools; a message gives the accuracy of its inverse."""
+        """Write the field for other tools; a message gives the accuracy of its inverse.
+
+        Parameters
+        ----------
+        path : str or Path
+        forward : bool
+            If True, write the field that maps original positions to deformed ones; otherwise its
+            inverse, which most tools need to resample images.
+
+        Raises
+        ------
+        HmrfError
+            If there is no result.
+        """
         field = FieldFile.of(self._shown.answer.solution)
         self._jobs.submit(
             f"{path}", partial(write_field_file, path, field, forward=forward), self._say
         )
 
     def save_film(self, path: str | Path) -> None:
-        """Write a film of the image as it moves, there and back; as `write_movie`."""
+        """Write a film of the image moving back and forth, as `write_movie`.
+
+        Raises
+        ------
+        HmrfError
+            If there is no result, or no image on its pixels.
+        """
         shown = self._shown
         if shown.image is None:
             raise HmrfError(NO_IMAGE)
@@ -146,7 +165,7 @@ class ResultMenu:
             names = ", ".join(f"'{each.attributes['name']}'" for each in made)
             self._say(f"Moved along: {names}.")
 
-        kind = f"{[layer.name for layer in layers]} moved along"  # one kind per selection
+        kind = f"{[layer.name for layer in layers]} moved along"  # one kind of job per selection
         self._jobs.submit(kind, lambda: [move() for move in movers], add)
 
     def release(self) -> None:
@@ -160,7 +179,7 @@ class ResultMenu:
         return shown
 
     def _add(self, layer: Any, made: LayerData) -> None:
-        """Show a moved layer in place of the one of an earlier result."""
+        """Show a moved layer; it replaces the moved copy of an earlier result."""
         layers, name = self._viewer.layers, made.attributes["name"]
         with same_selection(self._viewer):
             if name in layers and known_of(layers[name]).get("kind") == MOVED:
@@ -218,7 +237,7 @@ class ResultMenu:
         button.clicked.connect(lambda _: ask())
 
     def _show_forces(self) -> None:
-        """Show the forces that hold and move tissue, once they are computed."""
+        """Compute the forces that hold and move tissue, and show them in a table."""
         answer = self._shown.answer
         if answer.forces is None:
             raise HmrfError(NO_FORCES)
@@ -234,15 +253,17 @@ class ResultMenu:
         self, title: str, words: tuple[list[str], list[list[str]]], *below: QtWidgets.QWidget
     ) -> None:
         """Show a table in a separate window, with a note and buttons below."""
-        seen = QtWidgets.QDialog(self._button.window(), windowTitle=title)
-        seen.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        table, layout = _table_of(*words), QtWidgets.QVBoxLayout(seen)
+        dialog = QtWidgets.QDialog(self._button.window(), windowTitle=title)
+        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        table, layout = _table_of(*words), QtWidgets.QVBoxLayout(dialog)
         layout.addWidget(table)
         for each in below:
-            aside = isinstance(each, QtWidgets.QPushButton)
-            layout.addWidget(each, alignment=Qt.AlignmentFlag.AlignRight if aside else _ANYWHERE)
-        seen.resize(table.horizontalHeader().length() + 40, 132 + 32 * table.rowCount())
-        seen.show()
+            is_button = isinstance(each, QtWidgets.QPushButton)
+            layout.addWidget(
+                each, alignment=Qt.AlignmentFlag.AlignRight if is_button else _ANYWHERE
+            )
+        dialog.resize(table.horizontalHeader().length() + 40, 132 + 32 * table.rowCount())
+        dialog.show()
 
     def _ask(self, save: Callable[[str], Any], title: str, name: str, kinds: str) -> None:
         path, _ = QtWidgets.QFileDialog.getSaveFileName(self._button, title, name, kinds)

@@ -69,7 +69,7 @@ OVERLAY_TIP = (
 def overlay_choices(
     unit: str, ways: Directions = _UPRIGHT, compared: bool = False
 ) -> list[tuple[str, str]]:
-    """List the overlays as pairs of label and name; `compared` adds that of the reference."""
+    """Return pairs of label and name of all overlays; `compared` adds the difference."""
     rows, columns = (
         f"{ways.both(axis)} ({name})" if ways.both(axis) else f"along {name}"
         for axis, name in enumerate(("rows", "columns"))
@@ -82,7 +82,7 @@ def overlay_choices(
 def how_far(
     result: Answer, longest: float, percent: int, compared: Comparison | None = None
 ) -> str:
-    """Describe the displayed deformation, its slice, and its distance to a reference."""
+    """Describe the displayed deformation, its slice, and its difference from a reference."""
     far = as_seen(longest * percent / FULL, result.solution.spacing)
     where = f" in {result.frame.slice_seen}" if result.frame.slice_seen else ""
     moved = f"{percent} %: tissue moved up to {far:.3g} {result.unit}{where}"
@@ -92,5 +92,5 @@ def how_far(
 
 
 def saved(paths: Sequence[Path]) -> str:
-    """Report which pictures were written, and where."""
+    """Report the names and the folder of written pictures."""
     return f"Saved in {paths[0].parent}: {', '.join(path.name for path in paths)}."

@@ -16,7 +16,7 @@ from napari_hmrf.layers.metadata import known_of
 from napari_hmrf.layers.result_layers import Name, Overlay, overlay_of
 from napari_hmrf.layers.screen_directions import ways_of
 from napari_hmrf.ui.background_jobs import BackgroundJobs
-from napari_hmrf.ui.events import Listening
+from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.forms import attempt
 from napari_hmrf.ui.result import result_messages as words
 from napari_hmrf.ui.result.cursor import UnderCursor
@@ -40,19 +40,19 @@ class ResultView:
     Attributes
     ----------
     arrows : napari.layers.Vectors or None
-        Arrows that hold the selected result: by default the newest one.
+        Arrows with the selected result, by default the newest one.
     """
 
     #: Message for the user.
     said = Signal(str)
-    #: Another result has been selected, or none, or the selected one has changed.
+    #: The selected result, or its state, has changed.
     looked = Signal()
 
     def __init__(self, native: Any, viewer: Any, form: ResultForm, results: ResultLayers) -> None:
         self._viewer, self._form, self._results = viewer, form, results
         self._jobs = BackgroundJobs(self.said.emit)
         self.shown: MovingLayers | None = None
-        #: Difference between the result and its reference, if one is chosen.
+        #: Difference between the result and its reference, or None.
         self.comparison: Comparison | None = None
         self.cursor = UnderCursor(viewer, lambda: self.shown)
         self.player = Player(native, self._jobs, lambda: self.shown)
@@ -68,16 +68,16 @@ class ResultView:
         self.player.playing_changed.connect(
             lambda playing: setattr(form.play, "text", PAUSE if playing else PLAY)
         )
-        self._events = Listening(
+        self._events = EventConnections(
             (viewer.layers.events.inserted, self._on_inserted),
             (viewer.layers.events.removed, self._on_removed),
             (viewer.layers.selection.events.active, self._on_active),
             (results.changed, self._on_changed),
         )
-        with suppress(ValueError):  # bound by another plugin
+        with suppress(ValueError):  # another plugin has bound the key
             viewer.bind_key(BEFORE_KEY, self._while_key_is_held)
-        found = [layer for layer in viewer.layers if result_of(layer) is not None]
-        self.arrows = max(reversed(found), key=lambda each: results.of(each).visible, default=None)
+        arrows = [layer for layer in viewer.layers if result_of(layer) is not None]
+        self.arrows = max(reversed(arrows), key=lambda each: results.of(each).visible, default=None)
 
     # State
 
@@ -103,14 +103,14 @@ class ResultView:
 
     @arrows.setter
     def arrows(self, arrows: Any) -> None:
-        """Select the result that a layer of arrows holds, in its current state."""
+        """Select the result that a layer of arrows holds."""
         before = self.shown
         answer, shown = None if arrows is None else result_of(arrows), None
         if answer is not None:
             shown = MovingLayers(self._viewer, arrows, answer, self._results.of(arrows))
         other = before is None or shown is None or shown.layers is not before.layers
-        chosen = other or self._jobs.busy("overlay")  # a pending overlay may have been chosen
-        # A newer state of the same result does not end the view of the undeformed image.
+        chosen = other or self._jobs.busy("overlay")  # the user may have chosen a pending overlay
+        # A newer state of the same result must not hide the undeformed image.
         self._put_back(release=other)
         if before is not None and other:
             before.layers.leave()
@@ -133,8 +133,12 @@ class ResultView:
         shown, layers = self.shown, self._viewer.layers
         if shown is not None and shown.source in (None, image):
             return
-        held = ((layer, result_of(layer)) for layer in reversed(layers))
-        own = (each for each, of in held if of is not None and source_of(layers, of) is image)
+        answers = ((layer, result_of(layer)) for layer in reversed(layers))
+        own = (
+            layer
+            for layer, answer in answers
+            if answer is not None and source_of(layers, answer) is image
+        )
         self.arrows = None if image is None else next(own, None)
 
     def play(self) -> None:
@@ -143,7 +147,7 @@ class ResultView:
             self.player.play()
 
     def rest(self) -> None:
-        """Restore the layers and the key, as the dock closes."""
+        """Restore the layers and remove the key binding, as the dock closes."""
         if self._while_key_is_held in self._viewer.keymap.values():
             self._viewer.bind_key(BEFORE_KEY, None)
         self._put_back()
@@ -172,8 +176,8 @@ class ResultView:
 
             self._jobs.submit("comparison", work, self._on_compared)
 
-    def _on_compared(self, found: Comparison) -> None:
-        self.comparison = found
+    def _on_compared(self, comparison: Comparison) -> None:
+        self.comparison = comparison
         self._say_how_far()
         if self._form.overlay.value == "difference":
             self._lay_over(chosen=True)
@@ -188,7 +192,7 @@ class ResultView:
     # Selection of the result
 
     def _on_changed(self, result: Result) -> None:
-        """Respond to a change of a result, as another slice or a new solution is shown."""
+        """Respond to a change of a result, such as another slice or a new solution."""
         shown, arrows = self.shown, result.layer("arrows")
         moves = self.player.playing or self._jobs.busy("moment")
         if shown is None or result is not shown.layers:
@@ -204,7 +208,7 @@ class ResultView:
                 self._draw_whole()  # its layers were redrawn at 100 %
 
     def _on_active(self, *_: Any) -> None:
-        """Select the result whose arrows are active: of another image, slice or file."""
+        """Select the result whose arrows are active; its image, slice or file may differ."""
         active = self._viewer.layers.selection.active
         answer = None if active in (None, self.arrows) else result_of(active)
         if answer is not None and not self._results.of(active).is_away:
@@ -220,13 +224,13 @@ class ResultView:
             self.arrows = layer
         elif shown is None or shown.source in self._viewer.layers:
             return
-        elif can_be_source(layer, shown.answer):  # the image of a result that was opened
+        elif can_be_source(layer, shown.answer):  # the image of a result from a file
             self.arrows = shown.arrows
 
     def _on_removed(self, event: Any) -> None:
         if self.shown is None:
             return
-        # Layers that the dock itself removes are no longer parts of a result.
+        # Layers removed by the dock are no longer parts of a result.
         part = self.shown.layers.part_of(event.value)
         if part == "overlay":
             self._form.overlay.value = words.NOTHING
@@ -239,11 +243,11 @@ class ResultView:
 
     def _offer(self, shown: MovingLayers) -> None:
         """Offer the overlays of a result, and select the one that is shown."""
-        choice, there = self._form.overlay, shown.layers.layer("overlay")
+        choice, layer_shown = self._form.overlay, shown.layers.layer("overlay")
         with choice.changed.blocked():
             name = choice.value
-            if name == words.NOTHING and there is not None and there.visible:
-                name = known_of(there)["kind"]  # left by a dock that was closed
+            if name == words.NOTHING and layer_shown is not None and layer_shown.visible:
+                name = known_of(layer_shown)["kind"]  # left by a dock that was closed
             ways = ways_of(shown.answer.frame, self._viewer)
             compared = self._form.reference.value is not None
             if name == "difference" and not compared:
@@ -252,14 +256,16 @@ class ResultView:
             choice.value = name
 
     def _lay_over(self, chosen: bool) -> None:
-        """Draw the chosen overlay in the background; if just `chosen`, make it visible."""
+        """Draw the selected overlay in the background; with `chosen`, make it visible."""
         shown, name = self.shown, self._form.overlay.value
         if shown is None:
             return
         if name == words.NOTHING:
             self._jobs.forget("overlay")
             self._on_overlay(shown, name, False, None)
-        elif name != "difference" or self.comparison is not None:  # else after the comparison
+        elif (
+            name != "difference" or self.comparison is not None
+        ):  # otherwise drawn after the comparison
             answer = partial(self._on_overlay, shown, name, chosen)
             work = partial(overlay_of, shown.answer, name, self.comparison)
             self._jobs.submit("overlay", work, answer)
@@ -279,7 +285,7 @@ class ResultView:
     # Percentage
 
     def _can_move(self) -> bool:
-        """Prepare a layer that can move, or report why there is none; return whether one can."""
+        """Prepare layers to move, or report why there are none; return whether any can move."""
         self.before = False
         if self.shown is None:
             self.said.emit(words.NO_RESULT)
@@ -290,7 +296,7 @@ class ResultView:
         return False
 
     def _put_back(self, release: bool = True) -> None:
-        """Show the whole deformation, and drop all jobs."""
+        """Show the deformation at 100 %, and drop all jobs."""
         self._jobs.forget()
         if self.shown is not None:
             if release:
@@ -299,7 +305,7 @@ class ResultView:
         self._draw_whole()
 
     def _draw_whole(self) -> None:
-        """Stop playing, and draw the arrows of the whole deformation."""
+        """Stop playing, and draw the arrows at 100 %."""
         self.player.stop()
         self._jobs.forget("moment")
         if self.shown is not None:
@@ -313,13 +319,13 @@ class ResultView:
 
     def _say_how_far(self, *_: Any) -> None:
         """Show the percentage, the slice, and the differences."""
-        far = ""
+        text = ""
         if (shown := self.shown) is not None:
             percent = self._form.slider.value
-            far = words.how_far(shown.answer, shown.longest, percent, self.comparison)
+            text = words.how_far(shown.answer, shown.longest, percent, self.comparison)
             if shown.overlay is not None and percent == words.FULL:
-                far = ". ".join(filter(None, (far.rstrip("."), shown.overlay.beyond)))
-        self._form.how_far.say(far)
+                text = ". ".join(filter(None, (text.rstrip("."), shown.overlay.beyond)))
+        self._form.how_far.say(text)
 
     # Buttons and events
 

@@ -455,7 +455,7 @@ def test_a_first_curve_is_that_of_the_slice_that_is_shown(widget):
     viewer.dims.set_current_step(0, 1)
     assert widget.tissue_from_intensity().points[-1][0] < 64
     viewer.dims.set_current_step(0, 0)
-    widget._form.tissue.editor.anew.native.click()
+    widget._form.tissue.editor.guess.native.click()
     assert widget.curve.points[-1][0] > 100
 
 
@@ -488,7 +488,7 @@ def test_a_layer_with_a_curve_of_former_times_is_an_image_of_stiffness(widget):
 def test_start_anew_is_a_step_of_its_own(widget):
     widget._viewer.add_image(grey(), name="MR")
     widget.tissue_from_intensity(CURVE)
-    widget._form.tissue.editor.anew.native.click()
+    widget._form.tissue.editor.guess.native.click()
     assert widget.curve != CURVE
     widget.undo()
     assert widget.curve == CURVE
