@@ -206,12 +206,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         intro = (
             f"# Damaged exchange files\n\nMade by `make damaged`: {options.files} versions of each "
             f"kind, seed {options.seed}, {platform.system()}, Python {platform.python_version()}. "
-            "Two fifths have bits flipped anywhere, a fifth in the first 600 bytes, a fifth are "
-            "cut short, and of a fifth a block is missing, blank, noise, doubled or from elsewhere "
-            "in the file. All are read by one process, which survives all of them: libraries that "
-            "crash or hang do so in a process of their own.\n\n*Ours* are fields of `write_field`, "
-            "which carry a digest, and landmarks, which are text without one. *Foreign* fields are "
-            "SimpleITK's own, without a digest: flips in their numbers cannot be told.\n\n"
+            "Two fifths have bits flipped anywhere, a fifth in the first 600 bytes, and a fifth "
+            "are cut short. In the last fifth a block is missing, blank, noise, doubled or from "
+            "elsewhere in the file. One process reads all of them and survives: libraries that "
+            "crash or hang run in a separate process.\n\n*Ours* are fields of `write_field`, which "
+            "carry a digest, and landmarks, which are text without one. *Foreign* fields are those "
+            "of SimpleITK, without a digest: flips in their numbers cannot be detected.\n\n"
         )
         options.page.write_text(intro + "\n".join(lines) + "\n", encoding="utf-8")
     return int(bool(wrong))

@@ -399,10 +399,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"{wrong} of {len(lines) - 2} went wrong")
     if options.page:
         intro = (
-            "# Full disks\n\nMade by `make disks`. Each function and command that writes runs over "
+            "# Full disks\n\nMade by `make disks`. Each writing function and command overwrites "
             "its own earlier files. *Refused*: one error names a file and the reason, every "
-            "earlier file is as it was, and nothing is left beside them. *Written*: the folder for "
-            "temporary files plays no part.\n\n"
+            "earlier file is unchanged, and no other file is left. *Written*: the folder for "
+            "temporary files is not used.\n\n"
         )
         options.page.write_text(intro + "\n".join(lines) + "\n", encoding="utf-8")
     return int(bool(wrong))

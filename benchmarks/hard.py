@@ -258,38 +258,36 @@ def write_page(path: Path, found: Sequence[Row]) -> None:
     page = Section("Hard tissue")
     busy = load()
     page.say(
-        f"""Made by `make hard`; every row's solvers ran one after the other.
-        {machine()}. {time.strftime("%Y-%m-%d")}{f", load at the end {busy:.1f}" if busy else ""}.
-        """
+        f"""Made by `make hard`; the solvers of each row ran one after the other. {machine()}.
+        {time.strftime("%Y-%m-%d")}{f", load at the end {busy:.1f}" if busy else ""}."""
     )
     page.say(
-        f"""**Asked.** How does elastic tissue (plane stress, Poisson's ratio {PRIOR.poisson}) of
-        every shape and contrast fare, beside the two programs that one would take instead? *noise*
-        is a threshold of noise smoothed by so many pixels; *ribs* are ribs and vertebrae with void
-        gaps; *fibres* are one pixel wide; in *expansion* and *mass-effect* the logarithms of the
-        phantom's stiffnesses are stretched to the contrast, of which 4 is the phantom as it is.
-        The first and the last row are held and the last is pushed by {PUSH} px; the phantoms move
-        as they do. Of problems that are the same, such as most of contrast 1, the first counts
-        alone."""
+        f"""**Question.** How fast and how accurate is elastic tissue (plane stress, Poisson's
+        ratio {PRIOR.poisson}) of every shape and contrast, compared with the two usual programs?
+        *noise* is a threshold of noise smoothed by that many pixels; *ribs* are ribs and
+        vertebrae with void gaps; *fibres* are one pixel wide; in *expansion* and *mass-effect*
+        the logarithms of the phantom's stiffnesses are stretched to the contrast; 4 is the
+        unchanged phantom. The first and the last row are held, and the last is pushed by {PUSH}
+        px; the phantoms move as they do. If several problems are the same, such as most of
+        contrast 1, only the first counts."""
     )
     page.say(
-        f"""**Measured.** *Ours* is `solve` at its default tolerance, from a `Problem` to a
-        displacement, of tissue not seen before, with its kernels compiled. The others' times have
-        the assembly of the matrix in them, which adds slices of the image up into blocks of 2 x 2,
-        without triplets to sort. PyAMG: smoothed aggregation with the three rigid-body modes and
-        conjugate gradients, by the setting that did best of 18 (`{SETTING}`); it
-        stops by the loosest of the relative residuals 0.1, 0.01, ... (in brackets) at which its
-        true error is within {WITHIN} px, *fails* if it is not there after 300 iterations, and is
-        *later* if SuperLU would have been done before it was.
-        SuperLU: symmetric mode, minimum degree, no pivoting. Seconds are the median of three where
-        they are below one; MB is the peak of memory over what the process had before. An error is
-        the distance in pixels of the site that is furthest from the exact field: that of SuperLU
-        refined with a residual from displacement differences in extended precision until it does
-        not change by a millionth of a pixel. *Ratio*: our seconds, where we get there,
-        over those of the better peer that does."""
+        f"""**Method.** *Ours* is `solve` at its default tolerance, from a `Problem` to a
+        displacement, with new tissue and compiled kernels. The times of the others include the
+        assembly of the matrix, which adds slices of the image up into blocks of 2 x 2, without
+        triplets to sort. PyAMG: smoothed aggregation with the three rigid-body modes and
+        conjugate gradients, with the best of 18 settings (`{SETTING}`). It stops at the loosest
+        of the relative residuals 0.1, 0.01, ... (in brackets) at which its true error is within
+        {WITHIN} px. It *fails* if it needs more than 300 iterations, and is *later* if SuperLU
+        would have finished before. SuperLU: symmetric mode, minimum degree, no pivoting. Seconds
+        are the median of three if they are below one; MB is the peak of memory minus the memory
+        before. An error is the distance, in pixels, of the worst site from the exact field: that
+        of SuperLU, refined with a residual from displacement differences in extended precision
+        until it changes by less than a millionth of a pixel. *Ratio*: our seconds, if we
+        succeed, divided by those of the better peer that succeeds."""
     )
     page.blocks.append("\n".join(f"- {line}" for line in summary(found)))
-    page.say("What there is to beat, over all cases: the least, the median and the most.")
+    page.say("""Times to beat, over all cases: the smallest, the median and the largest.""")
     page.table(PEERS_HEADER, peers(found))
     page.table(HEADER, [row.cells for row in found])
     text = str(page).replace("## ", "# ", 1)

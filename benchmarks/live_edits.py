@@ -47,7 +47,7 @@ _KINDS = ("pull", "move", "let go", "confidence", "stiffness", "penalty", "poiss
 _SHARES = (0.14, 0.4, 0.05, 0.08, 0.1, 0.06, 0.04, 0.13)
 _PAGE = """# Live edits against cold solves
 
-The live solver begins each solve with what it found before. `make edits` compares its answers with
+The live solver starts each solve from its earlier results. `make edits` compares its answers with
 cold solves at a tolerance of {cold:g} px.
 
 {report}

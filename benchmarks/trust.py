@@ -43,8 +43,8 @@ from napari_hmrf.errors import Cancelled, ConvergenceError, HmrfError, ProblemEr
 KINDS = {
     "wrong": "further from the exact field than three times the tolerance",
     "reported": "further from it than three times the reported error, and 1e-4 px",
-    "refused": "refused, though it has one answer",
-    "free": "answered otherwise than by the least motion, though tissue is free to move",
+    "refused": "refused, though it has a unique answer",
+    "free": "not the field of least motion, though tissue is free to move",
     "crashed": "ended with an exception that is not the package's own, or with no numbers",
     "late": "not answered in time",
 }
@@ -66,10 +66,10 @@ RIGHT = {
 }
 _PAGE = """# Random problems against exact solutions
 
-Problems of 1 to 64 pixels a side are drawn at random: tissue, void, observations, pixels, penalties
-and contrasts up to 1e7 of every kind. The package solves them, and so does a direct solution of the
-same equations in 32 digits (`benchmarks/exact`), which shares no code with it. This page is what
-`make trust PAGE=docs/validation/trust.md` found on {machine}.
+This campaign draws random problems of 1 to 64 pixels a side: tissue, void, observations, pixels,
+penalties and contrasts up to 1e7 of every kind. The package solves them, and so does a direct
+solution of the same equations in 32 digits (`benchmarks/exact`), which shares no code with it.
+`make trust PAGE=docs/validation/trust.md` wrote this page on {machine}.
 
 {report}
 """

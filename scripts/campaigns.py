@@ -21,8 +21,7 @@ from xml.etree import ElementTree
 ROOT = Path(__file__).resolve().parent.parent
 HEAD = """# Campaigns
 
-Tests that take long and say of further cases what a test of the suite says of some; written by
-`make campaigns`.
+Long tests that repeat a claim of a short test for further cases; written by `make campaigns`.
 
 | test | passed | skipped | failed |
 | --- | ---: | ---: | ---: |

@@ -4,6 +4,7 @@ import importlib.util
 import os.path
 import re
 import shlex
+import sys
 from pathlib import Path
 
 import pytest
@@ -67,6 +68,32 @@ def test_pages_are_sorted_into_tutorials_guides_concepts_and_reference(conf):
     assert captions[:4] == ["Tutorials", "How-to guides", "Concepts", "Reference"]
     for kind in kinds:
         assert f"{kind}/README" in menu
+
+
+def test_sentences_are_about_software_and_begin_with_their_subject(conf):
+    """Apply the rules for docstrings and messages to the pages that users read."""
+    spec = importlib.util.spec_from_file_location("words_of_pages", ROOT / "scripts" / "words.py")
+    words = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = words  # which dataclasses look up
+    spec.loader.exec_module(words)
+    folders = ("tutorials", "how-to", "concepts", "reference", "examples", "notebooks")
+    pages = [page for folder in folders for page in DOCS.glob(f"{folder}/*.md")]
+    texts = {page: read(page) for page in [*pages, DOCS / "index.md", DOCS / "method.md"]}
+    texts |= {page: conf.notebook_page(read(page)) for page in NOTEBOOKS}
+    found = []
+    for page, text in texts.items():
+        prose = re.sub(r"```.*?```|`[^`\n]*`", "", text, flags=re.DOTALL)
+        for match in [*words.PEOPLE.finditer(prose), *FRONTED.finditer(prose)]:
+            line = " ".join(prose[max(0, match.start() - 40) : match.end() + 40].split())
+            if not re.search(
+                r"napari(-hmrf)? asks|and asks for|readers who want|you do not want", line
+            ):
+                found.append(f"{name(page)}: ...{line}...")
+    assert found == []
+
+
+#: Beginnings of sentences that hide the subject.
+FRONTED = re.compile(r"(?:(?<=[.:!?] )|(?<=\n\n)|(?<=- ))(?:Whether|Have|Of (?!a patch))\b")
 
 
 def test_a_link_to_a_file_that_is_no_page_becomes_a_download(conf):

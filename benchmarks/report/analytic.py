@@ -160,14 +160,14 @@ def section(settings: Settings) -> Section:
     sizes = settings.choose((32, 64, 128, 256), (16, 32))
     found = {name: [errors(make(size), size) for size in sizes] for name, make in CASES.items()}
     page.say(
-        f"""**Asked.** How fast does the error fall with the pixel, on Lame's annulus (a ring whose
-        edges move radially) and on a disc {5} times as stiff within a disc? Three errors are told
-        apart, each relative to the field's rms. *Algebraic*: what Multigrid (tolerance 0.01 px)
-        leaves, against a direct solve of the same energy. *Discretisation*: the direct solve
-        against the exact field. *Model*: the paper's prior, solved directly, against the exact
-        field of elasticity. The circles are staircases of pixels; so that these are not what is
-        measured, the exact field is prescribed at all sites on and beyond the *outer edges*.
-        Nothing of the kind is done at the interface of the inclusion."""
+        f"""**Question.** How fast does the error fall with the pixel size? Two cases: Lame's
+        annulus (a ring whose edges move radially), and a disc {5} times as stiff within a disc.
+        Three errors are separated, each relative to the field's rms. *Algebraic*: the error that
+        Multigrid (tolerance 0.01 px) leaves, relative to a direct solve of the same energy.
+        *Discretisation*: the direct solve relative to the exact field. *Model*: the paper's
+        prior, solved directly, relative to the exact field of elasticity. The circles are
+        staircases of pixels. To exclude their effect, the exact field is prescribed at all sites
+        on and beyond the *outer edges*, but not at the interface of the inclusion."""
     )
     figure = new_figure(10, 4)
     for axes, (name, measured) in zip(figure.subplots(1, 2), found.items(), strict=True):
@@ -195,13 +195,13 @@ def section(settings: Settings) -> Section:
     page.table(["case", "error", *(f"{n} px" for n in sizes), "observed order"], rows)
     ring, disc = (observed_order(measured) for measured in found.values())
     page.say(
-        f"""**Reading.** In the interior the elastic prior is of second order, as bilinear elements
-        should be (annulus: {ring:.2f}). A material interface that is a staircase of pixels is of
-        first order at best (inclusion: {disc:.2f}), and the error of a real image's edges is of
-        that kind: no solver removes it, and a segmentation's own error is likely larger. The
-        algebraic error is what the tolerance allows, a hundredth of a pixel at most whatever the
-        size, and costs a cycle or two to make smaller. The paper's prior does not converge to
-        elasticity at all: its model error stays where it is however small the pixels."""
+        f"""**Conclusion.** In the interior the elastic prior is of second order, as bilinear
+        elements should be (annulus: {ring:.2f}). A material interface that is a staircase of
+        pixels is of first order at best (inclusion: {disc:.2f}). The edges of a real image have
+        this error, too: no solver removes it, and the error of a segmentation is probably
+        larger. The algebraic error is what the tolerance allows, at most a hundredth of a pixel
+        at any size; one or two more cycles reduce it. The paper's prior does not converge to
+        elasticity: its model error stays constant however small the pixels are."""
     )
     page.targets.append(Target("annulus: observed order", ring, 1.8, at_least=True))
     return page
@@ -215,11 +215,11 @@ def _patch(page: Section, settings: Settings) -> None:
     off = float(np.abs(found.displacement - case.exact)[case.inside].max())
     furthest = float(np.abs(case.exact).max())
     page.say(
-        f"""**Asked.** The patch test: a uniform strain on the border of a {size} x {size} image,
-        up to {furthest:.0f} px, must fill it. Largest error of any site: {off:.1e} px, after
-        {found.iterations} cycles. **Reading.** Bilinear elements reproduce uniform strain exactly;
-        what is left is the rounding of single precision, in which a displacement of {furthest:.0f}
-        px is stored to {np.spacing(np.float32(furthest)) / 2:.0e} px."""
+        f"""**Question.** The patch test: a uniform strain on the border of a {size} x {size}
+        image, up to {furthest:.0f} px, must fill it. Largest error of any site: {off:.1e} px,
+        after {found.iterations} cycles. **Conclusion.** Bilinear elements reproduce uniform
+        strain exactly. The rest is the rounding of single precision, in which a displacement of
+        {furthest:.0f} px is stored to {np.spacing(np.float32(furthest)) / 2:.0e} px."""
     )
     page.targets.append(Target(f"patch test at {size}: largest error in px", off, PATCH))
 
@@ -241,17 +241,17 @@ def _bar(page: Section, settings: Settings) -> None:
         readings = [bar_strain_ratio(size, ratio, reading) for reading in ("centred", "blanket")]
         rows.append([f"{size} px", f"{last:.3f}", f"{off:.3f} px", *(f"{r:.2f}" for r in readings)])
     page.say(
-        f"""**Asked.** A bar of two tissues in series, one {ratio:.0f} times as stiff: the soft half
-        must strain {ratio:.0f} times as much, at any resolution."""
+        f"""**Question.** A bar has two tissues in series, one {ratio:.0f} times as stiff. The
+        soft half must strain {ratio:.0f} times as much, at any resolution."""
     )
     page.table(
         ["length", "elastic prior", "interface smeared by", "the paper's, centred", "blanket"], rows
     )
     page.say(
-        """**Reading.** The elastic prior has the ratio right at every size. Its one column of
-        elements over the interface has the mean stiffness, which shifts the field by a fraction of
-        a pixel (third column), a first-order error. The paper's energy has another ratio: slightly
-        too large in the centred reading, and in the blanket reading, which minimises eq. 7
-        exactly, the worse the finer the image."""
+        """**Conclusion.** The elastic prior has the right ratio at every size. Its one column of
+        elements over the interface has the mean stiffness. This shifts the field by a fraction
+        of a pixel (third column), a first-order error. The paper's energy has another ratio:
+        slightly too large in the centred reading. In the blanket reading, which minimises eq. 7
+        exactly, it is worse the finer the image."""
     )
     page.targets.append(Target("bar: error of the strain ratio", abs(last / ratio - 1), 0.01))

@@ -53,14 +53,13 @@ def add_bounds(page: Section, runs: dict[int, Measured]) -> None:
             ]
         )
     page.say(
-        f"""**What bounds the rest.** A cycle smooths twice down and twice up, over all levels as
-        much as {CYCLE_SWEEPS:.1f} sweeps over the finest. Sweeps times time per sweep is the part
-        of the whole that any such method has to pay; the rest is residuals, dot products,
-        transfers, set-up, and reading the images. A sweep moves at least {SWEEP_BYTES} bytes per
-        site that is free to move; the memory's bandwidth is that of a = b + s c (a triad over
-        single-precision arrays as large as all that a sweep touches, all threads), so that the last
-        column says how far a sweep is from what memory, or the cache where it all fits, could
-        carry."""
+        f"""**Limits of the speed.** A cycle smooths twice down and twice up; over all levels
+        this equals {CYCLE_SWEEPS:.1f} sweeps over the finest. The number of sweeps times the
+        time per sweep is the part that any such method has to spend. The rest is residuals, dot
+        products, transfers, set-up, and reading the images. A sweep moves at least {SWEEP_BYTES}
+        bytes per free site. The memory's bandwidth is that of a = b + s c (a triad over
+        single-precision arrays as large as the data of a sweep, all threads). The last column
+        compares a sweep with the time that memory, or the cache if the data fits, would need."""
     )
     header = ["image", "whole", "cycles x sweeps x time", "together", "share"]
     header += ["sweep, per free site", "triad", "sweep over its memory time"]

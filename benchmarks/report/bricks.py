@@ -43,10 +43,11 @@ def _assembly(page: Section, settings: Settings) -> None:
     found = solve(problem, ElasticPrior(POISSON), optimizer=Multigrid(1e-3), backend="cpu")
     off = _apart(found.displacement, direct, problem)
     page.say(
-        f"""**Asked.** Is the field of a volume that of finite elements? {size} x {size} x {size}
-        oblong voxels of random stiffness, up to a hundred times as stiff, are solved directly with
-        a matrix that scikit-fem assembled, in double precision: the largest difference of any site
-        is {off:.1e} voxels, at a tolerance of 1e-3, after {found.iterations} cycles."""
+        f"""**Question.** Does the field of a volume equal finite elements? {size} x {size} x
+        {size} oblong voxels of random stiffness, up to a hundred times as stiff, are solved
+        directly in double precision with a matrix that scikit-fem assembled. The largest
+        difference of any site is {off:.1e} voxels, at a tolerance of 1e-3, after
+        {found.iterations} cycles."""
     )
     page.targets.append(Target("volume to a direct solve: largest error in voxels", off, 1e-3))
     if not calculix.is_there():
@@ -57,11 +58,11 @@ def _assembly(page: Section, settings: Settings) -> None:
         theirs = calculix_solution(problem, POISSON, Path(folder))
     agree, reduced = (_apart(each, locking, problem) for each in (theirs, direct))
     page.say(
-        f"""CalculiX's bricks C3D8 are integrated in full. The same assembly, integrated so, is
-        within {agree:.1e} voxels of CalculiX. **Reading.** Ours takes changes of volume at the
-        middle of each brick, which is what keeps nearly incompressible tissue from locking, and
-        here moves the field by up to {reduced:.2g} voxels; that is a choice of element, not an
-        error of a solver."""
+        f"""CalculiX's bricks C3D8 are fully integrated. The same assembly with full integration
+        agrees with CalculiX within {agree:.1e} voxels. **Conclusion.** Here the change of volume
+        is computed at the middle of each brick, so that nearly incompressible tissue does not
+        lock. This moves the field by up to {reduced:.2g} voxels. It is a choice of element, not
+        an error of a solver."""
     )
     page.targets.append(Target("volume, assembly to CalculiX C3D8, in voxels", agree, 1e-5))
 
@@ -76,8 +77,8 @@ def _patch(page: Section) -> None:
     found = solve(problem, ElasticPrior(0.45), optimizer=Multigrid(1e-5), backend="cpu")
     off = _apart(found.displacement, places @ strain.T, problem)
     page.say(
-        f"""**Asked.** The patch test: a uniform strain on the faces of a box must fill it. Largest
-        error of any site: {off:.1e} voxels."""
+        f"""**Question.** The patch test: a uniform strain on the faces of a box must fill it.
+        Largest error of any site: {off:.1e} voxels."""
     )
     page.targets.append(Target("volume, patch test: largest error in voxels", off, 1e-4))
 
@@ -87,13 +88,16 @@ def _sphere(page: Section, settings: Settings) -> None:
     errors = [hollow_sphere(size) for size in sizes]
     order = math.log(errors[0] / errors[-1]) / math.log(sizes[-1] / sizes[0])
     page.say(
-        """**Asked.** How fast does the error fall with the voxel, in Lame's hollow sphere, u = r +
-        b / r^2? Skins as thick on every grid are prescribed the exact field, so that the staircase
-        of voxels is not what is measured."""
+        """**Question.** How fast does the error fall with the voxel size, in Lame's hollow
+        sphere, u = r + b / r^2? The exact field is prescribed in skins of equal thickness on
+        every grid, to exclude the effect of the staircase of voxels."""
     )
     header = [f"{size} voxels" for size in sizes]
     page.table(["rms error", *header], [["", *(f"{error:.1e}" for error in errors)]])
-    page.say(f"**Reading.** With the power {order:.2f}: second order, as trilinear bricks should.")
+    page.say(
+        f"""**Conclusion.** The order is {order:.2f}: second order, as trilinear bricks should
+        have."""
+    )
     page.targets.append(Target("hollow sphere: observed order", order, 1.7, at_least=True))
 
 

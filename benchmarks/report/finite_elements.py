@@ -34,13 +34,14 @@ def section(settings: Settings) -> Section:
     page = Section("Finite elements")
     size = settings.choose(300, 32)
     page.say(
-        f"""**Asked.** How far are both priors from finite elements, and finite elements from each
-        other, at {size} x {size} and Poisson's ratio {POISSON}? RMSD inside the body, in pixels.
-        *Direct* is a sparse direct solve, in float64, of the very energy the elastic prior
-        minimises. CalculiX reads ABAQUS decks. Its CPS3 and CPS4R are the elements of the paper's
-        figure 5; they and its CPS4 expand to bricks whose stress across the plane vanishes only
-        weakly, so that the textbook's plane stress is run as plane strain (CPE4) with nu / (1 +
-        nu), which for displacement-only data and one Poisson's ratio is the same equation."""
+        f"""**Question.** How far are both priors from finite elements, and finite elements from
+        each other, at {size} x {size} and Poisson's ratio {POISSON}? RMSD inside the body, in
+        pixels. *Direct* is a sparse direct solve, in float64, of the same energy that the
+        elastic prior minimises. CalculiX reads ABAQUS decks. Its CPS3 and CPS4R are the elements
+        of the paper's figure 5. These and its CPS4 expand to bricks whose stress across the
+        plane vanishes only weakly. So the textbook's plane stress is run as plane strain (CPE4)
+        with nu / (1 + nu), which is the same equation for displacement-only data and one
+        Poisson's ratio."""
     )
     rows = []
     for name in PHANTOMS:
@@ -49,12 +50,11 @@ def section(settings: Settings) -> Section:
     if not calculix.is_there():
         page.missing("CalculiX", calculix.HOW)
     page.say(
-        """**Reading.** The elastic prior on pixels *is* the finite-element method with pixels as
-        its mesh; two other programs agree to the digits that matter. That is a check of this
-        program, not of elasticity: choosing another element (CPS3, CPS4R) changes the answer more
-        than any solver does. The paper's converged prior is tenths of a pixel away, because
-        compressed tissue does not bulge in it; figure 5 shows where. "x" and "y" are the paper's,
-        our col and row."""
+        """**Conclusion.** The elastic prior on pixels *is* the finite-element method with pixels
+        as its mesh; two other programs agree to all digits that matter. This checks the program,
+        not elasticity: another element (CPS3, CPS4R) changes the answer more than any solver
+        does. The paper's converged prior is tenths of a pixel away, because compressed tissue
+        does not bulge in it; figure 5 shows where. The paper's "x" and "y" are col and row here."""
     )
     _many_materials(page, settings)
     return page
@@ -136,15 +136,15 @@ def _many_materials(page: Section, settings: Settings) -> None:
             worst = max(worst, off)
         rows.append(row)
     page.say(
-        f"""**Asked.** Does the solver hold for any tissue? The tumour of the mass-effect phantom
-        at {size} x {size} is made ever stiffer, for Poisson's ratios up to nearly incompressible:
-        RMSD to the direct solve, at a tolerance of 0.005 px."""
+        f"""**Question.** Does the solver work for any tissue? The tumour of the mass-effect
+        phantom at {size} x {size} becomes ever stiffer, for Poisson's ratios up to nearly
+        incompressible: RMSD to the direct solve, at a tolerance of 0.005 px."""
     )
     page.table(
         ["stiffness ratio", *(f"plane {plane}, {poisson}" for poisson, plane in TISSUES)], rows
     )
     page.say(
-        """**Reading.** *Refused* is an error in place of a field: such a combination is beyond what
-        single precision carries, and the solver says so."""
+        """**Conclusion.** *Refused* is an error instead of a field: the combination is beyond
+        single precision, and the solver says so."""
     )
     page.targets.append(Target("any stiffness and Poisson's ratio: RMSD in px", worst, SAME_ENERGY))

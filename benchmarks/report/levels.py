@@ -163,13 +163,13 @@ def section(settings: Settings) -> Section:
     _, deepest = multigrid_cycles(problem)
     cycles = {count: multigrid_cycles(problem, count)[0] for count in range(1, deepest + 1)}
     page.say(
-        f"""**Asked.** The paper assumes "a strong influence of the number of hierarchical levels on
-        the number of iterations needed" and leaves it open. Here the mass-effect phantom at {size}
-        x {size} is solved to {WITHIN} px of the converged field of each prior, with only the
-        finest so many levels in use. ICM is the paper's simultaneous update in closed form; the
-        levels above the finest are swept until no site moves by more than {_STILL} px, and all
-        sweeps count, by their number of sites. For Multigrid the coarsest level in use gets its
-        usual 20 smoothing steps, however large it is."""
+        f"""**Question.** The paper assumes "a strong influence of the number of hierarchical
+        levels on the number of iterations needed" and leaves it open. Here the mass-effect
+        phantom at {size} x {size} is solved to {WITHIN} px of the converged field of each prior,
+        with a limited number of finest levels. ICM is the paper's simultaneous update in closed
+        form. The levels above the finest are swept until no site moves by more than {_STILL} px,
+        and all sweeps count, by their number of sites. For Multigrid the coarsest level in use
+        gets its usual 20 smoothing steps, however large it is."""
     )
     figure = new_figure(10, 4)
     left, right = figure.subplots(1, 2)
@@ -192,11 +192,11 @@ def section(settings: Settings) -> Section:
         ],
     )
     page.say(
-        f"""**Reading.** The influence is strong, and soon used up. As a start from coarse to fine,
-        levels save ICM a factor of {sweeps[1] / sweeps[least]:.1f} at best (with {least}); beyond
-        that the finest level has to remove by itself the errors it was handed down, here in
-        {sweeps[depth]:.0f} sweeps. As multigrid, where every level corrects the one below in every
-        cycle, the same pyramid brings {cycles[1]} cycles down to {cycles[deepest]}; and how many
-        cycles that takes no longer depends on the size of the image (see *Speed*)."""
+        f"""**Conclusion.** The influence is strong, but limited. As a start from coarse to fine,
+        levels save ICM a factor of {sweeps[1] / sweeps[least]:.1f} at best (with {least}).
+        Beyond that the finest level must remove the remaining errors by itself, here in
+        {sweeps[depth]:.0f} sweeps. In multigrid every level corrects the one below in every
+        cycle. There the same pyramid reduces {cycles[1]} cycles to {cycles[deepest]}, and this
+        number does not depend on the size of the image (see *Speed*)."""
     )
     return page

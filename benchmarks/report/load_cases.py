@@ -96,20 +96,21 @@ def _calculix(page: Section, settings: Settings) -> None:
             claim = f"loads to CalculiX, {name}: largest difference in px"
             page.targets.append(Target(claim, off, 0.01))
     page.say(
-        """**Asked.** Is tissue that grows, is heavy and is pressed where CalculiX has it? Blocks of
-        random stiffness, up to ten times as stiff, in oblong pixels, held along one edge: a disc (a
-        ball) grows by 15 %, all is heavy, and all of the surface, that of a square hole included,
-        is pressed. CalculiX takes growth as thermal expansion, weight as gravity, and pressure on
-        the faces of its elements: none of its loads are ours. The last column is what forces and
-        reactions miss of balance, over the forces."""
+        """**Question.** Does tissue under growth, weight and pressure move as in CalculiX?
+        Blocks have random stiffness, up to ten times as stiff, in oblong pixels, and are held
+        along one edge. A disc (a ball) grows by 15 %, all tissue is heavy, and the whole surface
+        is pressed, including that of a square hole. CalculiX takes growth as thermal expansion,
+        weight as gravity, and pressure on the faces of its elements: its loads are independent
+        of this package. The last column is the imbalance of forces and reactions, relative to
+        the forces."""
     )
     page.table(["case", "pixels along a side", "moves by", "largest difference", "balance"], rows)
     page.say(
-        f"""**Reading.** In plane stress the elements are the same, and so is the field; so it is
-        without Poisson's ratio. With {POISSON} in plane strain and in volumes ours take changes of
-        volume at the middle of the element, which keeps nearly incompressible tissue from locking,
-        and CalculiX's do not: that is a choice of element, which matters at the corners where
-        stiffness jumps, and not how loads are taken."""
+        f"""**Conclusion.** In plane stress the elements are the same, and so is the field; the
+        same holds for a Poisson's ratio of 0. With {POISSON} in plane strain and in volumes, the
+        change of volume is computed at the middle of the element, which keeps nearly
+        incompressible tissue from locking; CalculiX does not do this. It is a choice of element,
+        which matters at corners where stiffness jumps, and does not concern the loads."""
     )
 
 
@@ -222,18 +223,18 @@ def _closed_forms(page: Section, settings: Settings) -> None:
     order = math.log(rings[0] / rings[-1]) / math.log(sizes[-1] / sizes[0])
     rows.append(["annulus of round edges", *(f"{e:.1e}" for e in rings), f"{order:.2f}"])
     page.say(
-        """**Asked.** How fast does the error fall with the pixel? *Annulus*: Lame's field of a ring
-        under inner pressure, cut out along pixels, which bears the ring's stress on its edges.
-        *Disc*: Eshelby's field of a disc that grows in a matrix of its own kind, each pixel by the
-        part of it that lies in the disc; a tenth of the image around its edge is left out. *Of
-        round edges*: the ring itself, whose edges are staircases, under pressure, without the tenth
-        beside them. Errors are over the field's rms."""
+        """**Question.** How fast does the error fall with the pixel size? *Annulus*: Lame's
+        field of a ring under inner pressure, cut out along pixels, with the ring's stress on its
+        edges. *Disc*: Eshelby's field of a disc that grows in a matrix of the same material,
+        with each pixel weighted by the part of it inside the disc; a tenth of the image at its
+        edge is left out. *Of round edges*: the ring itself, whose edges are staircases, under
+        pressure, without the tenth beside them. Errors are relative to the field's rms."""
     )
     page.table(["case", *(f"{size} px" for size in sizes), "observed order"], rows)
     page.say(
-        """**Reading.** Second order, as bilinear elements should be; but where a round surface is a
-        staircase of pixels, first order, whatever pulls at it: that is the picture's error, and not
-        the solver's."""
+        """**Conclusion.** Second order, as bilinear elements should be. Where a round surface is
+        a staircase of pixels it is first order, for any load: this is an error of the image, not
+        of the solver."""
     )
     page.targets.append(Target("annulus under pressure: order", min(orders), 1.9, at_least=True))
     page.targets.append(Target("disc that grows: order", min(discs), 1.7, at_least=True))

@@ -197,13 +197,14 @@ def section(settings: Settings) -> Section:
     elastic = {n: elastic_curves(phantom("mass-effect", n).problem, lengths) for n in sizes}
     families = {"the paper's energy (eq. 7)": paper, "the elastic energy": elastic[SIZE]}
     page.say(
-        f"""**Asked.** The paper prefers local optimisers on a hierarchy to global ones, which "do
-        not guarantee convergence and the computation time is enormous", without a figure. Here the
-        mass-effect phantom at {SIZE} x {SIZE} is sampled by Metropolis's algorithm: one component
-        of one site at a time, compiled, cooled geometrically by {_COOLED:.0e} in {_ROUNDS} rounds,
-        steps adapted to 40 % acceptance; of several lengths of schedule the one that came near
-        the minimum first. Beside it the package's optimizers, every point a whole solve. The curves
-        show by what fraction the energy still is above its exact minimum (float64 direct solve)."""
+        f"""**Question.** The paper prefers local optimisers on a hierarchy to global ones, which
+        "do not guarantee convergence and the computation time is enormous", and gives no number.
+        Here the mass-effect phantom at {SIZE} x {SIZE} is sampled by Metropolis's algorithm: one
+        component of one site at a time, compiled, cooled geometrically by {_COOLED:.0e} in
+        {_ROUNDS} rounds, steps adapted to 40 % acceptance. Of several lengths of schedule the
+        first that came near the minimum is shown. Beside it are the package's optimizers; every
+        point is a whole solve. The curves show by what fraction the energy exceeds its exact
+        minimum (float64 direct solve)."""
     )
     figure = new_figure(10, 4)
     for axes, (title, curves) in zip(figure.subplots(1, 2), families.items(), strict=True):
@@ -226,13 +227,14 @@ def section(settings: Settings) -> Section:
     page.table(["energy", "image", "optimizer", f"time to {NEAR:.0e} above the minimum"], rows)
     gains = {size: curves[0].arrival / curves[1].arrival for size, curves in elastic.items()}
     page.say(
-        f"""**Reading.** Both energies are convex: there is no local minimum for annealing to
-        escape from, and at the end of its schedule it does arrive. But a move of one site carries
-        motion across one pixel, so that sweeps grow with the square of the image's width and work
-        with its fourth power: of the elastic energy Multigrid comes near the minimum
+        f"""**Conclusion.** Both energies are convex: annealing has no local minimum to escape
+        from, and reaches the minimum at the end of its schedule. But a move of one site carries
+        motion across one pixel only. So the number of sweeps grows with the square of the
+        image's width, and the work with its fourth power. For the elastic energy Multigrid comes
+        near the minimum
         {", ".join(f"{gains[size]:.0f} times sooner at {size} x {size}" for size in sizes)}. The
-        paper's claim holds, for another reason than local minima. ICM minimises eq. 7 here in its
-        blanket reading."""
+        paper's claim holds, but local minima are not the reason. ICM minimises eq. 7 in its
+        blanket reading here."""
     )
     page.targets.append(
         Target(f"times sooner than annealing, at {SIZE} x {SIZE}", gains[SIZE], 10, at_least=True)

@@ -12,9 +12,10 @@ def section(settings: Settings) -> Section:
     page = Section("The paper's tables")
     size = settings.choose(300, 48)
     page.say(
-        f"""**Asked.** Table 1: how far is the field from finite elements (bilinear quads on the
-        pixel grid, plane stress, Poisson's ratio 0.3, scikit-fem), inside the body, at {size} x
-        {size}? Energies are each prior's own and do not compare between priors."""
+        f"""**Question.** Table 1: how far is the field from finite elements (bilinear quads on
+        the pixel grid, plane stress, Poisson's ratio 0.3, scikit-fem), inside the body, at
+        {size} x {size}? Each prior has its own energy; energies of different priors do not
+        compare."""
     )
     rows, best = [], {}
     for name in PHANTOMS:
@@ -39,21 +40,22 @@ def section(settings: Settings) -> Section:
     rows.append(["*the paper's*", "*HMRF, 70 sweeps a level*", 0.19404, "1.44 px", 700, "1.63 s"])
     page.table(["phantom", "method", "mean energy", "RMSD", "iterations", "time"], rows)
     page.say(
-        """**Reading.** The paper's schedule stops far from convergence: most of its distance to
-        finite elements is not the model's. What remains of the converged field is, for its energy
-        knows no Poisson effect. The elastic prior has no distance left to speak of, because it is
-        the same discretisation; see *Finite elements* for an independent program, and *Analytic
-        fields* for what any discretisation by pixels costs. The paper's phantom is not public, so
-        its 1.44 px belongs to another geometry."""
+        """**Conclusion.** The paper's schedule stops far from convergence: most of its distance
+        to finite elements does not come from the model. The distance of the converged field
+        does, because its energy has no Poisson effect. The elastic prior has almost no distance,
+        because it is the same discretisation; see *Finite elements* for an independent program,
+        and *Analytic fields* for the error of any discretisation by pixels. The paper's phantom
+        is not public, so its 1.44 px belongs to another geometry."""
     )
     backends = available(("opengl", "cpu"))
     sizes = settings.choose((300, 600, 1200), (48,))
     timings = [table_2(size, backends, settings.choose(7, 1)) for size in sizes]
     page.say(
-        """**Asked.** Table 2: how much faster than one thread of a processor are 70 sweeps a level?
-        *Literal* is the algorithm as printed, compiled, on one thread; the others do the same
-        sweeps. Medians in a warm process, uploads and read-back included; of the literal program
-        one run. The paper has 56 times, on a graphics card of 2006."""
+        """**Question.** Table 2: how much faster are 70 sweeps on each level than on one thread
+        of a processor? *Literal* is the algorithm as printed, compiled, on one thread; the
+        others do the same sweeps. The times are medians in a warm process, with uploads and
+        read-back; the literal program ran once. The paper reports 56 times, on a graphics card
+        of 2006."""
     )
     page.table(
         ["image", *backends.values(), "literal"],
@@ -70,9 +72,10 @@ def section(settings: Settings) -> Section:
         ],
     )
     page.say(
-        """**Reading.** The paper's ratio compares two machines, this one two programs on one: part
-        of it comes from evaluating each clique once per site and not once per candidate, which is
-        no merit of the device. Without a GPU, OpenGL is a software rasteriser."""
+        """**Conclusion.** The paper's ratio compares two machines, this one two programs on one
+        machine. Part of it comes from evaluating each clique once per site instead of once per
+        candidate, which is independent of the device. Without a GPU, OpenGL is a software
+        rasteriser."""
     )
     if not settings.quick:
         page.targets += speed_targets(timings)

@@ -65,10 +65,10 @@ def section(settings: Settings) -> Section:
         return page
     size = settings.choose(300, 48)
     page.say(
-        f"""**Asked.** As in figure 4c: the image that finite elements have deformed is registered
-        to the input, from grey values alone. Is the field that explains the image also the one of
-        the tissue? SimpleITK's cubic B-splines, mean squares, three resolutions, {size} x {size}.
-        The elastic prior is given the boundary and the stiffness instead, and no grey
+        f"""**Question.** As in figure 4c: the image deformed by finite elements is registered to
+        the input, from grey values alone. Does the field that explains the image equal that of
+        the tissue? SimpleITK's cubic B-splines, mean squares, three resolutions, {size} x
+        {size}. The elastic prior gets the boundary and the stiffness instead, and no grey
         values."""
     )
     rows = []
@@ -106,13 +106,13 @@ def section(settings: Settings) -> Section:
         page.picture(path, f"{name}: elastic registration, as in figure 4c")
     page.table(["phantom", "field", "RMSD in the body", "away from the boundary", "time"], rows)
     page.say(
-        """**Reading.** Registration makes the two images alike, and where grey values tell (these
-        phantoms have texture everywhere, and no noise) it comes about as near as the paper's prior
-        does when converged (*The paper's tables*): its RMSD is not large. It errs where they do not
-        tell, along edges, and across interfaces of tissue, where the true strain jumps and the
-        spline is smooth, as the paper saw; see the differences. It is the paper's comparison and
-        not a fair fight either way: registration is not told what moves the tissue, mechanics is
-        not shown the second image."""
+        """**Conclusion.** Registration makes the two images alike. Where grey values are
+        informative (these phantoms have texture everywhere, and no noise) it comes about as
+        close as the paper's converged prior (*The paper's tables*): its RMSD is not large. It
+        errs where they are not: along edges, and across interfaces of tissue, where the true
+        strain jumps and the spline is smooth, as the paper observed; see the differences. This
+        repeats the paper's comparison, which is not fair in either direction: registration has
+        no information about the cause of the motion, and mechanics has no second image."""
     )
     return page
 

@@ -69,18 +69,17 @@ def add_warm_start(page: Section, settings: Settings) -> None:
     first, drag = found.warm / found.cold, found.again / found.cold
     least = math.log(1 / WITHIN) / math.log(found.push / WITHIN)
     page.say(
-        f"""**Asked.** After an edit (an eighth of the tumour's rim moved by a pixel) at {size} x
-        {size}, how much of a cold solve is a solve that starts with the earlier one? In a process
-        of its own, cold {duration(found.cold)} in {found.cycles[0]} cycles, warm
-        {duration(found.warm)} in {found.cycles[1]}: {first:.2f} of it, and the two
-        fields are {found.apart:.0e} px apart at most. **Reading.** What is saved on a
-        first move is the set-up (the tissue is the same) and the cycles that the earlier field has
-        behind it: at a fixed rate, from one pixel to {WITHIN:g} px takes {least:.2f} of the cycles
-        that it takes from the {found.push:.1f} px of the whole push, so a third is out of reach of
-        any such iteration. Where the patch was moved before (here by half as much), a sum of the
-        earlier fields solves the new problem, and is wrong by no more than the sum of what each is
-        wrong by: what is left is {duration(found.again)} in {found.cycles[2]} cycles, {drag:.2f} of
-        a cold solve."""
+        f"""**Question.** After an edit (an eighth of the tumour's rim moved by a pixel) at
+        {size} x {size}, how long does a solve take that starts from the earlier one, relative to
+        a cold solve? In a process of its own: cold {duration(found.cold)} in {found.cycles[0]}
+        cycles, warm {duration(found.warm)} in {found.cycles[1]}. The ratio is {first:.2f}, and
+        the two fields are at most {found.apart:.0e} px apart. **Conclusion.** A first move saves
+        the set-up (the tissue is the same) and the cycles that the earlier field is ahead. At a
+        fixed rate, from one pixel to {WITHIN:g} px takes {least:.2f} of the cycles from the
+        {found.push:.1f} px of the whole push, so no such iteration can reach a third. Where the
+        patch was moved before (here by half as much), a sum of the earlier fields solves the new
+        problem. Its error is at most the sum of the errors of its parts: the solve takes
+        {duration(found.again)} in {found.cycles[2]} cycles, {drag:.2f} of a cold solve."""
     )
     page.targets.append(Target(f"warm restart over cold, {size}, first move", first, 1 / 3))
     page.targets.append(Target(f"warm restart over cold, {size}, moved before", drag, 1 / 3))

@@ -37,7 +37,7 @@ def rows() -> list[tuple[str, list[str]]]:
     return [
         (what.strip(), re.findall(r"`([^`]+)`", held))
         for what, held in cells
-        if what.strip() not in ("what people can do", "---")
+        if what.strip() not in ("capability", "---")
     ]
 
 
