@@ -167,14 +167,14 @@ class _Faces(NamedTuple):
 
     def mean(self, values: npt.NDArray[Any]) -> Float64Array:
         """Return the mean over the corners of each face."""
-        made = _across(values.astype(np.float64, copy=False), self.axis, np.add)
-        return np.asarray(made / 2 ** (values.ndim - 1))
+        total = _across(values.astype(np.float64, copy=False), self.axis, np.add)
+        return np.asarray(total / 2 ** (values.ndim - 1))
 
     def corners(self, values: Float64Array) -> Float64Array:
         """Spread the value of each face over its corners, in equal parts."""
-        beside = [(0 if along == self.axis else 1,) * 2 for along in range(values.ndim)]
-        made = _across(np.pad(values, beside), self.axis, np.add)
-        return np.asarray(made / 2 ** (values.ndim - 1))
+        padding = [(0 if along == self.axis else 1,) * 2 for along in range(values.ndim)]
+        total = _across(np.pad(values, padding), self.axis, np.add)
+        return np.asarray(total / 2 ** (values.ndim - 1))
 
 
 def _across(
@@ -214,7 +214,7 @@ def _surface(tissue: Mask, surface: npt.ArrayLike) -> list[_Faces]:
 def _areas(surface: list[_Faces], size: tuple[float, ...]) -> Iterator[tuple[_Faces, Float64Array]]:
     """Yield the faces across each axis with their areas, corrected for the steps of the surface."""
     axes = len(size)
-    sigma = [_SMOOTHING * max(size) / each for each in size]
+    sigma = [_SMOOTHING * max(size) / length for length in size]
     # Smoothed area at each site, by axis and sign of the normal.
     around = {}
     for faces in surface:
@@ -223,12 +223,14 @@ def _areas(surface: list[_Faces], size: tuple[float, ...]) -> Iterator[tuple[_Fa
             at_sites = area * faces.corners((faces.outward == sign).astype(np.float64))
             smoothed = scipy.ndimage.gaussian_filter(at_sites, sigma, mode="constant")
             around[faces.axis, sign] = smoothed
-    most = [np.maximum(around[axis, 1], around[axis, -1]) for axis in range(axes)]
+    largest = [np.maximum(around[axis, 1], around[axis, -1]) for axis in range(axes)]
     for faces in surface:
         total = np.zeros(faces.outward.shape)
         for sign in (1, -1):
             own = faces.mean(around[faces.axis, sign])
-            squares = sum(faces.mean(most[axis]) ** 2 for axis in range(axes) if axis != faces.axis)
+            squares = sum(
+                faces.mean(largest[axis]) ** 2 for axis in range(axes) if axis != faces.axis
+            )
             slope = np.sqrt(own**2 + squares)
             facing = faces.outward == sign
             total[facing] = math.prod(size) / size[faces.axis] * own[facing] / slope[facing]
@@ -273,5 +275,5 @@ def _vector(
             f"the axes{or_field}.",
         )
     check_finite(name, array)
-    made = array.astype(np.float64)
-    return np.broadcast_to(made, (*grid, axes)) if of_sites else made
+    vectors = array.astype(np.float64)
+    return np.broadcast_to(vectors, (*grid, axes)) if of_sites else vectors

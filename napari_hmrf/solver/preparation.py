@@ -82,12 +82,12 @@ def prepare(
         report(Monitor("preparing", 0.0))
 
     with loop_watch(job.loops, report):
-        found = rehearsal.run(small, tissue, device, report_preparing).displacement
-        host.settle(found, small.tissue, small.unit)
+        displacement = rehearsal.run(small, tissue, device, report_preparing).displacement
+        host.settle(displacement, small.tissue, small.unit)
         if isinstance(rehearsal, Multigrid):
             # Three solutions need both kernels that combine them: for two at once and for one.
-            three = Beginning((found,) * 3, (1.0, 0.0, 0.0), 1.0, math.inf)
-            rehearsal.run(small, tissue, device, report_preparing, three)
+            start = Beginning((displacement,) * 3, (1.0, 0.0, 0.0), 1.0, math.inf)
+            rehearsal.run(small, tissue, device, report_preparing, start)
     _prepared.add(key)
 
 

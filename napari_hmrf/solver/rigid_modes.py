@@ -127,9 +127,9 @@ def grip(problem: Problem) -> float:
     if free is not None:
         raise refusal(free)
     sizes, share = np.bincount(pieces.ravel(), minlength=count + 1)[1:], 1 - 1 / pieces.ndim
-    found = min(float(stops[0] / sizes[cluster].sum() ** share) for cluster, _, stops, _ in ways)
-    _firm[:] = [Firm(problem.tissue, held, found)]
-    return found
+    value = min(float(stops[0] / sizes[cluster].sum() ** share) for cluster, _, stops, _ in ways)
+    _firm[:] = [Firm(problem.tissue, held, value)]
+    return value
 
 
 def refusal(free: FreeMotion) -> ProblemError:
@@ -173,15 +173,15 @@ def _first_motion(
     for cluster, strength, modes in _free(ways):
         mode = modes[0]
         worst, freedom = int(np.argmax((mode**2).sum(axis=1))), mode.shape[1]
-        mine = slice(freedom * worst, freedom * worst + freedom)
-        nothing = np.trace(strength[mine, mine]) == 0
+        own = slice(freedom * worst, freedom * worst + freedom)
+        unconstrained = np.trace(strength[own, own]) == 0
         names = (*_STEPS[-pieces.ndim :], *["by turning"] * freedom)
-        how = f"could still move {names[int(np.argmax(np.abs(mode[worst])))]}"
+        clause = f"could still move {names[int(np.argmax(np.abs(mode[worst])))]}"
         piece_modes = np.zeros((count + 1, freedom))
         piece_modes[cluster + 1] = mode
         return FreeMotion(
             _sites(np.where(pieces == cluster[worst] + 1, pieces, 0)) > 0,
-            "is not held anywhere" if nothing else how,
+            "is not held anywhere" if unconstrained else clause,
             _field(piece_modes[_sites(pieces)], problem.spacing),
         )
     return None
@@ -240,11 +240,11 @@ def free_pieces(
     for cluster, _, modes in _free(_modes(pieces, count, held)):
         size = np.abs(modes).max(axis=(0, 2))
         loose[cluster[size > _REST * size.max()] + 1] = True
-    firm = ~loose
-    firm[0] = False
-    found = _sites(np.where(loose[pieces], pieces, 0))
-    found[_sites(np.where(firm[pieces], pieces, 0)) > 0] = 0
-    return found, np.flatnonzero(loose)
+    held_pieces = ~loose
+    held_pieces[0] = False
+    numbers = _sites(np.where(loose[pieces], pieces, 0))
+    numbers[_sites(np.where(held_pieces[pieces], pieces, 0)) > 0] = 0
+    return numbers, np.flatnonzero(loose)
 
 
 def _pieces(m: npt.NDArray[Any]) -> tuple[Labels, int]:
@@ -286,13 +286,13 @@ def _modes(pieces: Labels, count: int, held: npt.NDArray[np.bool_]) -> Iterator[
         place = np.full(count, -1)
         place[cluster] = np.arange(len(cluster))
         costs = np.zeros((len(cluster), freedom) * 2)
-        mine = hinged[place[hinged[:, -2]] >= 0]
+        own = hinged[place[hinged[:, -2]] >= 0]
         for along, (sites, of) in enumerate(zip(holds, held_of, strict=True)):
-            here = place[of] >= 0
-            ways = _motions(tuple(index[here] for index in sites), along, shape)
-            _tie(costs, place[of[here]], ways)
-            ways = _motions(tuple(mine.T[:axes]), along, shape)
-            _tie(costs, place[mine[:, -2]], ways, place[mine[:, -1]])
+            inside = place[of] >= 0
+            ways = _motions(tuple(index[inside] for index in sites), along, shape)
+            _tie(costs, place[of[inside]], ways)
+            ways = _motions(tuple(own.T[:axes]), along, shape)
+            _tie(costs, place[own[:, -2]], ways, place[own[:, -1]])
         strength = costs.reshape(freedom * len(cluster), -1)
         yield cluster, strength, *np.linalg.eigh(strength)
 
@@ -321,13 +321,13 @@ def _turns(axes: int) -> list[tuple[int, int]]:
 def _motions(sites: tuple[npt.NDArray[Any], ...], along: int, shape: tuple[int, ...]) -> Ways:
     """Return the displacement of sites along an axis in each rigid motion along it."""
     from_middle = [index - size / 2 for index, size in zip(sites, shape, strict=True)]
-    made = {along: np.ones(np.shape(sites[0]))}
+    motions = {along: np.ones(np.shape(sites[0]))}
     for number, (first, second) in enumerate(_turns(len(shape)), start=len(shape)):
         if along == first:
-            made[number] = -from_middle[second] / max(shape)
+            motions[number] = -from_middle[second] / max(shape)
         elif along == second:
-            made[number] = from_middle[first] / max(shape)
-    return made
+            motions[number] = from_middle[first] / max(shape)
+    return motions
 
 
 def _tie(
@@ -349,11 +349,11 @@ def _tie(
 
 def _hinges(pieces: Labels) -> npt.NDArray[np.int64]:
     """Return sites where two pieces meet: their indices, piece and other piece, from 0."""
-    most, axes = _sites(pieces), pieces.ndim
+    largest, axes = _sites(pieces), pieces.ndim
     # Reversed numbers, so that the maximum finds the least number.
-    least = _sites(np.where(pieces > 0, most.max() + 1 - pieces, 0))
-    sites = np.nonzero((most > 0) & (most + least != most.max() + 1))
-    around, found = np.pad(pieces, 1), []
+    smallest = _sites(np.where(pieces > 0, largest.max() + 1 - pieces, 0))
+    sites = np.nonzero((largest > 0) & (largest + smallest != largest.max() + 1))
+    around, hinges = np.pad(pieces, 1), []
     corners = [
         around[tuple(index + step for index, step in zip(sites, corner, strict=True))]
         for corner in product((0, 1), repeat=axes)
@@ -361,8 +361,8 @@ def _hinges(pieces: Labels) -> npt.NDArray[np.int64]:
     for one, other in combinations(corners, 2):
         meet = (one > 0) & (other > 0) & (one != other)
         places = [index[meet] for index in sites]
-        found.append(np.stack([*places, one[meet] - 1, other[meet] - 1], axis=-1))
-    return np.concatenate(found)
+        hinges.append(np.stack([*places, one[meet] - 1, other[meet] - 1], axis=-1))
+    return np.concatenate(hinges)
 
 
 def _clusters(hinged: npt.NDArray[np.int64], count: int) -> list[npt.NDArray[np.int64]]:

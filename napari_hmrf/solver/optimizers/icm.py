@@ -209,8 +209,10 @@ def _stiffness(problem: Problem) -> FloatArray:
 def _observation(problem: Problem, prior: SeilerPrior) -> FloatArray:
     """Return (y, p = K c) in pixels; 0 in void; shape (H, W, 4) or (D, H, W, 6)."""
     axes = len(problem.shape)
-    both = np.empty((*problem.shape, 2 * axes), dtype=np.float32)
-    np.divide(problem.observed, np.float32(problem.unit), out=both[..., :axes])
-    np.multiply(problem.confidence, np.float32(prior.penalty_for(problem)), out=both[..., axes:])
-    both *= problem.tissue[..., None]
-    return both
+    observation = np.empty((*problem.shape, 2 * axes), dtype=np.float32)
+    np.divide(problem.observed, np.float32(problem.unit), out=observation[..., :axes])
+    np.multiply(
+        problem.confidence, np.float32(prior.penalty_for(problem)), out=observation[..., axes:]
+    )
+    observation *= problem.tissue[..., None]
+    return observation

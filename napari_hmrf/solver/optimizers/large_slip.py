@@ -104,12 +104,12 @@ class LargeSlip:
             width = max(_WIDTH_FACTOR * width, last)
         off = np.where(self._yielding > 0, self._y - d, 0.0)
         sides = np.where(np.abs(off) > _SLIP_DISTANCE * width, np.sign(off), 0.0)
-        found, known = d.copy(), newton.distance
+        rounded, distance = d.copy(), newton.distance
         if not self._sharpen(d, sides, tolerance):
             # The rounded solution is the best available.
-            np.copyto(d, found)
+            np.copyto(d, rounded)
             newton.outside = soft
-            newton.distance = known
+            newton.distance = distance
 
     def _sharpen(self, d: Planes, sides: npt.NDArray[np.float64], tolerance: float) -> bool:
         """Solve for given slipping sides, in place; return whether the result is consistent."""

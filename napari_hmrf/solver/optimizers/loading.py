@@ -67,9 +67,9 @@ def given(problem: Problem, prior: Prior) -> Given:
     load = prior.load(problem)
     if load is None:
         return Given(None, 0.0)
-    made = Given(host.planes(load.forces), load.energy)
-    _last[:] = [] if problem.is_volume else [_LastLoads(problem, prior, made)]
-    return made
+    loads = Given(host.planes(load.forces), load.energy)
+    _last[:] = [] if problem.is_volume else [_LastLoads(problem, prior, loads)]
+    return loads
 
 
 def work_of(load: Planes | None, d: Planes) -> float:
@@ -141,8 +141,8 @@ def check_balanced(
         if np.abs(demand).max() <= _ROUNDING * total:
             continue
         stops = np.stack([motion.ravel()[at] for motion in motions])
-        here = stops.any(axis=0)
-        if not _can_hold(stops[:, here] * limit[here], demand):
+        stopping = stops.any(axis=0)
+        if not _can_hold(stops[:, stopping] * limit[stopping], demand):
             raise ProblemError(
                 "loads",
                 "pull harder than the observations can hold: the largest force of an observation "
@@ -159,14 +159,14 @@ def _can_hold(stops: npt.NDArray[np.float64], demand: npt.NDArray[np.float64]) -
     # The least-squares fractions usually are small enough.
     square = np.einsum("an,bn->ab", stops, stops)
     shares = np.linalg.lstsq(square, demand)[0]
-    apart = np.abs(square @ shares - demand).max()
-    if apart <= _ROUNDING * np.abs(demand).max() and np.abs(shares @ stops).max() <= 1:
+    residual = np.abs(square @ shares - demand).max()
+    if residual <= _ROUNDING * np.abs(demand).max() and np.abs(shares @ stops).max() <= 1:
         return True
     # Otherwise, find the largest multiple of the demand that can be balanced.
     matrix = np.column_stack([stops / size[:, None], -demand / size])
     cost = np.zeros(matrix.shape[1])
     cost[-1] = -1.0
     limits = [*[(-1.0, 1.0)] * stops.shape[1], (0.0, 2.0)]
-    found = scipy.optimize.linprog(cost, A_eq=matrix, b_eq=np.zeros(len(demand)), bounds=limits)
-    most = float(found.x[-1]) if found.success else math.nan
-    return most >= 1 - _AT_LIMIT
+    program = scipy.optimize.linprog(cost, A_eq=matrix, b_eq=np.zeros(len(demand)), bounds=limits)
+    multiple = float(program.x[-1]) if program.success else math.nan
+    return multiple >= 1 - _AT_LIMIT

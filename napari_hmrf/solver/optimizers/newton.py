@@ -243,7 +243,7 @@ class Newton:
             if aim is not y:
                 gap = np.where(held, aim - d, 0.0)
             self._report_step(number, left)
-            before, known = d.copy(), self.distance
+            before, distance_before = d.copy(), self.distance
             step = self._step(d, gap if pulls else None, held)
             if step is None:
                 # The tissue is too crushed for the linear model, so that it moves no further.
@@ -265,7 +265,7 @@ class Newton:
             if not self._judge(d, step):
                 # Return to the last valid field; a pull ends there.
                 np.copyto(d, before)
-                self.distance = known
+                self.distance = distance_before
                 self._met = self._met and left == 0
                 break
             if taken == 1.0 and min(self.distance.estimate, step.far) <= near and not pulls:
@@ -333,8 +333,8 @@ class Newton:
         if step.far > _FINAL_STEP * self._tolerance:
             return False
         # Such tissue was rehearsed at an earlier pull, or is rehearsed now.
-        model, known = self._model, self._model.rehearsed
-        if known is None or not np.array_equal(known[0], held):
+        model, rehearsal = self._model, self._model.rehearsed
+        if rehearsal is None or not np.array_equal(rehearsal[0], held):
             model.linearise(d, held, self.forces(d), 1.0, model.springs)
             error = np.where(model.moves, host.noise(d.shape), 0.0)
             model.project(error)
@@ -342,8 +342,8 @@ class Newton:
             doubt = Rehearsal().run(
                 iteration, error, lambda d: model.balance(-model.image(d)), self._report
             )
-            known = model.rehearsed = held.copy(), doubt
-        if known[1] <= BELIEVABLE:
+            rehearsal = model.rehearsed = held.copy(), doubt
+        if rehearsal[1] <= BELIEVABLE:
             return True
         self.by_factors = Factors.fit(model.shape)
         return not self.by_factors
@@ -361,15 +361,15 @@ class Newton:
             rest = -forces
             if gap is not None:
                 rest -= self._model.image(gap)
-            found = None if self.by_factors else self._iterate(rest)
+            linear = None if self.by_factors else self._iterate(rest)
             # With a large contrast, apparent buckling may be rounding.
             sure = stiff == 1 or not self._buckles or self._strategy.stiff
-            if found is None and sure and Factors.fit(self._model.shape):
-                found = self._solve(rest)
-            if found is not None:
+            if linear is None and sure and Factors.fit(self._model.shape):
+                linear = self._solve(rest)
+            if linear is not None:
                 self._positive = stiff / _SHARE_GROWTH if stiff > _FIRST_SHARE else 0.0
-                way = found.way if gap is None else found.way + gap
-                return found._replace(way=way, positive=stiff)
+                way = linear.way if gap is None else linear.way + gap
+                return linear._replace(way=way, positive=stiff)
         return None
 
     def _iterate(self, load: Planes) -> _Linear | None:

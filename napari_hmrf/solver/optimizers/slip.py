@@ -165,8 +165,8 @@ class Slip:
 
     def _free(self, held: HeldPlanes) -> Planes | None:
         """Return a free motion of tissue that is held at some components only, or None."""
-        found = self._motion(self._problem, host.field(held))
-        return None if found is None else host.planes(found.motion)
+        motion = self._motion(self._problem, host.field(held))
+        return None if motion is None else host.planes(motion.motion)
 
     def _exchange(self, d: Planes, tolerance: float, near: float) -> None:
         """Exchange states and solve, in place, until no contradiction is above `near`."""
@@ -236,9 +236,9 @@ class Slip:
         """Choose the field of least motion among those of least energy; return the force norm."""
         states, pull = self._states, self._pull(d)
         if not np.array_equal(states.certain(pull, _AT_LIMIT), states.held):
-            known = self._refinement.estimate, self._refinement.residual
+            quality = self._refinement.estimate, self._refinement.residual
             self._least(d, pull, self._motions(states.certain(pull, _AT_LIMIT)))
-            self._refinement.estimate, self._refinement.residual = known
+            self._refinement.estimate, self._refinement.residual = quality
         _, forces = self._model.work(d)
         return forces
 

@@ -214,17 +214,17 @@ class ElasticPrior:
         loads, grid = problem.loads, problem.shape
         if loads is None or (loads.growth is None and loads.force is None):
             return None
-        made = Load(np.zeros((*grid, len(grid))), 0.0)
+        load = Load(np.zeros((*grid, len(grid))), 0.0)
         if loads.growth is not None:
             sides, across = self.shape(problem.spacing).sides, self.plane == "strain"
 
             def lame_of(sites: slice) -> Lame:
                 return self.lame(problem, sites)
 
-            made = growth_load(loads.growth, grid, sides, lame_of, across and len(grid) == 2)
+            load = growth_load(loads.growth, grid, sides, lame_of, across and len(grid) == 2)
         if loads.force is not None:
-            np.add(made.forces, loads.force / self.force_unit(problem), out=made.forces)
-        return made
+            np.add(load.forces, loads.force / self.force_unit(problem), out=load.forces)
+        return load
 
     def energy(self, problem: Problem, displacement: npt.ArrayLike) -> float:
         """Return U, in pixels squared, for a displacement (H, W, 2) in units of ``spacing``.
@@ -271,14 +271,14 @@ def _checked_poisson(value: Any) -> float | npt.NDArray[np.float32]:
         refuse_unless(in_range, "poisson", value, f"from {low:g} to {high:g}")
         return float(given)
     with np.errstate(over="ignore"):  # values that overflow are refused as out of range
-        made = np.array(given, dtype=np.float32, order="C")
-    if made.ndim not in (2, 3):
+        poisson = np.array(given, dtype=np.float32, order="C")
+    if poisson.ndim not in (2, 3):
         raise ArgumentError(
             "poisson must be one number, or one for each pixel (H, W) or voxel (D, H, W), not of "
-            f"shape {made.shape}"
+            f"shape {poisson.shape}"
         )
-    made.setflags(write=False)
-    return made
+    poisson.setflags(write=False)
+    return poisson
 
 
 def _check_poisson_map(poisson: npt.NDArray[np.float32], problem: Problem) -> None:

@@ -277,11 +277,11 @@ class FiniteElements:
 
     def _own(self) -> Float64Array:
         """Return the second derivatives of the energy of stretch and twist by z."""
-        made = np.zeros((*self._shear.shape, 6, 6))
+        matrices = np.zeros((*self._shear.shape, 6, 6))
         square = np.einsum("ijab,ijbc->ijac", self._sides, self._sides)
-        made[..., :4, :4] = self._shear[..., None, None] * square
-        made[..., 4:, 4:] = self._twist[..., None, None] * np.eye(2)
-        return made
+        matrices[..., :4, :4] = self._shear[..., None, None] * square
+        matrices[..., 4:, 4:] = self._twist[..., None, None] * np.eye(2)
+        return matrices
 
     def _jacobians(self, z: Float64Array) -> tuple[Float64Array, Float64Array]:
         jacobians = np.einsum("ija,kab,ijb->kij", z, _quadratic(self._shape), z) / 2

@@ -107,17 +107,17 @@ def element_strains(growth: FloatArray, axes: int) -> tuple[Float64Array, Float6
     """
     if growth.ndim == axes:
         mean = of_elements(growth.astype(np.float64))
-        made = np.eye(axes).reshape(axes, axes, *(1,) * axes) * mean
-        return made, mean if axes == 2 else np.zeros(())
+        strains = np.eye(axes).reshape(axes, axes, *(1,) * axes) * mean
+        return strains, mean if axes == 2 else np.zeros(())
     count = growth.shape[-1]
     beyond = count - axes
-    made = np.stack(
+    strains = np.stack(
         [
             [of_elements(growth[..., i, j].astype(np.float64)) for j in range(beyond, count)]
             for i in range(beyond, count)
         ]
     )
-    return made, of_elements(growth[..., 0, 0].astype(np.float64)) if beyond else np.zeros(())
+    return strains, of_elements(growth[..., 0, 0].astype(np.float64)) if beyond else np.zeros(())
 
 
 def _pulls(stresses: Float64Array, sides: tuple[float, ...]) -> Float64Array:

@@ -64,18 +64,18 @@ class BrickShape(NamedTuple):
 
     def _gradients(self, shares: Float64Array) -> Float64Array:
         """Return the derivatives along each axis, in modes: (axis, mode, component)."""
-        made = np.zeros((len(_AXES), *shares.shape))
+        gradients = np.zeros((len(_AXES), *shares.shape))
         # The derivative of a mode along an axis is the mode without this coordinate as a factor.
         for axis in _AXES:
-            _without(made[axis], axis)[...] = self[axis] * _with(shares, axis)
-        return made
+            _without(gradients[axis], axis)[...] = self[axis] * _with(shares, axis)
+        return gradients
 
     def _pulls(self, stresses: Float64Array) -> Float64Array:
         """Apply the transpose of `_gradients`."""
-        made = np.zeros(stresses.shape[1:])
+        pulls = np.zeros(stresses.shape[1:])
         for axis in _AXES:
-            _with(made, axis)[...] += self[axis] * _without(stresses[axis], axis)
-        return made
+            _with(pulls, axis)[...] += self[axis] * _without(stresses[axis], axis)
+        return pulls
 
     def _stresses(self, lame: Lame, gradients: Float64Array) -> Float64Array:
         """Return the stresses, with each mode weighted by the mean of its square."""

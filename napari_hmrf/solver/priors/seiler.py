@@ -117,9 +117,9 @@ class SeilerPrior:
             return self.penalty
         weights = line_weights(problem.spacing)
         # Component by component: NumPy takes ten times as long to reduce such a short axis.
-        seen = reduce(np.logical_or, np.moveaxis(problem.known, -1, 0))
+        observed = reduce(np.logical_or, np.moveaxis(problem.known, -1, 0))
         steepest = max(
-            _steepest(sampled(problem.stiffness, level), sampled(seen, level), weights)
+            _steepest(sampled(problem.stiffness, level), sampled(observed, level), weights)
             for level in levels(problem.shape)
         )
         uniform = 8.0 * float(weights.sum(axis=0).max())
@@ -204,10 +204,10 @@ class SeilerPrior:
             displacement where A = 0).
         """
         d = np.asarray(displacement, dtype=np.float64) / problem.unit
-        found = self._cliques_of(problem, d)
+        cliques_at_sites = self._cliques_of(problem, d)
         curvature, slope = (
             np.moveaxis(each[:, *_inside(problem)], 0, -1)
-            for each in (found.curvature, found.slope)
+            for each in (cliques_at_sites.curvature, cliques_at_sites.slope)
         )
         step = np.divide(slope, curvature, out=np.zeros_like(d), where=curvature > 0)
         return SiteParabola(curvature, (d + step) * problem.unit)
@@ -226,13 +226,13 @@ def _inside(problem: Problem) -> Slices:
 
 def in_cliques(problem: Problem) -> npt.NDArray[np.bool_]:
     """Return a mask of the sites in a clique that carries each component, (H, W, 2)."""
-    found = np.zeros(problem.observed.shape, dtype=np.bool_)
+    mask = np.zeros(problem.observed.shape, dtype=np.bool_)
     carried = line_weights(problem.spacing) > 0
     for line, sites in _cliques(problem.shape):
         exists = np.logical_and.reduce([problem.tissue[at] for at in sites])
         for at in sites:
-            found[at] |= exists[..., None] & carried[line]
-    return found
+            mask[at] |= exists[..., None] & carried[line]
+    return mask
 
 
 def _steepest(
@@ -244,12 +244,12 @@ def _steepest(
     def stiffness(sites: npt.NDArray[np.int_]) -> Float64Array:
         return np.asarray(padded[tuple(sites.T)], dtype=np.float64)
 
-    here = stiffness(at)
+    t = stiffness(at)
     curvature = np.zeros((m.ndim, len(at)))
     for step, weight in zip(line_steps(m.ndim), weights, strict=True):
         s, u = stiffness(at - step), stiffness(at + step)
         exists = (s > 0) & (u > 0)
-        steep = (1 + here / np.where(exists, s, 1)) ** 2 + (1 + here / np.where(exists, u, 1)) ** 2
+        steep = (1 + t / np.where(exists, s, 1)) ** 2 + (1 + t / np.where(exists, u, 1)) ** 2
         curvature += weight[:, None] * (exists * steep)
     return float(curvature.max(initial=0.0))
 
