@@ -29,7 +29,7 @@ def drag_preview(study: Study, plane: tuple[int, int] | None = None) -> Preview 
 
     Returns
     -------
-    Glance or None
+    Preview or None
     """
     shape = study.grid.shape
     if len(shape) == 3:
