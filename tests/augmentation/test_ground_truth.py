@@ -114,7 +114,7 @@ def test_a_picture_lies_in_its_pixels(files):
 def test_an_amplitude_that_is_no_length_is_refused(files, capsys):
     with pytest.raises(SystemExit):
         truth(files, "--amplitude", "1-far")
-    assert "two such as 1-4" in capsys.readouterr().err
+    assert "a range such as 1-4" in capsys.readouterr().err
 
 
 def test_a_sample_scaled_below_the_amplitude_is_said_with_the_options_of_the_shell(files, caplog):
