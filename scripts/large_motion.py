@@ -20,7 +20,7 @@ _ABOVE = 150
 
 
 def tumour() -> Study:
-    """The sample's tumour, to twice its area and more."""
+    """Take the picture of the sample's tumour, grown to more than twice its area."""
     brain = sample("mass-effect").growing(0.6)
     return Study(
         Grid(brain.image.shape, (1.0, 1.0)),
@@ -31,7 +31,7 @@ def tumour() -> Study:
 
 
 def bar() -> Study:
-    """The sample's bar, whose right end is bent up by 90 degrees."""
+    """Take the picture of the sample's bar, whose right end is bent up by 90 degrees."""
     straight = phantom("bar", 240)
     around = (_ABOVE, 10), (30, 30)  # so that all of it is seen
     image, labels = np.pad(straight.image, around), np.pad(straight.tissue_labels, around)
@@ -58,7 +58,7 @@ def bar() -> Study:
 
 
 def patch() -> Study:
-    """A patch of the brain, dragged across it."""
+    """Take the picture of a patch of the brain, dragged across it."""
     brain = sample("mass-effect")
     arrow = Arrow(at=(150.0, 110.0), by=(-20.0, 60.0), radius=15.0)
     return Study(

@@ -26,7 +26,7 @@ DATE = (2000, 1, 1, 0, 0, 0)
 
 
 def sample_arrays(name: str) -> dict[str, np.ndarray]:
-    """What the file of a phantom holds."""
+    """Return the arrays of the file of a phantom."""
     drawn = phantom(name)
     reference = plane_stress_displacement(drawn.problem)
     return {

@@ -83,7 +83,7 @@ def is_there(need):
 
 
 def missing(wanted=SYSTEM):
-    """What this machine lacks, and the packages of Debian's that would bring it."""
+    """Return what this machine lacks, and the Debian packages that provide it."""
     display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     lacks = [
         (need, package)
@@ -154,12 +154,12 @@ def apt_get(root, arguments, by_hand):
 
 
 def python_of_venv():
-    """The environment's interpreter."""
+    """Return the interpreter of the environment."""
     return VENV / "bin" / "python"
 
 
 def environment_key():
-    """What the environment is made from, as a digest: a change of it is a reason to update."""
+    """Return a digest of the sources of the environment; the environment is updated when it changes."""
     import json
     import tomllib
 

@@ -87,7 +87,7 @@ def pulled(person: Person, dock: Any, *places: tuple[float, float], steps: int =
 
 
 def first(_: dict[str, Path]) -> None:
-    """The first deformation: a sample, the dock, a drag, a click."""
+    """Take the pictures of the first deformation: a sample, the dock, a drag, a click."""
     person = Person(SIZE)
     menu = person.menu("File", "Open Sample", PLUGIN)
     chosen = next(each for each in menu.actions() if each.text() == GROWING)
@@ -165,7 +165,7 @@ def animation(_: dict[str, Path]) -> None:
 
 
 def tumour(_: dict[str, Path]) -> None:
-    """A tumour that grows until linear tissue folds, then in large motion; one that is pushed."""
+    """Take the pictures of a growing tumour: linear, in large motion, and with a pushed rim."""
     person = Person(SIZE)
     open_sample(person, GROWING)
     dock = open_dock(person)
@@ -265,7 +265,7 @@ def typed(person: Person, field: Any, number: str) -> None:
 
 
 def brushes(_: dict[str, Path]) -> None:
-    """What is doubted: confidence that is painted with a soft edge, and its layer."""
+    """Take the picture of confidence that is painted with a soft edge."""
     person = Person(SIZE)
     open_sample(person, GROWING)
     dock = open_dock(person)
@@ -287,7 +287,7 @@ def brushes(_: dict[str, Path]) -> None:
 
 
 def own(images: dict[str, Path]) -> None:
-    """An image of one's own: a PNG."""
+    """Take the pictures of a PNG file."""
     person = Person(SIZE)
     person.viewer.open(str(images["png"]), plugin="napari")
     wait(0.5)
@@ -315,7 +315,7 @@ def own(images: dict[str, Path]) -> None:
 
 
 def photograph(images: dict[str, Path]) -> None:
-    """An RGB photograph, and tissue by an intensity curve."""
+    """Take the pictures of an RGB photograph with stiffness from its intensity."""
     person = Person(SIZE)
     person.viewer.open(str(images["photograph"]), plugin="napari")
     wait(0.5)
@@ -335,7 +335,7 @@ def photograph(images: dict[str, Path]) -> None:
 
 
 def stack(images: dict[str, Path]) -> None:
-    """A slice of a stack."""
+    """Take the picture of a slice of a stack."""
     person = Person(SIZE)
     person.viewer.open(str(images["stack"]), plugin="napari")
     wait(0.5)
@@ -355,7 +355,7 @@ def stack(images: dict[str, Path]) -> None:
 
 
 def volume(_: dict[str, Path]) -> None:
-    """A tumour in a volume: pulled in a slice, and looked at across another axis."""
+    """Take the pictures of a tumour in a volume, pulled in a slice and seen across another axis."""
     person = Person(SIZE)
     open_sample(person, "Head with a growing tumour (volume)")
     dock = open_dock(person)
@@ -389,7 +389,7 @@ def volume(_: dict[str, Path]) -> None:
 
 
 def views(_: dict[str, Path]) -> None:
-    """The same tumour in three views at once, if the plugin for that is there."""
+    """Take the picture of the tumour in three views, if the plugin for them is installed."""
     try:
         from napari_orthogonal_views.ortho_view_manager import show_orthogonal_views
     except ImportError:

@@ -70,13 +70,13 @@ class Person:
     # What is where
 
     def place(self, row: float, col: float) -> QPoint:
-        """A pixel of the image, on the canvas."""
+        """Return the place of a pixel of the image on the canvas."""
         view = self._canvas.view
         x, y = (view.transform * view.scene.transform).map([col, row])[:2]
         return QPoint(round(x), round(y))
 
     def dock(self, name: str) -> Any:
-        """A dock widget by the beginning of its name."""
+        """Return a dock widget by the beginning of its name."""
         docks = self.viewer.window.dock_widgets
         return next(inner for title, inner in docks.items() if title.startswith(name))
 
@@ -187,7 +187,7 @@ class Person:
     # Pictures
 
     def sight(self, pointer: bool = False) -> Image.Image:
-        """The window as it is seen."""
+        """Return a picture of the window."""
         wait(0.05)
         shown = self.viewer.screenshot(canvas_only=False, flash=False)
         picture = Image.fromarray(np.asarray(shown)[..., :3])
@@ -197,7 +197,7 @@ class Person:
         return picture
 
     def screen(self, pointer: bool = True) -> Image.Image:
-        """The window with the menus that are open before it."""
+        """Return a picture of the window with the open menus in front of it."""
         wait(0.2)
         screen = self.window.screen()
         corner = self.window.mapToGlobal(QPoint(0, 0)) - screen.geometry().topLeft()
@@ -210,7 +210,7 @@ class Person:
         return picture
 
     def region(self, *widgets: Any, margin: int = 8) -> tuple[int, int, int, int]:
-        """The rectangle of the window around widgets: left, top, right, bottom."""
+        """Return the rectangle of the window around widgets: left, top, right, bottom."""
         around = QRect()
         for widget in widgets:
             native = getattr(widget, "native", widget)
@@ -228,7 +228,7 @@ class Person:
 
 
 def to_pillow(picture: QImage) -> Image.Image:
-    """A picture of Qt's as Pillow has it."""
+    """Convert a picture of Qt to one of Pillow."""
     rgb = picture.convertToFormat(QImage.Format.Format_RGB888)
     bits = rgb.constBits()
     if hasattr(bits, "setsize"):

@@ -248,7 +248,7 @@ def free_pieces(
 
 
 def _pieces(m: npt.NDArray[Any]) -> tuple[Labels, int]:
-    """Number the pieces of elements, from 1; an element has the index of its first site."""
+    """Label the connected pieces of elements, from 1, at the first site of each element."""
     elements = in_elements(m)
     compute_thread.look()
     pieces, count = scipy.ndimage.label(elements)
