@@ -159,7 +159,7 @@ def python_of_venv():
 
 
 def environment_key():
-    """Return a digest of the sources of the environment; the environment is updated when it changes."""
+    """Return a digest of the sources of the environment, which changes when they do."""
     import json
     import tomllib
 

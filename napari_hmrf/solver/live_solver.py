@@ -10,7 +10,7 @@ import logging
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -243,8 +243,8 @@ class LiveSolver:
             self._earlier.look_at(problem, turn.series)
             solve = partial(self._solve, problem, prior, edit.backend, stop=turn)
             optimizer = edit.optimizer
-            if edit.preview and self._takes_long(problem) and isinstance(optimizer, Multigrid):
-                preview = solve(replace(optimizer, tolerance=PREVIEW_TOLERANCE))
+            if edit.preview and self._takes_long(problem) and _has_preview(optimizer):
+                preview = solve(Multigrid(PREVIEW_TOLERANCE))
                 self._deliver_update(turn, problem, preview, final=False)
                 turn.patience = 0
             self._deliver_update(turn, problem, solve(optimizer))
@@ -294,6 +294,11 @@ class LiveSolver:
             raise
         except Exception:  # noqa: BLE001 - later edits must still be answered
             _log.exception("a live result could not be shown")
+
+
+def _has_preview(optimizer: Optimizer) -> bool:
+    """Return whether a solve to `PREVIEW_TOLERANCE` ends before that of the optimizer."""
+    return isinstance(optimizer, Multigrid) and optimizer.tolerance < PREVIEW_TOLERANCE
 
 
 def _is_crushed(solution: Solution) -> bool:

@@ -46,4 +46,5 @@ def as_dragged(study: Study) -> Study:
     if not isinstance(optimizer, Multigrid):
         return study
     tolerance = _LARGE_MOTION_TOLERANCE if study.model_name == "large motion" else TOLERANCE
-    return replace(study, optimizer=Multigrid(max(tolerance, optimizer.tolerance)))
+    tolerance = max(tolerance, optimizer.tolerance)
+    return replace(study, optimizer=replace(optimizer, tolerance=tolerance))

@@ -48,8 +48,9 @@ Overlay = Callable[[Ground, Drawing, Canvas, Box | None, Pictures], Pictures]
 class Engine:
     """Solver of the newest submitted study, which delivers a `Deformation`.
 
-    All methods may be called from any thread and return immediately. The answer to a study without
-    boundary conditions or loads is the undeformed image.
+    All methods return immediately. One thread submits and drops studies; the other methods may be
+    called from any thread. The answer to a study without boundary conditions or loads is the
+    undeformed image.
 
     Parameters
     ----------
@@ -202,26 +203,34 @@ class Engine:
         request = replace(self._request, generation=update.number)
         error, latest = update.error, self.latest
         if update.solution is not None or isinstance(error, _StillError):
-            try:
-                image, over = self._moved(request, update.solution)
-                answer = replace(request, solution=update.solution, image=image, overlay=over)
-                self.latest = answer
-                self._answer(answer)
+            moved, error = self._try_to_move(request, update.solution)
+            if error is None:
+                image, over = moved
+                self.latest = replace(request, solution=update.solution, image=image, overlay=over)
+                self._answer(self.latest)
                 return
-            except Cancelled:
-                raise
-            except Exception as failure:  # noqa: BLE001 - the caller always gets an answer
-                _log.exception("the image could not be deformed")
-                error = failure
         ground = request.ground
         known = latest is not None and latest.ground is ground and ground is not None
-        over = self._moved(request, latest.solution if known and latest else None)[1]
+        last_solution = latest.solution if known and latest else None
+        (_, over), _ = self._try_to_move(request, last_solution)
         error = request.study.in_words(error or RuntimeError("there is no solution"))
         self._answer(replace(request, error=error, overlay=over))
 
     def _answer(self, answer: Deformation) -> None:
         self._newest = answer
         self._forward(answer)
+
+    def _try_to_move(
+        self, request: Deformation, solution: Solution | None
+    ) -> tuple[tuple[Array | None, tuple[Array, ...]], Exception | None]:
+        """Deform the image and its overlays; return them, and the error if that failed."""
+        try:
+            return self._moved(request, solution), None
+        except Cancelled:
+            raise
+        except Exception as error:  # noqa: BLE001 - the caller always gets an answer
+            _log.exception("the image could not be deformed")
+            return (None, ()), error
 
     def _moved(
         self, request: Deformation, solution: Solution | None

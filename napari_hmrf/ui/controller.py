@@ -192,7 +192,9 @@ class Controller:
         self.reader.forget()  # a script may have changed an array in place
         try:
             study = self._read_chosen(unpainted=False)
-        except (HmrfError, ValueError) as error:
+        except Exception as error:  # noqa: BLE001 - a layer may raise anything
+            if not isinstance(error, HmrfError | ValueError):
+                _log.exception("the current choices could not be read")
             self._refuse(error)
             return
         self.settling, self._submitted = True, study
@@ -271,10 +273,13 @@ class Controller:
 
     def _stand_on(self, study: Study, source: Any) -> None:
         """Make a study the current one, and select the drawing of its slice."""
-        before = self._read
+        before, place = self._read, study.grid
+        is_other = before is None or source is not self.source or before.grid != place
+        if is_other and self.settling:
+            self.cancel()  # its result would belong to another slice or image
         self.pointer.tissue = self.form.tissue.layer
-        place, self._read = study.grid, study
-        if before is None or source is not self.source or before.grid != place:
+        self._read = study
+        if is_other:
             if source is not self.source:
                 self.source, self._report = source, ""
             self._submitted = None
@@ -319,19 +324,22 @@ class Controller:
             self._submitted = None
             if not self.pointer.active:  # else the pointer has reported the error
                 self._report_failure(moved.error)
+            self._end_settling()
             return
         self.seen.emit(moved)
         if moved.solution is None:
             self._clear_result()
+            self._end_settling()
         self._complete_timer.start(0 if moved.settled else _REST)
 
     def _on_complete(self, done: CompleteResult) -> None:
+        # Read pending edits first: they may lead to another slice or image.
+        if not self._look_timer.isActive() or self.look():
+            self._failure = ""
         study = self.study
         if study is None or done.moved.study.grid != study.grid:
             return
-        if self._look_timer.isActive():  # read pending edits first
-            self.look()
-        self._results[self.source], self._failure = done, ""
+        self._results[self.source] = done
         self._report = messages.report(done)
         self._show(done)
         self.chip.look()
@@ -344,6 +352,12 @@ class Controller:
         self.followed.emit(done.outputs)
         if settled:
             self.finished.emit(done.outputs)
+
+    def _end_settling(self) -> None:
+        """End a cold-start solve without a result, as a later edit has replaced it."""
+        if self.settling:
+            self._stop()
+            self.finished.emit(None)
 
     def _show(self, done: CompleteResult | None) -> None:
         """Show a complete result, or none; its layers record whether it is up to date."""

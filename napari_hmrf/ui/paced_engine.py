@@ -129,9 +129,11 @@ class PacedEngine:
         if not self._engine.is_current(state.moved):
             return
         # A newer study has corrected the error, or will report it again.
-        if state.moved.error is None or not self._engine.waits:
-            self._show(state)
-        self._repainted.ask()
+        try:
+            if state.moved.error is None or not self._engine.waits:
+                self._show(state)
+        finally:
+            self._repainted.ask()
 
     def _on_completed(self, completed: CompleteResult | ShownDeformation | None) -> None:
         if isinstance(completed, ShownDeformation):

@@ -141,7 +141,8 @@ class ComputeThread:
         """Describe the work that a queued job waits for, and how to stop it; "" once it runs."""
         if future.running() or future.done():
             return ""
-        doing = self._doing() if callable(self._doing) else self._doing
+        doing = self._doing  # read once, as the compute thread may reset it
+        doing = doing() if callable(doing) else doing
         # Only compilation is slow enough that a waiting caller needs its progress.
         stage = f" ({self.stage})" if self.stage.startswith("compiling") else ""
         return f"waiting for {doing}{stage}" if doing else "starting"
