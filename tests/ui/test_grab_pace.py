@@ -180,6 +180,27 @@ def test_an_answer_that_was_dropped_on_its_way_to_the_window_is_not_shown(follow
     assert [seen.study.motion.drawing for seen in follower.shown] == [pulled(2)]
 
 
+def test_the_next_drawing_is_solved_although_an_answer_could_not_be_shown(
+    image, following, rest, monkeypatch, qtbot
+):
+    follower = following(image)
+    show, failures = follower.shown.append, [RuntimeError("a layer of another plugin")]
+
+    def fail_once(state):
+        if failures:
+            raise failures.pop()
+        show(state.moved)
+
+    monkeypatch.setattr(follower.engine, "_show", fail_once)
+    with qtbot.captureExceptions() as raised:
+        follower.follow(pulled(1))
+        rest(follower)
+    assert len(raised) == 1
+    follower.follow(pulled(2))
+    rest(follower)
+    assert [answer.study.motion.drawing for answer in follower.shown] == [pulled(2)]
+
+
 def test_a_picture_that_cannot_be_moved_does_not_stop_the_next(follower, rest, monkeypatch):
     from napari_hmrf.field.live_warp import Warper
 

@@ -1,0 +1,77 @@
+"""A press of Deform always ends, whatever is edited before its result is there."""
+
+import numpy as np
+import pytest
+
+from napari_hmrf.tissue.drawing import Arrow, Drawing
+from tests.support.docks import quick
+
+
+@pytest.fixture
+def stack_dock(frame, at_rest):
+    """Open a dock beside a stack of two slices, one of which is pulled."""
+    rows, cols = np.indices((24, 26))
+    slice_ = (np.hypot(rows - 12, cols - 13) < 10) * 100.0 + 20
+    frame.viewer.add_image(np.stack([slice_, slice_ + 1]), name="MR")
+    frame.viewer.dims.set_point(0, 0)
+    dock = quick(frame.open())
+    dock.live = False
+    at_rest()
+    dock.drawing = Drawing((Arrow((12, 13), (0, 2), 2.0),))
+    at_rest.until(lambda: not dock.busy)
+    return dock
+
+
+@pytest.fixture
+def finished(stack_dock):
+    """Results with which a press of Deform has ended."""
+    ended = []
+    stack_dock.finished.connect(ended.append)
+    return ended
+
+
+def test_deform_ends_without_a_result_when_another_slice_is_shown(
+    frame, stack_dock, finished, busy_thread, at_rest
+):
+    stack_dock.deform()
+    assert not stack_dock.idle
+    frame.viewer.dims.set_point(0, 1)
+    at_rest(thread=False)
+    assert finished == [None]
+    assert stack_dock.idle
+    busy_thread.set()
+    at_rest.until(lambda: not stack_dock.busy)
+    assert finished == [None]
+    stack_dock.drawing = Drawing((Arrow((12, 13), (2, 0), 2.0),))
+    stack_dock.deform()
+    at_rest.until(lambda: len(finished) == 2)
+    assert finished[1] is not None, "the next one has a result"
+
+
+def test_deform_ends_without_a_result_when_the_drawing_is_removed(
+    stack_dock, finished, busy_thread, at_rest
+):
+    stack_dock.deform()
+    stack_dock.drawing = Drawing()
+    busy_thread.set()
+    at_rest.until(lambda: bool(finished))
+    assert stack_dock.idle
+    at_rest.until(lambda: not stack_dock.busy)
+    assert len(finished) == 1
+
+
+def test_deform_ends_when_a_layer_raises_an_unexpected_error(
+    stack_dock, finished, at_rest, monkeypatch
+):
+    def fail(*_):
+        raise RuntimeError("a layer of another plugin")
+
+    with monkeypatch.context() as broken:
+        broken.setattr("napari_hmrf.ui.study_reader.study_from_layers", fail)
+        broken.setattr("napari_hmrf.ui.controller.show_error", lambda _: None)
+        stack_dock.deform()
+    assert finished == [None]
+    assert stack_dock.idle
+    stack_dock.deform()
+    at_rest.until(lambda: len(finished) == 2)
+    assert finished[1] is not None
