@@ -2,10 +2,11 @@
 
     python scripts/routes.py [--functions]
 
-A module has a line where it is called first, below the module that calls it: its name, the function
-that is called, and the first line of its docstring. Modules that call no further module are the
-vocabulary of the step (values, checks, units); they are listed by name after "with". Changes of the
-thread are marked. With ``--functions``, every first call of a function has a line.
+A module has a line where it is called first, below the module that calls it: its name and the first
+line of its docstring, then the functions that are called in it, in order. Modules that call no
+further module are the vocabulary of the step (values, checks, units); they are listed by name after
+"with". Changes of the thread are marked. With ``--functions``, every first call of a function has a
+line.
 """
 
 from __future__ import annotations
@@ -28,8 +29,10 @@ import napari_hmrf
 PACKAGE = Path(napari_hmrf.__file__).parent
 #: Seconds to wait for a result.
 _LONG = 300.0
-#: Columns of the names, spaces for each level of calls, and the deepest level that is indented.
-_WIDTHS, _INDENT, _DEEPEST = (48, 32), 2, 8
+#: Width of the column of names, spaces for each level of calls, and the deepest indented level.
+_WIDTH, _INDENT, _DEEPEST = 48, 2, 8
+#: Number of functions of a module that are listed.
+_FUNCTIONS = 8
 
 
 class Stop(NamedTuple):
@@ -58,28 +61,35 @@ class Route:
 
     def __init__(self, functions: bool) -> None:
         self.stops: dict[tuple[str, ...], Stop] = {}
+        #: Functions that were called in each module, in the order of their first calls.
+        self.called: dict[str, list[str]] = {}
         self._functions, self._on = functions, False
         threading.setprofile(self._on_event)
 
-    def record(self, action: Callable[[], object]) -> list[Stop]:
-        """Return the stops of an action, in the order of their first calls."""
-        self.stops, self._on = {}, True
+    def record(self, action: Callable[[], object]) -> Route:
+        """Record the stops of an action, in the order of their first calls."""
+        self.stops, self.called, self._on = {}, {}, True
         sys.setprofile(self._on_event)
         try:
             action()
         finally:
             sys.setprofile(None)
             self._on = False
-        return list(self.stops.values())
+        return self
 
     def _on_event(self, frame: FrameType, event: str, _: Any) -> None:
         if not self._on or event != "call" or frame.f_code.co_name.startswith("<"):
             return
         module = module_of(frame)
-        key = (module, frame.f_code.co_qualname) if self._functions else (module,)
-        if not module or key in self.stops:
+        if not module:
             return
         name = frame.f_code.co_qualname.replace("<locals>.", "")
+        known = self.called.setdefault(module, [])
+        if name not in known:
+            known.append(name)
+        key = (module, frame.f_code.co_qualname) if self._functions else (module,)
+        if key in self.stops:
+            return
         above = frame.f_back
         while above is not None and module_of(above) in ("", module):
             above = above.f_back
@@ -101,8 +111,9 @@ def duty_of(module: str) -> str:
     return documented.partition("\n")[0]
 
 
-def print_route(title: str, stops: list[Stop], functions: bool) -> None:
-    """Print the stops of a route: one in a line, or with its vocabulary in the next line."""
+def print_route(title: str, route: Route, functions: bool) -> None:
+    """Print the stops of a route, each with its functions and its vocabulary below it."""
+    stops = list(route.stops.values())
     modules = {stop.module for stop in stops}
     callers = {stop.caller for stop in stops}
     main = [stop for stop in stops if functions or not stop.caller or stop.module in callers]
@@ -116,13 +127,26 @@ def print_route(title: str, stops: list[Stop], functions: bool) -> None:
         if stop.thread != thread:
             thread = stop.thread
             print(f"-- {thread}")
-        first, second = _WIDTHS
         indent = " " * _INDENT * min(depths[stop.module], _DEEPEST)
         name = f"{indent}{stop.module}"
-        print(f"{name:<{first}} {stop.function[:second]:<{second}} {duty_of(stop.module)}")
+        print(f"{name:<{_WIDTH}} {stop.function if functions else duty_of(stop.module)}")
+        called = [] if functions else [each for each in route.called[stop.module] if is_step(each)]
         words = [each.module for each in stops if each.caller == stop.module and each not in main]
-        for line in textwrap.wrap(", ".join(words), 100):
-            print(f"{indent}    with {line}" if line else "")
+        rest = [f"and {len(called) - _FUNCTIONS} more"] if len(called) > _FUNCTIONS else []
+        print_list(f"{indent}    calls ", [*called[:_FUNCTIONS], *rest])
+        print_list(f"{indent}    with ", words)
+
+
+def is_step(name: str) -> bool:
+    """Return whether a function does a step of its own, by its name."""
+    return not name.split(".")[-1].startswith("__")
+
+
+def print_list(begin: str, names: list[str]) -> None:
+    """Print names in lines of at most 120 characters, unless there are none."""
+    if names:
+        after = " " * len(begin)
+        print(textwrap.fill(", ".join(names), 120, initial_indent=begin, subsequent_indent=after))
 
 
 def main() -> None:
