@@ -294,7 +294,7 @@ def outcome(writer: Writer, folder: Path, before: dict[str, bytes]) -> str:
         changed = sorted(name for name in before if after.get(name) != before[name])
         return f"left behind: {new}" if new else f"changed: {changed}"
     names = {Path(name).name for name in before}
-    reasons = ("disk is full", "grow so large", "No space left", "File too large")
+    reasons = ("disk is full", "larger than the system allows", "No space left", "File too large")
     if not any(name in said for name in names) or not any(each in said for each in reasons):
         return f"the error does not say what and why: {said}"[:300]
     return "more than one line" if "\n" in said else ""

@@ -291,8 +291,8 @@ MUTATIONS = (
     ),
     Mutation(
         "layers/pixel_copy.py",
-        "found = next((each for each in known if _same(each, now)), now)",
-        "found = now",
+        "kept = next((each for each in known if _is_equal(each, copy)), copy)",
+        "kept = copy",
         "layers/test_layers_inputs.py ui/motion/test_pull.py",
     ),
     # ui: what is said, shown and played

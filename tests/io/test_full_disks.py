@@ -73,7 +73,7 @@ def writes(module):
             mode = given[1] if len(given) > 1 else "'r'"
             if set(mode) & set("wax+"):
                 yield node.lineno
-        elif called in _WAYS and not {"drawn", "file"} & set(given):  # names of what is in memory
+        elif called in _WAYS and not {"buffer", "file"} & set(given):  # names of what is in memory
             yield node.lineno
 
 
