@@ -78,7 +78,7 @@ MUTATIONS = (
         "study/study_model.py",
         "        if self.drawing_in_progress:\n            self.end()\n        self.slice",
         "        self.slice",
-        "study/test_edit_history.py",
+        "study/test_study_model.py",
     ),
     Mutation(
         "study/study_model.py",
@@ -114,13 +114,13 @@ MUTATIONS = (
         "layers/viewer_undo.py",
         "store_table(value, part.layer, part.kind)",
         "pass",
-        "ui/test_undo_keys.py io/test_segmentations.py ui/test_layer_choice.py",
+        "study/test_study_model.py",
     ),
     Mutation(
         "tissue/row_table.py",
         "    if len(differing) != 1:",
         "    if not differing:",
-        "ui/test_first_use.py ui/test_undo_keys.py",
+        "tissue/test_row_table.py",
     ),
     Mutation(
         "ui/form_binding.py",

@@ -11,6 +11,7 @@ from psygnal import EmitLoopError
 from napari_hmrf import Arrow, BoundaryRule, Drawing, Material, solve_study
 from napari_hmrf.field.frame import SlicePlace
 from napari_hmrf.io.study_file import read_study, write_study
+from napari_hmrf.layers.metadata import table_of
 from napari_hmrf.layers.read import Request, study_from_layers, study_layers
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_undo import undo_of
@@ -231,3 +232,27 @@ def test_another_stroke_after_undo_is_unsaved_work(layers):
         states.add(model.get(Part("paint", layers["tissue"])))
         model.undo()
     assert len(states) == 2
+
+
+def test_a_drag_ends_as_a_step_when_another_slice_is_selected(layers):
+    model = StudyModel()
+    model.select(layers["image"])
+    model.select_slice(layers["image"], "first")
+    model.begin_drawing("drew an arrow")
+    model.update_drawing(Drawing((PULL,)))
+    model.select_slice(layers["image"], "second")
+    assert not model.drawing_in_progress
+    assert not model.drawing.marks
+    assert model.next_undo.word == "drew an arrow"
+    model.undo()
+    model.select_slice(layers["image"], "first")
+    assert not model.drawing.marks
+
+
+def test_a_table_of_the_model_is_stored_with_its_layer(layers):
+    viewer = ViewerModel()
+    tissue = viewer.add_layer(layers["tissue"])
+    model = undo_of(viewer).model
+    model.set_table("tissue", tissue, RowTable((SOFT,)))
+    model.set_table("tissue", tissue, RowTable((STIFF,), "kPa"), "changed a table")
+    assert table_of(tissue, "tissue") == RowTable((STIFF,), "kPa")
