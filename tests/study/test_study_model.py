@@ -243,6 +243,7 @@ def test_a_drag_ends_as_a_step_when_another_slice_is_selected(layers):
     model.select_slice(layers["image"], "second")
     assert not model.drawing_in_progress
     assert not model.drawing.marks
+    assert model.in_progress is None
     assert model.next_undo.word == "drew an arrow"
     model.undo()
     model.select_slice(layers["image"], "first")
