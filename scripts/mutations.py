@@ -9,16 +9,20 @@ that are to fail. The package and its tests are copied to another folder, and th
 from __future__ import annotations
 
 import os
+import queue
 import shutil
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
 #: Folders that the package needs to be imported.
 _FOLDERS = "napari_hmrf", "shaders", "sample_data", "benchmarks", "tests"
+#: Mutations that are tried at once.
+_AT_ONCE = os.cpu_count() or 1
 #: Exit statuses of pytest if all tests pass, and if one fails; any other says that none was run.
 _PASSED, _FAILED = 0, 1
 
@@ -443,21 +447,36 @@ def survives(mutation: Mutation, folder: Path) -> bool:
         file.write_text(text, encoding="utf-8")
 
 
+def copied(folder: Path) -> Path:
+    """Copy to a folder what the tests of a mutation need, and return the folder."""
+    # The tests too: pytest imports the package that lies beside them.
+    for name in _FOLDERS:
+        shutil.copytree(ROOT / name, folder / name)
+    shutil.copy(ROOT / "pyproject.toml", folder)
+    return folder
+
+
 def main(wanted: list[str]) -> int:
-    """Try all mutations, or those of some numbers; how many survive."""
+    """Try all mutations, or those with some numbers; return how many survive."""
     chosen = [int(each) for each in wanted] or range(len(MUTATIONS))
-    survivors = 0
-    with tempfile.TemporaryDirectory() as made:
-        # The tests too: pytest imports the package that lies beside them.
-        for name in _FOLDERS:
-            shutil.copytree(ROOT / name, Path(made) / name)
-        shutil.copy(ROOT / "pyproject.toml", made)
-        for number in chosen:
+    folders: queue.SimpleQueue[Path] = queue.SimpleQueue()
+
+    def tried(number: int) -> tuple[int, bool]:
+        folder = folders.get()
+        try:
+            return number, survives(MUTATIONS[number], folder)
+        finally:
+            folders.put(folder)
+
+    with tempfile.TemporaryDirectory() as made, ThreadPoolExecutor(_AT_ONCE) as pool:
+        for number in range(_AT_ONCE):
+            folders.put(copied(Path(made) / f"{number}"))
+        survivors = 0
+        for number, is_alive in pool.map(tried, chosen):
+            survivors += is_alive
+            said = "SURVIVES" if is_alive else "is seen"
             mutation = MUTATIONS[number]
-            alive = survives(mutation, Path(made))
-            survivors += alive
-            said = "SURVIVES" if alive else "is seen"
-            print(f"{number:2} {said:8} {mutation.file}: {mutation.wrong}", flush=True)
+            print(f"{number:2} {said:8} {mutation.file}: {mutation.wrong.strip()}", flush=True)
     print(f"{survivors} of {len(chosen)} survive")
     return survivors
 
