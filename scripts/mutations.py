@@ -372,8 +372,8 @@ MUTATIONS = (
     ),
     Mutation(
         "ui/motion/pointer.py",
-        "self.said.emit(self.tool.error_message or in_short(error))",
-        "self.said.emit(in_short(error))",
+        "self.message.emit(self.tool.error_message or in_short(error))",
+        "self.message.emit(in_short(error))",
         "ui/motion/test_grab_tools.py",
     ),
     Mutation(

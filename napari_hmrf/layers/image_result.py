@@ -425,7 +425,7 @@ class ResultLayers:
         result.take("arrows", arrows)
         return result
 
-    def stand_on(self, source: Any, place: Frame) -> None:
+    def show_extent(self, source: Any, place: Frame) -> None:
         """Show the result of the slice or volume that the user works on, and hide other extents."""
         for result in [each for each in self._results if each.anchor() is source]:
             result.make_way(place)

@@ -162,7 +162,7 @@ class ModelForm(Container):
     def _show(self, *_: Any) -> None:
         """Show the fields that apply."""
         model = self.model.value
-        self._when.say(when_to_take(model, None if self._volume else self.plane.value))
+        self._when.show_text(when_to_take(model, None if self._volume else self.plane.value))
         self.plane.visible = self.is_elastic and not self._volume
         self.poisson.visible = self.is_elastic and isinstance(self._tissue, Image)
         for field in self.in_detail:

@@ -58,17 +58,17 @@ class PacedEngine:
     ) -> None:
         """Submit a study, as `Engine.submit`; with `settle`, drop earlier work first."""
         if settle:
-            self.forget()
+            self.cancel()
         self._engine.submit(study, backend, settle, preview)
 
     def complete(self) -> None:
         """Make the layers of the latest answer in the background, unless a newer study waits."""
         self._jobs.submit("layers", self._completed, self._on_completed)
 
-    def forget(self) -> None:
+    def cancel(self) -> None:
         """Drop all pending work; its results are not shown."""
         self._engine.forget()
-        self._jobs.forget("layers")
+        self._jobs.cancel("layers")
 
     @property
     def busy(self) -> bool:
@@ -96,7 +96,7 @@ class PacedEngine:
 
     def release(self) -> None:
         """Drop all work and stop the engine permanently."""
-        self.forget()
+        self.cancel()
         self._engine.close()
         self._gui.release()
         self._jobs.release()
@@ -105,7 +105,7 @@ class PacedEngine:
     # On the compute thread
 
     def _deliver(self, answer: Deformation) -> None:
-        state = self._overlay.on(answer)
+        state = self._overlay.with_marks(answer)
         self._engine.hold()
         self._gui.submit(partial(self._on_answer, state))
 
@@ -131,7 +131,7 @@ class PacedEngine:
         # A newer study has corrected the error, or will report it again.
         if state.moved.error is None or not self._engine.waits:
             self._show(state)
-        self._repainted.ask()
+        self._repainted.schedule()
 
     def _on_completed(self, completed: CompleteResult | ShownDeformation | None) -> None:
         if isinstance(completed, ShownDeformation):

@@ -67,13 +67,13 @@ class TissueSection(_PaintedSection[MaterialTable]):
     menu : MaterialMenu
     border : CheckBox
         Check box that excludes dark, unpainted surroundings from the tissue.
-    known : StiffnessCurve or None
+    brightness_curve : StiffnessCurve or None
         Curve of the image, if the menu offers it.
     editor : CurveEditor
         Editor of that curve.
     """
 
-    known: StiffnessCurve | None = None
+    brightness_curve: StiffnessCurve | None = None
 
     def __init__(self, layers: Layers, view: Shown) -> None:
         choice = LayerChoice(
@@ -82,7 +82,7 @@ class TissueSection(_PaintedSection[MaterialTable]):
             lambda layer: isinstance(layer, Labels | Image) and "kind" not in known_of(layer),
             "tissue",
             "A Labels layer in which tissues are painted, an image of stiffness, or a curve",
-            lambda: [("brightness of the image", BRIGHTNESS)] if self.known else [],
+            lambda: [("brightness of the image", BRIGHTNESS)] if self.brightness_curve else [],
         )
         self.border = CheckBox(
             value=True,
@@ -105,11 +105,11 @@ class TissueSection(_PaintedSection[MaterialTable]):
     @property
     def curve(self) -> StiffnessCurve | None:
         """Curve of the image, if brightness defines the tissue; else None."""
-        return self.known if self.choice.value == BRIGHTNESS else None
+        return self.brightness_curve if self.choice.value == BRIGHTNESS else None
 
     def offer(self, curve: StiffnessCurve | None) -> None:
         """Offer the curve of the image in the menu; None removes it."""
-        self.known = curve
+        self.brightness_curve = curve
         if curve is not None:
             self.editor.curve = curve
         self.choice.reset_choices()

@@ -217,7 +217,7 @@ def test_what_is_seen_while_tissue_is_pulled_is_the_field_of_python(tumour, qtbo
     grab = tumour
     assert grab.start()
     seen = []
-    grab.seen.connect(seen.append)
+    grab.deformation_changed.connect(seen.append)
     for by in (1.0, 1.5, 2.0):
         grab.drawing = Drawing((Arrow((9.0, 6.0), (0.0, by), 1.5),))
     qtbot.waitUntil(lambda: not grab.busy, timeout=240_000)

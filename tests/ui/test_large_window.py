@@ -199,7 +199,7 @@ def test_what_large_motion_could_not_do_is_said_in_the_dock(dock, viewer, at_res
     rules = (BoundaryRule(1, "expand", amount=14.0, name="rim"),)
     layer = viewer.add_labels(ring, name="Rim", metadata=described(BOUNDARY, rules))
     dock.model, dock.boundary, dock.hold_edge = "large motion", layer, True
-    solution = at_rest(dock.touch)
+    solution = at_rest(dock.schedule_refresh)
     assert isinstance(dock.study.prior, NeoHookeanPrior)
     assert solution.reach.missing > 0.1
     assert "stay short" in dock.warning

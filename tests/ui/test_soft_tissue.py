@@ -738,7 +738,7 @@ def test_nothing_moves_under_the_mouse(docked, small_sample, busy_thread, wait_f
     busy_thread.set()
     wait_for(lambda: docked.idle)
     assert places() == before
-    docked.say("word " * 300)
+    docked.show_message("word " * 300)
     assert places() == before
 
 

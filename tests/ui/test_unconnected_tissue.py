@@ -177,7 +177,7 @@ def test_that_a_pull_moves_all_of_the_tissue_as_nothing_holds_it_is_read(pulling
     said = "Nothing holds the tissue, so that all of it moves as one: hold its edge, or paint what"
     assert widget.active
     assert widget.status.startswith(said)
-    assert widget.status.endswith(BY_NAME["pull"].how), "and what can be done next"
+    assert widget.status.endswith(BY_NAME["pull"].hint), "and what can be done next"
     assert widget.warning.startswith(said)
     field = widget.solution.displacement
     np.testing.assert_allclose(field, np.broadcast_to((0, 4), field.shape), atol=0.02)

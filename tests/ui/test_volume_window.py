@@ -78,7 +78,7 @@ def test_an_image_without_slices_offers_no_volume(open_beside):
 def test_a_pull_in_a_slice_moves_the_slices_beside_it(volume, settle, qtbot):
     person, widget = volume
     seen = []
-    widget.seen.connect(seen.append)
+    widget.deformation_changed.connect(seen.append)
     person.press(16, 16)
     person.move(18, 19)
     qtbot.waitUntil(lambda: bool(seen), timeout=LONG_MS)
@@ -108,7 +108,7 @@ def test_a_pull_in_a_slice_moves_the_slices_beside_it(volume, settle, qtbot):
 def test_while_a_hand_pulls_the_slice_that_is_seen_follows(volume, settle, qtbot):
     person, widget = volume
     seen = []
-    widget.seen.connect(seen.append)
+    widget.deformation_changed.connect(seen.append)
     person.press(16, 16)
     for step in range(1, 4):
         before = len(seen)
@@ -320,7 +320,7 @@ def test_a_hand_that_pulls_again_waits_for_no_volume(volume_beside, settle, qtbo
     settle(widget)
     widget.deform()
     seen = []
-    widget.seen.connect(seen.append)
+    widget.deformation_changed.connect(seen.append)
     person.press(8, 8)
     person.move(9, 9)
     qtbot.waitUntil(lambda: any(each.preview is not None for each in seen), timeout=LONG_MS)
@@ -406,7 +406,7 @@ def cancelled(volume_beside, settle, qtbot):
 
     def cancel():
         seen, go_on = [], threading.Event()
-        widget.seen.connect(seen.append)
+        widget.deformation_changed.connect(seen.append)
         person.press(16, 16)
         person.move(19, 19)
         qtbot.waitUntil(lambda: bool(seen), timeout=LONG_MS)
@@ -463,7 +463,7 @@ def test_while_a_volume_is_dragged_nothing_is_said_of_an_earlier_result(
     viewer.mouse_over_canvas = True
     viewer.status = "Here"
     assert "moves" in viewer.status
-    widget.seen.connect(seen.append)
+    widget.deformation_changed.connect(seen.append)
     person.press(8, 8)
     person.move(11, 11)
     qtbot.waitUntil(lambda: bool(seen), timeout=LONG_MS)

@@ -81,7 +81,7 @@ class ArrowsLayer:
         flat = self._viewer.dims.ndisplay == 2
         return flat and layer is not None and self._viewer.layers.selection.active is layer
 
-    def take(self, frame: Frame, shape: tuple[int, ...], circle: float | None) -> None:
+    def activate(self, frame: Frame, shape: tuple[int, ...], circle: float | None) -> None:
         """Place the layer on a slice, on top and active, with a circle around the pointer."""
         if self.layer is None:
             self._add(frame, shape)

@@ -21,7 +21,7 @@ _SURE = (
     "it by more than about that"
 )
 #: Attribute of a mark that a field sets, if their names differ.
-_ATTRIBUTES = {"sure": "confidence", "material": "label"}
+_ATTRIBUTES = {"stroke_confidence": "confidence", "material": "label"}
 #: Fields of a displacement, along the rows and the columns.
 _STEPS = ("by_row", "by_col")
 
@@ -31,7 +31,9 @@ class ToolFields(Container):
 
     Attributes
     ----------
-    radius, by_row, by_col, amount, confidence, sure, softness, components, preset, material
+    radius, by_row, by_col, amount : FloatSpinBox
+    confidence, stroke_confidence, softness : FloatSlider
+    components, preset, material : ComboBox
         Widgets. The `fields` of a tool name the ones that it uses; `preset` is shown with
         `material`.
     """
@@ -53,7 +55,7 @@ class ToolFields(Container):
             "of the image",
         )
         self.confidence = share("confidence", _SURE, value=1.0, min=_LEAST_CONFIDENCE)
-        self.sure = share(
+        self.stroke_confidence = share(
             "becomes",
             "How sure it is what is held or moved under the brush. 1: exactly so, "
             "0: that says nothing any more",

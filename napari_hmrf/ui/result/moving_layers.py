@@ -189,7 +189,7 @@ class Player:
         if (shown := self._shown()) is None:
             return
         if (moment := shown.motion.known(percent / FULL)) is not None:
-            self._jobs.forget("moment")
+            self._jobs.cancel("moment")
             self._draw(shown, percent, moment)
         else:
             work = partial(shown.motion.at, percent / FULL)

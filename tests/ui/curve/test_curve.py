@@ -153,7 +153,7 @@ def typed(qtbot, field, text):
 
 def test_fields_say_and_take_the_curve(editor, person, qtbot):
     said = []
-    editor.refused.connect(said.append)
+    editor.refusal.connect(said.append)
     assert editor.points.value == "50: 10; 100: 20; 200: 40"
     assert (editor.void_below.value, editor.unit.value) == ("20", "kPa")
     typed(qtbot, editor.points, "50:10;200 : 40 ; 100: 30,5;0:0.001")
@@ -184,7 +184,7 @@ def test_fields_say_and_take_the_curve(editor, person, qtbot):
 )
 def test_what_is_no_curve_is_refused_and_put_back(editor, person, qtbot, text, why):
     said = []
-    editor.refused.connect(said.append)
+    editor.refusal.connect(said.append)
     assert typed(qtbot, editor.points, text) == "50: 10; 100: 20; 200: 40"
     assert why in said[0]
     assert typed(qtbot, editor.void_below, "x") == "20"

@@ -199,7 +199,7 @@ def test_what_lay_over_a_picture_is_never_seen_over_the_next(pulled, run, settle
     (layer,) = parts(viewer, name)
     assert layer.visible
     seen_over_another = []
-    for shown in (dock.seen, dock.followed):
+    for shown in (dock.deformation_changed, dock.result_drawn):
         shown.connect(lambda _: seen_over_another.append(layer.visible))
     dock.rules = (dock.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
     run(dock)
@@ -371,7 +371,7 @@ def test_a_closed_dock_pulls_nothing_and_the_next_goes_on_with_its_layers(in_win
     viewer = person.viewer
     drag_a_patch(person, first, settle)
     told = []
-    first.seen.connect(told.append)
+    first.deformation_changed.connect(told.append)
     viewer.window.remove_dock_widget(first.native)
     second = told_when(dock_in(viewer))
     grab(second)
@@ -596,7 +596,7 @@ def test_nothing_replaces_the_image_as_it_was_while_a_button_is_down(at_hand, se
     dock.live = True
     Screen(dock).click_row("air")
     found = []
-    dock.followed.connect(found.append)
+    dock.result_drawn.connect(found.append)
     person.press(20, 20)
     person.move(20, 30)
     settle(dock)  # the tissue has followed, and the mouse is still
@@ -708,6 +708,6 @@ def test_of_many_words_as_many_lines_are_seen_as_there_is_room_for(at_hand):
     footer = dock._form.footer
     label = footer._status.native
     for count, seen in ((1, 1), (40, 9), (5, 5)):
-        footer.say("\n".join(["word"] * count))
+        footer.show_status("\n".join(["word"] * count))
         assert round(label.height() / label.fontMetrics().lineSpacing()) == seen
         assert label.toolTip().count("word") == count, "all of it can be read"
