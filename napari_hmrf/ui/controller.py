@@ -18,7 +18,7 @@ from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.painted_overlay import ShownDeformation
-from napari_hmrf.layers.screen_directions import ways_of
+from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.layers.slice_view import plane_shown
 from napari_hmrf.study.drag_preview import as_dragged, drag_preview
 from napari_hmrf.study.ground import refuse_unknown
@@ -196,7 +196,7 @@ class Controller:
             self._refuse(error)
             return
         self.settling, self._submitted = True, study
-        self.engine.submit(study, self._model.model.details.device, settle=True)
+        self.engine.submit(study, self._model.model.details.device, cold_start=True)
         self.progress.start("Deforming", at_once=True)
 
     def cancel(self) -> None:
@@ -283,7 +283,7 @@ class Controller:
             self.form.footer.live.judge(math.prod(study.grid.shape[-2:]))
             self.engine.rehearse(study)
             self.slice_changed.emit(study)
-        ways = ways_of(place.known_place, self._viewer)
+        ways = directions_of(place.known_place, self._viewer)
         self.curve_layer.show(study, source)
         self.form.show_place(unit_symbol(place.unit), ways, study.tissue.unit)
 

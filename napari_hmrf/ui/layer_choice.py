@@ -8,14 +8,14 @@ from typing import Any
 from magicgui.widgets import ComboBox, Container, PushButton
 from napari.layers import Image, Points, Shapes
 
-from napari_hmrf.layers.metadata import TISSUE, known_of, role_of
+from napari_hmrf.layers.metadata import TISSUE, metadata_of, role_of
 from napari_hmrf.layers.slice_view import layer_extents
 from napari_hmrf.ui.forms import align_labels, narrow
 
 
 def is_picture(layer: Any) -> bool:
     """Return whether a layer is an image other than a result or an image of stiffness."""
-    own = isinstance(layer, Image) and "kind" not in known_of(layer)
+    own = isinstance(layer, Image) and "kind" not in metadata_of(layer)
     return own and role_of(layer) != TISSUE
 
 
@@ -154,4 +154,4 @@ class ExtentChoice(ComboBox):
         """Show the menu if an image has slices, and select the extent that its metadata records."""
         self.has_slices = image is not None and layer_extents(image)[-3:-2] > (1,)
         self.visible = self.has_slices
-        self.value = known_of(image).get("extent", "slice") if self.has_slices else "slice"
+        self.value = metadata_of(image).get("extent", "slice") if self.has_slices else "slice"

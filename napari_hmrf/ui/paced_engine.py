@@ -53,13 +53,13 @@ class PacedEngine:
         self,
         study: Study,
         backend: str = "auto",
-        settle: bool = False,
+        cold_start: bool = False,
         preview: Preview | None = None,
     ) -> None:
-        """Submit a study, as `Engine.submit`; with `settle`, drop earlier work first."""
-        if settle:
+        """Submit a study, as `Engine.submit`; with `cold_start`, drop earlier work first."""
+        if cold_start:
             self.cancel()
-        self._engine.submit(study, backend, settle, preview)
+        self._engine.submit(study, backend, cold_start, preview)
 
     def complete(self) -> None:
         """Make the layers of the latest answer in the background, unless a newer study waits."""
@@ -67,7 +67,7 @@ class PacedEngine:
 
     def cancel(self) -> None:
         """Drop all pending work; its results are not shown."""
-        self._engine.forget()
+        self._engine.cancel()
         self._jobs.cancel("layers")
 
     @property
@@ -116,7 +116,7 @@ class PacedEngine:
             return None
         try:
             with compute_thread.unless(lambda: self._engine.busy):
-                return complete_result(latest, compute_thread.look)
+                return complete_result(latest, compute_thread.check_cancelled)
         except Cancelled:
             return None
         except Exception as error:  # noqa: BLE001 - every error is reported to the user
@@ -129,7 +129,7 @@ class PacedEngine:
         if not self._engine.is_current(state.moved):
             return
         # A newer study has corrected the error, or will report it again.
-        if state.moved.error is None or not self._engine.waits:
+        if state.moved.error is None or not self._engine.has_pending:
             self._show(state)
         self._repainted.schedule()
 

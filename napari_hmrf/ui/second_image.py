@@ -13,7 +13,7 @@ from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.units import as_seen
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.landmarks import landmark_pairs
-from napari_hmrf.layers.result_layers import Answer
+from napari_hmrf.layers.result_layers import PlacedSolution
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.tissue.drawing import Landmark
@@ -128,7 +128,7 @@ class SecondImage:
         before, after = (as_seen(length, spacing) for length in both)
         return f"Landmarks: {before:.3g} {unit} apart before, {after:.3g} now (RMS of {len(left)})"
 
-    def _pairs(self, answer: Answer) -> LandmarkPairs | None:
+    def _pairs(self, answer: PlacedSolution) -> LandmarkPairs | None:
         """Return the landmarks of the chosen layers, or else those of the drawing."""
         where, should = self._pair.pair
         if where is not None:

@@ -338,7 +338,7 @@ class SoftTissue(DockValues):
         pointer.action_started.connect(partial(setattr, self, "_unused", False))
         controller.finished.connect(self._on_finished)
         self._view.message.connect(self.show_message)
-        self._watch.first_came.connect(self._on_first)
+        self._watch.first_image_ready.connect(self._on_first)
 
     def _show_tool(self) -> None:
         motion, pointer = self._form.motion, self._pointer

@@ -78,4 +78,4 @@ class StudyReader:
 
     def invalidate(self) -> None:
         """Discard all copies of layers; a script may have changed an array in place."""
-        self._copies.forget()
+        self._copies.invalidate()

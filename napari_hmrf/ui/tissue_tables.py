@@ -181,12 +181,12 @@ def _along(axis: int, unit: str, ways: Directions, action: Action) -> Column[Bou
     """Return the column of a motion or a pull along the rows or the columns."""
 
     def typed(rule: BoundaryRule, amount: float) -> BoundaryRule:
-        *deep, down, along = ways.seen(rule.vector)
+        *deep, down, along = ways.to_display(rule.vector)
         seen = (*deep, down, amount) if axis else (*deep, amount, along)
-        return replace(rule, vector=ways.along(seen))
+        return replace(rule, vector=ways.from_display(seen))
 
     def seen(rule: BoundaryRule) -> float | None:
-        return ways.seen(rule.vector)[axis - 2] if rule.action == action else None
+        return ways.to_display(rule.vector)[axis - 2] if rule.action == action else None
 
     title = ways.label(axis) if action == "move" else f"pull {ways.label(axis)}"
     return _distance(title, ways.about(axis), unit, seen, typed)
@@ -300,14 +300,14 @@ class MaterialMenu(QPushButton):
             preset = materials_of(materials)
         if preset is None:
             raise LayerError(materials, "has no table of materials. Choose another layer.")
-        rows, words = preset.take_over(self._table.rows)
+        rows, words = preset.replace_materials(self._table.rows)
         self._table.contents = RowTable(rows, preset.unit, preset.name, preset.source)
         self.message.emit(f"Materials: {preset.name}. {words}".rstrip())
 
     def save(self, path: str | Path) -> Path:
         """Save the table to a file, as `write_preset`; return its path."""
         table = self._table.contents
-        file = write_preset(path, Preset(table.preset, table.unit, table.whose, table.rows))
+        file = write_preset(path, Preset(table.preset, table.unit, table.source, table.rows))
         self.message.emit(f"Saved {file.name}.")
         return file
 

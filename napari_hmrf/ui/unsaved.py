@@ -204,7 +204,7 @@ class Unsaved(QObject):
             self._work.paths[slice_part] = path
         if self._writer.is_alive():
             self._writer.join()
-        if (kept := self._work.kept.pop(slice_part, None)) is not None:
+        if (kept := self._work.saved_files.pop(slice_part, None)) is not None:
             kept.unlink(missing_ok=True)
 
     # Before the window closes
@@ -265,7 +265,7 @@ class Unsaved(QObject):
         return answers.get(answer, "cancel")
 
     def _discard(self) -> None:
-        for part in {*self._work.slices, *self._work.kept}:
+        for part in {*self._work.slices, *self._work.saved_files}:
             self._drop_recovery(part)
 
     # Crash recovery
@@ -281,10 +281,10 @@ class Unsaved(QObject):
         else:
             try:
                 study = self._dock.study
-                file = self._work.kept.get(slice_part) or recovery.new_file(folder())
+                file = self._work.saved_files.get(slice_part) or recovery.new_file(folder())
             except (HmrfError, ValueError, OSError):
                 return  # the current state cannot be saved: keep the earlier file
-            self._work.kept[slice_part] = file
+            self._work.saved_files[slice_part] = file
             self._writer = threading.Thread(target=_write, args=(file, study), daemon=True)
             self._writer.start()
 
@@ -293,7 +293,7 @@ class Unsaved(QObject):
         self._add(file)
         slice_part = self._model.slice
         self._work.note(slice_part)
-        self._work.kept[slice_part] = recovery.take_over(file)
+        self._work.saved_files[slice_part] = recovery.claim(file)
 
     def release(self) -> None:
         """Disconnect from edits, as the dock was closed or its window was deleted."""
@@ -322,7 +322,7 @@ class RecoveryNotice(Container):
 
     def refresh(self) -> None:
         """Show the newest recovery file of an ended process, or hide the notice."""
-        files, text = recovery.left_behind(folder()), ""
+        files, text = recovery.abandoned_files(folder()), ""
         if files:
             self._file = files[0]
             when = time.strftime("%d %b, %H:%M", time.localtime(self._file.stat().st_mtime))

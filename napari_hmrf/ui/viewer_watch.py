@@ -43,7 +43,7 @@ class ViewerWatch:
     """
 
     #: The first image is ready to be pulled, and no other layer is active.
-    first_came = Signal()
+    first_image_ready = Signal()
 
     def __init__(self, native: Any, viewer: Any, controller: Controller, guide: Guide) -> None:
         self._viewer, self._controller, self._guide = viewer, controller, guide
@@ -89,7 +89,7 @@ class ViewerWatch:
             self._viewer.mouse_drag_callbacks.remove(self._on_drag)
 
     def _on_moved(self, study: Study) -> None:
-        """Set tool sizes that suit the first image, and schedule `first_came`, only once."""
+        """Set tool sizes that suit the first image, and schedule `first_image_ready`, only once."""
         if not self._has_started:
             self._has_started = True
             size = study.grid.shape, study.grid.spacing
@@ -97,11 +97,11 @@ class ViewerWatch:
             self._first_timer.start()
 
     def _on_first(self) -> None:
-        """Emit `first_came`, unless a painted layer is chosen or another layer is active."""
+        """Emit `first_image_ready`, unless a painted layer is chosen or another layer is active."""
         has_paint = any(layer is not None for layer in self._painted)
         is_active = self._viewer.layers.selection.active in (None, self._form.image.value)
         if is_active and not has_paint:
-            self.first_came.emit()
+            self.first_image_ready.emit()
 
     def hide_paint(self) -> None:
         """Hide painted layers, which show the undeformed tissue and would tint the image."""

@@ -148,8 +148,8 @@ def test_a_study_that_is_dropped_while_its_image_moves_is_not_answered(thin, cou
     found = []
     engine = Engine(found.append, "a test")
     try:
-        done = counted("rasterise", engine.forget)
-        engine.submit(a_study(), settle=True)
+        done = counted("rasterise", engine.cancel)
+        engine.submit(a_study(), cold_start=True)
         compute_thread.submit(lambda: None).result(LONG)
         assert (len(done), found) == (1, [])
     finally:

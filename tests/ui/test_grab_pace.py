@@ -171,7 +171,7 @@ def test_what_is_wrong_is_said_once_it_is_not_put_right_already(follower, rest, 
 def test_an_answer_that_was_dropped_on_its_way_to_the_window_is_not_shown(follower, rest):
     follower.follow(pulled(1))
     compute_thread.submit(lambda: None).result(LONG)
-    follower.engine.forget()
+    follower.engine.cancel()
     assert not follower.engine.busy
     rest(follower)
     assert not follower.shown

@@ -8,7 +8,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 
 from napari_hmrf import Multigrid, solve
-from napari_hmrf.layers.metadata import METADATA, known_of
+from napari_hmrf.layers.metadata import METADATA, metadata_of
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.study.ground import build_problem
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
@@ -39,7 +39,7 @@ def assert_newest(widget):
     found, expected = widget.solution, cold(widget)
     assert found.displacement == pytest.approx(expected.displacement, abs=0.02)
     for layer in viewer_of(widget).layers:
-        known = known_of(layer)
+        known = metadata_of(layer)
         here = known.get("slice") == widget.shown.grid.place.slice_name
         if known.get("kind") == "arrows" and here:
             assert known["solution"].displacement is found.displacement
@@ -215,7 +215,7 @@ def test_an_undo_that_is_cancelled_stays_and_all_say_so_until_deform(pulling_bes
     picture = touch.viewer.layers["MR deformed, elastic"]
     assert not widget.drawing.marks
     assert widget.solution.displacement.any()
-    assert known_of(picture)["inputs_changed"]
+    assert metadata_of(picture)["inputs_changed"]
     assert "picture and warnings lack what was edited since" in widget.status
     assert "nothing was changed" not in widget.status
     Screen(widget).press("Deform")

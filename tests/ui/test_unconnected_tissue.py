@@ -8,7 +8,7 @@ from napari.components import ViewerModel
 from napari.layers import Image
 
 from napari_hmrf import ElasticPrior, Problem, ProblemError, solve
-from napari_hmrf.layers.metadata import BOUNDARY, METADATA, TISSUE, described
+from napari_hmrf.layers.metadata import BOUNDARY, METADATA, TISSUE, layer_metadata
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.tissue.drawing import Arrow, Drawing
@@ -127,7 +127,7 @@ def painted(qtbot, wall=True, moves=True):
     if moves:
         labels[9:12, 12:15] = 2
     rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 1.0)))
-    viewer.add_labels(labels, name="Boundary", metadata=described(BOUNDARY, rules))
+    viewer.add_labels(labels, name="Boundary", metadata=layer_metadata(BOUNDARY, rules))
     widget = quick(SoftTissue(viewer))
     qtbot.addWidget(widget.native)
     return widget

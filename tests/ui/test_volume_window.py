@@ -8,7 +8,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QFileDialog, QPushButton, QTableWidget
 
 from napari_hmrf.fields import count_folds
-from napari_hmrf.layers.metadata import METADATA, TISSUE, described, known_of
+from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata, metadata_of
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.ui.messages import MEANWHILE
@@ -196,7 +196,9 @@ def test_tissue_painted_in_a_volume_says_how_stiff_it_is(volume_beside, settle):
     labels = np.ones(SHAPE, int)
     labels[10:15, 12:20, 20:28] = 2
     rows = (Material(1, "soft", 1.0), Material(2, "stiff", 1000.0))
-    person.viewer.add_labels(labels, name="Tissue", scale=SCALE, metadata=described(TISSUE, rows))
+    person.viewer.add_labels(
+        labels, name="Tissue", scale=SCALE, metadata=layer_metadata(TISSUE, rows)
+    )
     settle(widget)
     assert widget.tissue is by_name(person.viewer, "Tissue")
     person.viewer.layers.selection = {by_name(person.viewer, "MR")}
@@ -349,13 +351,15 @@ def both_extents(volume_beside, settle):
 
 def seen_of(viewer):
     """The slices of the results of which anything is seen, "" for the volume."""
-    made = [layer for layer in viewer.layers if layer.visible and "source" in known_of(layer)]
-    return {known_of(layer)["slice"] for layer in made}
+    made = [layer for layer in viewer.layers if layer.visible and "source" in metadata_of(layer)]
+    return {metadata_of(layer)["slice"] for layer in made}
 
 
 def kinds_seen(viewer):
     """What is seen of results."""
-    return {known_of(layer).get("kind") for layer in viewer.layers if layer.visible} & {*EVERYTHING}
+    return {metadata_of(layer).get("kind") for layer in viewer.layers if layer.visible} & {
+        *EVERYTHING
+    }
 
 
 def test_of_a_volume_and_its_slice_the_result_that_is_worked_on_is_seen(both_extents, settle):
@@ -366,7 +370,7 @@ def test_of_a_volume_and_its_slice_the_result_that_is_worked_on_is_seen(both_ext
         settle(widget)
         assert seen_of(viewer) == {where}
         assert kinds_seen(viewer) == EVERYTHING
-        assert known_of(widget.result)["slice"] == where
+        assert metadata_of(widget.result)["slice"] == where
         widget.before = True
         assert seen_of(viewer) == set()
         widget.before = False
@@ -382,10 +386,12 @@ def test_of_a_volume_and_its_slice_the_result_that_is_worked_on_is_seen(both_ext
 def test_a_result_that_is_not_worked_on_is_not_shown_by_its_arrows(both_extents, settle):
     person, widget = both_extents
     viewer = person.viewer
-    held = {known_of(each)["slice"]: each for each in viewer.layers if "answer" in known_of(each)}
+    held = {
+        metadata_of(each)["slice"]: each for each in viewer.layers if "answer" in metadata_of(each)
+    }
     viewer.layers.selection.active = held[""]
     settle(widget)
-    assert known_of(widget.result)["slice"] == "slice 12"
+    assert metadata_of(widget.result)["slice"] == "slice 12"
     assert seen_of(viewer) == {"slice 12"}
 
 
@@ -432,14 +438,14 @@ def test_a_volume_that_is_cancelled_is_seen_as_it_came_to_rest_last(cancelled, s
     cancel()
     assert np.array_equal(picture.data, before)
     assert kinds_seen(person.viewer) == EVERYTHING
-    assert known_of(picture)["inputs_changed"]
+    assert metadata_of(picture)["inputs_changed"]
     assert len(widget.drawing.marks) == 2
     assert widget.status.startswith("Cancelled")
     assert "lack what was edited since" in widget.status
     person.drag((20, 20), (21, 21))
     settle(widget)
     assert len(widget.drawing.marks) == 3
-    assert not known_of(picture)["inputs_changed"]
+    assert not metadata_of(picture)["inputs_changed"]
     assert not np.array_equal(picture.data, before)
 
 

@@ -181,7 +181,7 @@ class Display:
         if moved is None or stroke is None:
             return painted
         grid = moved.study.grid
-        lines = (moved.goes_to(np.array(line)).tolist() for line in stroke.lines)
+        lines = (moved.moved_positions(np.array(line)).tolist() for line in stroke.lines)
         deformed = replace(stroke, lines=tuple(tuple(map(tuple, line)) for line in lines))
         picture = np.zeros(grid.shape, np.uint8) if painted is None else painted.copy()
         box = box_of(deformed, grid.spacing, tuple(slice(0, size) for size in grid.shape))
@@ -219,7 +219,7 @@ class Display:
         if state is not None and state.marks is not None:
             below.append(state.marks)
         if isinstance(mark, Stroke) and not is_dragging and state and state.moved.ground:
-            below.append(way_of(mark, state.moved.study.grid.spacing, state.moved.goes_to))
+            below.append(way_of(mark, state.moved.study.grid.spacing, state.moved.moved_positions))
         self.arrows.show(drawing, selected, below, quick=is_dragging)
 
     def leave(self) -> None:

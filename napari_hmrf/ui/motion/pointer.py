@@ -233,7 +233,7 @@ class Pointer:
         if other is not None:
             self.message.emit(motion_messages.covered(other.name))
             return
-        message = self.tool.press(point, reach, self._fields.settings, moved.came_from)
+        message = self.tool.press(point, reach, self._fields.settings, moved.origin_of)
         if self.tool.is_dragging:
             self._show_settings()
         self.message.emit(message)
@@ -248,7 +248,7 @@ class Pointer:
             return
         drawing, spacing = self.drawing, moved.study.grid.spacing
         hit = drawing.at(point, reach, spacing)
-        before = moved.came_from(point) or point
+        before = moved.origin_of(point) or point
         number = drawing.painted_at(before, spacing) if hit is None else hit.number
         if number is not None:
             self.select_tool(tool_of(drawing.marks[number]).name)

@@ -117,7 +117,7 @@ class ToolFields(Container):
     @property
     def _by(self) -> Point:
         """Displacement in the fields, in the order of the axes of the image."""
-        return self._ways.along((self.by_row.value, self.by_col.value))
+        return self._ways.from_display((self.by_row.value, self.by_col.value))
 
     @property
     def words(self) -> str:
@@ -126,7 +126,7 @@ class ToolFields(Container):
         if self._has_step:
             *deep, row, col = self._by
             step = (*deep, 0.0 if which == "col" else row, 0.0 if which == "row" else col)
-            seen = tuple(round(part, 2) + 0.0 for part in self._ways.seen(step))
+            seen = tuple(round(part, 2) + 0.0 for part in self._ways.to_display(step))
             words = f"{words} {self._ways.step(seen)}"
         if "components" not in self._tool.fields or which == "both":
             return words
@@ -146,7 +146,7 @@ class ToolFields(Container):
         """Show the settings of the selected mark, without changing the mark or other fields."""
         values: dict[str, Any] = dict(settings)
         if "by" in settings:
-            *_, values["by_row"], values["by_col"] = self._ways.seen(settings["by"])
+            *_, values["by_row"], values["by_col"] = self._ways.to_display(settings["by"])
         for name in self._tool.fields:
             field, attribute = getattr(self, name), _ATTRIBUTES.get(name, name)
             value = values.get(attribute, field.value)
@@ -178,7 +178,7 @@ class ToolFields(Container):
             field.label = f"{words} ({unit})"
         self.show_for(self._tool)
         if turned:
-            for field, length in zip(steps, ways.seen(by)[-2:], strict=True):
+            for field, length in zip(steps, ways.to_display(by)[-2:], strict=True):
                 with field.changed.blocked():
                     field.value = length
             before = self.components.value
@@ -200,7 +200,7 @@ class ToolFields(Container):
             solid = [row.label for row in rows if row.is_deformable]
             usual = (solid or labels)[-1]
             self.material.value = before if before in labels else usual
-        self._own_table = palette.own
+        self._own_table = palette.is_table
         self.show_for(self._tool)
 
 

@@ -12,7 +12,7 @@ from napari_hmrf.field.tissue_point import Probe, at_point, rounded
 from napari_hmrf.layers.field_layer import place_at
 from napari_hmrf.layers.metadata import tissue_recorded
 from napari_hmrf.layers.result_layers import stiffness_unit
-from napari_hmrf.layers.screen_directions import ways_of
+from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
 from napari_hmrf.ui.result.moving_layers import MovingLayers
@@ -71,7 +71,7 @@ class UnderCursor:
         if probe is None or shown is None:
             return ""
         answer, overlay = shown.answer, shown.overlay
-        ways = ways_of(answer.frame, self._viewer)
+        ways = directions_of(answer.frame, self._viewer)
         more = [_stiffness(shown, probe)]
         if overlay is not None and overlay.picture is not None and overlay.name in QUANTITIES:
             title, unit = title_and_unit(overlay.name, answer.solution)

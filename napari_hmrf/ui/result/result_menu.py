@@ -20,10 +20,10 @@ from napari_hmrf.io.apply import FieldFile, write_field_file
 from napari_hmrf.io.figures import write_result_pictures
 from napari_hmrf.io.moving_pictures import write_movie
 from napari_hmrf.io.tables import forces_in_words, measurements_in_words, write_measurements
-from napari_hmrf.layers.field_layer import MOVED, can_move, mover, picture_of, tissue_labels
-from napari_hmrf.layers.metadata import TISSUE, known_of, rows_of, tissue_recorded
+from napari_hmrf.layers.field_layer import MOVED, can_move, picture_of, prepare_move, tissue_labels
+from napari_hmrf.layers.metadata import TISSUE, metadata_of, rows_of, tissue_recorded
 from napari_hmrf.layers.result_layers import LayerData, stiffness_unit
-from napari_hmrf.layers.screen_directions import ways_of
+from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.layers.viewer_layers import same_selection
 from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu
@@ -162,7 +162,7 @@ class ResultMenu:
         HmrfError
             If there is no result, or a layer cannot be placed on its tissue.
         """
-        movers = [mover(layer, self._shown.answer) for layer in layers]
+        movers = [prepare_move(layer, self._shown.answer) for layer in layers]
 
         def add(made: list[LayerData]) -> None:
             for layer, each in zip(layers, made, strict=True):
@@ -187,7 +187,7 @@ class ResultMenu:
         """Show a moved layer; it replaces the moved copy of an earlier result."""
         layers, name = self._viewer.layers, made.attributes["name"]
         with same_selection(self._viewer):
-            if name in layers and known_of(layers[name]).get("kind") == MOVED:
+            if name in layers and metadata_of(layers[name]).get("kind") == MOVED:
                 layers.remove(name)
             at = layers.index(layer) + 1 if layer in layers else len(layers)
             layers.insert(at, layer.create(*made))
@@ -248,7 +248,7 @@ class ResultMenu:
         answer = self._shown.answer
         if answer.forces is None:
             raise HmrfError(NO_FORCES)
-        ways, stiffness = ways_of(answer.frame, self._viewer), stiffness_unit(answer)
+        ways, stiffness = directions_of(answer.frame, self._viewer), stiffness_unit(answer)
 
         def show(rows: tuple[HeldForce, ...]) -> None:
             words = forces_in_words(rows, ways, stiffness, answer.unit)

@@ -12,9 +12,9 @@ from napari_hmrf.errors import naming
 from napari_hmrf.field.comparison import Comparison, compare
 from napari_hmrf.layers.field_layer import can_be_source, field_of, result_of, source_of
 from napari_hmrf.layers.image_result import Result, ResultLayers
-from napari_hmrf.layers.metadata import known_of
+from napari_hmrf.layers.metadata import metadata_of
 from napari_hmrf.layers.result_layers import Name, Overlay, overlay_of
-from napari_hmrf.layers.screen_directions import ways_of
+from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.forms import attempt
@@ -247,8 +247,8 @@ class ResultView:
         with choice.changed.blocked():
             name = choice.value
             if name == words.NOTHING and layer_shown is not None and layer_shown.visible:
-                name = known_of(layer_shown)["kind"]  # left by a dock that was closed
-            ways = ways_of(shown.answer.frame, self._viewer)
+                name = metadata_of(layer_shown)["kind"]  # left by a dock that was closed
+            ways = directions_of(shown.answer.frame, self._viewer)
             compared = self._form.reference.value is not None
             if name == "difference" and not compared:
                 name = words.NOTHING

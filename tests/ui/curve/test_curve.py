@@ -13,7 +13,7 @@ from qtpy.QtWidgets import QApplication, QFileDialog
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.io.material_tables import read_preset
-from napari_hmrf.layers.metadata import METADATA, TISSUE, described
+from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
@@ -539,7 +539,9 @@ def test_materials_are_taken_from_another_layer(widget, small_sample):
     small_sample(viewer)
     rows = (Material(1, "jelly", 7.0), Material(2, "bone", 900.0))
     tissue = widget.tissue
-    viewer.add_labels(np.ones((20, 24), int), name="other", metadata=described(TISSUE, rows, "Pa"))
+    viewer.add_labels(
+        np.ones((20, 24), int), name="other", metadata=layer_metadata(TISSUE, rows, "Pa")
+    )
     viewer.add_labels(np.ones((20, 24), int), name="nothing")
     widget.tissue = tissue
     taken = entries(widget._form.tissue.menu)["Take from layer"].menu()

@@ -5,7 +5,7 @@ import pytest
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 
-from napari_hmrf.layers.metadata import METADATA, TISSUE, described
+from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.soft_tissue import SoftTissue
@@ -302,7 +302,7 @@ def test_void_cannot_be_taken_hold_of(open_beside, settle):
     labels = np.zeros((64, 64), np.uint8)
     labels[10:50, 10:50] = 1
     materials = (Material(0, "air", 0.0), Material(1, "gel", 20.0))
-    person.viewer.add_labels(labels, name="T", metadata=described(TISSUE, materials, "kPa"))
+    person.viewer.add_labels(labels, name="T", metadata=layer_metadata(TISSUE, materials, "kPa"))
     assert widget.tissue is by_name(person.viewer, "T")
     assert widget.start()
     settle(widget)
@@ -623,7 +623,7 @@ def test_air_that_a_tissue_layer_calls_tissue_is_spoken_of(open_beside, settle):
     person, widget = open_beside((150 * disc).astype(np.uint8))
     widget.without_border = False
     labels = person.viewer.add_labels(np.zeros((64, 64), np.uint8), name="T")
-    labels.metadata.update(described(TISSUE, (Material(0, "unpainted", 1.0),), "kPa"))
+    labels.metadata.update(layer_metadata(TISSUE, (Material(0, "unpainted", 1.0),), "kPa"))
     for tissue, speaks in ((labels, True), (None, False)):
         widget.tissue = tissue
         assert widget.start()

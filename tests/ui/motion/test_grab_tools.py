@@ -10,7 +10,7 @@ from qtpy.QtTest import QTest
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.deformation import jacobian_determinant
-from napari_hmrf.layers.metadata import METADATA, TISSUE, described, known_of
+from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata, metadata_of
 from napari_hmrf.layers.paint_layer import number_of
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
@@ -512,7 +512,7 @@ def test_tissue_is_painted_from_the_table_of_its_layer(open_beside, settle):
     person, widget = open_beside()
     labels = np.ones((64, 64), np.uint8)
     materials = (Material(1, "gel", 1.0), Material(7, "bone", 1000.0))
-    person.viewer.add_labels(labels, name="T", metadata=described(TISSUE, materials, "kPa"))
+    person.viewer.add_labels(labels, name="T", metadata=layer_metadata(TISSUE, materials, "kPa"))
     assert widget.start()
     settle(widget)
     person.key(MATERIAL)
@@ -772,7 +772,9 @@ def test_layers_deleted_or_renamed_in_mid_stroke_do_not_matter(brushing, settle)
         person.move(row, 24)
         image.name, arrows.name = f"T{number}", f"mine {number}"
         (layer,) = (
-            each for each in person.viewer.layers if gone in (each.name, known_of(each).get("kind"))
+            each
+            for each in person.viewer.layers
+            if gone in (each.name, metadata_of(each).get("kind"))
         )
         person.viewer.layers.remove(layer)
         person.move(row, 30)
@@ -906,7 +908,7 @@ def test_the_brush_of_tissue_begins_with_one_that_is_tissue(open_beside, settle)
     person, widget = open_beside()
     labels = person.viewer.add_labels(np.ones((64, 64), np.uint8), name="T")
     rows = (Material(0, "x", 1.0), Material(1, "gel", 2.0), Material(2, "air", 0.0))
-    labels.metadata.update(described(TISSUE, rows, "kPa"))
+    labels.metadata.update(layer_metadata(TISSUE, rows, "kPa"))
     widget.tissue = labels
     assert widget.start()
     settle(widget)
